@@ -1,0 +1,115 @@
+//! State that a restarted or swapped process resumes from.
+
+use bytemuck::Pod;
+
+use crate::describe::{Described, FNV_OFFSET, fingerprint};
+use crate::sample::sample;
+use crate::{Fault, Header, Role};
+
+/// How many bytes of state a checkpoint can hold.
+pub const CHECKPOINT_BYTES: usize = 8192;
+
+sample! {
+    /// The state of one stateful process after a scan, as plain bytes of a type that both ends know.
+    pub struct Checkpoint(8408, Checkpoint, 0x2dc3_5882, "scanloop.Checkpoint.v1", check) {
+        /// Identity: the scan after which the state was taken
+        pub header: Header,
+        /// Role of the process, `Role`
+        pub role: u32,
+        /// Fingerprint of the type of the state
+        pub state_layout: u32,
+        /// How many of `bytes` are used
+        pub length: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// When it was published [ns]
+        pub issued_ns: u64,
+        /// The state
+        pub bytes: [u8; CHECKPOINT_BYTES],
+    }
+}
+
+/// Why a checkpoint can't be resumed from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CheckpointError {
+    /// The state is of a type that this process does not know.
+    UnknownState {
+        /// Fingerprint of the state in the checkpoint.
+        found: u32,
+        /// Fingerprint that this process knows.
+        expected: u32,
+    },
+    /// The state is longer or shorter than its type.
+    Length {
+        /// Bytes in the checkpoint.
+        found: usize,
+        /// Bytes of the type.
+        expected: usize,
+    },
+}
+
+impl std::fmt::Display for CheckpointError {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::UnknownState { found, expected } => {
+                write!(formatter, "state of layout {found:#010x} where {expected:#010x} was expected")
+            }
+            Self::Length { found, expected } => write!(formatter, "state of {found} bytes instead of {expected}"),
+        }
+    }
+}
+
+impl std::error::Error for CheckpointError {}
+
+impl Checkpoint {
+    /// A checkpoint of `state`; the header is filled when it is published.
+    pub fn of<S: Pod + Described>(role: Role, state: &S) -> Self {
+        const { assert!(size_of::<S>() <= CHECKPOINT_BYTES, "the state does not fit a checkpoint") };
+        let mut checkpoint = Self {
+            role: role.wire(),
+            state_layout: const { fingerprint(&S::KIND, FNV_OFFSET) },
+            length: size_of::<S>() as u32,
+            ..Self::default()
+        };
+        checkpoint.bytes[..size_of::<S>()].copy_from_slice(bytemuck::bytes_of(state));
+        checkpoint
+    }
+
+    /// The state, where both ends know its type.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] when the type or its length differs.
+    pub fn state<S: Pod + Described>(&self) -> Result<S, CheckpointError> {
+        let expected = const { fingerprint(&S::KIND, FNV_OFFSET) };
+        if self.state_layout != expected {
+            return Err(CheckpointError::UnknownState { found: self.state_layout, expected });
+        }
+        if self.length as usize != size_of::<S>() {
+            return Err(CheckpointError::Length { found: self.length as usize, expected: size_of::<S>() });
+        }
+        Ok(bytemuck::pod_read_unaligned(&self.bytes[..size_of::<S>()]))
+    }
+}
+
+fn check(checkpoint: &Checkpoint) -> Result<(), Fault> {
+    checkpoint.header.check::<Checkpoint>()?;
+    Role::try_from(checkpoint.role)?;
+    if checkpoint.length as usize > CHECKPOINT_BYTES {
+        return Err(Fault::OutOfRange { field: "length", value: f64::from(checkpoint.length) });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::StageStamps;
+
+    #[test]
+    fn a_state_is_read_back_only_as_its_own_type() {
+        let state = StageStamps { woken_ns: 1, taken_ns: 2, computed_ns: 3, published_ns: 4 };
+        let checkpoint = Checkpoint::of(Role::Estimator, &state);
+        assert_eq!(checkpoint.state::<StageStamps>(), Ok(state));
+        assert!(matches!(checkpoint.state::<Header>(), Err(CheckpointError::UnknownState { .. })));
+    }
+}

@@ -1,0 +1,178 @@
+//! What the controller wants.
+
+use crate::fault::finite;
+use crate::sample::{layout, sample, wire_enum};
+use crate::{Fault, Header};
+
+/// How many nodes of the plan a command carries.
+pub const PLAN_NODES: usize = 25;
+
+wire_enum! {
+    /// What the command asks for.
+    pub enum CommandKind {
+        /// Block the wheels for safety.
+        Stop = 0 "stop",
+        /// Drive with the velocity and steering angle of the command.
+        Drive = 1 "drive",
+        /// Block the wheels because the goal is reached.
+        Land = 2 "land",
+    }
+}
+
+wire_enum! {
+    /// How the optimal control problem was solved.
+    pub enum SolveStatus {
+        /// No problem was solved for this command.
+        NotSolved = 0 "not_solved",
+        /// The KKT residual is within its tolerance.
+        Converged = 1 "converged",
+        /// The iteration limit came first; the best iterate is in the command.
+        MaxIterations = 2 "max_iterations",
+        /// The time budget came first; the best iterate is in the command.
+        OutOfTime = 3 "out_of_time",
+        /// No step could be computed.
+        Failed = 4 "failed",
+    }
+}
+
+wire_enum! {
+    /// Where a command comes from: the rung of the ladder that was reached.
+    pub enum Level {
+        /// Wheels blocked.
+        Stop = 0 "stop",
+        /// The converged and verified solution for this scan.
+        Converged = 1 "converged",
+        /// The best verified iterate for this scan.
+        BestIterate = 2 "best_iterate",
+        /// The rest of the last verified plan, verified again against the obstacles of this scan.
+        LastPlan = 3 "last_plan",
+    }
+}
+
+wire_enum! {
+    /// Why the controller asks to block the wheels.
+    pub enum StopReason {
+        /// It does not.
+        None = 0 "none",
+        /// The goal is reached.
+        Landed = 1 "landed",
+        /// The path is blocked, or too near to steer around.
+        Blocked = 2 "blocked",
+        /// No plan of this scan or the last could be verified.
+        Unverified = 3 "unverified",
+        /// The inputs contradict each other or the bounds.
+        BadInput = 4 "bad_input",
+        /// The goal was passed and cannot be reached any more.
+        GoalPassed = 5 "goal_passed",
+        /// No input came in time.
+        NoInput = 6 "no_input",
+    }
+}
+
+layout! {
+    /// State and control at one node of the plan.
+    pub struct PlanNode(56) {
+        /// Position along the track [m]
+        pub x_m: f64,
+        /// Lateral position [m]
+        pub y_m: f64,
+        /// Yaw [rad]
+        pub yaw_rad: f64,
+        /// Sideslip [rad]
+        pub sideslip_rad: f64,
+        /// Yaw rate [rad/s]
+        pub yaw_rate_radps: f64,
+        /// Velocity from this node to the next [m/s]
+        pub velocity_mps: f64,
+        /// Steering angle from this node to the next [rad]
+        pub steering_rad: f64,
+    }
+}
+
+sample! {
+    /// One verified command per scan, with the plan it is the start of.
+    pub struct Command(1704, Command, 0x2587_ca67, "scanloop.Command.v1", check) {
+        /// Identity and stamps
+        pub header: Header,
+        /// What is asked for, `CommandKind`
+        pub kind: u32,
+        /// Where the command comes from, `Level`
+        pub level: u32,
+        /// How the problem was solved, `SolveStatus`
+        pub status: u32,
+        /// Why the wheels are to be blocked, `StopReason`
+        pub reason: u32,
+        /// 1 when the plan was verified: bounds, obstacles and model
+        pub verified: u32,
+        /// Side on which the nearest obstacle in the way is passed: 1 left, -1 right, 0 none
+        pub side: i32,
+        /// SQP iterations
+        pub iterations: u32,
+        /// Active constraints at the solution
+        pub active_constraints: u32,
+        /// Desired velocity, u1 of (7.27)-(7.31) [m/s]
+        pub velocity_mps: f64,
+        /// Desired steering angle, u2 of (7.27)-(7.31) [rad]
+        pub steering_rad: f64,
+        /// Infinity norm of the KKT conditions
+        pub kkt_residual: f64,
+        /// Largest violation of a hard constraint or of the model
+        pub largest_violation: f64,
+        /// Largest slack of an ellipse
+        pub slack: f64,
+        /// Value of the objective
+        pub objective: f64,
+        /// Time the solver used, zero in lock-step [ns]
+        pub solve_ns: u64,
+        /// Time of the first node of the plan [ns]
+        pub plan_start_ns: u64,
+        /// Time between two nodes of the plan [s]
+        pub plan_interval_s: f64,
+        /// How many of `plan` are used
+        pub plan_length: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// The planned nodes
+        pub plan: [PlanNode; PLAN_NODES],
+    }
+}
+
+impl Command {
+    /// The used nodes of the plan.
+    pub fn nodes(&self) -> &[PlanNode] {
+        &self.plan[..(self.plan_length as usize).min(PLAN_NODES)]
+    }
+}
+
+fn check(command: &Command) -> Result<(), Fault> {
+    command.header.check::<Command>()?;
+    let kind = CommandKind::try_from(command.kind)?;
+    Level::try_from(command.level)?;
+    SolveStatus::try_from(command.status)?;
+    StopReason::try_from(command.reason)?;
+    finite("command", &[command.velocity_mps, command.steering_rad])?;
+    if command.plan_length as usize > PLAN_NODES {
+        return Err(Fault::OutOfRange { field: "plan_length", value: f64::from(command.plan_length) });
+    }
+    if kind == CommandKind::Drive && command.verified != 1 {
+        return Err(Fault::OutOfRange { field: "verified", value: f64::from(command.verified) });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sample;
+
+    #[test]
+    fn a_drive_command_that_was_not_verified_is_refused() {
+        let mut command = Command { kind: CommandKind::Drive.wire(), ..Command::default() };
+        command.header.layout = Command::LAYOUT;
+        assert_eq!(command.check(), Err(Fault::OutOfRange { field: "verified", value: 0.0 }));
+        command.verified = 1;
+        assert_eq!(command.check(), Ok(()));
+        command.steering_rad = f64::INFINITY;
+        assert_eq!(command.check(), Err(Fault::NotFinite { field: "command" }));
+    }
+}

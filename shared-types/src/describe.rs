@@ -1,0 +1,95 @@
+//! A description of the layout of samples that other languages and the documentation are made from.
+
+/// What a field is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A plain number, by its Rust name: `u8`, `u16`, `u32`, `u64`, `i32`, `f64`.
+    Scalar(&'static str),
+    /// That many values of one kind, one behind the other.
+    Array(&'static Kind, usize),
+    /// A struct by name, with its fields.
+    Struct(&'static str, &'static [Field]),
+}
+
+/// One field of a sample: its place and meaning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// Name of the field.
+    pub name: &'static str,
+    /// First line of its documentation, with the unit in brackets.
+    pub doc: &'static str,
+    /// Byte offset within its struct.
+    pub offset: usize,
+    /// What it is made of.
+    pub kind: Kind,
+}
+
+/// A type that can stand in a sample.
+pub trait Described {
+    /// The description of the type.
+    const KIND: Kind;
+}
+
+macro_rules! scalar {
+    ($($type:ty),*) => { $(impl Described for $type { const KIND: Kind = Kind::Scalar(stringify!($type)); })* };
+}
+scalar!(u8, u16, u32, u64, i32, f64);
+
+impl<T: Described, const N: usize> Described for [T; N] {
+    const KIND: Kind = Kind::Array(&T::KIND, N);
+}
+
+/// 32-bit FNV-1a hash of the names, kinds and offsets of all fields: the layout version of a sample.
+pub(crate) const fn fingerprint(kind: &Kind, seed: u32) -> u32 {
+    match kind {
+        Kind::Scalar(name) => hash_text(name, seed),
+        Kind::Array(element, length) => hash_number(*length, fingerprint(element, seed)),
+        Kind::Struct(name, fields) => {
+            let mut hash = hash_text(name, seed);
+            let mut index = 0;
+            while index < fields.len() {
+                let field = &fields[index];
+                hash = hash_number(field.offset, hash_text(field.name, hash));
+                hash = fingerprint(&field.kind, hash);
+                index += 1;
+            }
+            hash
+        }
+    }
+}
+
+pub(crate) const FNV_OFFSET: u32 = 0x811c_9dc5;
+const FNV_PRIME: u32 = 0x0100_0193;
+
+const fn hash_text(text: &str, seed: u32) -> u32 {
+    let bytes = text.as_bytes();
+    let mut hash = seed;
+    let mut index = 0;
+    while index < bytes.len() {
+        hash = (hash ^ bytes[index] as u32).wrapping_mul(FNV_PRIME);
+        index += 1;
+    }
+    hash
+}
+
+const fn hash_number(number: usize, seed: u32) -> u32 {
+    let mut hash = seed;
+    let mut rest = number;
+    loop {
+        hash = (hash ^ (rest & 0xff) as u32).wrapping_mul(FNV_PRIME);
+        rest >>= 8;
+        if rest == 0 {
+            return hash;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fnv_of_a_known_text_is_the_published_value() {
+        assert_eq!(hash_text("foobar", FNV_OFFSET), 0xbf9c_f968);
+    }
+}

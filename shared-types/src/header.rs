@@ -1,0 +1,110 @@
+//! The header of all samples and the way of a scan through the stages.
+
+use crate::sample::layout;
+use crate::{Fault, ROLES, Role, Sample};
+
+layout! {
+    /// When one stage worked on a scan. Zero means that the stage has not been reached.
+    pub struct StageStamps(32) {
+        /// When the stage was woken for the scan [ns]
+        pub woken_ns: u64,
+        /// When all of its inputs were taken [ns]
+        pub taken_ns: u64,
+        /// When its computation was done [ns]
+        pub computed_ns: u64,
+        /// When its output was published [ns]
+        pub published_ns: u64,
+    }
+}
+
+layout! {
+    /// First field of every sample: identity, and the way from the scan.
+    ///
+    /// All stamps are nanoseconds of CLOCK_MONOTONIC, or of the simulated clock in lock-step.
+    pub struct Header(192) {
+        /// Layout version of the sample, `Sample::LAYOUT`
+        pub layout: u32,
+        /// Incarnation of the producer: one number per started process, given by the orchestrator
+        pub incarnation: u32,
+        /// The scan that this sample belongs to; the first scan of a run is 1
+        pub scan_id: u64,
+        /// Number of the sample among those of its producer on its topic, from 1 without gaps
+        pub sequence: u64,
+        /// When the front beam of the scan was taken [ns]
+        pub acquired_ns: u64,
+        /// Stamps of all stages on the way to this sample, indexed by role
+        pub chain: [StageStamps; ROLES],
+    }
+}
+
+impl Header {
+    /// The header of an answer to `self`: same scan, the chain of `self` carried on.
+    ///
+    /// Layout, incarnation, sequence and stamps of the answering stage are filled when it publishes.
+    #[must_use]
+    pub fn answer(&self) -> Self {
+        Self { layout: 0, incarnation: 0, sequence: 0, ..*self }
+    }
+
+    /// The header of an answer to two inputs of one scan: stamps of both ways.
+    #[must_use]
+    pub fn answer_both(&self, other: &Self) -> Self {
+        let mut header = self.answer();
+        for (mine, theirs) in header.chain.iter_mut().zip(&other.chain) {
+            if mine.published_ns == 0 {
+                *mine = *theirs;
+            }
+        }
+        header
+    }
+
+    /// Stamps of one stage.
+    pub fn stage(&self, role: Role) -> &StageStamps {
+        &self.chain[role.index()]
+    }
+
+    /// Stamps of one stage, to fill them.
+    pub fn stage_mut(&mut self, role: Role) -> &mut StageStamps {
+        &mut self.chain[role.index()]
+    }
+
+    /// When the scan was published [ns], zero when this sample has no scan behind it.
+    pub fn scan_published_ns(&self) -> u64 {
+        self.stage(Role::Robot).published_ns
+    }
+
+    /// Passes when the header was filled by a producer built against the layout of `S`.
+    ///
+    /// # Errors
+    /// [`Fault::Layout`] with both layout versions.
+    pub fn check<S: Sample>(&self) -> Result<(), Fault> {
+        if self.layout == S::LAYOUT {
+            Ok(())
+        } else {
+            Err(Fault::Layout { expected: S::LAYOUT, found: self.layout })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Pose;
+
+    #[test]
+    fn an_answer_to_two_inputs_carries_the_stamps_of_both() {
+        let (mut pose, mut obstacles) = (Header::default(), Header::default());
+        pose.scan_id = 7;
+        pose.stage_mut(Role::Estimator).published_ns = 11;
+        obstacles.stage_mut(Role::Obstacles).published_ns = 13;
+        let answer = obstacles.answer_both(&pose);
+        assert_eq!(answer.stage(Role::Estimator).published_ns, 11);
+        assert_eq!(answer.stage(Role::Obstacles).published_ns, 13);
+    }
+
+    #[test]
+    fn a_foreign_layout_is_refused() {
+        let header = Header { layout: Pose::LAYOUT ^ 1, ..Header::default() };
+        assert_eq!(header.check::<Pose>(), Err(Fault::Layout { expected: Pose::LAYOUT, found: Pose::LAYOUT ^ 1 }));
+    }
+}

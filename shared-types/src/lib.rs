@@ -1,0 +1,39 @@
+//! The vocabulary of Scanloop: every sample that crosses a process border, with its layout pinned.
+//!
+//! A sample is a fixed-layout value (`#[repr(C)]`, no pointers, no implicit padding) that starts with a
+//! [`Header`]. The header carries the identity of the scan a sample answers and the time stamps of all stages
+//! it went through, so each actuation contains its own way from the scan.
+//!
+//! Units are SI, angles are radians counter-clockwise, the frame is x forward along the track, y to the left.
+
+mod actuation;
+mod checkpoint;
+mod command;
+mod describe;
+mod fault;
+mod header;
+mod obstacles;
+mod odometry;
+mod pose;
+mod role;
+mod sample;
+mod scan;
+mod supervision;
+mod topics;
+mod truth;
+
+pub use actuation::{Actuation, ActuationKind, BlockReason};
+pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
+pub use command::{Command, CommandKind, Level, PLAN_NODES, PlanNode, SolveStatus, StopReason};
+pub use describe::{Described, Field, Kind};
+pub use fault::Fault;
+pub use header::{Header, StageStamps};
+pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
+pub use odometry::Odometry;
+pub use pose::Pose;
+pub use role::{ROLES, Role};
+pub use sample::Sample;
+pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
+pub use supervision::{Authority, Directive, Heartbeat, Phase, ProcessState};
+pub use topics::{TOPICS, Topic};
+pub use truth::Truth;

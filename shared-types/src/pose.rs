@@ -1,0 +1,66 @@
+//! Where the robot is and how it moves.
+
+use crate::fault::finite;
+use crate::sample::sample;
+use crate::{Fault, Header};
+
+sample! {
+    /// Estimated state of the robot at the time of the front beam, and at the time the command will act.
+    pub struct Pose(480, Pose, 0xced1_876d, "scanloop.Pose.v1", check) {
+        /// Identity and stamps
+        pub header: Header,
+        /// Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
+        pub yaw_rad: f64,
+        /// Estimated position along the track at the acquisition of the scan, x4 of (7.30) [m]
+        pub x_m: f64,
+        /// Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m]
+        pub y_m: f64,
+        /// Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2]
+        pub covariance: [f64; 9],
+        /// Speed over ground at the acquisition of the scan [m/s]
+        pub speed_mps: f64,
+        /// Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
+        pub sideslip_rad: f64,
+        /// Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s]
+        pub yaw_rate_radps: f64,
+        /// When the command for this scan is expected to act: the time of the predicted state [ns]
+        pub predicted_ns: u64,
+        /// Predicted sideslip [rad]
+        pub predicted_sideslip_rad: f64,
+        /// Predicted yaw [rad]
+        pub predicted_yaw_rad: f64,
+        /// Predicted yaw rate [rad/s]
+        pub predicted_yaw_rate_radps: f64,
+        /// Predicted position along the track [m]
+        pub predicted_x_m: f64,
+        /// Predicted lateral position [m]
+        pub predicted_y_m: f64,
+        /// Predicted speed [m/s]
+        pub predicted_speed_mps: f64,
+        /// Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m]
+        pub innovation: [f64; 3],
+        /// Kalman gain of (yaw, x, y), row by row
+        pub gain: [f64; 9],
+        /// Normalised innovation squared
+        pub nis: f64,
+        /// Measurements refused by the gate since the start
+        pub rejected: u64,
+    }
+}
+
+fn check(pose: &Pose) -> Result<(), Fault> {
+    pose.header.check::<Pose>()?;
+    finite("pose", &[pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps])?;
+    finite("covariance", &pose.covariance)?;
+    finite(
+        "predicted",
+        &[
+            pose.predicted_sideslip_rad,
+            pose.predicted_yaw_rad,
+            pose.predicted_yaw_rate_radps,
+            pose.predicted_x_m,
+            pose.predicted_y_m,
+            pose.predicted_speed_mps,
+        ],
+    )
+}

@@ -1,0 +1,141 @@
+//! What processes tell the orchestrator, and what it tells them.
+
+use crate::sample::{layout, sample, wire_enum};
+use crate::{Fault, Header, ROLES, Role};
+
+wire_enum! {
+    /// What the whole system is doing.
+    pub enum Phase {
+        /// Processes are starting and open their ports.
+        Starting = 0 "starting",
+        /// All ports exist: everyone connects both halves of its connections.
+        Connecting = 1 "connecting",
+        /// The loop runs.
+        Driving = 2 "driving",
+        /// Wheels are blocked and processes end.
+        Stopping = 3 "stopping",
+    }
+}
+
+wire_enum! {
+    /// What a process says of itself.
+    pub enum ProcessState {
+        /// It has opened its ports.
+        Attached = 0 "attached",
+        /// Its connections are made, samples will arrive.
+        Connected = 1 "connected",
+        /// It has published its first output.
+        Ready = 2 "ready",
+        /// It is about to end.
+        Ending = 3 "ending",
+    }
+}
+
+layout! {
+    /// Whose samples count for one role.
+    pub struct Authority(16) {
+        /// The incarnation whose samples count from `from_scan` on; 0 accepts none
+        pub incarnation: u32,
+        /// The incarnation whose samples count before `from_scan`
+        pub previous: u32,
+        /// The scan at which authority changes
+        pub from_scan: u64,
+    }
+}
+
+sample! {
+    /// The orchestrator's word to all processes.
+    pub struct Directive(304, Directive, 0x54ea_ca76, "scanloop.Directive.v1", check) {
+        /// Identity; the chain is unused
+        pub header: Header,
+        /// What the system is doing, `Phase`
+        pub phase: u32,
+        /// 1 when the wheels are to be blocked now, whatever the controller says
+        pub stop: u32,
+        /// In lock-step: the last scan that the robot may publish
+        pub granted_scan: u64,
+        /// When it was published [ns of CLOCK_MONOTONIC]
+        pub issued_ns: u64,
+        /// Process id of the orchestrator
+        pub orchestrator_pid: u64,
+        /// Whose samples count, indexed by role
+        pub authority: [Authority; ROLES],
+    }
+}
+
+impl Directive {
+    /// Whether a sample of `role` for `scan_id` made by `incarnation` counts.
+    pub fn accepts(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
+        let authority = &self.authority[role.index()];
+        let counts = if scan_id >= authority.from_scan { authority.incarnation } else { authority.previous };
+        counts != 0 && counts == incarnation
+    }
+}
+
+sample! {
+    /// State and counters of one process.
+    pub struct Heartbeat(320, Heartbeat, 0xdd21_488c, "scanloop.Heartbeat.v1", check_heartbeat) {
+        /// Identity; scan id is the last one worked on, the chain is unused
+        pub header: Header,
+        /// Role of the process, `Role`
+        pub role: u32,
+        /// What the process says of itself, `ProcessState`
+        pub state: u32,
+        /// Process id
+        pub pid: u64,
+        /// When it was published [ns of CLOCK_MONOTONIC]
+        pub issued_ns: u64,
+        /// Times round the loop; a process that hangs stops counting
+        pub activations: u64,
+        /// Outputs published
+        pub published: u64,
+        /// Inputs used
+        pub used: u64,
+        /// Inputs replaced by newer ones before they were used
+        pub replaced: u64,
+        /// Inputs dropped because of their content
+        pub invalid: u64,
+        /// Inputs dropped because they were too old
+        pub stale: u64,
+        /// Inputs dropped because their sequence number had been seen
+        pub duplicate: u64,
+        /// Inputs dropped because a later one had been seen
+        pub reordered: u64,
+        /// Inputs dropped because their producer has no authority
+        pub foreign: u64,
+        /// Sequence numbers that never arrived
+        pub missing: u64,
+        /// Outputs that did not reach all of their readers
+        pub undelivered: u64,
+        /// Wake-ups by time-out
+        pub timeouts: u64,
+        /// Unused, zero
+        pub reserved: u64,
+    }
+}
+
+fn check(directive: &Directive) -> Result<(), Fault> {
+    directive.header.check::<Directive>()?;
+    Phase::try_from(directive.phase).map(|_| ())
+}
+
+fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {
+    heartbeat.header.check::<Heartbeat>()?;
+    Role::try_from(heartbeat.role)?;
+    ProcessState::try_from(heartbeat.state).map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn authority_changes_at_its_scan() {
+        let mut directive = Directive::default();
+        directive.authority[3] = Authority { incarnation: 9, previous: 4, from_scan: 100 };
+        assert!(directive.accepts(Role::Controller, 4, 99));
+        assert!(!directive.accepts(Role::Controller, 4, 100));
+        assert!(directive.accepts(Role::Controller, 9, 100));
+        assert!(!directive.accepts(Role::Actuator, 0, 1), "incarnation 0 never counts");
+    }
+}
