@@ -1,1 +1,18 @@
-//! Placeholder.
+//! The SUMMIT robot as pure functions: model, bounds, integration, frames, body geometry, command correction.
+//!
+//! Nothing here knows processes, clocks or files. The model is the single-track model of a robot whose front
+//! and rear axle steer by the same angle in opposite directions, (7.27)-(7.31).
+
+pub mod bounds;
+pub mod frame;
+pub mod geometry;
+pub mod integrate;
+mod invalid;
+pub mod model;
+mod parameters;
+mod state;
+
+pub use bounds::Bounds;
+pub use invalid::{Invalid, require};
+pub use parameters::Parameters;
+pub use state::{Control, State};

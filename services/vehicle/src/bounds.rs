@@ -1,0 +1,65 @@
+//! Bounds of controls and states, (7.41)-(7.46).
+
+use serde::{Deserialize, Serialize};
+
+use crate::Control;
+
+/// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Bounds {
+    /// Smallest velocity, (7.41) [m/s]. Above zero, because the model divides by it.
+    pub velocity_min_mps: f64,
+    /// Largest velocity, (7.41) [m/s].
+    pub velocity_max_mps: f64,
+    /// Largest steering angle to either side, (7.41) [rad].
+    pub steering_max_rad: f64,
+    /// Largest sideslip to either side, (7.42) [rad].
+    pub sideslip_max_rad: f64,
+    /// Largest yaw to either side, (7.43) [rad].
+    pub yaw_max_rad: f64,
+    /// Largest yaw rate to either side, (7.44) [rad/s].
+    pub yaw_rate_max_radps: f64,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self {
+            velocity_min_mps: 0.1,
+            velocity_max_mps: 1.0,
+            steering_max_rad: 0.06,
+            sideslip_max_rad: 0.15,
+            yaw_max_rad: std::f64::consts::PI,
+            yaw_rate_max_radps: 0.8,
+        }
+    }
+}
+
+impl Bounds {
+    /// The nearest admissible control.
+    #[must_use]
+    pub fn clamp(&self, control: Control) -> Control {
+        Control {
+            velocity: control.velocity.clamp(self.velocity_min_mps, self.velocity_max_mps),
+            steering: control.steering.clamp(-self.steering_max_rad, self.steering_max_rad),
+        }
+    }
+
+    /// Whether the control is admissible up to `tolerance`; false for NaN.
+    pub fn contains(&self, control: Control, tolerance: f64) -> bool {
+        control.velocity >= self.velocity_min_mps - tolerance
+            && control.velocity <= self.velocity_max_mps + tolerance
+            && control.steering.abs() <= self.steering_max_rad + tolerance
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nan_is_never_admissible() {
+        assert!(!Bounds::default().contains(Control { velocity: f64::NAN, steering: 0.0 }, 1e-9));
+        assert!(!Bounds::default().contains(Control { velocity: 0.5, steering: f64::NAN }, 1e-9));
+    }
+}

@@ -1,0 +1,47 @@
+//! Physical parameters of the robot.
+
+use serde::{Deserialize, Serialize};
+
+/// Parameters of (7.27)-(7.31).
+///
+/// Source note: the text prints the unit of the inertia as Nm; it is kg m^2.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Parameters {
+    /// Mass m [kg].
+    pub mass_kg: f64,
+    /// Distance of the rear axle from the centre of mass, lh [m].
+    pub rear_m: f64,
+    /// Distance of the front axle from the centre of mass, lv [m].
+    pub front_m: f64,
+    /// Lateral tyre stiffness per axle, c [N/rad].
+    pub stiffness_n_per_rad: f64,
+    /// Moment of inertia about the vertical axis, J [kg m^2].
+    pub inertia_kgm2: f64,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self { mass_kg: 14.695, rear_m: 0.1924, front_m: 0.1776, stiffness_n_per_rad: 250.0, inertia_kgm2: 0.5024 }
+    }
+}
+
+impl Parameters {
+    /// Steady yaw rate per velocity and steering angle for small angles: x3 = gain * u1 * u2 [1/m].
+    pub fn yaw_rate_gain(&self) -> f64 {
+        let (sum, difference) = (self.rear_m + self.front_m, self.rear_m - self.front_m);
+        // Steady state of (7.29) with the sideslip of (7.27) eliminated in the limit u1 -> 0.
+        let square = self.rear_m.powi(2) + self.front_m.powi(2);
+        sum / (square - difference * difference / 2.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_quasi_steady_gain_is_the_one_of_the_geometry() {
+        assert!((Parameters::default().yaw_rate_gain() - 5.405).abs() < 1e-3);
+    }
+}

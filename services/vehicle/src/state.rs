@@ -1,0 +1,61 @@
+//! State and control of the model as named values.
+
+use nalgebra::{SVector, Vector2};
+
+/// State of (7.27)-(7.31).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct State {
+    /// Sideslip, x1 [rad].
+    pub sideslip: f64,
+    /// Yaw, x2 [rad].
+    pub yaw: f64,
+    /// Yaw rate, x3 [rad/s].
+    pub yaw_rate: f64,
+    /// Position along the track, x4 [m].
+    pub x: f64,
+    /// Lateral position, left positive, x5 [m].
+    pub y: f64,
+}
+
+/// Control of (7.27)-(7.31).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Control {
+    /// Velocity, u1 [m/s].
+    pub velocity: f64,
+    /// Steering angle of the front axle, u2 [rad]; the rear axle steers by the opposite angle.
+    pub steering: f64,
+}
+
+impl State {
+    /// The state as (x1, x2, x3, x4, x5).
+    pub fn to_vector(self) -> SVector<f64, 5> {
+        SVector::from([self.sideslip, self.yaw, self.yaw_rate, self.x, self.y])
+    }
+
+    /// The state from (x1, x2, x3, x4, x5).
+    pub fn from_vector(vector: &SVector<f64, 5>) -> Self {
+        Self { sideslip: vector[0], yaw: vector[1], yaw_rate: vector[2], x: vector[3], y: vector[4] }
+    }
+
+    /// Whether all components are finite.
+    pub fn is_finite(&self) -> bool {
+        self.to_vector().iter().all(|value| value.is_finite())
+    }
+}
+
+impl Control {
+    /// The control as (u1, u2).
+    pub fn to_vector(self) -> Vector2<f64> {
+        Vector2::new(self.velocity, self.steering)
+    }
+
+    /// The control from (u1, u2).
+    pub fn from_vector(vector: &Vector2<f64>) -> Self {
+        Self { velocity: vector[0], steering: vector[1] }
+    }
+
+    /// Whether both components are finite.
+    pub fn is_finite(&self) -> bool {
+        self.velocity.is_finite() && self.steering.is_finite()
+    }
+}
