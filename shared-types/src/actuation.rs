@@ -66,6 +66,8 @@ fn check(actuation: &Actuation) -> Result<(), Fault> {
     actuation.header.check::<Actuation>()?;
     ActuationKind::try_from(actuation.kind)?;
     BlockReason::try_from(actuation.reason)?;
-    let Actuation { desired_velocity_mps, desired_steering_rad, sent_velocity_mps, sent_steering_rad, .. } = *actuation;
+    let Actuation {
+        desired_velocity_mps, desired_steering_rad, sent_velocity_mps, sent_steering_rad, ..
+    } = *actuation;
     finite("actuation", &[desired_velocity_mps, desired_steering_rad, sent_velocity_mps, sent_steering_rad])
 }

@@ -54,7 +54,9 @@ impl std::fmt::Display for CheckpointError {
             Self::UnknownState { found, expected } => {
                 write!(formatter, "state of layout {found:#010x} where {expected:#010x} was expected")
             }
-            Self::Length { found, expected } => write!(formatter, "state of {found} bytes instead of {expected}"),
+            Self::Length { found, expected } => {
+                write!(formatter, "state of {found} bytes instead of {expected}")
+            }
         }
     }
 }

@@ -105,6 +105,9 @@ mod tests {
     #[test]
     fn a_foreign_layout_is_refused() {
         let header = Header { layout: Pose::LAYOUT ^ 1, ..Header::default() };
-        assert_eq!(header.check::<Pose>(), Err(Fault::Layout { expected: Pose::LAYOUT, found: Pose::LAYOUT ^ 1 }));
+        assert_eq!(
+            header.check::<Pose>(),
+            Err(Fault::Layout { expected: Pose::LAYOUT, found: Pose::LAYOUT ^ 1 })
+        );
     }
 }

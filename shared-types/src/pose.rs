@@ -50,7 +50,10 @@ sample! {
 
 fn check(pose: &Pose) -> Result<(), Fault> {
     pose.header.check::<Pose>()?;
-    finite("pose", &[pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps])?;
+    finite(
+        "pose",
+        &[pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps],
+    )?;
     finite("covariance", &pose.covariance)?;
     finite(
         "predicted",

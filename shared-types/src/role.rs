@@ -1,7 +1,7 @@
 //! The five roles of the loop.
 
-use crate::sample::wire_enum;
 use crate::Topic;
+use crate::sample::wire_enum;
 
 /// Number of roles.
 pub const ROLES: usize = 5;
@@ -65,7 +65,11 @@ pub struct UnknownRole(pub String);
 
 impl std::fmt::Display for UnknownRole {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(formatter, "unknown role `{}`: expected robot, estimator, obstacles, controller or actuator", self.0)
+        write!(
+            formatter,
+            "unknown role `{}`: expected robot, estimator, obstacles, controller or actuator",
+            self.0
+        )
     }
 }
 

@@ -6,7 +6,7 @@ use crate::describe::{Described, Field};
 use crate::{Fault, Header, Topic};
 
 /// A value that travels over one topic of the bus.
-pub trait Sample: Pod + Described + Send + Sync + 'static {
+pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     /// The topic that carries this type.
     const TOPIC: Topic;
     /// Name of the type on the bus, the same in every language.

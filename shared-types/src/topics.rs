@@ -2,7 +2,8 @@
 
 use crate::describe::Field;
 use crate::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Role, Sample, Scan, Truth,
+    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Role, Sample, Scan,
+    Truth,
 };
 
 /// A named stream of samples of one type.

@@ -60,5 +60,8 @@ sample! {
 
 fn check(truth: &Truth) -> Result<(), Fault> {
     truth.header.check::<Truth>()?;
-    finite("truth", &[truth.x_m, truth.y_m, truth.yaw_rad, truth.speed_mps, truth.steering_rad, truth.clearance_m])
+    finite(
+        "truth",
+        &[truth.x_m, truth.y_m, truth.yaw_rad, truth.speed_mps, truth.steering_rad, truth.clearance_m],
+    )
 }

@@ -1,1 +1,56 @@
-//! Placeholder.
+//! Everything a process of the loop shares with the others: bus, clock, wake-up, start barrier, heartbeat.
+//!
+//! This is the only crate that knows iceoryx2. A process of one's own is this much:
+//!
+//! ```no_run
+//! use runtime::Process;
+//! use shared_types::{Odometry, Pose, Role};
+//!
+//! fn main() -> Result<(), runtime::RuntimeError> {
+//!     let mut process = Process::attach(Role::Estimator)?;
+//!     let odometry = process.input::<Odometry>()?;
+//!     let output = process.output::<Pose>()?;
+//!     process.start()?;
+//!     while process.wait(None)? {
+//!         while let Some(measured) = odometry.take() {
+//!             let (yaw_rad, x_m, y_m) = (measured.yaw_rad, measured.x_m, measured.y_m);
+//!             output.publish(&mut Pose { header: measured.header.answer(), yaw_rad, x_m, y_m, ..Pose::default() })?;
+//!         }
+//!     }
+//!     Ok(())
+//! }
+//! ```
+//!
+//! What the process never has to do: wait without a time-out, check layouts, drop samples of a producer that
+//! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
+
+mod bus;
+mod clock;
+mod counters;
+mod domain;
+mod environment;
+mod error;
+mod input;
+mod logging;
+mod observer;
+mod output;
+mod process;
+mod quality;
+mod settings;
+mod shutdown;
+mod wake;
+mod wire;
+
+pub use bus::Bus;
+pub use clock::{Clock, monotonic_ns};
+pub use domain::Domain;
+pub use environment::{INCARNATION_VARIABLE, SYSTEM_ID_VARIABLE};
+pub use error::RuntimeError;
+pub use input::{Input, Taken, join};
+pub use logging::start_logging;
+pub use observer::{Observer, Voice};
+pub use output::Output;
+pub use process::Process;
+pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};
+pub use shutdown::Shutdown;
+pub use wake::wait_for;

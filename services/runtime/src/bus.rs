@@ -1,0 +1,170 @@
+//! The services of one system on iceoryx2: created in one place, opened everywhere else.
+//!
+//! Only the orchestrator creates, so a process that starts first can't create a topic with other sizes, and
+//! the order of starts is irrelevant.
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{
+    BackpressureStrategy, LogLevel, Node, NodeBuilder, NodeName, ServiceName, SignalHandlingMode, ipc,
+    set_log_level_from_env_or,
+};
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+use shared_types::{
+    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, Scan, Topic,
+    Truth,
+};
+
+use crate::quality::{EVENT_PORTS, NODES, quality};
+use crate::wire::Wire;
+use crate::{Domain, RuntimeError};
+
+type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
+type Events = event::PortFactory<ipc::Service>;
+
+pub(crate) type WirePublisher<S> = Publisher<ipc::Service, Wire<S>, ()>;
+pub(crate) type WireSubscriber<S> = Subscriber<ipc::Service, Wire<S>, ()>;
+
+/// How long to retry opening a service that another process is just cleaning up.
+const OPEN_RETRY: Duration = Duration::from_secs(5);
+
+/// One process's access to the services of its system.
+#[derive(Debug)]
+pub struct Bus {
+    node: Node<ipc::Service>,
+    created: Vec<Box<dyn std::fmt::Debug>>,
+}
+
+impl Bus {
+    /// Creates all services of the system and keeps them for as long as the value lives: the orchestrator.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full.
+    pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
+        let mut bus = Self::open(domain, "orchestrator")?;
+        bus.create_topic::<Scan>()?;
+        bus.create_topic::<Odometry>()?;
+        bus.create_topic::<Pose>()?;
+        bus.create_topic::<Obstacles>()?;
+        bus.create_topic::<Command>()?;
+        bus.create_topic::<Actuation>()?;
+        bus.create_topic::<Heartbeat>()?;
+        bus.create_topic::<Directive>()?;
+        bus.create_topic::<Checkpoint>()?;
+        bus.create_topic::<Truth>()?;
+        Ok(bus)
+    }
+
+    /// Joins the system as `name`; services are opened, never created.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn open(domain: &Domain, name: &str) -> Result<Self, RuntimeError> {
+        set_log_level_from_env_or(LogLevel::Fatal);
+        let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(&domain.config()?)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|reason| RuntimeError::bus("join the bus", reason))?;
+        Ok(Self { node, created: Vec::new() })
+    }
+
+    /// Frees what processes that died have left on the bus; returns how many were cleaned up.
+    pub fn clean_up_dead_processes(&self) -> u64 {
+        self.node.try_cleanup_dead_nodes().cleanups
+    }
+
+    pub(crate) fn publisher<S: Sample>(&self) -> Result<(WirePublisher<S>, Samples<S>), RuntimeError> {
+        let service = self.samples::<S>()?;
+        let publisher = service
+            .publisher_builder()
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|reason| RuntimeError::bus(format!("write topic {}", S::TOPIC), reason))?;
+        Ok((publisher, service))
+    }
+
+    pub(crate) fn subscriber<S: Sample>(&self) -> Result<WireSubscriber<S>, RuntimeError> {
+        let service = self.samples::<S>()?;
+        service
+            .subscriber_builder()
+            .history_request(quality(S::TOPIC).history)
+            .create()
+            .map_err(|reason| RuntimeError::bus(format!("read topic {}", S::TOPIC), reason))
+    }
+
+    pub(crate) fn notifier(&self, topic: Topic) -> Result<Notifier<ipc::Service>, RuntimeError> {
+        let created = self.events(topic)?.notifier_builder().create();
+        created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))
+    }
+
+    pub(crate) fn listener(&self, topic: Topic) -> Result<Listener<ipc::Service>, RuntimeError> {
+        let created = self.events(topic)?.listener_builder().create();
+        created.map_err(|reason| RuntimeError::bus(format!("listen to topic {topic}"), reason))
+    }
+
+    fn create_topic<S: Sample>(&mut self) -> Result<(), RuntimeError> {
+        let quality = quality(S::TOPIC);
+        let action = || format!("create topic {}", S::TOPIC);
+        let samples = self
+            .node
+            .service_builder(&service_name(S::TOPIC)?)
+            .publish_subscribe::<Wire<S>>()
+            .max_publishers(quality.publishers)
+            .max_subscribers(quality.subscribers)
+            .subscriber_max_buffer_size(quality.buffer)
+            .subscriber_max_borrowed_samples(quality.borrowed)
+            .history_size(quality.history)
+            .enable_safe_overflow(true)
+            .max_nodes(NODES)
+            .create()
+            .map_err(|reason| RuntimeError::bus(action(), reason))?;
+        let events = self
+            .node
+            .service_builder(&service_name(S::TOPIC)?)
+            .event()
+            .max_notifiers(EVENT_PORTS)
+            .max_listeners(EVENT_PORTS)
+            .max_nodes(NODES)
+            .event_id_max_value(15)
+            .create()
+            .map_err(|reason| RuntimeError::bus(action(), reason))?;
+        self.created.push(Box::new(samples));
+        self.created.push(Box::new(events));
+        Ok(())
+    }
+
+    fn samples<S: Sample>(&self) -> Result<Samples<S>, RuntimeError> {
+        let name = service_name(S::TOPIC)?;
+        let open = || self.node.service_builder(&name).publish_subscribe::<Wire<S>>().open();
+        retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", S::TOPIC), reason))
+    }
+
+    fn events(&self, topic: Topic) -> Result<Events, RuntimeError> {
+        let name = service_name(topic)?;
+        let open = || self.node.service_builder(&name).event().open();
+        retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
+    }
+}
+
+fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
+    ServiceName::new(topic.name()).map_err(|reason| RuntimeError::bus("name a topic", reason))
+}
+
+/// Opening can collide with a clean-up by another process; that passes.
+fn retry<T, E>(mut open: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+    let started = Instant::now();
+    loop {
+        match open() {
+            Err(_) if started.elapsed() < OPEN_RETRY => std::thread::sleep(Duration::from_millis(5)),
+            result => return result,
+        }
+    }
+}

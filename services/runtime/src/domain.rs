@@ -1,0 +1,116 @@
+//! Where one system lives on the machine: its names in shared memory and its directory.
+
+use std::path::{Path, PathBuf};
+
+use iceoryx2::prelude::{Config, FileName, Path as BusPath, SemanticString};
+
+use crate::RuntimeError;
+
+/// One system on this machine, apart from all others by its id and user.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Domain {
+    system_id: String,
+    directory: PathBuf,
+    prefix: String,
+}
+
+impl Domain {
+    /// The domain of a system id: 1 to 16 letters, digits or `-`.
+    ///
+    /// The limit keeps socket names below the 108 bytes that the kernel allows; `_` is refused because it ends
+    /// the id in file names, so that no id is the beginning of another.
+    ///
+    /// # Errors
+    /// [`RuntimeError::SystemId`].
+    pub fn new(system_id: &str) -> Result<Self, RuntimeError> {
+        let allowed = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
+        if system_id.is_empty() || system_id.len() > 16 || !system_id.chars().all(allowed) {
+            return Err(RuntimeError::SystemId(system_id.to_owned()));
+        }
+        let user = rustix::process::getuid().as_raw();
+        Ok(Self {
+            system_id: system_id.to_owned(),
+            directory: PathBuf::from(format!("/tmp/scanloop-{user}/{system_id}")),
+            prefix: format!("scanloop{user}_{system_id}_"),
+        })
+    }
+
+    /// The id.
+    pub fn system_id(&self) -> &str {
+        &self.system_id
+    }
+
+    /// Directory of the system: settings, logs, lock, sockets of the bus.
+    pub fn directory(&self) -> &Path {
+        &self.directory
+    }
+
+    /// Beginning of the names of all files that the system has in shared memory.
+    pub fn shared_memory_prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Removes everything that the system has in shared memory and in its bus directory.
+    ///
+    /// Only for the one who holds the lock of the system, while no process of it is alive.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] for a file that could not be removed.
+    pub fn remove_bus_files(&self) -> Result<(), RuntimeError> {
+        let file = |path: &Path| {
+            let path = path.to_path_buf();
+            move |source| RuntimeError::File { path, source }
+        };
+        let shared = Path::new("/dev/shm");
+        for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
+                match std::fs::remove_file(entry.path()) {
+                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                        return Err(file(&entry.path())(error));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        let root = self.bus_root();
+        match std::fs::remove_dir_all(&root) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(file(&root)(error)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Settings of the bus for this domain; files in the user's or the machine's configuration are not read.
+    pub(crate) fn config(&self) -> Result<Config, RuntimeError> {
+        let mut config = Config::default();
+        config.global.prefix = FileName::new(self.prefix.as_bytes())
+            .map_err(|reason| RuntimeError::bus("set the prefix of the bus", reason))?;
+        let root = self.bus_root();
+        let root = BusPath::new(root.as_os_str().as_encoded_bytes())
+            .map_err(|reason| RuntimeError::bus("set the root directory of the bus", reason))?;
+        config.global.set_root_path(&root);
+        Ok(config)
+    }
+
+    fn bus_root(&self) -> PathBuf {
+        self.directory.join("bus")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_that_could_leave_the_directory_or_meet_another_id_are_refused() {
+        for id in ["", "../x", "a_b", "a b", "12345678901234567", "ä"] {
+            assert!(matches!(Domain::new(id), Err(RuntimeError::SystemId(_))), "{id}");
+        }
+        assert!(Domain::new("lab-2").is_ok());
+    }
+
+    #[test]
+    fn no_prefix_is_the_beginning_of_another() {
+        let (one, other) = (Domain::new("a").unwrap(), Domain::new("a-b").unwrap());
+        assert!(!other.shared_memory_prefix().starts_with(one.shared_memory_prefix()));
+    }
+}

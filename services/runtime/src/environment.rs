@@ -1,0 +1,18 @@
+//! The environment variables by which an orchestrator tells a process where it belongs.
+
+use crate::RuntimeError;
+
+/// Names the system that the process belongs to.
+pub const SYSTEM_ID_VARIABLE: &str = "SCANLOOP_SYSTEM_ID";
+/// Gives the process its incarnation, one number per started process.
+pub const INCARNATION_VARIABLE: &str = "SCANLOOP_INCARNATION";
+
+/// System id and incarnation of this process.
+pub(crate) fn identity() -> Result<(String, u32), RuntimeError> {
+    let read = |variable| std::env::var(variable).map_err(|_| RuntimeError::NotInASystem(variable));
+    let incarnation = read(INCARNATION_VARIABLE)?;
+    match incarnation.parse() {
+        Ok(number) if number > 0 => Ok((read(SYSTEM_ID_VARIABLE)?, number)),
+        _ => Err(RuntimeError::Environment { variable: INCARNATION_VARIABLE, value: incarnation }),
+    }
+}

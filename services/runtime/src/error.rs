@@ -1,0 +1,83 @@
+//! What can go wrong between a process and the bus.
+
+use std::path::PathBuf;
+
+use shared_types::{Role, Topic};
+
+/// An error of the bus or of its surroundings.
+#[derive(Debug, thiserror::Error)]
+pub enum RuntimeError {
+    /// The process was started by hand, not by an orchestrator.
+    #[error("{0} is not set: processes are started by `scanloop run`, or joined with `scanloop swap`")]
+    NotInASystem(&'static str),
+    /// A system id that can't be part of file names.
+    #[error("system id `{0}` is not allowed: 1 to 16 letters, digits or `-`")]
+    SystemId(String),
+    /// An environment variable that holds no number.
+    #[error("{variable} = `{value}` is not a number above 0")]
+    Environment {
+        /// Name of the variable.
+        variable: &'static str,
+        /// Its value.
+        value: String,
+    },
+    /// Another orchestrator runs a system of this id.
+    #[error("system `{system_id}` is already running (process {pid}); choose another with --system-id")]
+    AlreadyRunning {
+        /// The system id.
+        system_id: String,
+        /// The process that holds it.
+        pid: String,
+    },
+    /// No system of this id is running.
+    #[error("system `{0}` is not running")]
+    NotRunning(String),
+    /// A role reads or writes a topic that is not its own.
+    #[error("role {role} does not {verb} topic {topic}")]
+    NotYourTopic {
+        /// The role.
+        role: Role,
+        /// `read` or `write`.
+        verb: &'static str,
+        /// The topic.
+        topic: Topic,
+    },
+    /// The settings file of the system could not be used.
+    #[error("{}: {reason}", path.display())]
+    Settings {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file or directory of the system could not be used.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The bus refused something.
+    #[error("{action}: {reason}")]
+    Bus {
+        /// What was tried.
+        action: String,
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// A system call failed.
+    #[error("{action}: {source}")]
+    System {
+        /// What was tried.
+        action: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+impl RuntimeError {
+    pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
+        Self::Bus { action: action.into(), reason: format!("{reason:?}") }
+    }
+}

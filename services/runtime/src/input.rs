@@ -1,0 +1,177 @@
+//! The reading end of a topic: only valid samples of the producer in charge come out of it.
+
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::ops::Deref;
+use std::os::fd::RawFd;
+use std::rc::Rc;
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample as BusSample;
+use shared_types::Sample;
+
+use crate::bus::WireSubscriber;
+use crate::counters::count;
+use crate::process::Shared;
+use crate::wake::{clear, descriptor};
+use crate::wire::Wire;
+use crate::{Bus, RuntimeError};
+
+/// Samples kept until the process takes them; below the number that may be borrowed.
+const KEPT: usize = 4;
+
+/// A sample in shared memory, read in place and returned to its producer when dropped.
+pub struct Taken<S: Sample>(BusSample<ipc::Service, Wire<S>, ()>);
+
+impl<S: Sample> Deref for Taken<S> {
+    type Target = S;
+
+    fn deref(&self) -> &S {
+        &self.0.payload().0
+    }
+}
+
+/// Reads samples of one type.
+///
+/// What never comes out: a sample of another layout or with bad content, of a producer without authority, a
+/// duplicate, a reordered one, one that is too old. Each is counted by its kind in the heartbeat.
+#[derive(Clone)]
+pub struct Input<S: Sample>(Rc<Reader<S>>);
+
+struct Reader<S: Sample> {
+    subscriber: WireSubscriber<S>,
+    listener: Listener<ipc::Service>,
+    shared: Rc<Shared>,
+    kept: RefCell<VecDeque<Taken<S>>>,
+    last: Cell<(u32, u64)>,
+}
+
+impl<S: Sample> Input<S> {
+    pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
+        Ok(Self(Rc::new(Reader {
+            subscriber: bus.subscriber::<S>()?,
+            listener: bus.listener(S::TOPIC)?,
+            shared,
+            kept: RefCell::new(VecDeque::with_capacity(KEPT)),
+            last: Cell::new((0, 0)),
+        })))
+    }
+
+    /// The oldest sample not yet taken.
+    pub fn take(&self) -> Option<Taken<S>> {
+        let sample = self.0.kept.borrow_mut().pop_front()?;
+        self.0.shared.taken(&*sample);
+        Some(sample)
+    }
+
+    /// The newest sample; older ones are dropped and counted as replaced.
+    pub fn take_newest(&self) -> Option<Taken<S>> {
+        let mut kept = self.0.kept.borrow_mut();
+        count(&self.0.shared.counters.replaced, kept.len().saturating_sub(1) as u64);
+        let sample = kept.pop_back()?;
+        kept.clear();
+        self.0.shared.taken(&*sample);
+        Some(sample)
+    }
+
+    /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
+    fn take_scan(&self, scan_id: u64) -> Option<Taken<S>> {
+        let mut kept = self.0.kept.borrow_mut();
+        while kept.front().is_some_and(|sample| sample.header().scan_id < scan_id) {
+            kept.pop_front();
+            count(&self.0.shared.counters.replaced, 1);
+        }
+        if kept.front().is_some_and(|sample| sample.header().scan_id == scan_id) {
+            kept.pop_front()
+        } else {
+            None
+        }
+    }
+
+    /// Whether the sample of one scan is there.
+    fn has_scan(&self, scan_id: u64) -> bool {
+        self.0.kept.borrow().iter().any(|sample| sample.header().scan_id == scan_id)
+    }
+}
+
+/// Takes the newest pair of samples that belong to one scan; older ones are dropped and counted as replaced.
+pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
+    let scan_id = {
+        let kept = one.0.kept.borrow();
+        kept.iter().rev().map(|sample| sample.header().scan_id).find(|scan_id| other.has_scan(*scan_id))?
+    };
+    let pair = (one.take_scan(scan_id)?, other.take_scan(scan_id)?);
+    one.0.shared.taken(&*pair.0);
+    other.0.shared.taken(&*pair.1);
+    Some(pair)
+}
+
+/// An input as its process sees it.
+pub(crate) trait Drain {
+    /// The descriptor that wakes the process.
+    fn descriptor(&self) -> RawFd;
+    /// Clears notifications, takes all samples from the bus and keeps the good ones.
+    fn drain(&self) -> Result<(), RuntimeError>;
+}
+
+impl<S: Sample> Drain for Input<S> {
+    fn descriptor(&self) -> RawFd {
+        descriptor(&self.0.listener)
+    }
+
+    fn drain(&self) -> Result<(), RuntimeError> {
+        let reader = &*self.0;
+        clear(&reader.listener);
+        let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
+        while let Some(sample) = reader.subscriber.receive().map_err(error)? {
+            let sample = Taken(sample);
+            if !reader.accepts(&sample) {
+                continue;
+            }
+            let mut kept = reader.kept.borrow_mut();
+            if kept.len() == KEPT {
+                kept.pop_front();
+                count(&reader.shared.counters.replaced, 1);
+            }
+            kept.push_back(sample);
+        }
+        Ok(())
+    }
+}
+
+impl<S: Sample> Reader<S> {
+    /// Whether a sample may be used; counts why not.
+    fn accepts(&self, sample: &S) -> bool {
+        let counters = &self.shared.counters;
+        if let Err(fault) = sample.check() {
+            count(&counters.invalid, 1);
+            tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
+            return false;
+        }
+        let header = sample.header();
+        if let Some(writer) = S::TOPIC.writer()
+            && !self.shared.directive.borrow().accepts(writer, header.incarnation, header.scan_id)
+        {
+            count(&counters.foreign, 1);
+            return false;
+        }
+        let (incarnation, sequence) = self.last.get();
+        if header.incarnation == incarnation {
+            if header.sequence <= sequence {
+                count(if header.sequence == sequence { &counters.duplicate } else { &counters.reordered }, 1);
+                return false;
+            }
+            count(&counters.missing, header.sequence - sequence - 1);
+        }
+        self.last.set((header.incarnation, header.sequence));
+        if !self.shared.clock.is_simulated() && S::TOPIC.writer().is_some() {
+            let age = self.shared.clock.now_ns().saturating_sub(header.acquired_ns);
+            if header.acquired_ns > 0 && age > self.shared.max_age_ns {
+                count(&counters.stale, 1);
+                return false;
+            }
+        }
+        true
+    }
+}

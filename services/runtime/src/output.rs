@@ -1,0 +1,105 @@
+//! The writing end of a topic.
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::ipc;
+use iceoryx2::service::port_factory::{PortFactory, publish_subscribe};
+use shared_types::{Role, Sample};
+
+use crate::bus::WirePublisher;
+use crate::counters::count;
+use crate::process::Shared;
+use crate::wire::Wire;
+use crate::{Bus, RuntimeError};
+
+/// Publishes samples of one type.
+pub struct Output<S: Sample> {
+    publisher: WirePublisher<S>,
+    service: publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>,
+    notifier: Notifier<ipc::Service>,
+    shared: Rc<Shared>,
+    sequence: Cell<u64>,
+}
+
+impl<S: Sample> Output<S> {
+    pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
+        let (publisher, service) = bus.publisher::<S>()?;
+        Ok(Self { publisher, service, notifier: bus.notifier(S::TOPIC)?, shared, sequence: Cell::new(0) })
+    }
+
+    /// Completes the header of `sample` and publishes it to all readers, then wakes them.
+    ///
+    /// Filled here: layout, incarnation, sequence, and the stamps of this stage. The sample keeps what was filled.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses; a reader that was not reached is counted, not an error.
+    pub fn publish(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        self.send(sample)?;
+        // A listener that can't be notified will find the sample at its next time-out.
+        let _ = self.notifier.notify();
+        Ok(())
+    }
+
+    /// [`Output::publish`] without waking anyone: for samples that are looked at from time to time.
+    ///
+    /// # Errors
+    /// As [`Output::publish`].
+    pub fn publish_silently(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        self.send(sample)
+    }
+
+    fn send(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        let shared = &*self.shared;
+        let computed_ns = shared.clock.now_ns();
+        self.sequence.set(self.sequence.get() + 1);
+        let header = sample.header_mut();
+        header.layout = S::LAYOUT;
+        header.incarnation = shared.incarnation;
+        header.sequence = self.sequence.get();
+        if S::TOPIC.writer() == Some(shared.role) {
+            let stage = header.stage_mut(shared.role);
+            *stage = shared.stamps.get();
+            stage.computed_ns = computed_ns;
+            stage.published_ns = shared.clock.now_ns();
+            shared.counters.last_scan.set(header.scan_id);
+            count(&shared.counters.published, 1);
+            shared.produced.set(true);
+        }
+        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
+        let delivered =
+            loaned.write_payload(Wire(*sample)).send().map_err(|reason| bus_error::<S>("send", reason))?;
+        if delivered < self.service.dynamic_config().number_of_subscribers() {
+            count(&shared.counters.undelivered, 1);
+        }
+        Ok(())
+    }
+
+    pub(crate) fn connect(&self) {
+        // A connection that fails now is tried again at the next send.
+        let _ = self.publisher.update_connections();
+    }
+}
+
+/// An output as its process sees it.
+pub(crate) trait Connect {
+    /// Makes this end of all connections.
+    fn connect(&self);
+}
+
+impl<S: Sample> Connect for Output<S> {
+    fn connect(&self) {
+        Self::connect(self);
+    }
+}
+
+fn bus_error<S: Sample>(action: &str, reason: impl std::fmt::Debug) -> RuntimeError {
+    RuntimeError::bus(format!("{action} a sample of topic {}", S::TOPIC), reason)
+}
+
+/// Whether a topic belongs to the writes of a role, or is one that every process writes.
+pub(crate) fn may_write(role: Role, topic: shared_types::Topic) -> bool {
+    topic.writer().is_none() || topic.writer() == Some(role)
+}
