@@ -7,6 +7,14 @@ pub const SYSTEM_ID_VARIABLE: &str = "SCANLOOP_SYSTEM_ID";
 /// Gives the process its incarnation, one number per started process.
 pub const INCARNATION_VARIABLE: &str = "SCANLOOP_INCARNATION";
 
+/// Is `1` for a process that takes the place of one that died.
+pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";
+
+/// Whether this process takes the place of one that died.
+pub(crate) fn is_restart() -> bool {
+    std::env::var(RESTART_VARIABLE).is_ok_and(|value| value == "1")
+}
+
 /// System id and incarnation of this process.
 pub(crate) fn identity() -> Result<(String, u32), RuntimeError> {
     let read = |variable| std::env::var(variable).map_err(|_| RuntimeError::NotInASystem(variable));

@@ -65,6 +65,11 @@ impl<S: Sample> Input<S> {
         Some(sample)
     }
 
+    /// The scan of the oldest sample not yet taken.
+    pub fn next_scan(&self) -> Option<u64> {
+        self.0.kept.borrow().front().map(|sample| sample.header().scan_id)
+    }
+
     /// The newest sample; older ones are dropped and counted as replaced.
     pub fn take_newest(&self) -> Option<Taken<S>> {
         let mut kept = self.0.kept.borrow_mut();

@@ -11,7 +11,7 @@ use shared_types::{
 
 use crate::counters::{Counters, count};
 use crate::input::{Drain, Input};
-use crate::observer::Observer;
+use crate::handover::{self, Handover};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
 use crate::wake::{borrow, wait_for};
@@ -207,6 +207,12 @@ impl Process {
         self.sleep(remaining)
     }
 
+    /// Notes that work begins without an input: for the robot, whose scans start the chain.
+    pub fn begin(&self) {
+        let now = self.shared.clock.now_ns();
+        self.shared.stamps.set(StageStamps { woken_ns: now, taken_ns: now, ..StageStamps::default() });
+    }
+
     /// Publishes the state of this process after a scan, for the one that may have to go on from it.
     ///
     /// # Errors
@@ -226,24 +232,26 @@ impl Process {
         output.publish_silently(&mut checkpoint)
     }
 
-    /// The state that a process of this role left less than half a second ago, if there is one.
+    /// The state that the process before this one left less than half a second ago.
     ///
     /// # Errors
-    /// Errors of the bus.
-    pub fn resume<T: bytemuck::Pod + Described>(&self) -> Result<Option<T>, RuntimeError> {
-        let observer = Observer::<Checkpoint>::new(&self.bus)?;
-        let mut newest: Option<Checkpoint> = None;
-        let role = self.shared.role.wire();
-        observer.poll(|checkpoint| {
-            let newer = newest.is_none_or(|other| other.issued_ns < checkpoint.issued_ns);
-            if checkpoint.role == role && newer {
-                newest = Some(*checkpoint);
+    /// [`RuntimeError::File`] when the hand-over can't be read.
+    pub fn resume<T: bytemuck::Pod + Described>(&self) -> Result<Handover<T>, RuntimeError> {
+        if !environment::is_restart() {
+            return Ok(Handover::FirstStart);
+        }
+        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else { return Ok(Handover::Lost) };
+        let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
+        if age_ns > CHECKPOINT_AGE_NS {
+            return Ok(Handover::Lost);
+        }
+        match checkpoint.state() {
+            Ok(state) => Ok(Handover::State(state)),
+            Err(error) => {
+                tracing::warn!(%error, "the state of the process before this one can't be used");
+                Ok(Handover::Lost)
             }
-        })?;
-        let fresh = |checkpoint: &Checkpoint| {
-            monotonic_ns().saturating_sub(checkpoint.issued_ns) <= CHECKPOINT_AGE_NS
-        };
-        Ok(newest.filter(fresh).and_then(|checkpoint| checkpoint.state().ok()))
+        }
     }
 
     fn sleep(&mut self, longest_ns: u64) -> Result<bool, RuntimeError> {

@@ -1,0 +1,130 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Autonomous driving that closes the loop within one laser scan.
+#[derive(Debug, Parser)]
+#[command(name = "scanloop", version, max_term_width = 100)]
+pub struct Cli {
+    /// Which system on this machine is meant: 1 to 16 letters, digits or `-`.
+    #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = "default")]
+    pub system_id: String,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start all processes, drive a scenario, stop everything, print a summary.
+    Run(RunArguments),
+    /// Validate scenario and system files and print the graph of processes and topics.
+    Check(CheckArguments),
+    /// Show the processes of a running system.
+    Status {
+        /// Print JSON to standard output.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Stop a running system: block the wheels, end all processes.
+    Stop,
+    /// End one process of a running system and start it again.
+    Restart {
+        /// robot, estimator, obstacles, controller or actuator.
+        role: String,
+    },
+    /// Run one built-in implementation; `scanloop run` starts these.
+    Service {
+        /// emulator, ekf, ellipses, nmpc or actuation.
+        name: String,
+    },
+    /// Look at the samples on the bus.
+    #[command(subcommand)]
+    Topic(TopicCommand),
+    /// Print the samples of all topics: fields, units, offsets.
+    Types {
+        /// As a Markdown table (the only form so far, and the default).
+        #[arg(long)]
+        markdown: bool,
+    },
+}
+
+/// Arguments that choose and change a scenario and a system.
+#[derive(Debug, Args, Clone, Default)]
+pub struct Choice {
+    /// The process table, a TOML file; without it the built-in one.
+    #[arg(long, value_name = "FILE")]
+    pub system: Option<PathBuf>,
+    /// Seed of all random numbers of the scenario.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Override a value of the scenario or the system, for example `robot.velocity_factor=1.3`.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// A TOML file, or the name of a shipped scenario (`scanloop check --list` prints them).
+    #[arg(value_name = "SCENARIO")]
+    pub scenario: Option<String>,
+    /// The choice of scenario and system.
+    #[command(flatten)]
+    pub choice: Choice,
+    /// Where `report.json`, the picture and the logs are written; default `out/SCENARIO`.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Stop after that many driven seconds.
+    #[arg(long, value_name = "S")]
+    pub duration: Option<f64>,
+    /// Simulated time, as fast as the machine allows, no sample lost.
+    #[arg(long)]
+    pub lockstep: bool,
+    /// No progress line.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Arguments of `check`.
+#[derive(Debug, Args)]
+pub struct CheckArguments {
+    /// Scenario or system files, or names of shipped scenarios.
+    #[arg(value_name = "FILE")]
+    pub files: Vec<String>,
+    /// The choice of scenario and system.
+    #[command(flatten)]
+    pub choice: Choice,
+    /// Print the names of the shipped scenarios to standard output.
+    #[arg(long)]
+    pub list: bool,
+}
+
+/// Looking at topics.
+#[derive(Debug, Subcommand)]
+pub enum TopicCommand {
+    /// All topics: type, size, writer, readers.
+    List,
+    /// Rate of a topic, measured over the last seconds.
+    Hz {
+        /// Name of the topic.
+        topic: String,
+        /// Stop after that many seconds.
+        #[arg(long, value_name = "S", default_value_t = 5.0)]
+        duration: f64,
+    },
+    /// Samples of a topic as JSON, one line each, to standard output.
+    Echo {
+        /// Name of the topic.
+        topic: String,
+        /// Stop after that many samples.
+        #[arg(long, short = 'n', value_name = "N")]
+        count: Option<u64>,
+        /// Leave out arrays of more than 16 elements.
+        #[arg(long)]
+        short: bool,
+    },
+}

@@ -1,0 +1,58 @@
+//! Exit codes of the public interface.
+
+/// How a command ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// Did what was asked; for a run: the goal was reached.
+    Done = 0,
+    /// The run ended without reaching the goal.
+    NotReached = 1,
+    /// Wrong usage or a bad file.
+    BadInput = 2,
+    /// The robot touched something.
+    Collision = 3,
+    /// A process could not be started or kept running.
+    ProcessFailed = 4,
+    /// A broken invariant of ours.
+    Internal = 5,
+}
+
+/// An error that ends a command with a code of its own.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct Failure {
+    /// The exit code.
+    pub exit: Exit,
+    /// One message: what, where, which value, what is allowed.
+    pub message: String,
+}
+
+impl Failure {
+    /// Wrong usage or a bad file.
+    pub fn bad_input(message: impl std::fmt::Display) -> anyhow::Error {
+        Self { exit: Exit::BadInput, message: message.to_string() }.into()
+    }
+
+    /// A process could not be started or kept running.
+    pub fn process(message: impl std::fmt::Display) -> anyhow::Error {
+        Self { exit: Exit::ProcessFailed, message: message.to_string() }.into()
+    }
+}
+
+/// The exit code that an error asks for.
+pub fn exit_of(error: &anyhow::Error) -> Exit {
+    if let Some(failure) = error.downcast_ref::<Failure>() {
+        return failure.exit;
+    }
+    match error.downcast_ref::<runtime::RuntimeError>() {
+        Some(
+            runtime::RuntimeError::SystemId(_)
+            | runtime::RuntimeError::AlreadyRunning { .. }
+            | runtime::RuntimeError::NotRunning(_)
+            | runtime::RuntimeError::NotInASystem(_)
+            | runtime::RuntimeError::Environment { .. },
+        ) => Exit::BadInput,
+        _ => Exit::Internal,
+    }
+}

@@ -1,0 +1,5 @@
+//! The one executable: every process of a system is this file.
+
+fn main() -> std::process::ExitCode {
+    orchestrator::main()
+}

@@ -1,0 +1,282 @@
+//! The system file: which process fills which role, at which rate, with which settings.
+
+use std::path::Path;
+
+use pipeline::Tuning;
+use serde::{Deserialize, Serialize};
+use shared_types::Role;
+use toml::{Table, Value};
+use vehicle::{Invalid, require};
+
+use crate::exit::Failure;
+use crate::supervisor::{ProcessPolicy, Restart};
+
+/// The built-in process table.
+pub const BUILT_IN: &str = include_str!("../systems/default.toml");
+
+/// A checked system file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct System {
+    /// Scans per second, 0.5 to 1000 [Hz].
+    #[serde(default = "default_rate")]
+    pub rate_hz: f64,
+    /// How long processes go on when no orchestrator speaks to them, 1 to 3600 [s].
+    #[serde(default = "default_orphan_timeout")]
+    pub orphan_timeout_s: f64,
+    /// One entry per role.
+    #[serde(rename = "process", default)]
+    pub processes: Vec<ProcessEntry>,
+    /// Settings of the estimator.
+    #[serde(default)]
+    pub estimator: estimator::Config,
+    /// Settings of the obstacle description.
+    #[serde(default)]
+    pub obstacles: obstacles::Config,
+    /// Settings of the controller.
+    #[serde(default)]
+    pub controller: nmpc::Config,
+    /// Settings of the actuator.
+    #[serde(default)]
+    pub actuator: actuation::Config,
+}
+
+/// One process of the system.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProcessEntry {
+    /// Role that the process fills: robot, estimator, obstacles, controller or actuator.
+    pub role: String,
+    /// Built-in implementation; exactly one of this and `command`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub implementation: Option<String>,
+    /// Program and arguments of an implementation of one's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command: Option<Vec<String>>,
+    /// `never`, `on-failure` or `always`.
+    #[serde(default = "default_restart")]
+    pub restart: String,
+    /// Deaths before the first valid output that end the run, 1 to 100.
+    #[serde(default = "default_start_limit")]
+    pub start_limit: u32,
+    /// Time between the request to end and the kill, 1 to 3600000 [ms].
+    #[serde(default = "default_grace")]
+    pub grace_ms: u64,
+}
+
+/// Built-in implementations: name, and the role that each fills.
+pub const IMPLEMENTATIONS: [(&str, Role); 5] = [
+    ("emulator", Role::Robot),
+    ("ekf", Role::Estimator),
+    ("ellipses", Role::Obstacles),
+    ("nmpc", Role::Controller),
+    ("actuation", Role::Actuator),
+];
+
+impl System {
+    /// The system in a table that was read before, possibly with overrides in it; `file` stands in messages only.
+    ///
+    /// # Errors
+    /// One message with file, key, value and allowed range; exit code 2.
+    pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
+        let known = ["rate_hz", "orphan_timeout_s", "process", "estimator", "obstacles", "controller", "actuator"];
+        if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
+            let known = known.map(|key| format!("`{key}`")).join(", ");
+            return Err(Failure::bad_input(format!("{file}: {key}: the key is unknown, expected one of {known}")));
+        }
+        let shown = table.clone();
+        let system: Self = serde_path_to_error::deserialize(Value::Table(table)).map_err(|error| {
+            let path = error.path().to_string();
+            let value = value_at(&shown, &path).map_or_else(String::new, |value| format!(" = {value}"));
+            let message = error.inner().message().lines().next().unwrap_or_default().to_owned();
+            Failure::bad_input(format!("{file}: {path}{value} is not allowed: {message}"))
+        })?;
+        system.validate().map_err(|invalid| Failure::bad_input(format!("{file}: {invalid}")))?;
+        Ok(system)
+    }
+
+    /// The table of a file, or the built-in one.
+    ///
+    /// # Errors
+    /// A message with the file, and the line where the text is no TOML; exit code 2.
+    pub fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
+        let (text, name) = match file {
+            None => (BUILT_IN.to_owned(), "built-in system".to_owned()),
+            Some(path) => {
+                let name = path.display().to_string();
+                (std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?, name)
+            }
+        };
+        let table = text.parse::<Table>().map_err(|error| {
+            let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+            Failure::bad_input(format!("{name}: line {line}: {}", error.message().replace('\n', ", ")))
+        })?;
+        Ok((table, name))
+    }
+
+    /// The scan period [ns].
+    pub fn period_ns(&self) -> u64 {
+        (1e9 / self.rate_hz).round() as u64
+    }
+
+    /// The settings of the stages.
+    pub fn tuning(&self) -> Tuning {
+        Tuning {
+            estimator: self.estimator.clone(),
+            obstacles: self.obstacles.clone(),
+            controller: self.controller.clone(),
+            actuator: self.actuator.clone(),
+        }
+    }
+
+    /// The entry of a role; a checked system has one for each.
+    pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
+        self.processes.iter().find(|entry| entry.role == role.name())
+    }
+
+    fn validate(&self) -> Result<(), Invalid> {
+        require("rate_hz", self.rate_hz, 0.5..=1000.0)?;
+        require("orphan_timeout_s", self.orphan_timeout_s, 1.0..=3600.0)?;
+        for (index, entry) in self.processes.iter().enumerate() {
+            entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
+        }
+        for role in Role::ALL {
+            let count = self.processes.iter().filter(|entry| entry.role == role.name()).count();
+            if count > 1 {
+                let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
+                let allowed =
+                    format!("one process per role; {count} processes would write topic {}", topics.join(", "));
+                return Err(Invalid::new("process.role", role, allowed));
+            }
+            if count == 0 {
+                return Err(Invalid::new("process", format!("no process of role {role}"), "one process per role"));
+            }
+        }
+        self.tuning().validate()
+    }
+}
+
+impl ProcessEntry {
+    /// The policy by which the supervisor keeps the process alive.
+    pub fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
+        let period_ms = period_ns.div_ceil(1_000_000);
+        ProcessPolicy {
+            restart: match self.restart.as_str() {
+                "never" => Restart::Never,
+                "always" => Restart::Always,
+                _ => ProcessPolicy::new(role, period_ms).restart,
+            },
+            start_limit: self.start_limit,
+            grace_ms: self.grace_ms,
+            ..ProcessPolicy::new(role, period_ms)
+        }
+    }
+
+    /// Name of the built-in implementation, or the command.
+    pub fn label(&self) -> String {
+        match (&self.implementation, &self.command) {
+            (Some(name), _) => name.clone(),
+            (None, Some(command)) => command.join(" "),
+            (None, None) => String::new(),
+        }
+    }
+
+    fn validate(&self) -> Result<(), Invalid> {
+        let role: Role = self.role.parse().map_err(|_| {
+            Invalid::new("role", &self.role, "one of robot, estimator, obstacles, controller, actuator")
+        })?;
+        match (&self.implementation, &self.command) {
+            (Some(name), None) => {
+                if !IMPLEMENTATIONS.contains(&(name.as_str(), role)) {
+                    let of_role: Vec<&str> =
+                        IMPLEMENTATIONS.iter().filter(|(_, of)| *of == role).map(|(name, _)| *name).collect();
+                    let allowed = format!("one of {} for role {role}, or a `command`", of_role.join(", "));
+                    return Err(Invalid::new("implementation", name, allowed));
+                }
+            }
+            (None, Some(command)) => {
+                if command.first().is_none_or(String::is_empty) {
+                    return Err(Invalid::new("command", "[]", "a program and its arguments"));
+                }
+            }
+            _ => return Err(Invalid::new("implementation", "both or none", "one of `implementation` and `command`")),
+        }
+        if !["never", "on-failure", "always"].contains(&self.restart.as_str()) {
+            return Err(Invalid::new("restart", &self.restart, "one of never, on-failure, always"));
+        }
+        require("start_limit", f64::from(self.start_limit), 1.0..=100.0)?;
+        require("grace_ms", self.grace_ms as f64, 1.0..=3_600_000.0)
+    }
+}
+
+/// The value at a path like `controller.weights.x` or `process[2].role`.
+fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
+    let mut parts = path.split(['.', '[']).map(|part| part.trim_end_matches(']'));
+    let mut value = table.get(parts.next()?)?;
+    for part in parts {
+        value = match value {
+            Value::Table(inner) => inner.get(part)?,
+            Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
+            _ => return None,
+        };
+    }
+    (!value.is_table() && !value.is_array()).then_some(value)
+}
+
+fn default_rate() -> f64 {
+    10.0
+}
+
+fn default_orphan_timeout() -> f64 {
+    30.0
+}
+
+fn default_restart() -> String {
+    "on-failure".to_owned()
+}
+
+fn default_start_limit() -> u32 {
+    3
+}
+
+fn default_grace() -> u64 {
+    1000
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error_of(text: &str) -> String {
+        let table = format!("{BUILT_IN}\n{text}").parse().unwrap_or_else(|_| text.parse().unwrap());
+        System::from_table(table, "lab.toml").unwrap_err().to_string()
+    }
+
+    #[test]
+    fn the_built_in_system_is_valid_and_fills_every_role() {
+        let system = System::from_table(BUILT_IN.parse().unwrap(), "built-in").unwrap();
+        assert_eq!(system.processes.len(), 5);
+        assert_eq!(system.period_ns(), 100_000_000);
+    }
+
+    #[test]
+    fn messages_name_file_key_value_and_what_is_allowed() {
+        assert_eq!(error_of("rate_hz = nan"), "lab.toml: rate_hz = NaN is not allowed: 0.5 to 1000");
+        assert!(error_of("rate = 10.0").starts_with("lab.toml: rate: the key is unknown, expected one of `rate_hz`"));
+        let typed = error_of("rate_hz = \"fast\"");
+        assert!(typed.starts_with("lab.toml: rate_hz = \"fast\" is not allowed: invalid type"), "{typed}");
+    }
+
+    #[test]
+    fn two_processes_of_one_role_are_refused() {
+        let twice = error_of("[[process]]\nrole = \"controller\"\nimplementation = \"nmpc\"");
+        assert_eq!(
+            twice,
+            "lab.toml: process.role = controller is not allowed: one process per role; 2 processes would write topic command"
+        );
+        let unknown = error_of("[[process]]\nrole = \"pilot\"\nimplementation = \"nmpc\"");
+        assert!(unknown.contains("process[5].role = pilot is not allowed: one of robot"), "{unknown}");
+        let foreign = error_of("[[process]]\nrole = \"controller\"\nimplementation = \"ekf\"");
+        assert!(foreign.contains("process[5].implementation = ekf is not allowed: one of nmpc"), "{foreign}");
+    }
+}

@@ -1,0 +1,261 @@
+//! `scanloop topic list / hz / echo`, and `scanloop types`.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use runtime::{Bus, Domain, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
+use serde_json::{Map, Value, json};
+use shared_types::{
+    Actuation, Checkpoint, Command, Directive, Field, Heartbeat, Kind, Obstacles, Odometry, Pose, Role, Sample, Scan,
+    TOPICS, Topic, Truth,
+};
+
+use crate::exit::Failure;
+
+/// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
+const LOOK_NS: u64 = 20_000_000;
+
+/// The table of topics as text.
+pub fn list() -> String {
+    let mut text = String::from("topic       bytes  writer        readers                type\n");
+    for topic in TOPICS {
+        let readers: Vec<&str> =
+            Role::ALL.iter().filter(|role| role.reads().contains(&topic)).map(|role| role.name()).collect();
+        let writer = match topic {
+            Topic::Directive => "orchestrator",
+            Topic::Heartbeat | Topic::Checkpoint => "all",
+            _ => topic.writer().map_or("-", Role::name),
+        };
+        let readers = if readers.is_empty() { "orchestrator".to_owned() } else { readers.join(", ") };
+        let _ = writeln!(
+            text,
+            "{:<10} {:>6}  {writer:<12}  {readers:<21}  {}",
+            topic.name(),
+            topic.size(),
+            topic.type_name()
+        );
+    }
+    text
+}
+
+/// All samples as Markdown: one table per topic.
+pub fn markdown() -> String {
+    let mut text = String::from("# Topics and their samples\n");
+    for topic in TOPICS {
+        let _ = writeln!(
+            text,
+            "\n## {topic}\n\n`{}`, {} bytes, published {}.\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|",
+            topic.type_name(),
+            topic.size(),
+            topic.published()
+        );
+        for field in topic.fields() {
+            let _ =
+                writeln!(text, "| {} | `{}` | {} | {} |", field.offset, field.name, kind_name(&field.kind), field.doc);
+        }
+    }
+    let mut structs: Vec<(&str, &[Field])> = Vec::new();
+    for topic in TOPICS {
+        topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
+    }
+    for (name, fields) in structs {
+        let _ = writeln!(text, "\n## struct {name}\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
+        for field in fields {
+            let _ =
+                writeln!(text, "| {} | `{}` | {} | {} |", field.offset, field.name, kind_name(&field.kind), field.doc);
+        }
+    }
+    text
+}
+
+/// Counts the samples of a topic and prints its rate once a second.
+///
+/// # Errors
+/// An unknown topic, or a system that is not running.
+pub fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
+    let mut watch = Watch::open(domain, topic)?;
+    let started = monotonic_ns();
+    let end = started + Duration::try_from_secs_f64(duration_s.max(0.0)).map_or(u64::MAX / 2, |d| d.as_nanos() as u64);
+    let (mut next, mut before) = (started + 1_000_000_000, 0);
+    while monotonic_ns() < end && watch.sleep() {
+        watch.look(&mut |_| true)?;
+        if monotonic_ns() >= next {
+            println!("{topic}: {:.2} Hz, {} samples, {} lost", (watch.seen - before) as f64, watch.seen, watch.lost);
+            (next, before) = (next + 1_000_000_000, watch.seen);
+        }
+    }
+    let seconds = (monotonic_ns() - started) as f64 * 1e-9;
+    println!("{topic}: {:.2} Hz on average over {seconds:.1} s", watch.seen as f64 / seconds);
+    Ok(())
+}
+
+/// Prints samples of a topic as JSON lines.
+///
+/// # Errors
+/// An unknown topic, or a system that is not running.
+pub fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
+    let mut watch = Watch::open(domain, topic)?;
+    let mut left = count.unwrap_or(u64::MAX);
+    while left > 0 && watch.sleep() {
+        let fields = watch.topic.fields();
+        watch.look(&mut |bytes| {
+            if left > 0 {
+                println!("{}", decode_struct(fields, bytes, short));
+                left -= 1;
+            }
+            left > 0
+        })?;
+    }
+    Ok(())
+}
+
+/// A topic under observation, of whatever type.
+struct Watch {
+    topic: Topic,
+    next: Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>,
+    shutdown: Shutdown,
+    seen: u64,
+    lost: u64,
+    last: (u32, u64),
+    _bus: Bus,
+}
+
+impl Watch {
+    fn open(domain: &Domain, topic: &str) -> anyhow::Result<Self> {
+        let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
+        if !domain.directory().join("control.sock").exists() {
+            return Err(RuntimeError::NotRunning(domain.system_id().to_owned()).into());
+        }
+        let bus = Bus::open(domain, "observer")?;
+        fn of<S: Sample>(bus: &Bus) -> Result<Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>, RuntimeError> {
+            let observer = Observer::<S>::new(bus)?;
+            Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))
+        }
+        let next = match topic {
+            Topic::Scan => of::<Scan>(&bus),
+            Topic::Odometry => of::<Odometry>(&bus),
+            Topic::Pose => of::<Pose>(&bus),
+            Topic::Obstacles => of::<Obstacles>(&bus),
+            Topic::Command => of::<Command>(&bus),
+            Topic::Actuation => of::<Actuation>(&bus),
+            Topic::Heartbeat => of::<Heartbeat>(&bus),
+            Topic::Directive => of::<Directive>(&bus),
+            Topic::Checkpoint => of::<Checkpoint>(&bus),
+            Topic::Truth => of::<Truth>(&bus),
+        }?;
+        Ok(Self { topic, next, shutdown: Shutdown::on_signals()?, seen: 0, lost: 0, last: (0, 0), _bus: bus })
+    }
+
+    /// Sleeps until the next look; false when the user wants to end.
+    fn sleep(&self) -> bool {
+        wait_for(&[self.shutdown.descriptor()], LOOK_NS);
+        !self.shutdown.requested()
+    }
+
+    /// Hands the bytes of all samples that are there to `each` until it returns false.
+    fn look(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
+        while let Some(bytes) = (self.next)()? {
+            self.seen += 1;
+            let header: shared_types::Header =
+                bytemuck::pod_read_unaligned(&bytes[..size_of::<shared_types::Header>()]);
+            if self.topic.writer().is_some() {
+                if self.last.0 == header.incarnation && header.sequence > self.last.1 {
+                    self.lost += header.sequence - self.last.1 - 1;
+                }
+                self.last = (header.incarnation, header.sequence);
+            }
+            if !each(&bytes) {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn collect(kind: &'static Kind, structs: &mut Vec<(&'static str, &'static [Field])>) {
+    match kind {
+        Kind::Scalar(_) => {}
+        Kind::Array(element, _) => collect(element, structs),
+        Kind::Struct(name, fields) => {
+            if structs.iter().all(|(known, _)| known != name) {
+                structs.push((name, fields));
+                fields.iter().for_each(|field| collect(&field.kind, structs));
+            }
+        }
+    }
+}
+
+fn kind_name(kind: &Kind) -> String {
+    match kind {
+        Kind::Scalar(name) => format!("`{name}`"),
+        Kind::Array(element, length) => format!("{} x {length}", kind_name(element)),
+        Kind::Struct(name, _) => format!("[{name}](#struct-{})", name.to_lowercase()),
+    }
+}
+
+fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
+    let mut object = Map::new();
+    for field in fields {
+        let long = matches!(field.kind, Kind::Array(_, length) if length > 16);
+        if field.name != "reserved" && !(short && long) {
+            object.insert(field.name.to_owned(), decode(&field.kind, &bytes[field.offset..], short));
+        }
+    }
+    Value::Object(object)
+}
+
+fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {
+    match kind {
+        Kind::Scalar(name) => scalar(name, bytes),
+        Kind::Array(element, length) => {
+            let size = size_of_kind(element);
+            (0..*length).map(|index| decode(element, &bytes[index * size..], short)).collect()
+        }
+        Kind::Struct(_, fields) => decode_struct(fields, bytes, short),
+    }
+}
+
+fn scalar(name: &str, bytes: &[u8]) -> Value {
+    match name {
+        "u8" => json!(bytes[0]),
+        "u16" => json!(bytemuck::pod_read_unaligned::<u16>(&bytes[..2])),
+        "u32" => json!(bytemuck::pod_read_unaligned::<u32>(&bytes[..4])),
+        "i32" => json!(bytemuck::pod_read_unaligned::<i32>(&bytes[..4])),
+        "u64" => json!(bytemuck::pod_read_unaligned::<u64>(&bytes[..8])),
+        _ => json!(bytemuck::pod_read_unaligned::<f64>(&bytes[..8])),
+    }
+}
+
+fn size_of_kind(kind: &Kind) -> usize {
+    match kind {
+        Kind::Scalar("u8") => 1,
+        Kind::Scalar("u16") => 2,
+        Kind::Scalar("u32" | "i32") => 4,
+        Kind::Scalar(_) => 8,
+        Kind::Array(element, length) => size_of_kind(element) * length,
+        Kind::Struct(_, fields) => fields.last().map_or(0, |last| last.offset + size_of_kind(&last.kind)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_of_all_descriptions_are_the_sizes_of_the_samples() {
+        for topic in TOPICS {
+            let last = topic.fields().last().unwrap();
+            assert_eq!(last.offset + size_of_kind(&last.kind), topic.size(), "{topic}");
+        }
+    }
+
+    #[test]
+    fn a_sample_is_decoded_field_by_field() {
+        let mut odometry = Odometry { x_m: 1.5, ..Odometry::default() };
+        odometry.header.scan_id = 9;
+        let value = decode_struct(Odometry::FIELDS, bytemuck::bytes_of(&odometry), false);
+        assert_eq!(value["x_m"], json!(1.5));
+        assert_eq!(value["header"]["scan_id"], json!(9));
+        assert_eq!(value["header"]["chain"].as_array().unwrap().len(), 5);
+    }
+}

@@ -1,0 +1,48 @@
+//! The process of the role `actuator`: command in, actuation out, and the stop that always wins.
+
+use runtime::{Handover, Process};
+use shared_types::{Actuation, Command, Role};
+
+use crate::{Actuator, Config};
+
+/// Runs until asked to end; its last word blocks the wheels.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn run() -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Actuator)?;
+    let mut actuator = Actuator::new(process.settings::<Config>("actuator")?, process.period_ns())?;
+    let commands = process.input::<Command>()?;
+    let actuations = process.output::<Actuation>()?;
+    match process.resume()? {
+        Handover::State(state) => actuator.resume(&state)?,
+        // A robot that drives is stopped first; valid commands release it.
+        Handover::Lost => actuations.publish(&mut actuator.hold())?,
+        Handover::FirstStart => {}
+    }
+    if !process.start()? {
+        return Ok(());
+    }
+    // The watch is looked at ten times a period, so it is late by a tenth at most.
+    let look_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+        let stop = process.directive().stop == 1;
+        if stop && !actuator.is_stopped() {
+            actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+        } else if !stop && actuator.is_stopped() {
+            actuator.release();
+        }
+        while let Some(command) = commands.take() {
+            let mut actuation = actuator.answer(&command, process.clock().now_ns());
+            actuations.publish(&mut actuation)?;
+            process.save(&actuation.header, &actuator.state())?;
+        }
+        if !process.clock().is_simulated()
+            && let Some(mut block) = actuator.tick(process.clock().now_ns())
+        {
+            actuations.publish(&mut block)?;
+        }
+    }
+    actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+    Ok(())
+}

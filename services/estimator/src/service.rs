@@ -1,0 +1,53 @@
+//! The process of the role `estimator`: odometry and actuation in, pose out.
+
+use runtime::{Handover, Process};
+use shared_types::{Actuation, Odometry, Pose, Role};
+
+use crate::{Config, Estimator};
+
+/// Runs until asked to end.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn run() -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Estimator)?;
+    let mut estimator = Estimator::new(process.settings::<Config>("estimator")?)?;
+    let odometry = process.input::<Odometry>()?;
+    let actuation = process.input::<Actuation>()?;
+    let poses = process.output::<Pose>()?;
+    // Without the state of the process before, the correction of measured data is lost and with it the place.
+    let lost = match process.resume()? {
+        Handover::State(state) => estimator.resume(&state).is_err(),
+        Handover::FirstStart => false,
+        Handover::Lost => true,
+    };
+    if lost {
+        tracing::error!("no fresh state to resume from: no pose will be published");
+    }
+    if !process.start()? {
+        return Ok(());
+    }
+    let mut realised: Option<Actuation> = None;
+    while process.wait(None)? {
+        while let Some(scan_id) = odometry.next_scan() {
+            while let Some(newer) = actuation.take() {
+                realised = Some(*newer);
+                estimator.actuated(&newer);
+            }
+            // In lock-step the actuation of the scan before is on its way, and the result must not depend on when it comes.
+            let newest = realised.map_or(0, |actuation| actuation.header.scan_id);
+            if process.clock().is_simulated() && newest + 1 < scan_id {
+                break;
+            }
+            let Some(measured) = odometry.take() else { break };
+            if lost {
+                continue;
+            }
+            if let Some(mut pose) = estimator.step(&measured, process.clock().now_ns()) {
+                poses.publish(&mut pose)?;
+                process.save(&pose.header, &estimator.state())?;
+            }
+        }
+    }
+    Ok(())
+}

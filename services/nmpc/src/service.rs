@@ -1,0 +1,46 @@
+//! The process of the role `controller`: pose and obstacles in, one verified command out.
+
+use runtime::{Handover, Process, join, monotonic_ns};
+use shared_types::{Command, Obstacles, Pose, Role};
+
+use crate::{Budget, Config, Controller};
+
+/// Runs until asked to end.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn run() -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Controller)?;
+    let config = process.settings::<Config>("controller")?;
+    let mut controller = Controller::new(config.clone())?;
+    let poses = process.input::<Pose>()?;
+    let obstacles = process.input::<Obstacles>()?;
+    let commands = process.output::<Command>()?;
+    match process.resume()? {
+        Handover::State(state) => controller.resume(&state),
+        Handover::FirstStart => {}
+        // It plans afresh from pose and obstacles, but not from full speed.
+        Handover::Lost => controller.hold(),
+    }
+    if !process.start()? {
+        return Ok(());
+    }
+    // A fifth of the period leaves four for everything else, and 20 ms are enough for any problem of ours.
+    let budget_ns = ((config.budget_ms * 1e6) as u64).min(process.period_ns() / 5);
+    while process.wait(None)? {
+        while let Some((pose, obstacles)) = join(&poses, &obstacles) {
+            let simulated = process.clock().is_simulated();
+            let started_ns = monotonic_ns();
+            let budget = if simulated {
+                Budget::Iterations(config.budget_iterations)
+            } else {
+                Budget::Deadline { deadline_ns: started_ns + budget_ns, now_ns: &monotonic_ns }
+            };
+            let mut command = controller.step(&pose, &obstacles, &budget);
+            command.solve_ns = if simulated { 0 } else { monotonic_ns() - started_ns };
+            commands.publish(&mut command)?;
+            process.save(&command.header, &controller.state())?;
+        }
+    }
+    Ok(())
+}

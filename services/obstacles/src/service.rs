@@ -1,0 +1,41 @@
+//! The process of the role `obstacles`: scan and pose in, ellipses out.
+
+use runtime::{Handover, Process, join};
+use shared_types::{Obstacles, Pose, Role, Scan};
+
+use crate::{Config, Describer};
+
+/// Runs until asked to end.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the bus.
+pub fn run() -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Obstacles)?;
+    let mut describer = Describer::new(process.settings::<Config>("obstacles")?)?;
+    let scans = process.input::<Scan>()?;
+    let poses = process.input::<Pose>()?;
+    let obstacles = process.output::<Obstacles>()?;
+    // Without the state of the process before, an obstacle beside the robot that is out of view would be forgotten.
+    let lost = match process.resume()? {
+        Handover::State(state) => describer.resume(&state).is_err(),
+        Handover::FirstStart => false,
+        Handover::Lost => true,
+    };
+    if lost {
+        tracing::error!("no fresh state to resume from: no obstacles will be published");
+    }
+    if !process.start()? {
+        return Ok(());
+    }
+    while process.wait(None)? {
+        while let Some((scan, pose)) = join(&scans, &poses) {
+            if lost {
+                continue;
+            }
+            let mut described = describer.step(&scan, &pose);
+            obstacles.publish(&mut described)?;
+            process.save(&described.header, &describer.state())?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,48 @@
+//! Settings of all stages, and what the stages need to know of the scenario.
+
+use emulator::Scenario;
+use serde::{Deserialize, Serialize};
+use vehicle::Invalid;
+
+/// Settings of the four stages behind the robot.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tuning {
+    /// Settings of the estimator.
+    pub estimator: estimator::Config,
+    /// Settings of the obstacle description.
+    pub obstacles: obstacles::Config,
+    /// Settings of the controller.
+    pub controller: nmpc::Config,
+    /// Settings of the actuator.
+    pub actuator: actuation::Config,
+}
+
+impl Tuning {
+    /// Checks every number of every stage.
+    ///
+    /// # Errors
+    /// The first setting that is not allowed, with the table it stands in.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        self.estimator.validate().map_err(|error| error.within("estimator"))?;
+        self.obstacles.validate().map_err(|error| error.within("obstacles"))?;
+        self.controller.validate().map_err(|error| error.within("controller"))?;
+        self.actuator.validate().map_err(|error| error.within("actuator"))
+    }
+
+    /// The same with what the stages know of the scenario: the goal, the track, its walls, the body.
+    ///
+    /// Never the obstacles, and nothing of what is wrong with the robot.
+    #[must_use]
+    pub fn for_scenario(mut self, scenario: &Scenario) -> Self {
+        self.controller.goal.x_m = scenario.goal.x_m;
+        self.controller.goal.y_m = scenario.goal.y_m;
+        self.controller.goal.tolerance_m = scenario.goal.tolerance_m;
+        self.controller.track.x_m = scenario.track.x_m;
+        self.controller.track.y_m = scenario.track.y_m;
+        self.controller.track.walls = scenario.track.walls;
+        self.obstacles.walls = scenario.track.walls;
+        self.obstacles.wall_y_m = scenario.track.y_m;
+        self
+    }
+}
