@@ -1,1 +1,76 @@
-//! Placeholder.
+//! Starts, supervises and measures the processes of a system: the library behind the executable `scanloop`.
+
+mod check;
+pub mod child;
+pub mod child_log;
+pub mod cli;
+pub mod control;
+pub mod digest;
+pub mod exit;
+pub mod figures;
+mod fleet;
+pub mod latency;
+pub mod ledger;
+mod lock;
+pub mod picture;
+pub mod progress;
+pub mod recorder;
+mod remote;
+pub mod report;
+mod run;
+mod samples;
+mod service;
+mod session;
+pub mod summary;
+pub mod supervisor;
+mod system;
+mod table;
+mod topic;
+mod vitals;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use runtime::Domain;
+
+use cli::{Cli, Command, TopicCommand};
+use exit::{Exit, exit_of};
+
+/// Runs the command line and returns its exit code.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let exit = dispatch(&cli).unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        exit_of(&error)
+    });
+    ExitCode::from(exit as u8)
+}
+
+fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
+    let domain = || Domain::new(&cli.system_id);
+    match &cli.command {
+        Command::Run(arguments) => {
+            runtime::start_logging();
+            run::run(&cli.system_id, arguments)
+        }
+        Command::Check(arguments) => check::check(arguments),
+        Command::Status { json } => remote::status(&domain()?, *json),
+        Command::Stop => remote::stop(&domain()?),
+        Command::Restart { role } => remote::restart(&domain()?, role),
+        Command::Service { name } => service::run(name),
+        Command::Topic(TopicCommand::List) => {
+            print!("{}", topic::list());
+            Ok(Exit::Done)
+        }
+        Command::Topic(TopicCommand::Hz { topic, duration }) => {
+            topic::hz(&domain()?, topic, *duration).map(|()| Exit::Done)
+        }
+        Command::Topic(TopicCommand::Echo { topic, count, short }) => {
+            topic::echo(&domain()?, topic, *count, *short).map(|()| Exit::Done)
+        }
+        Command::Types { markdown: _ } => {
+            print!("{}", topic::markdown());
+            Ok(Exit::Done)
+        }
+    }
+}

@@ -1,1 +1,193 @@
-//! Placeholder.
+//! What process tests share: a system of their own, conditions with a deadline, and a check that nothing is left.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use orchestrator::control::{Reply, Request, Status, ask};
+use orchestrator::report::Report;
+use runtime::Domain;
+use shared_types::Role;
+
+/// How long a condition may take before a test fails: far beyond what a loaded machine needs.
+pub const DEADLINE: Duration = Duration::from_secs(60);
+
+static NEXT: AtomicU32 = AtomicU32::new(0);
+
+/// A system under test with an id and a folder of its own; dropping it ends what is left of it.
+#[derive(Debug)]
+pub struct System {
+    domain: Domain,
+    folder: PathBuf,
+    executable: PathBuf,
+    running: Option<Child>,
+}
+
+impl System {
+    /// A system that has not been started; `executable` is `env!("CARGO_BIN_EXE_scanloop-under-test")`.
+    pub fn new(executable: &str) -> Self {
+        let id = format!("t{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let folder = std::env::temp_dir().join(format!("scanloop-test-{id}"));
+        std::fs::create_dir_all(&folder).expect("a folder for the test");
+        let domain = Domain::new(&id).expect("a valid id");
+        Self { domain, folder, executable: executable.into(), running: None }
+    }
+
+    /// A command of the executable for this system.
+    pub fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(&self.executable);
+        command.arg("--system-id").arg(self.domain.system_id()).args(arguments).current_dir(&self.folder);
+        command.stdin(Stdio::null());
+        command
+    }
+
+    /// Runs a command to its end.
+    pub fn run(&self, arguments: &[&str]) -> Output {
+        self.command(arguments).output().expect("the executable runs")
+    }
+
+    /// Drives in lock-step and returns the report; panics with the output when there is none.
+    pub fn lockstep(&self, arguments: &[&str]) -> Report {
+        let out = self.folder.join("out");
+        let mut all = vec!["run", "--lockstep", "--quiet", "--out", out.to_str().expect("a readable path")];
+        all.extend(arguments);
+        let output = self.run(&all);
+        Report::read(&out.join("report.json"))
+            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
+    }
+
+    /// Starts a run in real time and waits until it drives.
+    pub fn start(&mut self, arguments: &[&str]) {
+        let out = self.folder.join("out");
+        let log = std::fs::File::create(self.folder.join("stderr.txt")).expect("a log file");
+        let mut command = self.command(&["run", "--quiet", "--out"]);
+        command.arg(out).args(arguments).stdout(Stdio::null()).stderr(log);
+        self.running = Some(command.spawn().expect("the executable runs"));
+        self.wait_until("the system drives", |system| {
+            system.status().is_some_and(|status| status.state == "driving" && status.scan > 3)
+        });
+    }
+
+    /// The state of the running system, if it answers.
+    pub fn status(&self) -> Option<Status> {
+        match ask(&self.domain, &Request::Status) {
+            Ok(Reply::Status(status)) => Some(*status),
+            _ => None,
+        }
+    }
+
+    /// Process id of a role.
+    pub fn pid(&self, role: Role) -> i32 {
+        let status = self.status().expect("a running system");
+        status.processes.iter().find(|process| process.role == role.name()).expect("the role").pid
+    }
+
+    /// Process id of the orchestrator.
+    pub fn orchestrator(&self) -> i32 {
+        self.running.as_ref().expect("a running system").id().cast_signed()
+    }
+
+    /// Sends a signal to a process that this system started.
+    pub fn signal(&self, pid: i32, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_raw(pid).expect("a process id");
+        rustix::process::kill_process(pid, signal).expect("the process exists");
+    }
+
+    /// Waits for the end of the run.
+    pub fn wait(&mut self) -> ExitStatus {
+        let mut child = self.running.take().expect("a running system");
+        let started = Instant::now();
+        loop {
+            if let Some(status) = child.try_wait().expect("a child of ours") {
+                return status;
+            }
+            if started.elapsed() > DEADLINE {
+                let _ = child.kill();
+                let _ = child.wait();
+                panic!("the run does not end: {}", self.stderr());
+            }
+            std::thread::yield_now();
+            pause();
+        }
+    }
+
+    /// The report of the run that has ended.
+    pub fn report(&self) -> Report {
+        Report::read(&self.folder.join("out/report.json")).unwrap_or_else(|error| panic!("{error}: {}", self.stderr()))
+    }
+
+    /// What the run wrote to standard error.
+    pub fn stderr(&self) -> String {
+        std::fs::read_to_string(self.folder.join("stderr.txt")).unwrap_or_default()
+    }
+
+    /// Folder of the test.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The domain of the system.
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Waits until a condition holds, with a deadline.
+    pub fn wait_until(&self, what: &str, condition: impl Fn(&Self) -> bool) {
+        let started = Instant::now();
+        while !condition(self) {
+            assert!(started.elapsed() < DEADLINE, "{what}: not within {DEADLINE:?}: {}", self.stderr());
+            pause();
+        }
+    }
+
+    /// Panics when the system has left files in shared memory, its directory, or processes.
+    pub fn assert_nothing_left(&self) {
+        let files: Vec<_> = std::fs::read_dir("/dev/shm")
+            .expect("shared memory")
+            .flatten()
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .filter(|name| name.starts_with(self.domain.shared_memory_prefix()))
+            .collect();
+        assert!(files.is_empty(), "left in shared memory: {files:?}");
+        assert!(!self.domain.directory().exists(), "left: {}", self.domain.directory().display());
+        let processes = processes_of(self.domain.system_id());
+        assert!(processes.is_empty(), "left running: {processes:?}");
+    }
+}
+
+impl Drop for System {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.running.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+        for pid in processes_of(self.domain.system_id()) {
+            if let Some(pid) = rustix::process::Pid::from_raw(pid) {
+                let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+            }
+        }
+        let _ = self.domain.remove_bus_files();
+        let _ = std::fs::remove_dir_all(self.domain.directory());
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Processes that were started for a system, by their environment.
+pub fn processes_of(system_id: &str) -> Vec<i32> {
+    let wanted = format!("{}={system_id}", runtime::SYSTEM_ID_VARIABLE);
+    let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
+    entries
+        .flatten()
+        .filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok())
+        .filter(|pid| {
+            std::fs::read(format!("/proc/{pid}/environ"))
+                .is_ok_and(|bytes| bytes.split(|byte| *byte == 0).any(|text| text == wanted.as_bytes()))
+        })
+        .collect()
+}
+
+/// Gives the processor away between two looks at a condition.
+pub fn pause() {
+    std::thread::park_timeout(Duration::from_millis(2));
+}

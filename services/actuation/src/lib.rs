@@ -1,1 +1,14 @@
-//! Placeholder.
+//! What is sent to the robot: corrections of steering angle and velocity, limits, and the stop that always wins.
+//!
+//! One command in, one actuation out. Wheels turn only for a command that is new, young, verified, finite and
+//! within its hard limits; everything else blocks them. Silence blocks them too, after 1.5 scan periods.
+
+mod actuator;
+mod config;
+mod state;
+mod verdict;
+pub mod service;
+
+pub use actuator::Actuator;
+pub use config::Config;
+pub use state::ActuatorState;

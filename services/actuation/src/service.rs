@@ -17,7 +17,7 @@ pub fn run() -> anyhow::Result<()> {
     match process.resume()? {
         Handover::State(state) => actuator.resume(&state)?,
         // A robot that drives is stopped first; valid commands release it.
-        Handover::Lost => actuations.publish(&mut actuator.hold())?,
+        Handover::Lost => actuations.publish(&mut actuator.stop(process.clock().now_ns()))?,
         Handover::FirstStart => {}
     }
     if !process.start()? {

@@ -11,7 +11,7 @@ use crate::{Config, Estimator};
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Estimator)?;
-    let mut estimator = Estimator::new(process.settings::<Config>("estimator")?)?;
+    let mut estimator = Estimator::new(&process.settings::<Config>("estimator")?)?;
     let odometry = process.input::<Odometry>()?;
     let actuation = process.input::<Actuation>()?;
     let poses = process.output::<Pose>()?;
@@ -27,23 +27,22 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
-    let mut realised: Option<Actuation> = None;
+    let mut actuated = 0;
     while process.wait(None)? {
         while let Some(scan_id) = odometry.next_scan() {
             while let Some(newer) = actuation.take() {
-                realised = Some(*newer);
-                estimator.actuated(&newer);
+                actuated = newer.header.scan_id;
+                estimator.note(&newer, process.clock().now_ns());
             }
             // In lock-step the actuation of the scan before is on its way, and the result must not depend on when it comes.
-            let newest = realised.map_or(0, |actuation| actuation.header.scan_id);
-            if process.clock().is_simulated() && newest + 1 < scan_id {
+            if process.clock().is_simulated() && actuated + 1 < scan_id {
                 break;
             }
             let Some(measured) = odometry.take() else { break };
             if lost {
                 continue;
             }
-            if let Some(mut pose) = estimator.step(&measured, process.clock().now_ns()) {
+            if let Some(mut pose) = estimator.step(&measured, None, process.clock().now_ns()) {
                 poses.publish(&mut pose)?;
                 process.save(&pose.header, &estimator.state())?;
             }

@@ -18,9 +18,8 @@ pub fn run() -> anyhow::Result<()> {
     let commands = process.output::<Command>()?;
     match process.resume()? {
         Handover::State(state) => controller.resume(&state),
-        Handover::FirstStart => {}
-        // It plans afresh from pose and obstacles, but not from full speed.
-        Handover::Lost => controller.hold(),
+        // Pose and obstacles are all it needs to plan afresh, and only a verified plan is driven.
+        Handover::FirstStart | Handover::Lost => {}
     }
     if !process.start()? {
         return Ok(());

@@ -1,1 +1,28 @@
-//! Placeholder.
+//! Obstacle description (7.32)-(7.35): from the ranges of one scan to the ellipses that the robot stays outside of.
+//!
+//! Returns are placed in the track from the pose at their own time, those of walls are taken out, the rest is
+//! cut into bodies. Bodies are followed from scan to scan: their outline grows as more of them is seen, their
+//! place and velocity are filtered, and they are remembered beside and behind the robot until their place is
+//! seen to be free. Each body is then covered by ellipses.
+//!
+//! Pure: values in, values out, the same bits on every machine run. State between scans is
+//! [`ObstaclesState`], plain bytes that another process can resume from.
+
+mod config;
+mod describer;
+mod ellipse;
+mod motion;
+mod outline;
+mod points;
+mod segment;
+mod shape;
+mod state;
+mod track;
+mod visibility;
+mod walls;
+pub mod service;
+
+pub use config::Config;
+pub use describer::Describer;
+pub use shape::DIRECTIONS;
+pub use state::{ObstaclesState, TRACKS, TrackState};

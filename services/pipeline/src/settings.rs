@@ -46,3 +46,21 @@ impl Tuning {
         self
     }
 }
+
+/// Everything that a run is made from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// What is driven.
+    pub scenario: Scenario,
+    /// Settings of the stages, without what they know of the scenario.
+    pub tuning: Tuning,
+    /// Scan period [ns].
+    pub period_ns: u64,
+}
+
+impl Settings {
+    /// A scenario with the default settings of all stages, at ten scans a second.
+    pub fn of(scenario: Scenario) -> Self {
+        Self { scenario, tuning: Tuning::default(), period_ns: 100_000_000 }
+    }
+}

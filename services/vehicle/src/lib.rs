@@ -4,11 +4,13 @@
 //! and rear axle steer by the same angle in opposite directions, (7.27)-(7.31).
 
 pub mod bounds;
+pub mod correction;
 pub mod frame;
 pub mod geometry;
 pub mod integrate;
 mod invalid;
 pub mod model;
+pub mod network;
 mod parameters;
 mod state;
 

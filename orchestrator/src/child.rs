@@ -1,0 +1,254 @@
+//! One process of the run: start it, signal it, see it end.
+//!
+//! Idea: the process leads a group of its own, so that a signal reaches whatever it starts, and ctrl-C in the
+//! terminal reaches the orchestrator alone. Its end wakes a `poll` through a pidfd. Signals go out only while
+//! the leader is not reaped: until then the kernel gives its number to no other process or group, so nothing
+//! that was not started here can be hit. When the leader has ended, the rest of its group is killed before the
+//! leader is reaped.
+//!
+//! Where this fails: a descendant that opens a session of its own leaves the group and is not found. The
+//! process outlives an orchestrator that is killed, on purpose: the loop goes on without it. One that is dropped
+//! in good order takes its processes with it.
+
+use std::ffi::OsString;
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{
+    Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, waitid,
+};
+
+use crate::child_log::ChildLog;
+use crate::supervisor::Exit;
+
+/// Clock ticks per second in /proc: a constant of the kernel's interface on all machines of ours.
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// What to start.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Launch {
+    /// The program, by path or to be found in `PATH`, and its arguments.
+    pub command: Vec<OsString>,
+    /// Variables set beside the inherited ones.
+    pub environment: Vec<(OsString, OsString)>,
+    /// Working folder; the orchestrator's when absent.
+    pub directory: Option<PathBuf>,
+}
+
+/// Why a process could not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum ChildError {
+    /// There is no program.
+    #[error("the command is empty")]
+    Empty,
+    /// The program, or the interpreter that its first line names, does not exist.
+    #[error("command `{0}` was not found")]
+    NotFound(String),
+    /// The program may not be executed.
+    #[error("command `{0}` may not be executed: permission denied")]
+    NotExecutable(String),
+    /// The working folder does not exist.
+    #[error("working folder {1} of command `{0}` does not exist")]
+    NoDirectory(String, PathBuf),
+    /// Anything else that the kernel refused.
+    #[error("command `{command}` could not be started: {source}")]
+    Refused {
+        /// The program.
+        command: String,
+        /// What the kernel said.
+        source: io::Error,
+    },
+}
+
+/// What a process has used.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usage {
+    /// Time on a processor since its start, all threads, without its children [s].
+    pub cpu_s: f64,
+    /// Resident memory, shared parts included [KiB].
+    pub memory_kib: u64,
+}
+
+/// A process that was started here and leads its own group.
+#[derive(Debug)]
+pub struct Child {
+    process: std::process::Child,
+    pid: Pid,
+    pidfd: OwnedFd,
+    started_ticks: Option<u64>,
+    exit: Option<Exit>,
+}
+
+impl Child {
+    /// Starts a process with no input, whose output goes to `log`.
+    ///
+    /// # Errors
+    /// [`ChildError`], with the command named.
+    pub fn spawn(launch: &Launch, log: &ChildLog) -> Result<Self, ChildError> {
+        let (program, arguments) = launch.command.split_first().ok_or(ChildError::Empty)?;
+        let name = || program.to_string_lossy().into_owned();
+        let refused = |source| ChildError::Refused { command: name(), source };
+        let mut command = Command::new(program);
+        command.args(arguments).envs(launch.environment.iter().map(|(key, value)| (key, value)));
+        command.stdin(Stdio::null()).process_group(0);
+        command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
+        if let Some(directory) = &launch.directory {
+            if !directory.is_dir() {
+                return Err(ChildError::NoDirectory(name(), directory.clone()));
+            }
+            command.current_dir(directory);
+        }
+        let mut process = command.spawn().map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound => ChildError::NotFound(name()),
+            io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
+            _ => refused(source),
+        })?;
+        let pid = Pid::from_child(&process);
+        match pidfd_open(pid, PidfdFlags::empty()) {
+            Ok(pidfd) => {
+                Ok(Self { pid, pidfd, started_ticks: start_ticks(process.id()), exit: None, process })
+            }
+            Err(error) => {
+                // A process whose end cannot be seen is not kept.
+                let _ = kill_process_group(pid, Signal::KILL);
+                let _ = process.wait();
+                Err(refused(error.into()))
+            }
+        }
+    }
+
+    /// Its process id, which is the id of its group.
+    pub fn pid(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// When it was started, in clock ticks since boot; with the pid it names a process for good.
+    pub fn started_ticks(&self) -> Option<u64> {
+        self.started_ticks
+    }
+
+    /// Asks the group to end (SIGTERM); nothing happens when the process is known to have ended.
+    ///
+    /// # Errors
+    /// When the kernel refuses, which it does for a process that has become another user's.
+    pub fn terminate(&self) -> io::Result<()> {
+        self.signal(Signal::TERM)
+    }
+
+    /// Kills the group (SIGKILL); nothing happens when the process is known to have ended.
+    ///
+    /// # Errors
+    /// When the kernel refuses, which it does for a process that has become another user's.
+    pub fn kill(&self) -> io::Result<()> {
+        self.signal(Signal::KILL)
+    }
+
+    /// How the process ended, if it has. It is then reaped and the rest of its group killed.
+    ///
+    /// # Errors
+    /// Those of the kernel's wait, which do not happen to a child of ours.
+    pub fn try_wait(&mut self) -> io::Result<Option<Exit>> {
+        if self.exit.is_some() {
+            return Ok(self.exit);
+        }
+        // Look without reaping: the group may be signalled only as long as its leader is not reaped.
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        let ended = loop {
+            match waitid(WaitId::PidFd(self.pidfd.as_fd()), options) {
+                Err(rustix::io::Errno::INTR) => {}
+                other => break other?.is_some(),
+            }
+        };
+        if ended {
+            let _ = kill_process_group(self.pid, Signal::KILL);
+            self.exit = self.process.try_wait()?.map(Exit::from);
+        }
+        Ok(self.exit)
+    }
+
+    /// Waits for the end of the process, but not longer than `limit`.
+    ///
+    /// # Errors
+    /// As [`Child::try_wait`].
+    pub fn wait_for(&mut self, limit: Duration) -> io::Result<Option<Exit>> {
+        let started = Instant::now();
+        loop {
+            let exit = self.try_wait()?;
+            let left = limit.saturating_sub(started.elapsed());
+            if exit.is_some() || left.is_zero() {
+                return Ok(exit);
+            }
+            let timeout = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
+            match poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&timeout)) {
+                Ok(_) | Err(rustix::io::Errno::INTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// What the process has used so far; `None` when it has ended.
+    pub fn usage(&self) -> Option<Usage> {
+        if self.exit.is_some() {
+            return None;
+        }
+        let stat = stat_fields(self.pid())?;
+        let [user, system] = [stat_number(&stat, 14)?, stat_number(&stat, 15)?];
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
+        // A zombie has no memory and no such line.
+        let memory = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let memory_kib = memory.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0);
+        Some(Usage { cpu_s: (user + system) as f64 / TICKS_PER_SECOND, memory_kib })
+    }
+
+    fn signal(&self, signal: Signal) -> io::Result<()> {
+        if self.exit.is_some() {
+            return Ok(());
+        }
+        match kill_process_group(self.pid, signal) {
+            // Nobody of the group is left but the leader, which has ended and waits to be reaped.
+            Err(rustix::io::Errno::SRCH) => Ok(()),
+            other => Ok(other?),
+        }
+    }
+}
+
+impl AsFd for Child {
+    /// The pidfd: readable once the process has ended.
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.pidfd.as_fd()
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        if self.exit.is_none() {
+            let _ = self.kill();
+            // A killed process goes within milliseconds unless it hangs in the kernel, where waiting is no use.
+            let _ = self.wait_for(Duration::from_secs(1));
+        }
+    }
+}
+
+/// When a process was started, in clock ticks since boot; `None` when there is no such process.
+pub fn start_ticks(pid: u32) -> Option<u64> {
+    stat_number(&stat_fields(pid)?, 22)
+}
+
+/// The fields of /proc/PID/stat behind the name, which may hold blanks and brackets itself.
+fn stat_fields(pid: u32) -> Option<String> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    stat.rsplit_once(')').map(|(_name, fields)| fields.to_owned())
+}
+
+/// A number by its place in the kernel's documentation, where the first field behind the name is the third.
+fn stat_number(fields: &str, place: usize) -> Option<u64> {
+    fields.split_whitespace().nth(place - 3)?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests;

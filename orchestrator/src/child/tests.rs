@@ -1,0 +1,192 @@
+//! Real processes; each test waits for a condition with a deadline and leaves nothing behind.
+
+use super::*;
+use crate::child_log::tests::Scratch;
+
+const LIMIT: Duration = Duration::from_secs(20);
+
+fn shell(script: &str) -> Launch {
+    Launch { command: vec!["sh".into(), "-c".into(), script.into()], ..Launch::default() }
+}
+
+fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
+    let started = Instant::now();
+    while !condition() {
+        assert!(started.elapsed() < LIMIT, "{what} did not happen within {LIMIT:?}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// The first line of the output, once it is complete.
+fn first_line(log: &ChildLog) -> String {
+    let mut line = String::new();
+    wait_until("a line of output", || {
+        let text = std::fs::read_to_string(log.path()).unwrap();
+        line = text.lines().next().unwrap_or_default().to_owned();
+        text.contains('\n')
+    });
+    line
+}
+
+/// Whether a process runs; one that has ended but was not reaped does not.
+fn runs(pid: u32) -> bool {
+    stat_fields(pid).is_some_and(|fields| !fields.trim_start().starts_with(['Z', 'X']))
+}
+
+#[test]
+fn the_exit_code_and_the_output_come_back() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("echo out; echo err >&2; exit 2"), &log).unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(2)));
+    assert_eq!(child.try_wait().unwrap().unwrap().to_string(), "exit code 2");
+    assert_eq!(log.last_lines(5).unwrap(), ["out", "err"]);
+    assert_eq!(child.usage(), None);
+    // The number may be another process's by now: signals must go nowhere.
+    child.kill().unwrap();
+    child.terminate().unwrap();
+}
+
+#[test]
+fn environment_folder_and_empty_input_are_as_asked() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let launch = Launch {
+        environment: vec![("SCANLOOP_TEST".into(), "a b".into())],
+        directory: Some(scratch.0.clone()),
+        ..shell("echo \"$SCANLOOP_TEST\"; pwd; wc -c")
+    };
+    let mut child = Child::spawn(&launch, &log).unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(0)));
+    let lines = log.last_lines(3).unwrap();
+    let folder = scratch.0.canonicalize().unwrap();
+    assert_eq!((lines[0].as_str(), lines[1].as_str()), ("a b", folder.to_str().unwrap()));
+    assert_eq!(lines[2].trim(), "0");
+}
+
+#[test]
+fn a_terminated_process_is_told_by_its_signal() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("echo up; exec sleep 1000"), &log).unwrap();
+    assert_eq!(first_line(&log), "up");
+    assert_eq!(child.try_wait().unwrap(), None);
+    child.terminate().unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap().unwrap().to_string(), "killed by signal 15 (SIGTERM)");
+}
+
+#[test]
+fn a_process_that_ignores_the_request_or_is_stopped_can_be_killed() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("trap '' TERM; echo up; kill -STOP $$; sleep 1000"), &log).unwrap();
+    assert_eq!(first_line(&log), "up");
+    child.terminate().unwrap();
+    assert_eq!(child.wait_for(Duration::from_millis(50)).unwrap(), None);
+    child.kill().unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Signal(9)));
+}
+
+#[test]
+fn a_signal_reaches_the_whole_group() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("sleep 1000 & echo $!; wait"), &log).unwrap();
+    let grandchild: u32 = first_line(&log).parse().unwrap();
+    assert!(runs(grandchild));
+    child.kill().unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Signal(9)));
+    wait_until("the end of the grandchild", || !runs(grandchild));
+}
+
+#[test]
+fn the_rest_of_a_group_does_not_outlive_its_leader() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("sleep 1000 & echo $!; exit 3"), &log).unwrap();
+    let grandchild: u32 = first_line(&log).parse().unwrap();
+    assert_eq!(child.wait_for(LIMIT).unwrap(), Some(Exit::Code(3)));
+    wait_until("the end of the grandchild", || !runs(grandchild));
+}
+
+#[test]
+fn a_dropped_process_is_gone_with_its_group() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let child = Child::spawn(&shell("sleep 1000 & echo $!; wait"), &log).unwrap();
+    let (leader, grandchild) = (child.pid(), first_line(&log).parse().unwrap());
+    drop(child);
+    assert!(!std::path::Path::new(&format!("/proc/{leader}")).exists(), "it is reaped");
+    wait_until("the end of the grandchild", || !runs(grandchild));
+}
+
+#[test]
+fn the_pidfd_wakes_a_poll_at_the_end_of_the_process() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let mut child = Child::spawn(&shell("echo up; exec sleep 1000"), &log).unwrap();
+    let ready = |child: &Child, limit_s| {
+        let limit = Timespec { tv_sec: limit_s, tv_nsec: 0 };
+        poll(&mut [PollFd::new(child, PollFlags::IN)], Some(&limit)).unwrap()
+    };
+    assert_eq!(first_line(&log), "up");
+    assert_eq!(ready(&child, 0), 0);
+    child.kill().unwrap();
+    assert_eq!(ready(&child, 20), 1);
+    assert_eq!(child.try_wait().unwrap(), Some(Exit::Signal(9)), "what the poll told can be read at once");
+}
+
+#[test]
+fn a_command_that_cannot_run_is_named() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let message = |launch: Launch| Child::spawn(&launch, &log).unwrap_err().to_string();
+    let launch = |program: &str| Launch { command: vec![program.into()], ..Launch::default() };
+    assert_eq!(message(launch("no-such-program-here")), "command `no-such-program-here` was not found");
+    assert_eq!(message(Launch::default()), "the command is empty");
+    let file = log.path().to_str().unwrap().to_owned();
+    assert_eq!(message(launch(&file)), format!("command `{file}` may not be executed: permission denied"));
+    let nowhere = Launch { directory: Some(scratch.0.join("none")), ..launch("true") };
+    assert!(message(nowhere).ends_with("none of command `true` does not exist"));
+}
+
+#[test]
+fn a_process_is_known_by_its_start_and_its_use_is_measured() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let child = Child::spawn(&shell("echo up; while :; do :; done"), &log).unwrap();
+    assert_eq!(first_line(&log), "up");
+    assert!(child.started_ticks().is_some());
+    assert_eq!(child.started_ticks(), start_ticks(child.pid()));
+    assert!(start_ticks(child.pid()) >= start_ticks(std::process::id()), "it is younger than this test");
+    // Five ticks of 10 ms: enough to tell counting from not counting.
+    wait_until("use of the processor", || child.usage().is_some_and(|usage| usage.cpu_s >= 0.05));
+    // A shell takes between some hundred KiB and some MiB.
+    assert!((100..100_000).contains(&child.usage().unwrap().memory_kib));
+}
+
+#[test]
+fn the_log_goes_on_below_a_process_that_writes_while_it_is_trimmed() {
+    let scratch = Scratch::new();
+    let log = scratch.log();
+    let script = "i=0; while [ $i -lt 40000 ]; do echo \"line $i ........................................\"; \
+                  i=$((i+1)); done; echo done";
+    let mut child = Child::spawn(&shell(script), &log).unwrap();
+    let mut trimmed = 0;
+    while child.wait_for(Duration::from_millis(5)).unwrap().is_none() {
+        trimmed += u32::from(log.trim().unwrap());
+    }
+    trimmed += u32::from(log.trim().unwrap());
+    // 40,000 lines of about 52 bytes are 2 MB: at least one cut.
+    assert!(trimmed >= 1, "never trimmed");
+    assert_eq!(log.last_lines(1).unwrap(), ["done"]);
+    let kept = std::fs::read(log.path()).unwrap();
+    assert!(kept.len() as u64 <= crate::child_log::TRIM_ABOVE_BYTES + 100_000);
+    assert!(!kept.contains(&0), "cutting leaves no hole");
+    let numbers: Vec<u32> = String::from_utf8(kept)
+        .unwrap()
+        .lines()
+        .filter_map(|line| line.strip_prefix("line ")?.split(' ').next()?.parse().ok())
+        .collect();
+    assert!(numbers.is_sorted(), "cutting keeps the order");
+}

@@ -1,0 +1,38 @@
+//! One number for all samples of a topic: equal runs have equal numbers.
+
+use std::collections::BTreeMap;
+
+use shared_types::Sample;
+
+/// Running 64-bit FNV-1a hashes, one per topic, over the bytes of all samples in their order.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Digests(BTreeMap<String, u64>);
+
+impl Digests {
+    /// Takes a sample in.
+    pub fn add<S: Sample>(&mut self, sample: &S) {
+        let hash = self.0.entry(S::TOPIC.name().to_owned()).or_insert(0xcbf2_9ce4_8422_2325);
+        for byte in bytemuck::bytes_of(sample) {
+            *hash = (*hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+
+    /// The hashes as texts of 16 digits, by topic.
+    pub fn texts(&self) -> BTreeMap<String, String> {
+        self.0.iter().map(|(topic, hash)| (topic.clone(), format!("{hash:016x}"))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_types::Pose;
+
+    #[test]
+    fn a_single_bit_changes_the_digest_of_its_topic() {
+        let (mut one, mut other) = (Digests::default(), Digests::default());
+        one.add(&Pose::default());
+        other.add(&Pose { x_m: f64::from_bits(1), ..Pose::default() });
+        assert_ne!(one.texts()["pose"], other.texts()["pose"]);
+    }
+}

@@ -1,0 +1,129 @@
+//! Counts of what the controller and the actuator said.
+
+use std::collections::BTreeMap;
+
+use shared_types::{Actuation, ActuationKind, BlockReason, Command, Level, SolveStatus, StopReason};
+
+use crate::figures::Distribution;
+use crate::report::ControllerReport;
+
+/// Figures of the solver, and why the wheels were blocked.
+#[derive(Debug, Clone)]
+pub(super) struct Tally {
+    lockstep: bool,
+    solve: Distribution,
+    iterations: Distribution,
+    status: BTreeMap<String, u64>,
+    level: BTreeMap<String, u64>,
+    stops: BTreeMap<String, u64>,
+    actuator_blocks: Option<BlockReason>,
+}
+
+impl Tally {
+    /// Nothing counted yet. In lock-step the solver's time means nothing and is left out.
+    pub(super) fn new(lockstep: bool) -> Self {
+        Self {
+            lockstep,
+            solve: Distribution::of_times(),
+            iterations: Distribution::of_counts(),
+            status: BTreeMap::new(),
+            level: BTreeMap::new(),
+            stops: BTreeMap::new(),
+            actuator_blocks: None,
+        }
+    }
+
+    /// Counts a command.
+    pub(super) fn command(&mut self, command: &Command) {
+        let status = SolveStatus::try_from(command.status);
+        count(&mut self.status, status.map_or("unknown", SolveStatus::name));
+        count(&mut self.level, Level::try_from(command.level).map_or("unknown", Level::name));
+        match StopReason::try_from(command.reason) {
+            Ok(StopReason::None) => {}
+            reason => count(&mut self.stops, reason.map_or("unknown", StopReason::name)),
+        }
+        if !matches!(status, Ok(SolveStatus::NotSolved)) {
+            self.iterations.record(u64::from(command.iterations));
+            if !self.lockstep {
+                self.solve.record(command.solve_ns);
+            }
+        }
+    }
+
+    /// Counts blocks that the actuator decided by itself, each once however often it is repeated.
+    pub(super) fn actuation(&mut self, actuation: &Actuation) {
+        let reason = BlockReason::try_from(actuation.reason).ok().filter(|reason| {
+            actuation.kind == ActuationKind::Block.wire()
+                && !matches!(
+                    reason,
+                    BlockReason::None | BlockReason::Landed | BlockReason::Commanded | BlockReason::Start
+                )
+        });
+        if let (Some(name), true) = (reason.map(BlockReason::name), reason != self.actuator_blocks) {
+            count(&mut self.stops, name);
+        }
+        self.actuator_blocks = reason;
+    }
+
+    /// The controller's part of the report.
+    pub(super) fn controller(&self) -> ControllerReport {
+        ControllerReport {
+            solve_us: self.solve.figures(),
+            iterations: self.iterations.figures(),
+            status: self.status.clone(),
+            level: self.level.clone(),
+        }
+    }
+
+    /// How often which reason blocked the wheels.
+    pub(super) fn stops(&self) -> BTreeMap<String, u64> {
+        self.stops.clone()
+    }
+}
+
+fn count(counts: &mut BTreeMap<String, u64>, name: &str) {
+    if let Some(count) = counts.get_mut(name) {
+        *count += 1;
+    } else {
+        counts.insert(name.to_owned(), 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_types::CommandKind;
+
+    #[test]
+    fn commands_are_counted_by_status_level_and_stop_reason() {
+        let mut tally = Tally::new(false);
+        let solved = Command {
+            kind: CommandKind::Drive.wire(),
+            level: 1,
+            status: 1,
+            iterations: 3,
+            ..Command::default()
+        };
+        tally.command(&Command { solve_ns: 2_000_000, ..solved });
+        tally.command(&Command { solve_ns: 4_000_000, ..solved });
+        tally.command(&Command { reason: StopReason::Blocked.wire(), ..Command::default() });
+        tally.command(&Command { status: 99, ..Command::default() });
+        let controller = tally.controller();
+        assert_eq!(controller.status["converged"], 2);
+        assert_eq!((controller.status["not_solved"], controller.status["unknown"]), (1, 1));
+        assert_eq!((controller.level["converged"], controller.level["stop"]), (2, 2));
+        assert_eq!(controller.solve_us.max, 4000.0);
+        assert_eq!(tally.stops(), BTreeMap::from([("blocked".to_owned(), 1)]));
+    }
+
+    #[test]
+    fn a_block_of_the_actuator_counts_once_however_often_it_is_repeated() {
+        let mut tally = Tally::new(false);
+        let block = Actuation { kind: 0, reason: BlockReason::NoCommand.wire(), ..Actuation::default() };
+        let drive = Actuation { kind: ActuationKind::Drive.wire(), ..Actuation::default() };
+        for actuation in [block, block, drive, block] {
+            tally.actuation(&actuation);
+        }
+        assert_eq!(tally.stops(), BTreeMap::from([("no_command".to_owned(), 2)]));
+    }
+}

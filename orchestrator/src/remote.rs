@@ -1,0 +1,98 @@
+//! Commands to a running system: `status`, `stop`, `restart`.
+
+use std::fmt::Write as _;
+
+use runtime::{Domain, monotonic_ns};
+use shared_types::Role;
+
+use crate::control::{Reply, Request, Status, ask};
+use crate::exit::{Exit, Failure};
+
+/// A system that was told to stop has this long to end [ns].
+const STOP_PATIENCE_NS: u64 = 15_000_000_000;
+
+/// Prints the state of the system.
+///
+/// # Errors
+/// A system that is not running; exit code 2.
+pub fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
+    let Reply::Status(status) = ask(domain, &Request::Status)? else {
+        anyhow::bail!("the orchestrator did not answer with a status");
+    };
+    if json {
+        println!("{}", serde_json::to_string_pretty(&status)?);
+    } else {
+        eprint!("{}", table(&status));
+    }
+    Ok(Exit::Done)
+}
+
+/// Stops the system and waits until it is gone.
+///
+/// # Errors
+/// A system that is not running (exit code 2), or that does not end.
+pub fn stop(domain: &Domain) -> anyhow::Result<Exit> {
+    ask(domain, &Request::Stop)?;
+    let deadline = monotonic_ns() + STOP_PATIENCE_NS;
+    while ask(domain, &Request::Status).is_ok() {
+        if monotonic_ns() > deadline {
+            return Err(Failure::process(format!("system `{}` does not end", domain.system_id())));
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    eprintln!("system `{}` has stopped", domain.system_id());
+    Ok(Exit::Done)
+}
+
+/// Restarts one process.
+///
+/// # Errors
+/// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
+pub fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
+    let role: Role = role.parse().map_err(Failure::bad_input)?;
+    match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
+        Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+        _ => {
+            eprintln!("{role} is being restarted");
+            Ok(Exit::Done)
+        }
+    }
+}
+
+fn table(status: &Status) -> String {
+    let mut text = format!(
+        "system {}: {}, scenario {}, scan {}\n{:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
+        status.system_id,
+        status.state,
+        status.scenario,
+        status.scan,
+        "role",
+        "implementation",
+        "pid",
+        "state",
+        "restarts",
+        "rate/Hz",
+        "age/ms",
+        "cpu/%",
+        "mem/KiB"
+    );
+    for process in &status.processes {
+        let _ = writeln!(
+            text,
+            "{:<11} {:<16.16} {:>7}  {:<9} {:>8} {:>8.1} {:>8.0} {:>6.1} {:>9}",
+            process.role,
+            process.implementation,
+            process.pid,
+            process.state,
+            process.restarts,
+            process.rate_hz,
+            process.last_sample_age_ms,
+            process.cpu_percent,
+            process.memory_kib
+        );
+        for line in &process.last_words {
+            let _ = writeln!(text, "            | {line}");
+        }
+    }
+    text
+}

@@ -1,0 +1,240 @@
+//! `scanloop run`: from the command line to the summary.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use emulator::scenario::{Obstacle, Shape};
+use emulator::{Referee, Scenario};
+use runtime::{Bus, ClockKind, Domain, RunSettings, SETTINGS_FILE, Shutdown, Voice};
+use serde::Serialize;
+use shared_types::Directive;
+use toml::{Table, Value};
+use vehicle::frame::to_track;
+
+use crate::cli::{Choice, RunArguments};
+use crate::control::ControlSocket;
+use crate::exit::{Exit, Failure};
+use crate::fleet::Fleet;
+use crate::lock::SystemLock;
+use crate::picture;
+use crate::progress::Progress;
+use crate::recorder::{Recorder, RunInfo};
+use crate::report::{Report, write_atomically};
+use crate::samples::Samples;
+use crate::session::{End, Session};
+use crate::summary;
+use crate::supervisor::Supervisor;
+use crate::system::System;
+use crate::table;
+use crate::vitals::Vitals;
+
+/// Scenario of a run without one.
+const DEFAULT_SCENARIO: &str = "corridor";
+
+/// Tables and keys that belong to the scenario; all others belong to the system.
+const SCENARIO_KEYS: [&str; 11] =
+    ["name", "seed", "timeout_s", "stop_final_s", "track", "start", "goal", "obstacle", "robot", "noise", "endless"];
+
+/// What is to be driven, checked.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The scenario.
+    pub scenario: Scenario,
+    /// The system.
+    pub system: System,
+}
+
+impl Plan {
+    /// Reads and checks scenario and system, with overrides.
+    ///
+    /// # Errors
+    /// One message with file, key, value and allowed range; exit code 2.
+    pub fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
+        let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
+        let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
+        for text in &choice.overrides {
+            let (key, value) = table::parse_override(text)?;
+            let first = key.split('.').next().unwrap_or_default();
+            let target = if SCENARIO_KEYS.contains(&first) { &mut scenario } else { &mut system };
+            table::set(target, &key, value)?;
+        }
+        if let Some(seed) = choice.seed {
+            let seed = i64::try_from(seed)
+                .map_err(|_| Failure::bad_input(format!("--seed {seed} is not allowed: 0 to {}", i64::MAX)))?;
+            scenario.insert("seed".to_owned(), Value::Integer(seed));
+        }
+        Ok(Self {
+            scenario: Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?,
+            system: System::from_table(system, &system_file)?,
+        })
+    }
+}
+
+/// What processes read of the run, one table each.
+#[derive(Serialize)]
+struct SettingsFile<'a> {
+    run: RunSettings,
+    scenario: &'a Scenario,
+    estimator: &'a estimator::Config,
+    obstacles: &'a obstacles::Config,
+    controller: &'a nmpc::Config,
+    actuator: &'a actuation::Config,
+}
+
+/// Drives a scenario and writes its report.
+///
+/// # Errors
+/// Bad input, a process that could not be kept running, and errors of the bus or the file system.
+pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
+    let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
+    if let Some(duration_s) = arguments.duration
+        && !(duration_s > 0.0 && duration_s <= 1e6)
+    {
+        return Err(Failure::bad_input(format!("--duration {duration_s} is not allowed: above 0, up to 1000000 s")));
+    }
+    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name));
+    std::fs::create_dir_all(&out)
+        .map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))?;
+    let domain = Domain::new(system_id)?;
+    let mut session = prepare(&domain, &plan, arguments, &out)?;
+    let ending = session.drive()?;
+    let Session { fleet, bus, recorder, samples, vitals, voice, control, .. } = session;
+    drop((samples, vitals, voice, control));
+    drop(bus);
+    fleet.clean()?;
+
+    let report = recorder.report(&ending);
+    let report_file = out.join("report.json");
+    report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;
+    let picture_file = out.join("drive.svg");
+    let drawing = picture::draw(&scene_of(&plan.scenario, &report), &recorder.drive())?;
+    write_atomically(&picture_file, drawing.as_bytes()).with_context(|| format!("{}", picture_file.display()))?;
+    eprint!("{}", summary::text(&report, Some(&out)));
+    Ok(match ending.outcome.exit_code() {
+        0 => Exit::Done,
+        3 => Exit::Collision,
+        4 => Exit::ProcessFailed,
+        _ => Exit::NotReached,
+    })
+}
+
+fn prepare(domain: &Domain, plan: &Plan, arguments: &RunArguments, out: &Path) -> anyhow::Result<Session> {
+    let Plan { scenario, system } = plan;
+    let shutdown = Shutdown::on_signals()?;
+    let lock = SystemLock::acquire(domain)?;
+    write_settings(domain, plan, arguments.lockstep)?;
+    let bus = Bus::create(domain)?;
+    let control = ControlSocket::open(domain)?;
+    let period_ns = system.period_ns();
+    let policies = shared_types::Role::ALL
+        .iter()
+        .filter_map(|role| system.entry(*role).map(|entry| entry.policy(*role, period_ns)))
+        .collect();
+    let supervisor = Supervisor::new(policies);
+    let supervisor = if arguments.lockstep { supervisor.in_lockstep() } else { supervisor };
+    let info = RunInfo {
+        scenario: scenario.name.clone(),
+        seed: scenario.seed,
+        lockstep: arguments.lockstep,
+        first_scan: 1,
+        goal_m: [scenario.goal.x_m, scenario.goal.y_m],
+    };
+    Ok(Session {
+        fleet: Fleet::new(domain.clone(), lock, system, out.join("logs"))?,
+        samples: Samples::new(&bus)?,
+        vitals: Vitals::new(&bus)?,
+        voice: Voice::new(&bus)?,
+        referee: Referee::new(scenario),
+        progress: Progress::new(arguments.quiet),
+        recorder: Recorder::new(info),
+        domain: domain.clone(),
+        scenario: scenario.clone(),
+        lockstep: arguments.lockstep,
+        duration_s: arguments.duration,
+        directive: Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() },
+        end: End::NotYet,
+        dirty: true,
+        said_ns: 0,
+        moved_ns: 0,
+        period_ns,
+        bus,
+        supervisor,
+        shutdown,
+        control,
+    })
+}
+
+fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Result<()> {
+    let tuning = plan.system.tuning().for_scenario(&plan.scenario);
+    let settings = SettingsFile {
+        run: RunSettings {
+            period_ns: plan.system.period_ns(),
+            clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+            orphan_timeout_ns: (plan.system.orphan_timeout_s * 1e9) as u64,
+        },
+        scenario: &plan.scenario,
+        estimator: &tuning.estimator,
+        obstacles: &tuning.obstacles,
+        controller: &tuning.controller,
+        actuator: &tuning.actuator,
+    };
+    let path = domain.directory().join(SETTINGS_FILE);
+    std::fs::write(&path, toml::to_string(&settings)?).with_context(|| format!("{}", path.display()))
+}
+
+/// The table of a scenario file, or of a shipped scenario, and its name in messages.
+fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
+    let path = Path::new(name);
+    let (text, file) = match Scenario::shipped(name) {
+        Some(text) if !path.is_file() => (text.to_owned(), format!("shipped scenario {name}")),
+        _ => {
+            let text = std::fs::read_to_string(path).map_err(|error| {
+                let shipped: Vec<&str> = Scenario::names().collect();
+                Failure::bad_input(format!("{name}: {error}; shipped scenarios are {}", shipped.join(", ")))
+            })?;
+            (text, name.to_owned())
+        }
+    };
+    let table = text.parse::<Table>().map_err(|error| {
+        let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
+        Failure::bad_input(format!("{file}: line {line}: {}", error.message().replace('\n', ", ")))
+    })?;
+    Ok((table, file))
+}
+
+/// What the picture shows of a scenario.
+fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
+    picture::Scene {
+        title: format!("{}: {}", report.scenario, report.outcome),
+        subtitle: report.reason.clone(),
+        track_x_m: scenario.track.x_m,
+        track_y_m: scenario.track.y_m,
+        walls: scenario.track.walls,
+        obstacles: scenario.placed_obstacles().iter().map(outline).collect(),
+        start_m: [scenario.start.x_m, scenario.start.y_m],
+        goal_m: [scenario.goal.x_m, scenario.goal.y_m],
+        goal_tolerance_m: scenario.goal.tolerance_m,
+        body_length_m: scenario.robot.length_m,
+        body_width_m: scenario.robot.width_m,
+    }
+}
+
+/// The outline of an obstacle where the scenario puts it; a circle as a polygon of 48 corners.
+fn outline(obstacle: &Obstacle) -> picture::Shape {
+    let (x, y) = (obstacle.x_m, obstacle.y_m);
+    let points = match obstacle.shape {
+        Shape::Circle { radius_m } => (0..48)
+            .map(|corner| {
+                let (sin, cos) = (f64::from(corner) / 48.0 * std::f64::consts::TAU).sin_cos();
+                [x + radius_m * cos, y + radius_m * sin]
+            })
+            .collect(),
+        Shape::Box { length_m, width_m, yaw_rad } => [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]
+            .map(|(forward, left)| {
+                let corner = to_track(yaw_rad, forward * length_m, left * width_m);
+                [x + corner.x, y + corner.y]
+            })
+            .to_vec(),
+    };
+    picture::Shape { points }
+}

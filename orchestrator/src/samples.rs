@@ -1,0 +1,137 @@
+//! The orchestrator's view of the loop: all topics, in the order of scans.
+//!
+//! Topics are polled one after the other, so their samples come in any order. Here they wait until the scan they
+//! belong to is complete: its truth and its actuation are there, or later scans show that no answer will come.
+//! In lock-step the result does not depend on when the topics were polled.
+
+use std::collections::VecDeque;
+
+use runtime::{Bus, Observer, RuntimeError};
+use shared_types::{Actuation, Command, Directive, Obstacles, Pose, Sample, Truth};
+
+/// A scan without an answer is given up when this many newer scans have been published.
+const PATIENCE_SCANS: u64 = 3;
+
+/// Samples of one topic that wait for their scan.
+struct Queue<S: Sample> {
+    observer: Observer<S>,
+    waiting: VecDeque<S>,
+}
+
+impl<S: Sample> Queue<S> {
+    fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+        Ok(Self { observer: Observer::new(bus)?, waiting: VecDeque::with_capacity(64) })
+    }
+
+    fn poll(&mut self, directive: &Directive) -> Result<u64, RuntimeError> {
+        let waiting = &mut self.waiting;
+        self.observer.poll(|sample| {
+            let header = sample.header();
+            let counts = S::TOPIC
+                .writer()
+                .is_none_or(|writer| directive.accepts(writer, header.incarnation, header.scan_id));
+            if counts {
+                waiting.push_back(*sample);
+            }
+        })
+    }
+
+    fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
+        if self.waiting.front().is_some_and(|sample| sample.header().scan_id <= scan_id) {
+            self.waiting.pop_front()
+        } else {
+            None
+        }
+    }
+}
+
+/// Everything that belongs to one scan, or to none since the scan before.
+pub(crate) struct ScanRecord {
+    pub(crate) truth: Truth,
+    pub(crate) poses: Vec<Pose>,
+    pub(crate) obstacles: Vec<Obstacles>,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) actuations: Vec<Actuation>,
+}
+
+/// All topics of the loop.
+pub(crate) struct Samples {
+    truths: Queue<Truth>,
+    poses: Queue<Pose>,
+    obstacles: Queue<Obstacles>,
+    commands: Queue<Command>,
+    actuations: Queue<Actuation>,
+    newest_scan: u64,
+    answered_scan: u64,
+    invalid: u64,
+}
+
+impl Samples {
+    /// Starts observing.
+    pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            truths: Queue::new(bus)?,
+            poses: Queue::new(bus)?,
+            obstacles: Queue::new(bus)?,
+            commands: Queue::new(bus)?,
+            actuations: Queue::new(bus)?,
+            newest_scan: 0,
+            answered_scan: 0,
+            invalid: 0,
+        })
+    }
+
+    /// Makes the reading end of all connections.
+    pub(crate) fn connect(&self) {
+        self.truths.observer.connect();
+        self.poses.observer.connect();
+        self.obstacles.observer.connect();
+        self.commands.observer.connect();
+        self.actuations.observer.connect();
+    }
+
+    /// Takes what has come from the bus; the truth last, so that what precedes it on the way is there.
+    pub(crate) fn poll(&mut self, directive: &Directive) -> Result<(), RuntimeError> {
+        self.invalid += self.truths.poll(directive)?;
+        self.invalid += self.poses.poll(directive)?;
+        self.invalid += self.obstacles.poll(directive)?;
+        self.invalid += self.commands.poll(directive)?;
+        self.invalid += self.actuations.poll(directive)?;
+        if let Some(truth) = self.truths.waiting.back() {
+            self.newest_scan = truth.header.scan_id;
+        }
+        for actuation in &self.actuations.waiting {
+            if actuation.answers == 1 {
+                self.answered_scan = self.answered_scan.max(actuation.header.scan_id);
+            }
+        }
+        Ok(())
+    }
+
+    /// The newest scan published.
+    pub(crate) fn newest_scan(&self) -> u64 {
+        self.newest_scan
+    }
+
+    /// The newest scan answered.
+    pub(crate) fn answered_scan(&self) -> u64 {
+        self.answered_scan
+    }
+
+    /// The next scan that is complete; with `flush` also one that no answer was seen for.
+    pub(crate) fn next(&mut self, flush: bool) -> Option<ScanRecord> {
+        let scan_id = self.truths.waiting.front()?.header.scan_id;
+        let answered = self.answered_scan >= scan_id;
+        if !answered && !flush && self.newest_scan < scan_id + PATIENCE_SCANS {
+            return None;
+        }
+        let truth = self.truths.waiting.pop_front()?;
+        Some(ScanRecord {
+            truth,
+            poses: std::iter::from_fn(|| self.poses.pop_up_to(scan_id)).collect(),
+            obstacles: std::iter::from_fn(|| self.obstacles.pop_up_to(scan_id)).collect(),
+            commands: std::iter::from_fn(|| self.commands.pop_up_to(scan_id)).collect(),
+            actuations: std::iter::from_fn(|| self.actuations.pop_up_to(scan_id)).collect(),
+        })
+    }
+}

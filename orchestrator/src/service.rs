@@ -1,0 +1,27 @@
+//! `scanloop service NAME`: the built-in implementations.
+
+use crate::exit::{Exit, Failure};
+use crate::system::IMPLEMENTATIONS;
+
+/// Runs one built-in implementation until it is asked to end.
+///
+/// # Errors
+/// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.
+pub fn run(name: &str) -> anyhow::Result<Exit> {
+    runtime::start_logging();
+    match name {
+        "emulator" => emulator::service::run()?,
+        "ekf" => estimator::service::run()?,
+        "ellipses" => obstacles::service::run()?,
+        "nmpc" => nmpc::service::run()?,
+        "actuation" => actuation::service::run()?,
+        _ => {
+            let known: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
+            return Err(Failure::bad_input(format!(
+                "unknown implementation `{name}`: expected one of {}",
+                known.join(", ")
+            )));
+        }
+    }
+    Ok(Exit::Done)
+}

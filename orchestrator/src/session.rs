@@ -1,0 +1,368 @@
+//! One run from the first process to the last: events in, decisions of the supervisor and the referee carried out.
+//!
+//! The loop below does one thing after the other, each in a method of its own: take samples, take heartbeats,
+//! reap processes, answer commands, let the supervisor and the referee decide, speak to the processes.
+//! Nothing of the driving depends on it: the processes talk to each other, and go on when it hangs or dies.
+
+use std::time::Instant;
+
+use emulator::{Referee, Scenario};
+use runtime::{Bus, Domain, Shutdown, Voice, monotonic_ns, wait_for};
+use shared_types::{Directive, Phase, Role};
+
+use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
+use crate::fleet::Fleet;
+use crate::progress::{ProcessWord, Progress};
+use crate::recorder::{Ending, Recorder};
+use crate::report::{Outcome, ProcessReport};
+use crate::samples::Samples;
+use crate::supervisor::{Action, Event, Severity, Supervisor};
+use crate::vitals::Vitals;
+
+/// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
+const GRANT_AHEAD: u64 = 8;
+/// The directive is repeated this often for those who missed it [ns].
+const REPEAT_NS: u64 = 100_000_000;
+/// A robot that does not come to rest within this time after the stop is not waited for [ns].
+const REST_PATIENCE_NS: u64 = 1_500_000_000;
+/// Scans on their way when the robot was told to publish no more are waited for this long [ns].
+const DRAIN_PATIENCE_NS: u64 = 300_000_000;
+/// In lock-step a scan that is not answered within this time of the machine's clock ends the run [ns].
+const LOCKSTEP_PATIENCE_NS: u64 = 20_000_000_000;
+
+/// Everything a run is made of.
+pub(crate) struct Session {
+    pub(crate) domain: Domain,
+    pub(crate) scenario: Scenario,
+    pub(crate) lockstep: bool,
+    pub(crate) duration_s: Option<f64>,
+    pub(crate) period_ns: u64,
+    pub(crate) bus: Bus,
+    pub(crate) fleet: Fleet,
+    pub(crate) supervisor: Supervisor,
+    pub(crate) recorder: Recorder,
+    pub(crate) progress: Progress,
+    pub(crate) shutdown: Shutdown,
+    pub(crate) control: ControlSocket,
+    pub(crate) referee: Referee,
+    pub(crate) samples: Samples,
+    pub(crate) vitals: Vitals,
+    pub(crate) voice: Voice<Directive>,
+    pub(crate) directive: Directive,
+    pub(crate) end: End,
+    pub(crate) dirty: bool,
+    pub(crate) said_ns: u64,
+    pub(crate) moved_ns: u64,
+}
+
+/// How far the end of a run has come.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum End {
+    /// The robot is on its way.
+    NotYet,
+    /// The outcome is known; the wheels are being blocked until this time at the latest.
+    Resting(Outcome, String, u64),
+    /// The robot publishes no more; answers on their way are waited for until this time at the latest.
+    Draining(Outcome, String, u64),
+    /// Processes are ending.
+    Ending(Outcome, String),
+}
+
+impl Session {
+    /// Drives until all processes have ended.
+    ///
+    /// # Errors
+    /// Errors of the bus. The processes are then killed when the session is dropped.
+    pub(crate) fn drive(&mut self) -> anyhow::Result<Ending> {
+        self.moved_ns = monotonic_ns();
+        self.handle(Event::Start)?;
+        while !self.supervisor.is_finished() {
+            self.sleep();
+            self.samples.poll(&self.directive)?;
+            self.take_heartbeats()?;
+            self.reap()?;
+            self.serve()?;
+            self.record(false);
+            self.advance_end()?;
+            self.handle(Event::Tick)?;
+            self.speak()?;
+            self.show();
+        }
+        self.samples.poll(&self.directive)?;
+        self.record(true);
+        self.progress.finish();
+        Ok(self.ending())
+    }
+
+    fn sleep(&self) {
+        let longest_ns = if self.lockstep { 500_000 } else { (4 * self.period_ns).clamp(1_000_000, 20_000_000) };
+        let mut descriptors = vec![self.shutdown.descriptor(), self.control.descriptor()];
+        descriptors.extend(self.fleet.descriptors());
+        wait_for(&descriptors, longest_ns);
+    }
+
+    fn take_heartbeats(&mut self) -> anyhow::Result<()> {
+        let mut events = Vec::new();
+        self.vitals.poll(|event| events.push(event))?;
+        events.into_iter().try_for_each(|event| self.handle(event))
+    }
+
+    fn reap(&mut self) -> anyhow::Result<()> {
+        for (role, incarnation, exit) in self.fleet.reap() {
+            if self.end == End::NotYet {
+                self.recorder.outage_began(role, "process died");
+                self.progress.note(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
+                for line in self.fleet.last_words(role) {
+                    self.progress.note(&format!("  {role}: {line}"));
+                }
+            }
+            self.handle(Event::Exited { role, incarnation, exit })?;
+        }
+        Ok(())
+    }
+
+    fn serve(&mut self) -> anyhow::Result<()> {
+        let mut requests = Vec::new();
+        let status = Reply::Status(Box::new(self.status()));
+        self.control.serve(|request| match request {
+            Request::Status => status.clone(),
+            Request::Restart { role } => match role.parse::<Role>() {
+                Ok(Role::Robot) => Reply::Refused("the robot is not restarted: its end would end the run".to_owned()),
+                Ok(role) => {
+                    requests.push(Event::RestartRequested { role });
+                    Reply::Done
+                }
+                Err(unknown) => Reply::Refused(unknown.to_string()),
+            },
+            Request::Stop => {
+                requests.push(Event::StopRequested);
+                Reply::Done
+            }
+        });
+        for request in requests {
+            match request {
+                Event::StopRequested => self.decide(Outcome::Interrupted, "stopped by command"),
+                event => self.handle(event)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Hands complete scans to the recorder and the referee, in order.
+    fn record(&mut self, flush: bool) {
+        while self.is_recorded()
+            && let Some(scan) = self.samples.next(flush)
+        {
+            self.moved_ns = monotonic_ns();
+            scan.poses.iter().for_each(|pose| self.recorder.pose(pose));
+            scan.obstacles.iter().for_each(|obstacles| self.recorder.obstacles(obstacles));
+            scan.commands.iter().for_each(|command| self.recorder.command(command));
+            self.recorder.truth(&scan.truth);
+            scan.actuations.iter().for_each(|actuation| self.recorder.actuation(actuation));
+            if self.end == End::NotYet {
+                self.judge(&scan.truth);
+            }
+            if self.lockstep {
+                self.directive.granted_scan = scan.truth.header.scan_id + GRANT_AHEAD;
+                self.dirty = true;
+            }
+        }
+    }
+
+    /// In lock-step nothing after the scan that decided the outcome belongs to the run.
+    fn is_recorded(&self) -> bool {
+        !self.lockstep || self.end == End::NotYet
+    }
+
+    fn judge(&mut self, truth: &shared_types::Truth) {
+        if let Some(outcome) = self.referee.observe(truth, self.recorder.last_actuation()) {
+            let reason = self.referee.reason().to_owned();
+            self.decide(outcome, &reason);
+        } else if self.duration_s.is_some_and(|duration_s| truth.time_s >= duration_s) {
+            self.decide(Outcome::Timeout, "the duration asked for is over");
+        }
+    }
+
+    fn decide(&mut self, outcome: Outcome, reason: &str) {
+        if self.end == End::NotYet {
+            let patience = if self.lockstep { 0 } else { REST_PATIENCE_NS };
+            self.end = End::Resting(outcome, reason.to_owned(), monotonic_ns() + patience);
+            self.directive.stop = 1;
+            self.dirty = true;
+        }
+    }
+
+    /// Moves the end of the run on: wheels at rest, answers in, processes ended.
+    fn advance_end(&mut self) -> anyhow::Result<()> {
+        if self.shutdown.requested() {
+            self.decide(Outcome::Interrupted, "interrupted by a signal");
+        }
+        let now = monotonic_ns();
+        if self.lockstep
+            && self.end == End::NotYet
+            && self.supervisor.phase() == Phase::Driving
+            && now.saturating_sub(self.moved_ns) > LOCKSTEP_PATIENCE_NS
+        {
+            let scan = self.samples.newest_scan();
+            self.decide(Outcome::Failed, &format!("scan {scan} was not answered within 20 s of the machine's time"));
+        }
+        match self.end.clone() {
+            End::Resting(outcome, reason, until_ns) => {
+                let rests = self.recorder.last_truth().is_none_or(|truth| truth.speed_mps <= 0.0);
+                if rests || now >= until_ns || self.supervisor.phase() != Phase::Driving {
+                    self.end = End::Draining(outcome, reason, now + if self.lockstep { 0 } else { DRAIN_PATIENCE_NS });
+                    self.directive.phase = Phase::Stopping.wire();
+                    self.dirty = true;
+                }
+            }
+            End::Draining(outcome, reason, until_ns) => {
+                let answered = self.samples.answered_scan() >= self.samples.newest_scan();
+                // One more look after the robot has heard that it shall stop publishing.
+                let heard = now + DRAIN_PATIENCE_NS >= until_ns + self.period_ns.min(DRAIN_PATIENCE_NS);
+                if (answered && heard) || now >= until_ns || self.supervisor.phase() != Phase::Driving {
+                    self.recorder.run_ended();
+                    self.end = End::Ending(outcome, reason);
+                    self.handle(Event::StopRequested)?;
+                }
+            }
+            End::NotYet | End::Ending(..) => {}
+        }
+        Ok(())
+    }
+
+    fn handle(&mut self, event: Event) -> anyhow::Result<()> {
+        let mut events = vec![event];
+        while let Some(event) = events.pop() {
+            for action in self.supervisor.handle(monotonic_ns(), event) {
+                if let Some(answer) = self.carry_out(action)? {
+                    events.insert(0, answer);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Does what the supervisor asks for; returns what it wants to hear about it.
+    fn carry_out(&mut self, action: Action) -> anyhow::Result<Option<Event>> {
+        match action {
+            Action::Grant { role, incarnation } => {
+                self.directive.authority[role.index()].incarnation = incarnation;
+                self.dirty = true;
+                self.speak()?;
+            }
+            Action::Spawn { role, incarnation } => {
+                self.recorder.outage_ended(role);
+                return Ok(Some(self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role))));
+            }
+            Action::Terminate { role } => self.fleet.signal(role, false),
+            Action::Kill { role } => self.fleet.signal(role, true),
+            Action::CleanUp { role } => {
+                self.bus.clean_up_dead_processes();
+                return Ok(Some(Event::CleanedUp { role }));
+            }
+            Action::Announce(phase) => {
+                if phase == Phase::Connecting {
+                    self.samples.connect();
+                }
+                if phase == Phase::Driving {
+                    self.directive.granted_scan = GRANT_AHEAD;
+                    self.moved_ns = monotonic_ns();
+                }
+                self.directive.phase = self.directive.phase.max(phase.wire());
+                self.dirty = true;
+                self.speak()?;
+            }
+            Action::RunFailed { role, reason } => {
+                let reason = format!("{role} ({}): {reason}", self.fleet.label(role));
+                if matches!(self.end, End::NotYet) {
+                    self.recorder.run_ended();
+                    self.end = End::Ending(Outcome::Failed, reason);
+                    self.directive.stop = 1;
+                    self.dirty = true;
+                    self.speak()?;
+                }
+            }
+            Action::AllStopped => {}
+            Action::Log(severity, text) => match severity {
+                Severity::Info => tracing::debug!("{text}"),
+                Severity::Warn if self.end == End::NotYet => self.progress.note(&text),
+                Severity::Error => self.progress.note(&text),
+                Severity::Warn => {}
+            },
+        }
+        Ok(None)
+    }
+
+    /// Publishes the directive when it changed, and from time to time for those who missed it.
+    fn speak(&mut self) -> anyhow::Result<()> {
+        let now = monotonic_ns();
+        if self.dirty || now.saturating_sub(self.said_ns) >= REPEAT_NS {
+            if !self.dirty {
+                self.fleet.trim_logs();
+            }
+            self.directive.issued_ns = now;
+            self.voice.say(&mut self.directive, self.dirty)?;
+            self.dirty = false;
+            self.said_ns = now;
+        }
+        Ok(())
+    }
+
+    fn show(&mut self) {
+        let processes: Vec<_> = self.supervisor.processes().collect();
+        let words: Vec<_> =
+            processes.iter().map(|view| ProcessWord { role: view.role, state: view.state.name() }).collect();
+        self.progress.update(Instant::now(), &self.recorder.view(), &words);
+    }
+
+    fn status(&mut self) -> Status {
+        let views: Vec<_> = self.supervisor.processes().collect();
+        let processes = views.into_iter().map(|view| {
+            let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(view.role);
+            let load = self.fleet.load(view.role);
+            ProcessStatus {
+                role: view.role.name().to_owned(),
+                implementation: self.fleet.label(view.role),
+                pid: view.pid.map_or(0, u32::cast_signed),
+                state: view.state.name().to_owned(),
+                restarts: view.restarts,
+                rate_hz,
+                last_sample_age_ms,
+                cpu_percent: load.cpu_percent,
+                memory_kib: load.memory_kib,
+                last_words: self.fleet.last_words(view.role).to_vec(),
+            }
+        });
+        let mut processes: Vec<_> = processes.collect();
+        processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
+        Status {
+            system_id: self.domain.system_id().to_owned(),
+            state: Phase::try_from(self.directive.phase).map_or("starting", Phase::name).to_owned(),
+            scenario: self.scenario.name.clone(),
+            scan: self.samples.newest_scan(),
+            processes,
+        }
+    }
+
+    fn ending(&mut self) -> Ending {
+        let (outcome, reason) = match &self.end {
+            End::NotYet => (Outcome::Failed, "the processes ended".to_owned()),
+            End::Resting(outcome, reason, _) | End::Draining(outcome, reason, _) | End::Ending(outcome, reason) => {
+                (*outcome, reason.clone())
+            }
+        };
+        let mut processes: Vec<_> = self
+            .supervisor
+            .processes()
+            .map(|view| ProcessReport {
+                role: view.role.name().to_owned(),
+                implementation: self.fleet.label(view.role),
+                pid: self.fleet.last_pid(view.role),
+                restarts: view.restarts,
+                state: if view.state.name() == "stopped" { "exited".to_owned() } else { view.state.name().to_owned() },
+            })
+            .collect();
+        processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
+        Ending { outcome, reason, processes }
+    }
+}

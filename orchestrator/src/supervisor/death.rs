@@ -1,0 +1,164 @@
+//! What follows a death, and the orderly end of a run.
+
+use shared_types::{Phase, Role};
+
+use super::policy::nanoseconds;
+use super::slot::{Ending, Life, Slot};
+use super::{Action, Exit, Restart, Severity, Supervisor, info, warn};
+
+impl Supervisor {
+    pub(super) fn spawn_failed(&mut self, now_ns: u64, role: Role, error: String, actions: &mut Vec<Action>) {
+        let (stopping, lockstep) = (self.phase == Phase::Stopping, self.lockstep);
+        let Some(slot) = self.slot(role) else { return };
+        if slot.life != Life::Spawning {
+            return;
+        }
+        slot.last_exit = Some(error.clone());
+        if stopping {
+            slot.life = Life::Stopped;
+            return self.continue_stop(now_ns, actions);
+        }
+        let limit_reached = slot.count_death(now_ns, None);
+        if lockstep || slot.policy.effective_restart() == Restart::Never {
+            return self.fail(now_ns, role, format!("could not be started: {error}"), actions);
+        }
+        if limit_reached {
+            let reason = format!("could not be started {} times, last: {error}", slot.failed_starts);
+            return self.fail(now_ns, role, reason, actions);
+        }
+        // There never was a process, so nothing is left to be cleaned up.
+        let pause_ns = slot.policy.backoff_ns(slot.streak, false);
+        slot.life = Life::Waiting { due_ns: now_ns.saturating_add(pause_ns) };
+        actions.push(warn(format!(
+            "{role} could not be started: {error}; again in {} ms",
+            pause_ns / 1_000_000
+        )));
+    }
+
+    pub(super) fn exited(
+        &mut self,
+        now_ns: u64,
+        role: Role,
+        incarnation: u32,
+        exit: Exit,
+        actions: &mut Vec<Action>,
+    ) {
+        let (stopping, lockstep) = (self.phase == Phase::Stopping, self.lockstep);
+        let Some(slot) = self.slot(role) else { return };
+        if !slot.is_live() || slot.incarnation != incarnation {
+            return;
+        }
+        let (ready_ns, ending) = match slot.life {
+            Life::Alive(alive) => (alive.ready_ns, alive.ending),
+            _ => (None, None),
+        };
+        slot.last_exit = Some(exit.to_string());
+        if stopping {
+            slot.life = Life::Stopped;
+            actions.push(info(format!("{role} ended: {exit}")));
+            return self.continue_stop(now_ns, actions);
+        }
+        if ending == Some(Ending::Restart) {
+            slot.life = Life::CleaningUp { due_ns: now_ns };
+            actions.push(info(format!("{role} ended for its restart: {exit}")));
+            actions.push(Action::CleanUp { role });
+            return;
+        }
+        let reason = match ending {
+            Some(Ending::Hung) => format!("made no progress for {} ms", slot.policy.hang_after_ms),
+            Some(Ending::StartTimeout) => format!("did not start within {} ms", slot.policy.start_timeout_ms),
+            _ if exit.is_success() => format!("ended by itself with {exit}"),
+            _ => exit.to_string(),
+        };
+        let limit_reached = slot.count_death(now_ns, ready_ns);
+        let is_final = match slot.policy.effective_restart() {
+            Restart::Never => true,
+            Restart::OnFailure => ending.is_none() && exit.is_success(),
+            Restart::Always => false,
+        };
+        if lockstep || is_final {
+            return self.fail(now_ns, role, reason, actions);
+        }
+        if limit_reached {
+            let reason = format!("died {} times before its first output, last: {reason}", slot.failed_starts);
+            return self.fail(now_ns, role, reason, actions);
+        }
+        let pause_ns = slot.policy.backoff_ns(slot.streak, ready_ns.is_some());
+        slot.life = Life::CleaningUp { due_ns: now_ns.saturating_add(pause_ns) };
+        actions.push(warn(format!("{role} died: {reason}; restarted in {} ms", pause_ns / 1_000_000)));
+        actions.push(Action::CleanUp { role });
+    }
+
+    pub(super) fn cleaned_up(&mut self, now_ns: u64, role: Role, actions: &mut Vec<Action>) {
+        let Some(index) = self.index(role) else { return };
+        let Life::CleaningUp { due_ns } = self.slots[index].life else { return };
+        if due_ns <= now_ns {
+            self.spawn(index, actions);
+        } else {
+            self.slots[index].life = Life::Waiting { due_ns };
+        }
+    }
+
+    fn fail(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
+        if let Some(slot) = self.slot(role) {
+            slot.life = Life::Failed;
+        }
+        actions.push(Action::Log(Severity::Error, format!("{role} {reason}: the run ends")));
+        actions.push(Action::RunFailed { role, reason: reason.clone() });
+        self.failure = Some((role, reason));
+        self.stop(now_ns, actions);
+    }
+
+    pub(super) fn stop(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if self.phase == Phase::Stopping {
+            return;
+        }
+        self.phase = Phase::Stopping;
+        actions.push(Action::Announce(Phase::Stopping));
+        for slot in &mut self.slots {
+            match &mut slot.life {
+                Life::Alive(alive) => alive.start_deadline_ns = None,
+                Life::Spawning | Life::Failed => {}
+                Life::Idle | Life::CleaningUp { .. } | Life::Waiting { .. } | Life::Stopped => {
+                    slot.life = Life::Stopped;
+                }
+            }
+        }
+        self.continue_stop(now_ns, actions);
+    }
+
+    /// Ends the processes of the first wave that still has any.
+    pub(super) fn continue_stop(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if self.phase != Phase::Stopping {
+            return;
+        }
+        let wave =
+            self.slots.iter().filter(|slot| slot.is_live()).map(|slot| stop_wave(slot.policy.role)).min();
+        let Some(wave) = wave else {
+            self.all_stopped = true;
+            actions.push(Action::AllStopped);
+            return;
+        };
+        for slot in &mut self.slots {
+            let Slot { policy, life: Life::Alive(alive), .. } = slot else { continue };
+            if stop_wave(policy.role) != wave || alive.ending == Some(Ending::Stop) {
+                continue;
+            }
+            // Who was asked to end or killed before needs no second request.
+            if alive.ending.is_none() {
+                alive.kill_ns = Some(now_ns.saturating_add(nanoseconds(policy.grace_ms)));
+                actions.push(Action::Terminate { role: policy.role });
+            }
+            alive.ending = Some(Ending::Stop);
+        }
+    }
+}
+
+/// The actuator outlives all that command, and the robot outlives the actuator.
+const fn stop_wave(role: Role) -> u8 {
+    match role {
+        Role::Controller | Role::Obstacles | Role::Estimator => 0,
+        Role::Actuator => 1,
+        Role::Robot => 2,
+    }
+}

@@ -1,0 +1,125 @@
+//! What the supervisor is told, and what it asks for.
+
+use shared_types::{Phase, ProcessState, Role};
+
+use super::Exit;
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Event {
+    /// The run is to begin.
+    Start,
+    /// The process asked for by [`Action::Spawn`] exists.
+    Spawned {
+        /// Its role.
+        role: Role,
+        /// Its process id.
+        pid: u32,
+        /// Its incarnation, as asked for.
+        incarnation: u32,
+    },
+    /// The process asked for by [`Action::Spawn`] could not be started.
+    SpawnFailed {
+        /// Its role.
+        role: Role,
+        /// Why, with the command named.
+        error: String,
+    },
+    /// A process said what it is doing.
+    StateReported {
+        /// Its role.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+        /// What it said.
+        state: ProcessState,
+    },
+    /// A process went round its loop since the last such event.
+    Progress {
+        /// Its role.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+    },
+    /// A process ended and was reaped.
+    Exited {
+        /// Its role.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+        /// How it ended.
+        exit: Exit,
+    },
+    /// Time has passed. Send it after all other events at hand, at the latest at `Supervisor::next_deadline`.
+    Tick,
+    /// The run is to end. Repeats change nothing.
+    StopRequested,
+    /// One process is to be ended and started again.
+    RestartRequested {
+        /// Its role.
+        role: Role,
+    },
+    /// The remains asked for by [`Action::CleanUp`] are gone from the bus.
+    CleanedUp {
+        /// Role of the dead process.
+        role: Role,
+    },
+}
+
+/// Something to be done, in the order given.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Action {
+    /// Accept the samples of this incarnation, and of no other of the role.
+    Grant {
+        /// The role.
+        role: Role,
+        /// The incarnation that counts from now on.
+        incarnation: u32,
+    },
+    /// Start the process of a role; answer with [`Event::Spawned`] or [`Event::SpawnFailed`].
+    Spawn {
+        /// The role.
+        role: Role,
+        /// The incarnation it is to be given.
+        incarnation: u32,
+    },
+    /// Ask the process group of a role to end (SIGTERM).
+    Terminate {
+        /// The role.
+        role: Role,
+    },
+    /// Kill the process group of a role (SIGKILL). May come again for a process that does not go.
+    Kill {
+        /// The role.
+        role: Role,
+    },
+    /// Remove what a dead process left on the bus; answer with [`Event::CleanedUp`].
+    CleanUp {
+        /// The role.
+        role: Role,
+    },
+    /// Tell all processes the new phase.
+    Announce(Phase),
+    /// The run cannot go on; all processes are being stopped. Comes at most once.
+    RunFailed {
+        /// The role whose process is the cause.
+        role: Role,
+        /// Why, in words.
+        reason: String,
+    },
+    /// No process lives any more. Comes once, as the last action.
+    AllStopped,
+    /// Something worth a line in the log.
+    Log(Severity, String),
+}
+
+/// How much a line of the log matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Severity {
+    /// Life goes on as planned.
+    Info,
+    /// Degraded, but the run goes on.
+    Warn,
+    /// The run ends.
+    Error,
+}

@@ -1,0 +1,100 @@
+//! How a process ended, in the words of `status` and of messages.
+
+use std::fmt;
+use std::os::unix::process::ExitStatusExt;
+
+/// Names of the signals 1 to 31, as Linux numbers them on x86, Arm and RISC-V.
+const SIGNALS: [&str; 31] = [
+    "SIGHUP",
+    "SIGINT",
+    "SIGQUIT",
+    "SIGILL",
+    "SIGTRAP",
+    "SIGABRT",
+    "SIGBUS",
+    "SIGFPE",
+    "SIGKILL",
+    "SIGUSR1",
+    "SIGSEGV",
+    "SIGUSR2",
+    "SIGPIPE",
+    "SIGALRM",
+    "SIGTERM",
+    "SIGSTKFLT",
+    "SIGCHLD",
+    "SIGCONT",
+    "SIGSTOP",
+    "SIGTSTP",
+    "SIGTTIN",
+    "SIGTTOU",
+    "SIGURG",
+    "SIGXCPU",
+    "SIGXFSZ",
+    "SIGVTALRM",
+    "SIGPROF",
+    "SIGWINCH",
+    "SIGIO",
+    "SIGPWR",
+    "SIGSYS",
+];
+
+/// How a process ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exit {
+    /// It returned or called `exit` with this code.
+    Code(i32),
+    /// A signal of this number killed it.
+    Signal(i32),
+}
+
+impl Exit {
+    /// Whether the process ended without a complaint of its own.
+    pub const fn is_success(self) -> bool {
+        matches!(self, Self::Code(0))
+    }
+}
+
+impl From<std::process::ExitStatus> for Exit {
+    fn from(status: std::process::ExitStatus) -> Self {
+        match (status.code(), status.signal()) {
+            (Some(code), _) => Self::Code(code),
+            (None, Some(number)) => Self::Signal(number),
+            // A status of a process that has ended is one of the two; keep the raw number of anything else.
+            (None, None) => Self::Code(status.into_raw()),
+        }
+    }
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Code(code) => write!(formatter, "exit code {code}"),
+            Self::Signal(number) => {
+                write!(formatter, "killed by signal {number}")?;
+                let name = usize::try_from(number - 1).ok().and_then(|index| SIGNALS.get(index));
+                name.map_or(Ok(()), |name| write!(formatter, " ({name})"))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exit_is_told_in_words() {
+        assert_eq!(Exit::Code(2).to_string(), "exit code 2");
+        assert_eq!(Exit::Signal(9).to_string(), "killed by signal 9 (SIGKILL)");
+        assert_eq!(Exit::Signal(15).to_string(), "killed by signal 15 (SIGTERM)");
+        assert_eq!(Exit::Signal(31).to_string(), "killed by signal 31 (SIGSYS)");
+        assert_eq!(Exit::Signal(40).to_string(), "killed by signal 40");
+        assert_eq!(Exit::Signal(0).to_string(), "killed by signal 0");
+    }
+
+    #[test]
+    fn only_code_zero_is_a_success() {
+        assert!(Exit::Code(0).is_success());
+        assert!(!Exit::Code(1).is_success() && !Exit::Signal(15).is_success());
+    }
+}

@@ -1,0 +1,215 @@
+//! The life of the process of one role.
+
+use shared_types::{ProcessState, Role};
+
+use super::policy::{ProcessPolicy, nanoseconds};
+
+/// What a process is doing, in the words of `scanloop status`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VisibleState {
+    /// It is on its way to its first valid output.
+    Starting,
+    /// It has published a valid output.
+    Ready,
+    /// It follows, ready to take over. Belongs to spare processes, which the supervisor does not run.
+    Standby,
+    /// It computes beside the one that counts. Belongs to swaps, which the supervisor does not run.
+    Shadow,
+    /// It stopped making progress and was killed, but has not gone yet.
+    Hung,
+    /// It died and is about to be started again.
+    Backoff,
+    /// It could not be started or kept running: the run ends because of it.
+    Failed,
+    /// It is not running, and nothing is wrong with that.
+    Stopped,
+}
+
+impl VisibleState {
+    /// The name in `status --json`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::Ready => "ready",
+            Self::Standby => "standby",
+            Self::Shadow => "shadow",
+            Self::Hung => "hung",
+            Self::Backoff => "backoff",
+            Self::Failed => "failed",
+            Self::Stopped => "stopped",
+        }
+    }
+}
+
+impl std::fmt::Display for VisibleState {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// What is known of the process of one role.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ProcessView {
+    /// The role.
+    pub role: Role,
+    /// What it is doing.
+    pub state: VisibleState,
+    /// The incarnation that lives or lived last; 0 before the first.
+    pub incarnation: u32,
+    /// Its process id, while it lives.
+    pub pid: Option<u32>,
+    /// How often it was started again.
+    pub restarts: u32,
+    /// How the last one ended, or why it could not be started.
+    pub last_exit: Option<String>,
+}
+
+/// Where the process of a role stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Life {
+    /// Not started yet.
+    Idle,
+    /// Asked for, no answer yet.
+    Spawning,
+    /// There is a process.
+    Alive(Alive),
+    /// Dead; its remains are being removed from the bus. To be started from `due_ns` on.
+    CleaningUp { due_ns: u64 },
+    /// Dead and cleaned up; to be started at `due_ns`.
+    Waiting { due_ns: u64 },
+    /// Given up.
+    Failed,
+    /// Ended for good.
+    Stopped,
+}
+
+/// A living process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Alive {
+    /// Process id.
+    pub(super) pid: u32,
+    /// The furthest it got: attached, connected or ready.
+    pub(super) reached: Option<ProcessState>,
+    /// When it was first known to be ready.
+    pub(super) ready_ns: Option<u64>,
+    /// Until when it must have attached or connected.
+    pub(super) start_deadline_ns: Option<u64>,
+    /// When it last made progress.
+    pub(super) progress_ns: u64,
+    /// Why it is being ended, if it is.
+    pub(super) ending: Option<Ending>,
+    /// When it is killed, if it has not ended by then.
+    pub(super) kill_ns: Option<u64>,
+}
+
+/// Why a process is being ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// The run ends.
+    Stop,
+    /// It is to be started again.
+    Restart,
+    /// It made no progress.
+    Hung,
+    /// It did not attach or connect in time.
+    StartTimeout,
+}
+
+/// The process of one role with its history.
+#[derive(Debug, Clone)]
+pub(super) struct Slot {
+    pub(super) policy: ProcessPolicy,
+    pub(super) life: Life,
+    /// The last incarnation asked for; 0 before the first.
+    pub(super) incarnation: u32,
+    pub(super) restarts: u32,
+    /// Deaths since the last healthy run.
+    pub(super) streak: u32,
+    /// Deaths before readiness since the last healthy run.
+    pub(super) failed_starts: u32,
+    pub(super) last_exit: Option<String>,
+}
+
+impl Slot {
+    pub(super) fn new(policy: ProcessPolicy) -> Self {
+        let life = Life::Idle;
+        Self { policy, life, incarnation: 0, restarts: 0, streak: 0, failed_starts: 0, last_exit: None }
+    }
+
+    /// Whether there is a process, or is about to be one.
+    pub(super) fn is_live(&self) -> bool {
+        matches!(self.life, Life::Spawning | Life::Alive(_))
+    }
+
+    /// The living process, when it is of this incarnation.
+    pub(super) fn alive(&mut self, incarnation: u32) -> Option<&mut Alive> {
+        match &mut self.life {
+            Life::Alive(alive) if self.incarnation == incarnation => Some(alive),
+            _ => None,
+        }
+    }
+
+    /// Whether it lives and got as far as `state`.
+    pub(super) fn has_reached(&self, state: ProcessState) -> bool {
+        matches!(self.life, Life::Alive(Alive { reached, ending: None, .. }) if reached >= Some(state))
+    }
+
+    /// Counts a death; true when the start limit is reached.
+    pub(super) fn count_death(&mut self, now_ns: u64, ready_ns: Option<u64>) -> bool {
+        let healthy_ns = nanoseconds(self.policy.healthy_after_ms);
+        if ready_ns.is_some_and(|ready_ns| now_ns.saturating_sub(ready_ns) >= healthy_ns) {
+            self.streak = 0;
+            self.failed_starts = 0;
+        }
+        self.streak = self.streak.saturating_add(1);
+        if ready_ns.is_none() {
+            self.failed_starts = self.failed_starts.saturating_add(1);
+        }
+        self.failed_starts >= self.policy.start_limit
+    }
+
+    /// When the process will be called hung, if it is watched for that.
+    pub(super) fn hang_deadline_ns(&self) -> Option<u64> {
+        match self.life {
+            Life::Alive(alive) if self.has_reached(ProcessState::Connected) => {
+                Some(alive.progress_ns.saturating_add(nanoseconds(self.policy.hang_after_ms)))
+            }
+            _ => None,
+        }
+    }
+
+    /// The next time at which something is due, hangs apart.
+    pub(super) fn deadline_ns(&self) -> Option<u64> {
+        match self.life {
+            Life::Waiting { due_ns } => Some(due_ns),
+            Life::Alive(alive) => [alive.start_deadline_ns, alive.kill_ns].into_iter().flatten().min(),
+            _ => None,
+        }
+    }
+
+    pub(super) fn view(&self) -> ProcessView {
+        let (state, pid) = match self.life {
+            Life::Idle | Life::Stopped => (VisibleState::Stopped, None),
+            Life::Spawning => (VisibleState::Starting, None),
+            Life::CleaningUp { .. } | Life::Waiting { .. } => (VisibleState::Backoff, None),
+            Life::Failed => (VisibleState::Failed, None),
+            Life::Alive(alive) => {
+                let state = match (alive.ending, alive.ready_ns) {
+                    (Some(Ending::Hung), _) => VisibleState::Hung,
+                    (_, Some(_)) => VisibleState::Ready,
+                    (_, None) => VisibleState::Starting,
+                };
+                (state, Some(alive.pid))
+            }
+        };
+        let Self { incarnation, restarts, .. } = *self;
+        ProcessView {
+            role: self.policy.role,
+            state,
+            incarnation,
+            pid,
+            restarts,
+            last_exit: self.last_exit.clone(),
+        }
+    }
+}

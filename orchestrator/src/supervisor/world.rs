@@ -1,0 +1,304 @@
+//! A world for the tests of the supervisor: it does what is asked for, and objects to what must never be asked.
+
+use shared_types::{Phase, ProcessState, Role};
+
+use super::policy::nanoseconds;
+use super::{Action, Event, Exit, ProcessPolicy, Supervisor};
+
+/// What the world knows of one role, by its own account.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Place {
+    /// Asked for, not answered.
+    pub(super) pending: Option<u32>,
+    /// The living process.
+    pub(super) process: Option<Process>,
+    /// A dead process was not cleaned up yet.
+    dirty: bool,
+    /// Clean-up was asked for and is not done.
+    pub(super) cleaning: bool,
+    granted: u32,
+    pub(super) spawns: u32,
+    /// Deaths before readiness without a healthy run between.
+    dead_starts: u32,
+}
+
+/// A living process.
+#[derive(Debug, Clone)]
+pub(super) struct Process {
+    pub(super) incarnation: u32,
+    ready_ns: Option<u64>,
+    pub(super) terminated_ns: Option<u64>,
+    pub(super) killed: bool,
+}
+
+/// The supervisor and all it acts on.
+#[derive(Debug, Clone)]
+pub(super) struct World {
+    pub(super) supervisor: Supervisor,
+    policies: Vec<ProcessPolicy>,
+    pub(super) now_ns: u64,
+    places: [Place; shared_types::ROLES],
+    last_incarnation: u32,
+    pub(super) stopping: bool,
+    pub(super) all_stopped: bool,
+    pub(super) failure: Option<(Role, String)>,
+    pub(super) phases: Vec<Phase>,
+    lockstep: bool,
+    /// All actions but log lines, for tests that look at their order.
+    pub(super) actions: Vec<Action>,
+}
+
+impl World {
+    pub(super) fn new(policies: Vec<ProcessPolicy>, lockstep: bool) -> Self {
+        let supervisor = Supervisor::new(policies.clone());
+        Self {
+            supervisor: if lockstep { supervisor.in_lockstep() } else { supervisor },
+            policies,
+            now_ns: 1_000_000_000,
+            places: Default::default(),
+            last_incarnation: 0,
+            stopping: false,
+            all_stopped: false,
+            failure: None,
+            phases: Vec::new(),
+            lockstep,
+            actions: Vec::new(),
+        }
+    }
+
+    /// All five roles at 10 Hz, started and driving.
+    pub(super) fn driving() -> Self {
+        let mut world = Self::new(policies(), false);
+        world.send(Event::Start);
+        world.bring_up();
+        assert_eq!(world.phases, [Phase::Starting, Phase::Connecting, Phase::Driving]);
+        world.actions.clear();
+        world
+    }
+
+    pub(super) fn place(&self, role: Role) -> &Place {
+        &self.places[role.index()]
+    }
+
+    pub(super) fn roles(&self) -> Vec<Role> {
+        self.policies.iter().map(|policy| policy.role).collect()
+    }
+
+    pub(super) fn incarnation(&self, role: Role) -> u32 {
+        self.place(role).process.as_ref().map_or(0, |process| process.incarnation)
+    }
+
+    /// Tells the supervisor, checks its answer and takes note of it.
+    pub(super) fn send(&mut self, event: Event) {
+        if event == Event::StopRequested {
+            self.stopping = true;
+        }
+        let ticked = event == Event::Tick;
+        for action in self.supervisor.handle(self.now_ns, event) {
+            self.take(action);
+        }
+        if ticked {
+            self.check_kills();
+        }
+    }
+
+    pub(super) fn answer(&mut self, role: Role, started: bool) {
+        let place = &mut self.places[role.index()];
+        let Some(incarnation) = place.pending.take() else { return };
+        if started {
+            place.process = Some(Process { incarnation, ready_ns: None, terminated_ns: None, killed: false });
+            self.send(Event::Spawned { role, pid: 1000 + incarnation, incarnation });
+        } else {
+            place.dead_starts += 1;
+            self.send(Event::SpawnFailed { role, error: format!("command `{role}` was not found") });
+            self.check_lockstep();
+        }
+    }
+
+    pub(super) fn report(&mut self, role: Role, state: ProcessState) {
+        let now_ns = self.now_ns;
+        let Some(process) = &mut self.places[role.index()].process else { return };
+        if state == ProcessState::Ready {
+            process.ready_ns.get_or_insert(now_ns);
+        }
+        let incarnation = process.incarnation;
+        self.send(Event::StateReported { role, incarnation, state });
+    }
+
+    pub(super) fn progress(&mut self, role: Role) {
+        let Some(process) = &self.place(role).process else { return };
+        let incarnation = process.incarnation;
+        self.send(Event::Progress { role, incarnation });
+    }
+
+    pub(super) fn die(&mut self, role: Role, exit: Exit) {
+        let healthy_ns = nanoseconds(self.policy(role).healthy_after_ms);
+        let place = &mut self.places[role.index()];
+        let Some(process) = place.process.take() else { return };
+        place.dirty = true;
+        let restart_asked = process.terminated_ns.is_some();
+        match process.ready_ns {
+            Some(ready_ns) if self.now_ns - ready_ns >= healthy_ns && !restart_asked => place.dead_starts = 0,
+            Some(_) => {}
+            // A process that was asked to end did not fail to start.
+            None => place.dead_starts += u32::from(!restart_asked),
+        }
+        self.send(Event::Exited { role, incarnation: process.incarnation, exit });
+        self.check_lockstep();
+    }
+
+    pub(super) fn clean(&mut self, role: Role) {
+        let place = &mut self.places[role.index()];
+        if std::mem::take(&mut place.cleaning) {
+            place.dirty = false;
+            self.send(Event::CleanedUp { role });
+        }
+    }
+
+    pub(super) fn advance(&mut self, milliseconds: u64) {
+        self.now_ns += nanoseconds(milliseconds);
+    }
+
+    /// Lets all go well until the loop drives.
+    pub(super) fn bring_up(&mut self) {
+        for _ in 0..100 {
+            for role in self.roles() {
+                self.clean(role);
+                self.answer(role, true);
+                self.progress(role);
+                self.report(role, ProcessState::Attached);
+                if self.supervisor.phase() >= Phase::Connecting {
+                    self.report(role, ProcessState::Connected);
+                }
+                if self.supervisor.phase() == Phase::Driving {
+                    self.report(role, ProcessState::Ready);
+                }
+                if let Some(Process { terminated_ns: Some(_), .. } | Process { killed: true, .. }) =
+                    self.place(role).process
+                {
+                    self.die(role, Exit::Signal(15));
+                }
+            }
+            let all_ready = self.supervisor.processes().all(|view| view.state.name() == "ready");
+            if self.supervisor.phase() == Phase::Stopping || all_ready {
+                return;
+            }
+            if let Some(deadline_ns) = self.supervisor.next_deadline() {
+                self.now_ns = self.now_ns.max(deadline_ns.min(self.now_ns + nanoseconds(50)));
+            }
+            self.send(Event::Tick);
+        }
+        panic!("the loop never drove: {:?}", self.supervisor.processes().collect::<Vec<_>>());
+    }
+
+    /// Ends the run; processes end when asked, or only when killed.
+    pub(super) fn bring_down(&mut self, obedient: bool) {
+        self.send(Event::StopRequested);
+        for _ in 0..100 {
+            for role in self.roles() {
+                self.answer(role, true);
+                let place = self.place(role);
+                let ends =
+                    |process: &Process| process.killed || (obedient && process.terminated_ns.is_some());
+                if place.process.as_ref().is_some_and(ends) {
+                    self.die(role, Exit::Signal(15));
+                }
+            }
+            if self.all_stopped {
+                assert_eq!(self.supervisor.next_deadline(), None);
+                return;
+            }
+            if let Some(deadline_ns) = self.supervisor.next_deadline() {
+                self.now_ns = self.now_ns.max(deadline_ns);
+                self.send(Event::Tick);
+            }
+        }
+        panic!("the run never ended: {:?}", self.supervisor.processes().collect::<Vec<_>>());
+    }
+
+    fn policy(&self, role: Role) -> ProcessPolicy {
+        *self.policies.iter().find(|policy| policy.role == role).unwrap()
+    }
+
+    fn take(&mut self, action: Action) {
+        let lives = self.places.iter().any(|place| place.process.is_some() || place.pending.is_some());
+        assert!(!self.all_stopped || matches!(action, Action::Log(..)), "{action:?} after the end");
+        if !matches!(action, Action::Log(..)) {
+            self.actions.push(action.clone());
+        }
+        match action {
+            Action::Grant { role, incarnation } => {
+                assert!(incarnation > self.last_incarnation, "incarnations increase over all roles");
+                self.places[role.index()].granted = incarnation;
+            }
+            Action::Spawn { role, incarnation } => {
+                let limit = self.policy(role).start_limit;
+                let place = &mut self.places[role.index()];
+                assert!(!self.stopping, "{role} is started although the run ends");
+                assert!(place.process.is_none() && place.pending.is_none(), "two incarnations of {role}");
+                assert!(!place.dirty, "{role} is started before its remains are cleaned up");
+                assert_eq!(place.granted, incarnation, "authority goes with the process");
+                assert!(incarnation > self.last_incarnation);
+                assert!(place.dead_starts < limit, "{role} is started beyond its limit");
+                assert!(
+                    place.spawns == 0 || (role != Role::Robot && !self.lockstep),
+                    "{role} is started again"
+                );
+                self.last_incarnation = incarnation;
+                place.pending = Some(incarnation);
+                place.spawns += 1;
+            }
+            Action::Terminate { role } => {
+                let now_ns = self.now_ns;
+                let process = self.places[role.index()].process.as_mut().expect("someone to be asked to end");
+                assert_eq!(process.terminated_ns, None, "{role} is asked to end twice");
+                assert!(!process.killed, "{role} is asked to end after its kill");
+                process.terminated_ns = Some(now_ns);
+            }
+            Action::Kill { role } => {
+                self.places[role.index()].process.as_mut().expect("someone to be killed").killed = true;
+            }
+            Action::CleanUp { role } => {
+                let place = &mut self.places[role.index()];
+                assert!(place.process.is_none() && place.dirty, "{role} is cleaned up without a death");
+                place.cleaning = true;
+            }
+            Action::Announce(phase) => {
+                assert!(self.phases.last().is_none_or(|last| *last < phase), "phases never go back");
+                self.stopping |= phase == Phase::Stopping;
+                self.phases.push(phase);
+            }
+            Action::RunFailed { role, reason } => {
+                assert_eq!(self.failure, None, "a run fails once");
+                self.failure = Some((role, reason));
+                self.stopping = true;
+            }
+            Action::AllStopped => {
+                assert!(!lives && self.stopping, "all are said to have stopped");
+                self.all_stopped = true;
+            }
+            Action::Log(..) => {}
+        }
+    }
+
+    /// Who was asked to end and is there after the grace is killed at the latest now.
+    fn check_kills(&self) {
+        for policy in &self.policies {
+            if let Some(Process { terminated_ns: Some(asked_ns), killed, .. }) =
+                self.place(policy.role).process
+            {
+                let over = asked_ns + nanoseconds(policy.grace_ms) <= self.now_ns;
+                assert!(killed || !over, "{} ignores the request and lives", policy.role);
+            }
+        }
+    }
+
+    fn check_lockstep(&self) {
+        assert!(!self.lockstep || self.stopping, "a death in lock-step ends the run");
+    }
+}
+
+/// The five policies at 10 Hz, with times that are easy to count in.
+pub(super) fn policies() -> Vec<ProcessPolicy> {
+    Role::ALL.iter().map(|role| ProcessPolicy::new(*role, 100)).collect()
+}

@@ -1,0 +1,105 @@
+//! What heartbeats and samples say about each process, for the supervisor and for `status`.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
+use shared_types::{Checkpoint, Heartbeat, ProcessState, Role};
+
+use crate::supervisor::Event;
+
+/// Rates are averages over this time [ns].
+const RATE_WINDOW_NS: u64 = 2_000_000_000;
+
+/// Heartbeats and checkpoints of all processes.
+pub(crate) struct Vitals {
+    heartbeats: Observer<Heartbeat>,
+    checkpoints: Observer<Checkpoint>,
+    newest: BTreeMap<Role, Checkpoint>,
+    pulses: BTreeMap<Role, Pulse>,
+}
+
+#[derive(Default)]
+struct Pulse {
+    incarnation: u32,
+    activations: u64,
+    published: VecDeque<(u64, u64)>,
+    newest_output_ns: u64,
+}
+
+impl Vitals {
+    /// Starts listening.
+    pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            heartbeats: Observer::new(bus)?,
+            checkpoints: Observer::new(bus)?,
+            newest: BTreeMap::new(),
+            pulses: BTreeMap::new(),
+        })
+    }
+
+    /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`.
+    pub(crate) fn poll(&mut self, mut each: impl FnMut(Event)) -> Result<(), RuntimeError> {
+        let newest = &mut self.newest;
+        self.checkpoints.poll(|checkpoint| {
+            if let Ok(role) = Role::try_from(checkpoint.role) {
+                newest.insert(role, *checkpoint);
+            }
+        })?;
+        let pulses = &mut self.pulses;
+        self.heartbeats.poll(|heartbeat| {
+            let (Ok(role), Ok(state)) = (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
+            else {
+                return;
+            };
+            let incarnation = heartbeat.header.incarnation;
+            let pulse = pulses.entry(role).or_default();
+            if pulse.incarnation > incarnation {
+                return;
+            }
+            if pulse.incarnation != incarnation {
+                *pulse = Pulse { incarnation, ..Pulse::default() };
+            }
+            each(Event::StateReported { role, incarnation, state });
+            if heartbeat.activations != pulse.activations {
+                pulse.activations = heartbeat.activations;
+                each(Event::Progress { role, incarnation });
+            }
+            pulse.beat(heartbeat);
+        })?;
+        Ok(())
+    }
+
+    /// The newest state of a role.
+    pub(crate) fn checkpoint(&self, role: Role) -> Option<&Checkpoint> {
+        self.newest.get(&role)
+    }
+
+    /// Outputs per second of a role, and the age of its newest output [ms].
+    pub(crate) fn rate_and_age(&self, role: Role) -> (f64, f64) {
+        let Some(pulse) = self.pulses.get(&role) else { return (0.0, 0.0) };
+        let age_ms = if pulse.newest_output_ns == 0 {
+            0.0
+        } else {
+            monotonic_ns().saturating_sub(pulse.newest_output_ns) as f64 * 1e-6
+        };
+        let (Some(first), Some(last)) = (pulse.published.front(), pulse.published.back()) else {
+            return (0.0, age_ms);
+        };
+        let elapsed_s = last.0.saturating_sub(first.0) as f64 * 1e-9;
+        let rate = if elapsed_s > 0.0 { (last.1 - first.1) as f64 / elapsed_s } else { 0.0 };
+        (rate, age_ms)
+    }
+}
+
+impl Pulse {
+    fn beat(&mut self, heartbeat: &Heartbeat) {
+        let (now, published) = (heartbeat.issued_ns, heartbeat.published);
+        if self.published.back().is_none_or(|(_, before)| published > *before) {
+            self.newest_output_ns = now;
+        }
+        self.published.push_back((now, published));
+        while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {
+            self.published.pop_front();
+        }
+    }
+}

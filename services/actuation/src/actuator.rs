@@ -1,0 +1,231 @@
+//! The last word before the wheels.
+//!
+//! A command passes when it is for a scan not answered before, its scan is young enough, and its content is valid
+//! ([`crate::verdict`]); then it is corrected and sent. Anything else blocks the wheels and says why. Blocks end
+//! when their reason does:
+//!
+//! * commanded or landed: with the next command that passes;
+//! * silence: after [`Config::recovery`] valid commands in a row without another silence;
+//! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
+//! * explicit stop: with [`Actuator::release`] only.
+//!
+//! Blocked wheels keep their steering angle, so that a robot which still turns its axles does not swerve while it
+//! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. Where a clock jumps ahead the wheels
+//! are blocked for silence, where it jumps back commands seem to come from the future and are refused.
+
+use shared_types::{Actuation, ActuationKind, BlockReason, Command, Header, StopReason};
+use vehicle::correction::CommandCorrection;
+use vehicle::{Control, Invalid};
+
+use crate::verdict::{Wish, judge};
+use crate::{ActuatorState, Config};
+
+/// Decides what is sent to the robot.
+#[derive(Debug, Clone)]
+pub struct Actuator {
+    config: Config,
+    correction: CommandCorrection,
+    period_ns: u64,
+    timeout_ns: u64,
+    max_age_ns: u64,
+    state: ActuatorState,
+}
+
+impl Actuator {
+    /// An actuator that has not been commanded yet, for scans every `period_ns`.
+    ///
+    /// # Errors
+    /// [`Invalid`] when a setting is outside its range, or the period is not 1 ms to 10 s.
+    pub fn new(config: Config, period_ns: u64) -> Result<Self, Invalid> {
+        config.validate()?;
+        if !(1_000_000..=10_000_000_000).contains(&period_ns) {
+            return Err(Invalid::new("period_ns", period_ns, "1000000 to 10000000000"));
+        }
+        let periods = |count: f64| (count * period_ns as f64).round() as u64;
+        Ok(Self {
+            correction: config.calibration.correction(),
+            timeout_ns: periods(config.timeout_periods),
+            max_age_ns: periods(config.max_age_periods),
+            period_ns,
+            config,
+            state: ActuatorState::default(),
+        })
+    }
+
+    /// The answer to a command at `now_ns`.
+    ///
+    /// `answers` is 1 once per scan. A command for a scan answered before, or for one that lies in the future, gets
+    /// a block that the actuator decides by itself (`answers` = 0), because its header is not to be believed.
+    pub fn answer(&mut self, command: &Command, now_ns: u64) -> Actuation {
+        if self.state.commanded == 1 && self.silence_ns(now_ns) > self.timeout_ns {
+            self.fall_silent();
+        }
+        self.state.told_ns = now_ns;
+        self.state.awake = 1;
+
+        let from_future = command.header.acquired_ns > now_ns.saturating_add(self.period_ns);
+        let answered_before = command.header.scan_id <= self.state.header.scan_id;
+        if from_future || answered_before {
+            self.refuse();
+            let reason = if from_future { BlockReason::InvalidCommand } else { BlockReason::StaleCommand };
+            return self.block(reason, 0, StopReason::None.wire());
+        }
+
+        self.state.header = command.header.answer();
+        let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None).wire();
+        let stale = now_ns.saturating_sub(command.header.acquired_ns) > self.max_age_ns;
+        let verdict =
+            if stale { Err(BlockReason::StaleCommand) } else { judge(command, &self.config.bounds) };
+        match verdict {
+            Err(reason) => {
+                self.refuse();
+                self.block(reason, 1, stop_reason)
+            }
+            Ok(wish) => {
+                self.accept(now_ns);
+                match wish {
+                    Wish::Block(reason) => self.block(reason, 1, stop_reason),
+                    Wish::Drive(_) if self.state.silenced == 1 => {
+                        self.block(BlockReason::NoCommand, 1, stop_reason)
+                    }
+                    Wish::Drive(desired) => self.drive(desired, stop_reason),
+                }
+            }
+        }
+    }
+
+    /// A block that the actuator decides by itself, when there has been no valid command for
+    /// [`Config::timeout_periods`]; once per period while the silence lasts.
+    ///
+    /// The first call before any command starts the watch.
+    pub fn tick(&mut self, now_ns: u64) -> Option<Actuation> {
+        if self.state.awake == 0 {
+            self.state.awake = 1;
+            self.state.told_ns = now_ns;
+            self.state.valid_ns = now_ns;
+            return None;
+        }
+        let silent = self.silence_ns(now_ns) > self.timeout_ns;
+        if !silent {
+            return None;
+        }
+        let reason = if self.state.commanded == 1 {
+            self.fall_silent();
+            BlockReason::NoCommand
+        } else {
+            BlockReason::Start
+        };
+        if now_ns.saturating_sub(self.state.told_ns) < self.period_ns {
+            return None;
+        }
+        self.state.told_ns = now_ns;
+        Some(self.block(reason, 0, StopReason::None.wire()))
+    }
+
+    /// Blocks the wheels until [`Self::release`], whatever is commanded.
+    pub fn stop(&mut self, now_ns: u64) -> Actuation {
+        self.state.stopped = 1;
+        self.state.told_ns = now_ns;
+        self.block(BlockReason::StopRequested, 0, StopReason::None.wire())
+    }
+
+    /// Ends an explicit stop: the next valid command drives again.
+    pub fn release(&mut self) {
+        self.state.stopped = 0;
+    }
+
+    /// Whether an explicit stop holds.
+    pub fn is_stopped(&self) -> bool {
+        self.state.stopped == 1
+    }
+
+    /// The header of the last command answered.
+    pub fn last_answered(&self) -> &Header {
+        &self.state.header
+    }
+
+    /// Commands refused since the start.
+    pub fn refused(&self) -> u64 {
+        self.state.refused
+    }
+
+    /// What a restarted actuator resumes from.
+    pub fn state(&self) -> ActuatorState {
+        self.state
+    }
+
+    /// Goes on from the state of another actuator. A stop that held there holds here.
+    ///
+    /// # Errors
+    /// [`shared_types::Fault`] when the state is not usable; the actuator is unchanged then.
+    pub fn resume(&mut self, state: &ActuatorState) -> Result<(), shared_types::Fault> {
+        state.check()?;
+        self.state = *state;
+        Ok(())
+    }
+
+    fn silence_ns(&self, now_ns: u64) -> u64 {
+        now_ns.saturating_sub(self.state.valid_ns)
+    }
+
+    fn fall_silent(&mut self) {
+        self.state.silenced = 1;
+        self.state.streak = 0;
+    }
+
+    fn refuse(&mut self) {
+        self.state.refused += 1;
+        self.state.streak = 0;
+    }
+
+    fn accept(&mut self, now_ns: u64) {
+        self.state.commanded = 1;
+        self.state.valid_ns = now_ns;
+        self.state.streak = self.state.streak.saturating_add(1);
+        if self.state.streak >= self.config.recovery {
+            self.state.silenced = 0;
+        }
+    }
+
+    fn drive(&mut self, desired: Control, stop_reason: u32) -> Actuation {
+        let (velocity, steering) = self.correction.correct(desired);
+        let sendable = velocity.is_finite() && steering.is_finite();
+        if self.is_stopped() || !sendable {
+            return self.block(BlockReason::InvalidCommand, 1, stop_reason);
+        }
+        self.state.steering_rad = desired.steering;
+        self.state.sent_steering_rad = steering;
+        Actuation {
+            header: self.state.header,
+            kind: ActuationKind::Drive.wire(),
+            reason: BlockReason::None.wire(),
+            stop_reason,
+            answers: 1,
+            desired_velocity_mps: desired.velocity,
+            desired_steering_rad: desired.steering,
+            sent_velocity_mps: velocity,
+            sent_steering_rad: steering,
+            refused: self.state.refused,
+        }
+    }
+
+    /// Blocked wheels; an explicit stop is named before any other reason.
+    fn block(&self, reason: BlockReason, answers: u32, stop_reason: u32) -> Actuation {
+        let reason = if self.is_stopped() { BlockReason::StopRequested } else { reason };
+        Actuation {
+            header: self.state.header,
+            kind: ActuationKind::Block.wire(),
+            reason: reason.wire(),
+            stop_reason,
+            answers,
+            desired_velocity_mps: 0.0,
+            desired_steering_rad: self.state.steering_rad,
+            sent_velocity_mps: 0.0,
+            sent_steering_rad: self.state.sent_steering_rad,
+            refused: self.state.refused,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,395 @@
+//! Each test asserts on what reaches the wheels.
+
+use proptest::prelude::*;
+use shared_types::{CommandKind, Level, Role, Sample, SolveStatus};
+use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+
+use super::*;
+
+const PERIOD_NS: u64 = 100_000_000;
+
+/// When the command for a scan arrives: a third of a period after its front beam.
+fn arrival(scan: u64) -> u64 {
+    scan * PERIOD_NS + PERIOD_NS / 3
+}
+
+fn command(scan: u64, kind: CommandKind) -> Command {
+    let mut header = Header { scan_id: scan, acquired_ns: scan * PERIOD_NS, ..Header::default() };
+    header.stage_mut(Role::Controller).published_ns = arrival(scan);
+    Command {
+        header,
+        kind: kind.wire(),
+        level: Level::Converged.wire(),
+        status: SolveStatus::Converged.wire(),
+        verified: 1,
+        velocity_mps: 0.5,
+        steering_rad: 0.02,
+        ..Command::default()
+    }
+}
+
+fn drive(scan: u64) -> Command {
+    command(scan, CommandKind::Drive)
+}
+
+fn actuator() -> Actuator {
+    Actuator::new(Config::default(), PERIOD_NS).unwrap()
+}
+
+/// An actuator that drives, with scan `scan` as the last one answered.
+fn driving(scan: u64) -> Actuator {
+    let mut actuator = actuator();
+    assert!(turns(&actuator.answer(&drive(scan), arrival(scan))));
+    actuator
+}
+
+fn turns(actuation: &Actuation) -> bool {
+    assert!(
+        actuation.kind == ActuationKind::Drive.wire() || actuation.sent_velocity_mps == 0.0,
+        "blocked wheels with a velocity"
+    );
+    actuation.kind == ActuationKind::Drive.wire()
+}
+
+#[track_caller]
+fn assert_blocked(actuation: &Actuation, reason: BlockReason, answers: u32) {
+    assert!(!turns(actuation), "{actuation:?}");
+    assert_eq!(BlockReason::try_from(actuation.reason), Ok(reason));
+    assert_eq!(actuation.answers, answers);
+    assert_eq!((actuation.desired_velocity_mps, actuation.sent_velocity_mps), (0.0, 0.0));
+}
+
+#[test]
+fn a_valid_command_is_corrected_and_sent_with_its_header() {
+    let actuation = actuator().answer(&drive(1), arrival(1));
+    assert!(turns(&actuation));
+    assert_eq!((actuation.desired_velocity_mps, actuation.desired_steering_rad), (0.5, 0.02));
+    assert!((actuation.sent_velocity_mps - 0.7).abs() < 1e-12);
+    // 0.02 / 1.2 plus what the cubic part of the map takes away.
+    assert!((actuation.sent_steering_rad - 0.0167).abs() < 2e-4, "{}", actuation.sent_steering_rad);
+    assert_eq!((actuation.header.scan_id, actuation.answers, actuation.refused), (1, 1, 0));
+    assert_eq!(actuation.header.stage(Role::Controller).published_ns, arrival(1));
+}
+
+#[test]
+fn the_identity_calibration_sends_what_is_desired() {
+    let config = Config { calibration: Calibration::Identity, ..Config::default() };
+    let actuation = Actuator::new(config, PERIOD_NS).unwrap().answer(&drive(1), arrival(1));
+    assert_eq!((actuation.sent_velocity_mps, actuation.sent_steering_rad), (0.5, 0.02));
+}
+
+#[test]
+fn stop_and_land_block_the_wheels_with_their_reasons() {
+    let mut actuator = driving(1);
+    let stop = Command { reason: StopReason::Blocked.wire(), ..command(2, CommandKind::Stop) };
+    let actuation = actuator.answer(&stop, arrival(2));
+    assert_blocked(&actuation, BlockReason::Commanded, 1);
+    assert_eq!(actuation.stop_reason, StopReason::Blocked.wire());
+    assert_blocked(&actuator.answer(&command(3, CommandKind::Land), arrival(3)), BlockReason::Landed, 1);
+    assert_eq!(actuator.refused(), 0, "a stop is a valid command");
+    assert!(turns(&actuator.answer(&drive(4), arrival(4))), "the reason is gone");
+}
+
+#[test]
+fn blocked_wheels_keep_their_steering_angle() {
+    let mut actuator = driving(1);
+    let sent = actuator.answer(&drive(2), arrival(2)).sent_steering_rad;
+    let blocked = actuator.answer(&command(3, CommandKind::Stop), arrival(3));
+    assert_eq!((blocked.sent_steering_rad, blocked.desired_steering_rad), (sent, 0.02));
+}
+
+#[test]
+fn whatever_is_wrong_with_a_command_blocks_the_wheels() {
+    type Spoil = fn(&mut Command);
+    let wrong: [(&str, Spoil); 14] = [
+        ("velocity NaN", |c| c.velocity_mps = f64::NAN),
+        ("velocity infinite", |c| c.velocity_mps = f64::INFINITY),
+        ("steering NaN", |c| c.steering_rad = -f64::NAN),
+        ("steering infinite", |c| c.steering_rad = f64::NEG_INFINITY),
+        ("not verified", |c| c.verified = 0),
+        ("verified by an unknown number", |c| c.verified = 2),
+        ("unknown kind", |c| c.kind = 3),
+        ("unknown level", |c| c.level = 9),
+        ("unknown status", |c| c.status = 77),
+        ("unknown reason", |c| c.reason = u32::MAX),
+        ("too fast", |c| c.velocity_mps = 1.0 + 2e-6),
+        ("too slow for the model", |c| c.velocity_mps = 0.1 - 2e-6),
+        ("backwards", |c| c.velocity_mps = -0.5),
+        ("too much steering", |c| c.steering_rad = -0.06 - 2e-6),
+    ];
+    for (name, spoil) in wrong {
+        let mut actuator = driving(1);
+        let mut command = drive(2);
+        spoil(&mut command);
+        let actuation = actuator.answer(&command, arrival(2));
+        assert_blocked(&actuation, BlockReason::InvalidCommand, 1);
+        assert_eq!(actuation.refused, 1, "{name}");
+        // Without it there was no valid command for two periods, so two in a row are needed.
+        assert_blocked(&actuator.answer(&drive(3), arrival(3)), BlockReason::NoCommand, 1);
+        assert!(turns(&actuator.answer(&drive(4), arrival(4))), "{name}: the reason is gone");
+    }
+}
+
+#[test]
+fn a_stop_of_a_broken_controller_still_blocks() {
+    let mut stop = command(2, CommandKind::Stop);
+    stop.velocity_mps = f64::NAN;
+    assert_blocked(&driving(1).answer(&stop, arrival(2)), BlockReason::InvalidCommand, 1);
+}
+
+#[test]
+fn rounding_beyond_a_limit_is_cut_off() {
+    let mut command = drive(1);
+    (command.velocity_mps, command.steering_rad) = (1.0 + 0.9e-6, -0.06 - 0.9e-6);
+    let actuation = actuator().answer(&command, arrival(1));
+    assert!(turns(&actuation));
+    assert_eq!((actuation.desired_velocity_mps, actuation.desired_steering_rad), (1.0, -0.06));
+}
+
+#[test]
+fn a_scan_is_answered_once() {
+    let mut actuator = driving(5);
+    for repeated in [5, 4, 1, 0] {
+        let actuation = actuator.answer(&drive(repeated), arrival(5) + 1);
+        assert_blocked(&actuation, BlockReason::StaleCommand, 0);
+        assert_eq!(actuation.header.scan_id, 5, "the header is that of the last command answered");
+    }
+    assert_eq!(actuator.refused(), 4);
+    let mut refused_first = driving(1);
+    refused_first.answer(&Command { verified: 0, ..drive(2) }, arrival(2));
+    assert_blocked(&refused_first.answer(&drive(2), arrival(2)), BlockReason::StaleCommand, 0);
+}
+
+#[test]
+fn a_command_for_an_old_scan_is_refused_at_the_limit_of_its_age() {
+    let age_limit = 3 * PERIOD_NS;
+    let acquired = drive(7).header.acquired_ns;
+    assert!(turns(&actuator().answer(&drive(7), acquired + age_limit)));
+    let actuation = actuator().answer(&drive(7), acquired + age_limit + 1);
+    assert_blocked(&actuation, BlockReason::StaleCommand, 1);
+}
+
+#[test]
+fn a_command_from_the_future_does_not_shut_out_the_present() {
+    let mut actuator = driving(1);
+    let mut future = drive(2);
+    (future.header.scan_id, future.header.acquired_ns) = (u64::MAX, u64::MAX);
+    assert_blocked(&actuator.answer(&future, arrival(2)), BlockReason::InvalidCommand, 0);
+    assert!(turns(&actuator.answer(&drive(2), arrival(2))));
+}
+
+#[test]
+fn silence_of_one_and_a_half_periods_blocks_and_is_repeated_once_per_period() {
+    let mut actuator = driving(3);
+    let valid = arrival(3);
+    assert_eq!(actuator.tick(valid + PERIOD_NS * 3 / 2), None);
+    let block = actuator.tick(valid + PERIOD_NS * 3 / 2 + 1).unwrap();
+    assert_blocked(&block, BlockReason::NoCommand, 0);
+    assert_eq!(block.header.scan_id, 3);
+    let mut sent = 0;
+    for millisecond in 151..=1150 {
+        sent += u32::from(actuator.tick(valid + 1_000_000 * millisecond).is_some());
+    }
+    assert_eq!(sent, 9, "one second of silence after the first block");
+}
+
+#[test]
+fn after_silence_the_second_valid_command_in_a_row_drives() {
+    let mut actuator = driving(3);
+    assert!(actuator.tick(arrival(5)).is_some());
+    assert_blocked(&actuator.answer(&drive(6), arrival(6)), BlockReason::NoCommand, 1);
+    assert!(turns(&actuator.answer(&drive(7), arrival(7))));
+
+    let mut relapsing = driving(3);
+    assert!(relapsing.tick(arrival(5)).is_some());
+    assert_blocked(&relapsing.answer(&drive(6), arrival(6)), BlockReason::NoCommand, 1);
+    assert_blocked(
+        &relapsing.answer(&Command { verified: 0, ..drive(7) }, arrival(7)),
+        BlockReason::InvalidCommand,
+        1,
+    );
+    assert_blocked(&relapsing.answer(&drive(8), arrival(8)), BlockReason::NoCommand, 1);
+    assert!(turns(&relapsing.answer(&drive(9), arrival(9))));
+}
+
+#[test]
+fn silence_that_no_tick_saw_counts_as_well() {
+    let mut actuator = driving(3);
+    assert_blocked(&actuator.answer(&drive(5), arrival(5)), BlockReason::NoCommand, 1);
+    assert!(turns(&actuator.answer(&drive(6), arrival(6))));
+}
+
+#[test]
+fn refused_commands_do_not_break_the_silence() {
+    let mut actuator = driving(3);
+    for scan in 4..8 {
+        let refused = Command { verified: 0, ..drive(scan) };
+        assert_blocked(&actuator.answer(&refused, arrival(scan)), BlockReason::InvalidCommand, 1);
+        assert_eq!(actuator.tick(arrival(scan) + PERIOD_NS / 2), None, "the robot has just been told");
+    }
+    assert_blocked(&actuator.answer(&drive(8), arrival(8)), BlockReason::NoCommand, 1);
+}
+
+#[test]
+fn before_the_first_command_the_robot_is_told_to_wait() {
+    let mut actuator = actuator();
+    assert_eq!(actuator.tick(1_000), None);
+    assert_blocked(&actuator.tick(1_001 + PERIOD_NS * 3 / 2).unwrap(), BlockReason::Start, 0);
+    assert!(turns(&actuator.answer(&drive(4), arrival(4))), "the start is no silence");
+}
+
+#[test]
+fn an_explicit_stop_holds_against_all_commands_until_it_is_released() {
+    let mut actuator = driving(1);
+    assert_blocked(&actuator.stop(arrival(1) + 1), BlockReason::StopRequested, 0);
+    for scan in 2..20 {
+        assert_blocked(&actuator.answer(&drive(scan), arrival(scan)), BlockReason::StopRequested, 1);
+    }
+    assert_blocked(&actuator.tick(arrival(22)).unwrap(), BlockReason::StopRequested, 0);
+    actuator.release();
+    assert_blocked(&actuator.answer(&drive(23), arrival(23)), BlockReason::NoCommand, 1);
+    assert!(turns(&actuator.answer(&drive(24), arrival(24))));
+}
+
+#[test]
+fn a_stop_holds_across_a_restart() {
+    let mut actuator = driving(1);
+    actuator.stop(arrival(1) + 1);
+    let mut restarted = self::actuator();
+    assert_eq!(restarted.resume(&actuator.state()), Ok(()));
+    assert_blocked(&restarted.answer(&drive(2), arrival(2)), BlockReason::StopRequested, 1);
+    restarted.release();
+    assert!(turns(&restarted.answer(&drive(3), arrival(3))));
+    let broken = ActuatorState { sent_steering_rad: f64::NAN, ..actuator.state() };
+    assert!(restarted.resume(&broken).is_err());
+}
+
+#[test]
+fn what_is_sent_passes_the_check_of_its_sample() {
+    let mut actuator = driving(1);
+    let mut sent = vec![actuator.answer(&drive(2), arrival(2)), actuator.stop(arrival(2))];
+    sent.extend(actuator.tick(arrival(9)));
+    for mut actuation in sent {
+        actuation.header.layout = Actuation::LAYOUT;
+        assert_eq!(actuation.check(), Ok(()));
+    }
+}
+
+fn any_number() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        any::<f64>(),
+        -2.0..2.0f64,
+        -0.07..0.07f64,
+        Just(f64::NAN),
+        Just(f64::INFINITY),
+        Just(1.0),
+        Just(0.1),
+        Just(0.06),
+    ]
+}
+
+#[derive(Debug, Clone)]
+enum Event {
+    Command { skip: u64, kind: u32, verified: u32, velocity: f64, steering: f64, age_ns: i64 },
+    Tick,
+    Stop,
+    Release,
+}
+
+fn any_event() -> impl Strategy<Value = Event> {
+    let command = (0..3u64, 0..4u32, 0..3u32, any_number(), any_number(), -200_000_000..500_000_000i64)
+        .prop_map(|(skip, kind, verified, velocity, steering, age_ns)| Event::Command {
+            skip,
+            kind,
+            verified,
+            velocity,
+            steering,
+            age_ns,
+        });
+    let good = (0.1..1.0f64, -0.06..0.06f64).prop_map(|(velocity, steering)| Event::Command {
+        skip: 1,
+        kind: 1,
+        verified: 1,
+        velocity,
+        steering,
+        age_ns: 40_000_000,
+    });
+    prop_oneof![4 => command, 6 => good, 2 => Just(Event::Tick), 1 => Just(Event::Stop), 1 => Just(Event::Release)]
+}
+
+proptest! {
+    #[test]
+    fn no_history_of_commands_makes_the_wheels_turn_for_a_bad_one(
+        events in proptest::collection::vec((any_event(), 0..180_000_000u64), 1..60),
+        identity: bool,
+    ) {
+        let calibration = if identity { Calibration::Identity } else { Calibration::Default };
+        let mut actuator = Actuator::new(Config { calibration, ..Config::default() }, PERIOD_NS).unwrap();
+        let (mut now, mut scan, mut answered, mut stopped) = (1_000_000_000, 1, 0, false);
+        for (event, pause) in events {
+            now += pause;
+            let mut admissible = false;
+            let actuation = match event {
+                Event::Tick => actuator.tick(now),
+                Event::Stop => { stopped = true; Some(actuator.stop(now)) }
+                Event::Release => { stopped = false; actuator.release(); None }
+                Event::Command { skip, kind, verified, velocity, steering, age_ns } => {
+                    scan += skip;
+                    let mut command = drive(scan);
+                    command.header.acquired_ns = now.saturating_add_signed(-age_ns);
+                    (command.kind, command.verified) = (kind, verified);
+                    (command.velocity_mps, command.steering_rad) = (velocity, steering);
+                    admissible = kind == CommandKind::Drive.wire() && verified == 1 && scan > answered
+                        && velocity.is_finite() && steering.is_finite()
+                        && Config::default().bounds.contains(Control { velocity, steering }, 1e-6)
+                        && age_ns <= 3 * PERIOD_NS as i64 && age_ns >= -(PERIOD_NS as i64);
+                    let actuation = actuator.answer(&command, now);
+                    if actuation.answers == 1 {
+                        prop_assert!(scan > answered, "scan {scan} is answered twice");
+                        prop_assert_eq!(actuation.header.scan_id, scan);
+                        answered = scan;
+                    }
+                    Some(actuation)
+                }
+            };
+            if let Some(actuation) = actuation {
+                let (sent_velocity, sent_steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
+                prop_assert!(sent_velocity.is_finite() && sent_velocity.abs() <= SENT_VELOCITY_MAX_MPS);
+                prop_assert!(sent_steering.is_finite() && sent_steering.abs() <= SENT_STEERING_MAX_RAD);
+                if turns(&actuation) {
+                    prop_assert!(admissible && !stopped, "{actuation:?}");
+                    prop_assert_eq!(actuation.reason, BlockReason::None.wire());
+                } else {
+                    prop_assert!(actuation.reason != BlockReason::None.wire());
+                    prop_assert_eq!(sent_velocity, 0.0);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn wheels_never_turn_for_longer_than_the_time_out_after_the_last_valid_command(
+        gaps in proptest::collection::vec(20_000_000..400_000_000u64, 1..30),
+    ) {
+        let mut actuator = actuator();
+        let (mut now, mut scan) = (arrival(1), 1);
+        for gap in gaps {
+            // The clock ticks each millisecond; a command arrives at the end of the gap.
+            let mut turning = turns(&actuator.answer(&drive_at(scan, now), now));
+            for millisecond in 1..gap / 1_000_000 {
+                if actuator.tick(now + millisecond * 1_000_000).is_some() {
+                    turning = false;
+                }
+                prop_assert!(!turning || millisecond <= 151, "{millisecond} ms");
+            }
+            now += gap;
+            scan += 1;
+        }
+    }
+}
+
+fn drive_at(scan: u64, now_ns: u64) -> Command {
+    let mut command = drive(scan);
+    command.header.acquired_ns = now_ns - PERIOD_NS / 3;
+    command
+}

@@ -1,0 +1,88 @@
+//! Settings of the actuator.
+
+use serde::{Deserialize, Serialize};
+use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
+use vehicle::{Bounds, Invalid, require};
+
+/// Settings of the actuator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// What undoes the robot's imperfections: `"default"`, `"identity"`, or a correction of its own.
+    pub calibration: Calibration,
+    /// Hard limits of desired values; only those of the controls, (7.41), are used here.
+    pub bounds: Bounds,
+    /// Silence after which the wheels are blocked, in scan periods, 1 to 10.
+    pub timeout_periods: f64,
+    /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100.
+    pub max_age_periods: f64,
+    /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
+    pub recovery: u32,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            calibration: Calibration::Default,
+            bounds: Bounds::default(),
+            // One late command is tolerated, a lost one is not.
+            timeout_periods: 1.5,
+            // An answer is due one period after the scan; two periods more cover a swap of the controller.
+            max_age_periods: 3.0,
+            // A single command may be the last word of a process that is dying.
+            recovery: 2,
+        }
+    }
+}
+
+impl Config {
+    /// Passes when all settings are within their ranges.
+    ///
+    /// # Errors
+    /// [`Invalid`] with the key, the value and the range.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        self.calibration.validate().map_err(|invalid| invalid.within("calibration"))?;
+        let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = self.bounds;
+        let bounds = || {
+            require("velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
+            require("velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
+            require("steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)
+        };
+        bounds().map_err(|invalid| invalid.within("bounds"))?;
+        require("timeout_periods", self.timeout_periods, 1.0..=10.0)?;
+        require("max_age_periods", self.max_age_periods, 0.1..=100.0)?;
+        require("recovery", f64::from(self.recovery), 1.0..=100.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_settings_are_allowed_and_nan_is_not() {
+        assert_eq!(Config::default().validate(), Ok(()));
+        let config = Config { timeout_periods: f64::NAN, ..Config::default() };
+        assert_eq!(config.validate().unwrap_err().key, "timeout_periods");
+        let bounds = Bounds { velocity_min_mps: 1.5, ..Bounds::default() };
+        let config = Config { bounds, ..Config::default() };
+        assert_eq!(
+            config.validate().unwrap_err().to_string(),
+            "bounds.velocity_min_mps = 1.5 is not allowed: 0 to 1"
+        );
+        assert_eq!(Config { recovery: 0, ..Config::default() }.validate().unwrap_err().key, "recovery");
+    }
+
+    #[test]
+    fn settings_are_read_from_their_file() {
+        let read = |text: &str| toml::from_str::<Config>(text);
+        assert_eq!(read(""), Ok(Config::default()));
+        let config = read("calibration = \"identity\"\n[bounds]\nvelocity_max_mps = 0.5").unwrap();
+        assert_eq!((config.calibration, config.bounds.velocity_max_mps), (Calibration::Identity, 0.5));
+        let calibration = Calibration::Custom(Calibration::Default.correction());
+        let written = toml::to_string(&Config { calibration, ..Config::default() }).unwrap();
+        assert_eq!(read(&written).unwrap().calibration, calibration);
+        assert!(read("calibration = \"guess\"").unwrap_err().to_string().contains("identity"));
+        assert!(read("timeout = 2").is_err());
+    }
+}

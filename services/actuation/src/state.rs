@@ -1,0 +1,82 @@
+//! What the actuator remembers from command to command, as plain bytes for a checkpoint.
+
+use bytemuck::{Pod, Zeroable};
+use shared_types::{Described, Fault, Field, Header, Kind};
+use vehicle::correction::SENT_STEERING_MAX_RAD;
+
+/// Declares plain state with the description of its fields that a checkpoint is recognised by.
+macro_rules! plain_state {
+    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+
+        impl Described for $name {
+            const KIND: Kind = Kind::Struct(stringify!($name), &[
+                $(Field {
+                    name: stringify!($field),
+                    doc: $doc.trim_ascii(),
+                    offset: std::mem::offset_of!($name, $field),
+                    kind: <$type as Described>::KIND,
+                },)*
+            ]);
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self::zeroed()
+            }
+        }
+    };
+}
+
+plain_state! {
+    /// What the actuator remembers from command to command.
+    pub struct ActuatorState {
+        /// Header of the last command answered
+        pub header: Header,
+        /// Arrival of the last valid command [ns]
+        pub valid_ns: u64,
+        /// When something was last sent to the robot; before that, the first look at the clock [ns]
+        pub told_ns: u64,
+        /// Commands refused since the start
+        pub refused: u64,
+        /// Last steering angle desired while driving; blocked wheels keep it [rad]
+        pub steering_rad: f64,
+        /// Last steering angle sent while driving [rad]
+        pub sent_steering_rad: f64,
+        /// Valid commands in a row
+        pub streak: u32,
+        /// 1 after silence, until enough valid commands came in a row
+        pub silenced: u32,
+        /// 1 after an explicit stop, until it is released
+        pub stopped: u32,
+        /// 1 once a valid command came
+        pub commanded: u32,
+        /// 1 once the clock was looked at
+        pub awake: u32,
+        /// Unused, zero
+        pub reserved: u32,
+    }
+}
+
+impl ActuatorState {
+    /// Passes when the wheels may be held by what the state says.
+    ///
+    /// # Errors
+    /// [`Fault`] when a held steering angle is not finite or beyond what may be sent.
+    pub fn check(&self) -> Result<(), Fault> {
+        for (field, value) in
+            [("steering_rad", self.steering_rad), ("sent_steering_rad", self.sent_steering_rad)]
+        {
+            if !value.is_finite() {
+                return Err(Fault::NotFinite { field });
+            }
+            if value.abs() > SENT_STEERING_MAX_RAD {
+                return Err(Fault::OutOfRange { field, value });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,119 @@
+//! Random courses for campaigns.
+//!
+//! One to three obstacles of any kind up to 0.5 m wide, 5.5 m apart or a little more, none nearer than 3.5 m after
+//! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise of
+//! any strength up to the largest that a drive has to bear. A course need not be passable: ask
+//! [`crate::feasible::passable`].
+
+use crate::noise::{Purpose, Stream};
+use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
+
+/// No surface of an obstacle stands nearer to the start than this [m].
+pub const AFTER_START_M: f64 = 3.5;
+
+/// No surface of an obstacle stands nearer to the goal than this [m].
+pub const BEFORE_GOAL_M: f64 = 4.5;
+
+/// Smallest distance from obstacle to obstacle along the track [m].
+pub const SPACING_M: f64 = 5.5;
+
+/// Largest distance of the goal from the start, so that the robot can overshoot within the track [m].
+const GOAL_MAX_M: f64 = 21.5;
+
+/// The course of a seed.
+pub fn random(seed: u64) -> Scenario {
+    let seed = seed & i64::MAX as u64;
+    let mut stream = Stream::new(seed, Purpose::Course, 0);
+    let count = 1 + (3.0 * stream.uniform()) as usize;
+    let mut obstacles: Vec<Obstacle> = (0..count).map(|_| obstacle(&mut stream)).collect();
+
+    // What is left of the track after the needed distances is shared out at random.
+    let reach = |obstacles: &[Obstacle], index: usize| obstacles[index].reach();
+    let needed = AFTER_START_M
+        + reach(&obstacles, 0)
+        + (count - 1) as f64 * SPACING_M
+        + reach(&obstacles, count - 1)
+        + BEFORE_GOAL_M;
+    let mut spare = GOAL_MAX_M - needed;
+    let mut take = |stream: &mut Stream| {
+        let share = spare * stream.uniform() / 2.0;
+        spare -= share;
+        share
+    };
+    let mut x_m = AFTER_START_M + reach(&obstacles, 0) + take(&mut stream);
+    for (index, obstacle) in obstacles.iter_mut().enumerate() {
+        if index > 0 {
+            x_m += SPACING_M + take(&mut stream);
+        }
+        obstacle.x_m = x_m;
+    }
+    let goal_m = x_m + reach(&obstacles, count - 1) + BEFORE_GOAL_M + take(&mut stream);
+
+    let walls = stream.chance(0.3);
+    let y_m = if walls { [-1.9, 1.9] } else { [-1.5, 1.5] };
+    Scenario {
+        name: format!("course-{seed}"),
+        seed,
+        track: Track { y_m, walls, ..Track::default() },
+        goal: Goal { x_m: goal_m, ..Goal::default() },
+        obstacles,
+        noise: Noise {
+            range_m: stream.between(0.0, 0.02),
+            dropout: stream.between(0.0, 0.05),
+            odometry_m: stream.between(0.0, 0.02),
+            odometry_rad: stream.between(0.0, 0.01),
+            ..Noise::default()
+        },
+        ..Scenario::default()
+    }
+}
+
+/// An obstacle of random shape and lateral position; where it stands along the track comes later.
+fn obstacle(stream: &mut Stream) -> Obstacle {
+    let shape = if stream.chance(0.4) {
+        Shape::Circle { radius_m: stream.between(0.05, 0.25) }
+    } else {
+        Shape::Box {
+            length_m: stream.between(0.05, 0.5),
+            width_m: stream.between(0.1, 0.5),
+            yaw_rad: if stream.chance(0.5) { stream.between(-0.8, 0.8) } else { 0.0 },
+        }
+    };
+    let aside = if stream.chance(0.5) { 0.4 } else { 1.3 };
+    Obstacle::fixed(shape, 0.0, stream.between(-aside, aside))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_course_is_valid_and_within_its_rules() {
+        for seed in 0..2000 {
+            let course = random(seed);
+            assert_eq!(course.validate(), Ok(()));
+            let (first, last) = (course.obstacles.first().unwrap(), course.obstacles.last().unwrap());
+            assert!(first.x_m - first.reach() >= AFTER_START_M - 1e-9);
+            assert!(course.goal.x_m - last.x_m - last.reach() >= BEFORE_GOAL_M - 1e-9);
+            assert!(course.goal.x_m <= GOAL_MAX_M && course.obstacles.len() <= 3);
+            for pair in course.obstacles.windows(2) {
+                assert!(pair[1].x_m - pair[0].x_m >= SPACING_M - 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn courses_come_with_all_counts_shapes_and_with_and_without_walls() {
+        let courses: Vec<Scenario> = (0..100).map(random).collect();
+        assert_eq!(courses[7], random(7));
+        for count in 1..=3 {
+            assert!(courses.iter().any(|course| course.obstacles.len() == count));
+        }
+        for walls in [false, true] {
+            assert!(courses.iter().any(|course| course.track.walls == walls));
+        }
+        let shapes = courses.iter().flat_map(|course| &course.obstacles).map(|obstacle| obstacle.shape);
+        assert!(shapes.clone().any(|shape| matches!(shape, Shape::Circle { .. })));
+        assert!(shapes.clone().any(|shape| matches!(shape, Shape::Box { yaw_rad, .. } if yaw_rad != 0.0)));
+    }
+}

@@ -1,0 +1,308 @@
+use super::*;
+use shared_types::{BlockReason, FRONT_BEAM};
+
+const PERIOD: u64 = 100_000_000;
+
+fn parse(text: &str) -> Scenario {
+    Scenario::parse(text, "test").unwrap()
+}
+
+/// A robot that does exactly what it is told.
+fn ideal(more: &str) -> Emulator {
+    let robot = "[robot]\nvelocity_factor = 1.0\nsteering_map = \"identity\"\nodometry_longitudinal = 0.0";
+    Emulator::new(&parse(&format!("{robot}\n[noise]\nrange_m = 0.0\n{more}")), PERIOD)
+}
+
+fn drive(velocity: f64, steering: f64) -> Actuation {
+    Actuation {
+        kind: ActuationKind::Drive.wire(),
+        sent_velocity_mps: velocity,
+        sent_steering_rad: steering,
+        ..Actuation::default()
+    }
+}
+
+fn block() -> Actuation {
+    Actuation { reason: BlockReason::Commanded.wire(), ..Actuation::default() }
+}
+
+fn measure(emulator: &mut Emulator, scan_id: u64) -> (Scan, Odometry, Truth) {
+    let (mut scan, mut odometry, mut truth) = Default::default();
+    emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+    (scan, odometry, truth)
+}
+
+/// Runs scans in lock-step: the actuation for a scan acts when the scan is complete.
+fn lockstep(emulator: &mut Emulator, scans: std::ops::RangeInclusive<u64>, actuation: &Actuation) -> Truth {
+    let mut last = Truth::default();
+    for scan_id in scans {
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        last = measure(emulator, scan_id).2;
+        emulator.actuate(actuation);
+    }
+    last
+}
+
+#[test]
+fn the_first_sweep_fits_after_the_start_and_is_ready_a_third_later() {
+    let emulator = ideal("");
+    assert_eq!(emulator.acquired_ns(1), 100_000_000);
+    assert_eq!(emulator.scan_ready_ns(1), 133_333_333);
+    assert_eq!(emulator.sweep_ns(), 66_666_666);
+    let sweep = Sweep { scan_id: 1, front_ns: emulator.acquired_ns(1), duration_ns: emulator.sweep_ns() };
+    assert_eq!(sweep.beam_ns(FRONT_BEAM), 100_000_000);
+    assert!(sweep.beam_ns(681) <= emulator.scan_ready_ns(1) && sweep.beam_ns(0) > 66_000_000);
+}
+
+#[test]
+fn before_the_first_actuation_the_robot_stands_with_blocked_wheels() {
+    let mut emulator = ideal("");
+    emulator.advance_to(1_000_000_000);
+    let (_, odometry, truth) = measure(&mut emulator, 9);
+    assert_eq!((truth.x_m, truth.speed_mps, truth.blocked, truth.dead_man), (0.0, 0.0, 1, 0));
+    assert_eq!((odometry.x_m, odometry.y_m, odometry.yaw_rad), (0.0, 0.0, 0.0));
+    assert_eq!(truth.steps, 1000);
+}
+
+#[test]
+fn an_actuation_acts_at_the_time_of_the_clock_within_a_step() {
+    let mut emulator = ideal("");
+    emulator.advance_to(133_333_333);
+    assert_eq!(emulator.actuate(&drive(1.0, 0.0)), Received::Accepted);
+    emulator.advance_to(emulator.scan_ready_ns(2));
+    let (_, odometry, truth) = measure(&mut emulator, 2);
+    // From 133.333333 ms to the front beam at 200 ms with 1 m/s.
+    assert!((truth.x_m - 0.066_666_667).abs() < 1e-12, "{}", truth.x_m);
+    assert_eq!((truth.time_s, truth.speed_mps, odometry.speed_mps), (0.2, 1.0, 1.0));
+    assert!((odometry.x_m - truth.x_m).abs() < 1e-12);
+    // To the end of the sweep, 100 ms.
+    assert!((emulator.present().state.x - 0.1).abs() < 1e-12);
+}
+
+#[test]
+fn the_robots_own_dead_man_blocks_after_two_periods_to_the_nanosecond() {
+    let mut emulator = ideal("[track]\nx_m = [0.0, 100.0]");
+    emulator.advance_to(133_333_333);
+    emulator.actuate(&drive(1.0, 0.0));
+    emulator.advance_to(1_000_000_000);
+    let truth = measure(&mut emulator, 9).2;
+    assert_eq!((truth.blocked, truth.dead_man, truth.speed_mps), (1, 1, 0.0));
+    assert!((truth.longest_blind_s - 0.2).abs() < 1e-12, "{}", truth.longest_blind_s);
+    // 0.2 m driven and 1 / (2 * 5) m slid.
+    assert!((truth.path_length_m - 0.3).abs() < 1e-9 && (truth.x_m - 0.3).abs() < 1e-9);
+}
+
+#[test]
+fn in_lockstep_the_blind_time_is_one_period() {
+    let mut emulator = ideal("");
+    let truth = lockstep(&mut emulator, 1..=30, &drive(0.9, 0.0));
+    assert!((truth.longest_blind_s - 0.1).abs() < 1e-12);
+    assert!((truth.actuation_age_s - 0.1).abs() < 1e-12);
+    assert_eq!(truth.dead_man, 0);
+}
+
+#[test]
+fn impossible_actuations_are_refused_and_do_not_feed_the_dead_man() {
+    let mut emulator = ideal("");
+    lockstep(&mut emulator, 1..=5, &drive(0.9, 0.0));
+    let refused = [
+        drive(f64::NAN, 0.0),
+        drive(0.5, f64::INFINITY),
+        drive(2.01, 0.0),
+        drive(-0.1, 0.0),
+        drive(0.5, 0.121),
+        Actuation { kind: 9, ..Actuation::default() },
+    ];
+    for (index, actuation) in refused.iter().enumerate() {
+        emulator.advance_to(emulator.scan_ready_ns(6 + index as u64));
+        assert_eq!(emulator.actuate(actuation), Received::Refused);
+    }
+    let truth = measure(&mut emulator, 11).2;
+    assert_eq!((truth.refused, truth.blocked, truth.dead_man), (6, 1, 1));
+    assert!((truth.longest_blind_s - 0.2).abs() < 1e-12);
+}
+
+#[test]
+fn a_block_with_nan_in_it_still_blocks() {
+    let mut emulator = ideal("");
+    lockstep(&mut emulator, 1..=5, &drive(0.9, 0.0));
+    let odd = Actuation { sent_velocity_mps: f64::NAN, ..block() };
+    assert_eq!(emulator.actuate(&odd), Received::Accepted);
+    emulator.advance_to(emulator.scan_ready_ns(10));
+    assert_eq!(measure(&mut emulator, 10).2.speed_mps, 0.0);
+}
+
+#[test]
+fn driving_into_a_box_is_a_collision_and_ends_the_motion() {
+    let mut emulator =
+        ideal("[[obstacle]]\nshape = \"box\"\nx_m = 1.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 0.4");
+    let truth = lockstep(&mut emulator, 1..=20, &drive(1.0, 0.0));
+    assert_eq!((truth.collided, truth.struck, truth.speed_mps), (1, 0, 0.0));
+    // The front, 0.28 m ahead, meets the face at 1 m within one plant step.
+    assert!((0.72..0.7211).contains(&truth.x_m), "{}", truth.x_m);
+    assert!((-0.0011..=0.0).contains(&truth.min_clearance_m));
+}
+
+#[test]
+fn touching_a_wall_is_a_collision() {
+    let mut emulator = ideal("[start]\nyaw_rad = 0.5\n[track]\nwalls = true\ny_m = [-1.0, 1.0]");
+    let truth = lockstep(&mut emulator, 1..=60, &drive(0.5, 0.0));
+    assert_eq!(truth.collided, 1);
+    // The front left corner reaches y = 1: centre + 0.28 sin 0.5 + 0.2 cos 0.5 = 1.
+    assert!((truth.y_m - (1.0 - 0.28 * 0.5_f64.sin() - 0.2 * 0.5_f64.cos())).abs() < 1e-3);
+}
+
+#[test]
+fn a_moving_obstacle_that_meets_the_standing_robot_strikes_it() {
+    let mut emulator =
+        ideal("[[obstacle]]\nshape = \"circle\"\nx_m = 1.28\ny_m = 0\nradius_m = 0.5\nvelocity_x_mps = -0.5");
+    let truth = lockstep(&mut emulator, 1..=9, &block());
+    assert_eq!((truth.struck, truth.collided), (0, 0));
+    // Surface at 0.78, front at 0.28: contact after 1 s.
+    let truth = lockstep(&mut emulator, 10..=12, &block());
+    assert_eq!((truth.struck, truth.collided), (1, 0));
+}
+
+#[test]
+fn clearances_are_those_of_the_plant_steps_and_of_the_front_beam() {
+    let mut emulator = ideal("[[obstacle]]\nshape = \"circle\"\nx_m = 1.0\ny_m = 0.7\nradius_m = 0.3");
+    let truth = lockstep(&mut emulator, 1..=40, &drive(1.0, 0.0));
+    // Side of the body at 0.2, surface at 0.4; the body passes by and is far behind it at the end.
+    assert!((truth.min_clearance_m - 0.2).abs() < 1e-6, "{}", truth.min_clearance_m);
+    let tail = truth.x_m - 0.28 - 1.0;
+    assert!((truth.clearance_m - (tail.hypot(0.5) - 0.3)).abs() < 1e-9);
+}
+
+#[test]
+fn small_portions_of_time_and_looking_more_often_change_no_bit() {
+    let scenario = parse(Scenario::shipped("imperfect-robot").unwrap());
+    let (mut whole, mut parts) = (Emulator::new(&scenario, PERIOD), Emulator::new(&scenario, PERIOD));
+    for scan_id in 1..=40 {
+        let ready = whole.scan_ready_ns(scan_id);
+        whole.advance_to(ready);
+        for part in (0..7).rev() {
+            parts.advance_to(ready - part * 3_333_337);
+            if part > 0 {
+                let mut unused = Default::default();
+                parts.clone().measure(scan_id, &mut Scan::default(), &mut Odometry::default(), &mut unused);
+                let before = parts.history.clone();
+                parts.laser.measure(
+                    &Sweep { scan_id, front_ns: ready, duration_ns: 1000 },
+                    &before,
+                    &parts.scene,
+                    &mut [0; shared_types::BEAMS],
+                );
+            }
+        }
+        let (one, other) = (measure(&mut whole, scan_id), measure(&mut parts, scan_id));
+        assert_eq!(bytemuck_bytes(&one), bytemuck_bytes(&other));
+        let steering = 0.05 * (scan_id as f64 * 0.3).sin();
+        whole.actuate(&drive(1.2, steering));
+        parts.actuate(&drive(1.2, steering));
+    }
+}
+
+#[test]
+fn two_equal_runs_give_identical_bytes_and_another_seed_does_not() {
+    let run = |seed: u64| {
+        let mut scenario = parse(Scenario::shipped("noisy").unwrap());
+        scenario.seed = seed;
+        let mut emulator = Emulator::new(&scenario, PERIOD);
+        let mut samples = Vec::new();
+        for scan_id in 1..=30 {
+            emulator.advance_to(emulator.scan_ready_ns(scan_id));
+            samples.push(bytemuck_bytes(&measure(&mut emulator, scan_id)));
+            emulator.actuate(&drive(1.2, 0.01));
+        }
+        samples
+    };
+    assert!(run(1) == run(1));
+    assert!(run(1) != run(2));
+}
+
+#[test]
+fn laser_noise_does_not_change_the_odometry() {
+    let run = |range_m: f64| {
+        let mut scenario = parse(Scenario::shipped("noisy").unwrap());
+        scenario.noise.range_m = range_m;
+        let mut emulator = Emulator::new(&scenario, PERIOD);
+        lockstep(&mut emulator, 1..=9, &drive(1.2, 0.0));
+        emulator.advance_to(emulator.scan_ready_ns(10));
+        measure(&mut emulator, 10).1
+    };
+    assert_eq!(run(0.0), run(0.03));
+}
+
+#[test]
+fn the_body_turns_on_circles_without_a_jump_and_reports_wrapped_angles() {
+    let mut emulator = ideal("[track]\nx_m = [-1000.0, 1000.0]\ny_m = [-1000.0, 1000.0]");
+    for scan_id in 1..=300 {
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        let (_, odometry, truth) = measure(&mut emulator, scan_id);
+        assert!(truth.yaw_rad.abs() <= std::f64::consts::PI && odometry.dyaw_rad.abs() < 0.04);
+        emulator.actuate(&drive(1.0, 0.06));
+    }
+    assert!(emulator.plant().state().yaw > 9.0);
+}
+
+#[test]
+fn strange_requests_never_panic() {
+    let mut emulator = Emulator::new(&parse(Scenario::shipped("corridor").unwrap()), 0);
+    measure(&mut emulator, 0);
+    measure(&mut emulator, u64::MAX);
+    emulator.advance_to(0);
+    emulator.actuate(&drive(f64::NEG_INFINITY, f64::NAN));
+    measure(&mut emulator, 3);
+}
+
+/// Prints what a scan costs; no claim is made of the machine the tests run on.
+#[test]
+fn a_scan_period_costs_far_less_than_a_scan_period() {
+    let mut emulator = Emulator::new(&parse(Scenario::shipped("slalom").unwrap()), PERIOD);
+    let (mut scan, mut odometry, mut truth) = Default::default();
+    let (mut moving, mut measuring) = (std::time::Duration::ZERO, std::time::Duration::ZERO);
+    let scans = 200;
+    for scan_id in 1..=scans {
+        let start = std::time::Instant::now();
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        let moved = std::time::Instant::now();
+        emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+        measuring += moved.elapsed();
+        moving += moved - start;
+        emulator.actuate(&drive(1.2, 0.03 * (scan_id as f64 * 0.2).sin()));
+    }
+    println!("plant {:?} and measurement {:?} per scan", moving / scans as u32, measuring / scans as u32);
+    assert!((moving + measuring) / (scans as u32) < std::time::Duration::from_millis(100));
+}
+
+/// The bytes of all samples, so that -0.0 and 0.0 differ.
+fn bytemuck_bytes((scan, odometry, truth): &(Scan, Odometry, Truth)) -> (Vec<u16>, Vec<u64>) {
+    let numbers = [
+        odometry.x_m,
+        odometry.y_m,
+        odometry.yaw_rad,
+        odometry.dx_m,
+        odometry.dy_m,
+        odometry.dyaw_rad,
+        odometry.dt_s,
+        odometry.speed_mps,
+        truth.time_s,
+        truth.x_m,
+        truth.y_m,
+        truth.yaw_rad,
+        truth.sideslip_rad,
+        truth.yaw_rate_radps,
+        truth.speed_mps,
+        truth.steering_rad,
+        truth.clearance_m,
+        truth.min_clearance_m,
+        truth.path_length_m,
+        truth.max_abs_lateral_m,
+        truth.goal_distance_m,
+        truth.longest_blind_s,
+        truth.actuation_age_s,
+    ];
+    let mut bits: Vec<u64> = numbers.iter().map(|number| number.to_bits()).collect();
+    bits.extend([truth.steps, truth.refused, u64::from(truth.blocked), u64::from(truth.collided)]);
+    (scan.ranges_mm.to_vec(), bits)
+}

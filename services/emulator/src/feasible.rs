@@ -1,0 +1,256 @@
+//! Whether a course can be driven at all, decided without the controller.
+//!
+//! A hybrid A* search over arcs of constant curvature: forward only, no tighter than [`RADIUS_M`], with the body
+//! [`MARGIN_M`] away from every obstacle and wall, on the true geometry. The search is coarse: of all poses in one
+//! cell it keeps the first. So `true` comes with a path, while `false` may be wrong by a few centimetres.
+//!
+//! Obstacles that move are left out; those that appear or vanish count as if they were always there.
+
+use std::cmp::Ordering;
+use std::collections::{BinaryHeap, HashSet};
+
+use vehicle::frame::wrap_angle;
+
+use crate::scenario::{Obstacle, Scenario};
+use crate::scene::Scene;
+
+/// Smallest radius of a turn [m]: the robot's own is 3.1 m, the rest is for getting into the turn.
+pub const RADIUS_M: f64 = 3.2;
+
+/// Distance that the body keeps [m].
+pub const MARGIN_M: f64 = 0.1;
+
+/// Length of one arc of the search [m].
+const ARC_M: f64 = 0.3;
+
+/// The body is checked this many times along an arc.
+const CHECKS: usize = 4;
+
+/// Curvatures of the arcs, as shares of the largest.
+const CURVATURES: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
+
+/// Size of a cell of the search: x, y [m] and yaw [rad].
+const CELL: [f64; 3] = [0.1, 0.05, 0.04];
+
+/// The goal counts as passed within this distance, or the scenario's tolerance if that is larger [m].
+const GOAL_M: f64 = 0.15;
+
+/// Poses after which the search gives up; a track of 22 m has fewer cells that can be reached.
+const MAX_NODES: usize = 3_000_000;
+
+/// A pose on a path: position [m] and yaw [rad].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Waypoint {
+    /// Position along the track [m].
+    pub x: f64,
+    /// Lateral position [m].
+    pub y: f64,
+    /// Yaw [rad].
+    pub yaw: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    place: Waypoint,
+    way: f64,
+    parent: usize,
+}
+
+/// Open node of the search; the one with the smallest cost comes first, the older one of equals.
+#[derive(Debug, Clone, Copy)]
+struct Open {
+    cost: f64,
+    node: usize,
+}
+
+/// Whether the goal can be reached from the start.
+pub fn passable(scenario: &Scenario) -> bool {
+    path(scenario).is_some()
+}
+
+/// A path from the start to the goal, one pose per arc; `None` when the search finds none.
+pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
+    let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves());
+    let lasting = fixed.map(|Obstacle { shape, x_m, y_m, .. }| Obstacle::fixed(shape, x_m, y_m)).collect();
+    let scene = Scene::new(&Scenario { obstacles: lasting, endless: None, ..scenario.clone() });
+    let search = Search { scenario, scene, tolerance: scenario.goal.tolerance_m.max(GOAL_M) };
+    search.run()
+}
+
+struct Search<'a> {
+    scenario: &'a Scenario,
+    scene: Scene,
+    tolerance: f64,
+}
+
+impl Search<'_> {
+    fn run(&self) -> Option<Vec<Waypoint>> {
+        let start = self.scenario.start;
+        let place = Waypoint { x: start.x_m, y: start.y_m, yaw: start.yaw_rad };
+        if !self.is_free(place) {
+            return None;
+        }
+        let mut nodes = vec![Node { place, way: 0.0, parent: 0 }];
+        let mut seen = HashSet::from([cell(place)]);
+        let mut open = BinaryHeap::from([Open { cost: self.cost(place, 0.0), node: 0 }]);
+        while let Some(Open { node, .. }) = open.pop() {
+            let from = nodes[node];
+            for share in CURVATURES {
+                let Some((place, arrived)) = self.follow(from.place, share / RADIUS_M) else { continue };
+                if !arrived && !seen.insert(cell(place)) {
+                    continue;
+                }
+                let way = from.way + ARC_M;
+                nodes.push(Node { place, way, parent: node });
+                if arrived {
+                    return Some(trace(&nodes));
+                }
+                open.push(Open { cost: self.cost(place, way), node: nodes.len() - 1 });
+            }
+            if nodes.len() > MAX_NODES {
+                return None;
+            }
+        }
+        None
+    }
+
+    /// The end of an arc, and whether it passed the goal; `None` when the body can't follow it.
+    fn follow(&self, from: Waypoint, curvature: f64) -> Option<(Waypoint, bool)> {
+        let mut place = from;
+        for _ in 0..CHECKS {
+            place = arc(place, curvature, ARC_M / CHECKS as f64);
+            if !self.is_free(place) {
+                return None;
+            }
+            if self.goal_distance(place) <= self.tolerance {
+                return Some((place, true));
+            }
+        }
+        Some((place, false))
+    }
+
+    fn is_free(&self, place: Waypoint) -> bool {
+        let ([left, right], [low, high]) = (self.scenario.track.x_m, self.scenario.centre_y_m());
+        let body = self.scenario.body(place.x, place.y, place.yaw);
+        (left..=right).contains(&place.x)
+            && (low..=high).contains(&place.y)
+            && self.scene.clearance_below(&body, 0.0, MARGIN_M) >= MARGIN_M
+    }
+
+    /// Way so far and twice the way left: finds some path soon rather than the shortest.
+    fn cost(&self, place: Waypoint, way: f64) -> f64 {
+        way + 2.0 * self.goal_distance(place)
+    }
+
+    fn goal_distance(&self, place: Waypoint) -> f64 {
+        (place.x - self.scenario.goal.x_m).hypot(place.y - self.scenario.goal.y_m)
+    }
+}
+
+/// The pose after an arc of some length.
+fn arc(from: Waypoint, curvature: f64, length: f64) -> Waypoint {
+    let turn = curvature * length;
+    // The chord of a short arc points half the turn aside; sinc(turn / 2) is 1 to 1e-5 here.
+    let (sin, cos) = (from.yaw + turn / 2.0).sin_cos();
+    Waypoint { x: from.x + length * cos, y: from.y + length * sin, yaw: wrap_angle(from.yaw + turn) }
+}
+
+fn cell(place: Waypoint) -> [i64; 3] {
+    [place.x / CELL[0], place.y / CELL[1], place.yaw / CELL[2]].map(|number| number.floor() as i64)
+}
+
+/// The poses from the first node to the last one.
+fn trace(nodes: &[Node]) -> Vec<Waypoint> {
+    let mut index = nodes.len() - 1;
+    let mut path = vec![nodes[index].place];
+    while index > 0 {
+        index = nodes[index].parent;
+        path.push(nodes[index].place);
+    }
+    path.reverse();
+    path
+}
+
+impl Ord for Open {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.cost.total_cmp(&self.cost).then(other.node.cmp(&self.node))
+    }
+}
+
+impl PartialOrd for Open {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Open {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Open {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::course;
+
+    fn shipped(name: &str) -> Scenario {
+        Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap()
+    }
+
+    fn with_boxes(boxes: &[[f64; 3]]) -> Scenario {
+        let obstacles = boxes.iter().map(|[x, y, width]| {
+            let shape = crate::scenario::Shape::Box { length_m: 0.1, width_m: *width, yaw_rad: 0.0 };
+            Obstacle::fixed(shape, *x, *y)
+        });
+        Scenario { obstacles: obstacles.collect(), ..Scenario::default() }
+    }
+
+    #[test]
+    fn all_shipped_courses_but_the_blocked_one_are_passable() {
+        for name in Scenario::names() {
+            assert_eq!(passable(&shipped(name)), name != "blocked", "{name}");
+        }
+    }
+
+    #[test]
+    fn a_gap_has_to_be_as_wide_as_the_body_and_twice_the_margin() {
+        // The centre may use y up to 1.5. A box from -5 to `edge` leaves room where edge + 0.1 + 0.2 <= 1.5; what the
+        // robot has not yet turned back when it passes costs a few millimetres.
+        assert!(passable(&with_boxes(&[[5.0, (-5.0 + 1.15) / 2.0, 6.15]])));
+        assert!(!passable(&with_boxes(&[[5.0, (-5.0 + 1.25) / 2.0, 6.25]])));
+    }
+
+    #[test]
+    fn a_box_right_ahead_can_not_be_passed_within_the_turning_radius() {
+        // At full lock about (0, 3.2) the outer front corner of the body runs on a radius of hypot(3.4, 0.28) = 3.411 m;
+        // with the margin, 3.511. The corner of the box at y = 0.2 lies outside of that beyond x = 1.825.
+        assert!(!passable(&with_boxes(&[[1.80, 0.0, 0.4]])));
+        assert!(passable(&with_boxes(&[[2.00, 0.0, 0.4]])));
+    }
+
+    #[test]
+    fn a_path_keeps_the_radius_and_the_margin() {
+        let scenario = shipped("slalom");
+        let path = path(&scenario).unwrap();
+        for pair in path.windows(2) {
+            let (turn, way) =
+                (wrap_angle(pair[1].yaw - pair[0].yaw), (pair[1].x - pair[0].x).hypot(pair[1].y - pair[0].y));
+            assert!(turn.abs() <= ARC_M / RADIUS_M + 1e-9 && way <= ARC_M + 1e-9);
+        }
+        let scene = Scene::new(&scenario);
+        for place in &path {
+            assert!(scene.clearance(&scenario.body(place.x, place.y, place.yaw), 0.0) >= MARGIN_M);
+        }
+    }
+
+    #[test]
+    fn most_random_courses_are_passable() {
+        let start = std::time::Instant::now();
+        let count = (0..100).filter(|seed| passable(&course::random(*seed))).count();
+        println!("{count} of 100 random courses are passable, {:?} each", start.elapsed() / 100);
+        assert!(count >= 90, "{count}");
+    }
+}

@@ -1,0 +1,240 @@
+//! The moving robot: model (7.27)-(7.31) behind a drive that is not quite what it is told.
+//!
+//! The velocity follows at once, as in the model; the steering angle follows through the map of the linkage and
+//! the play between shaft and wheels. The robot has no brake: it stops by blocking its wheels, which slide with a
+//! constant deceleration while the steering angle stays as it was.
+//!
+//! The model divides by the velocity. Below [`SLOWEST_MPS`] the lateral part is computed as if the robot drove
+//! that fast, which keeps it stable; at standstill nothing moves and sideslip and yaw rate are zero. So turning
+//! rates below 0.05 m/s are too large; a blocked robot spends 10 ms there.
+
+use nalgebra::SVector;
+use vehicle::model::lateral;
+use vehicle::{Control, Parameters, State};
+
+use crate::scenario::{Robot, Scenario};
+
+/// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part.
+pub const STEP_NS: u64 = 1_000_000;
+
+/// Velocity below which the lateral part of the model is not slowed down further [m/s].
+pub const SLOWEST_MPS: f64 = 0.05;
+
+/// State of the robot and of its drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plant {
+    parameters: Parameters,
+    robot: Robot,
+    state: State,
+    speed: f64,
+    steering: f64,
+    blocked: bool,
+    wrecked: bool,
+}
+
+impl Plant {
+    /// The robot at the start pose, at standstill, with blocked wheels.
+    pub fn new(scenario: &Scenario) -> Self {
+        let start = scenario.start;
+        Self {
+            parameters: Parameters::default(),
+            robot: scenario.robot,
+            state: State { x: start.x_m, y: start.y_m, yaw: start.yaw_rad, ..State::default() },
+            speed: 0.0,
+            steering: 0.0,
+            blocked: true,
+            wrecked: false,
+        }
+    }
+
+    /// State of the model; its yaw counts full turns.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Speed over ground [m/s].
+    pub fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// Steering angle of the wheels [rad].
+    pub fn steering(&self) -> f64 {
+        self.steering
+    }
+
+    /// Whether the wheels are blocked.
+    pub fn is_blocked(&self) -> bool {
+        self.blocked
+    }
+
+    /// Turns the wheels with the velocity [m/s] and the steering angle [rad] sent; other than finite numbers
+    /// change nothing.
+    pub fn drive(&mut self, velocity_sent: f64, steering_sent: f64) {
+        if self.wrecked || !velocity_sent.is_finite() || !steering_sent.is_finite() {
+            return;
+        }
+        self.blocked = false;
+        self.speed = velocity_sent / self.robot.velocity_factor;
+        let shaft = self.robot.steering_map.realised(steering_sent);
+        let play = self.robot.steering_backlash_rad;
+        // The wheels stay where they are until the shaft has used up the play.
+        self.steering = self.steering.clamp(shaft - play, shaft + play);
+        self.settle();
+    }
+
+    /// Blocks the wheels.
+    pub fn block(&mut self) {
+        self.blocked = true;
+    }
+
+    /// Stops the body at once and for good: it has run into something.
+    pub fn wreck(&mut self) {
+        self.wrecked = true;
+        self.blocked = true;
+        self.speed = 0.0;
+        self.settle();
+    }
+
+    /// Moves on by `duration` seconds, at most a plant step; returns the way driven [m].
+    pub fn step(&mut self, duration: f64) -> f64 {
+        if self.speed <= 0.0 {
+            return 0.0;
+        }
+        let before = self.speed;
+        let mut moving = duration;
+        if self.blocked {
+            moving = duration.min(before / self.robot.blocked_deceleration_mps2);
+            self.speed = (before - self.robot.blocked_deceleration_mps2 * duration).max(0.0);
+        }
+        // The mean speed over the step gives the way of a constant deceleration exactly: v^2 / (2 a).
+        let mean = if self.blocked { (before + self.speed) / 2.0 } else { before };
+        self.state = rk4(&self.parameters, &self.state, mean, self.steering, moving);
+        self.settle();
+        mean * moving
+    }
+
+    /// At standstill nothing turns.
+    fn settle(&mut self) {
+        if self.speed <= 0.0 {
+            self.speed = 0.0;
+            self.state.sideslip = 0.0;
+            self.state.yaw_rate = 0.0;
+        }
+    }
+}
+
+/// One Runge-Kutta step of the model, with the velocity of the lateral part held above [`SLOWEST_MPS`].
+fn rk4(parameters: &Parameters, state: &State, speed: f64, steering: f64, step: f64) -> State {
+    let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
+    let slope = |vector: SVector<f64, 5>| {
+        let state = State::from_vector(&vector);
+        let [sideslip_rate, yaw_acceleration] = lateral(parameters, state.sideslip, state.yaw_rate, &control);
+        let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
+        SVector::from([sideslip_rate, state.yaw_rate, yaw_acceleration, speed * cos, speed * sin])
+    };
+    let start = state.to_vector();
+    let k1 = slope(start);
+    let k2 = slope(start + k1 * (step / 2.0));
+    let k3 = slope(start + k2 * (step / 2.0));
+    let k4 = slope(start + k3 * step);
+    State::from_vector(&(start + (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (step / 6.0)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::steering_map::{SteeringMap, nonlinear};
+    use vehicle::integrate::integrate;
+
+    fn plant(robot: Robot) -> Plant {
+        Plant::new(&Scenario { robot, ..Scenario::default() })
+    }
+
+    fn ideal() -> Robot {
+        Robot { velocity_factor: 1.0, steering_map: SteeringMap::Identity, ..Robot::default() }
+    }
+
+    fn run(plant: &mut Plant, milliseconds: usize) -> f64 {
+        (0..milliseconds).map(|_| plant.step(1e-3)).sum()
+    }
+
+    #[test]
+    fn the_velocity_factor_divides_what_is_sent() {
+        let mut plant = plant(Robot::default());
+        plant.drive(1.4, 0.0);
+        let way = run(&mut plant, 1000);
+        assert!((way - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_ideal_robot_moves_as_the_model() {
+        let mut plant = plant(ideal());
+        plant.drive(0.7, 0.05);
+        run(&mut plant, 2000);
+        let control = Control { velocity: 0.7, steering: 0.05 };
+        let model = integrate(&Parameters::default(), &State::default(), &control, 2.0);
+        // Both are RK4, with 1 and 2 ms; the yaw rate's transient at 0.7 m/s costs the latter about 1e-7.
+        assert!((plant.state().to_vector() - model.to_vector()).amax() < 1e-6);
+    }
+
+    #[test]
+    fn blocked_wheels_slide_v_squared_over_two_a() {
+        let mut plant = plant(ideal());
+        plant.drive(0.9, 0.0);
+        plant.block();
+        let way = run(&mut plant, 179);
+        assert!(plant.speed() > 0.0);
+        let rest = run(&mut plant, 10);
+        // 0.81 / 10 m in 0.18 s.
+        assert!((way + rest - 0.081).abs() < 1e-12, "{}", way + rest);
+        assert_eq!((plant.speed(), plant.state().yaw_rate, plant.state().sideslip), (0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn blocked_wheels_keep_their_angle() {
+        let mut plant = plant(ideal());
+        plant.drive(1.0, 0.06);
+        run(&mut plant, 500);
+        plant.block();
+        let yaw = plant.state().yaw;
+        run(&mut plant, 300);
+        assert_eq!(plant.steering(), 0.06);
+        // 0.1 m of way in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
+        let turned = plant.state().yaw - yaw;
+        assert!((turned - 0.1 / 3.1 - 5e-3).abs() < 2e-3, "{turned}");
+    }
+
+    #[test]
+    fn play_delays_the_wheels_by_half_its_width_in_either_direction() {
+        let mut plant = plant(Robot { steering_backlash_rad: 0.006, ..ideal() });
+        let mut wheels = |sent: f64| {
+            plant.drive(0.5, sent);
+            plant.steering()
+        };
+        assert_eq!(wheels(0.005), 0.0, "the play is not used up");
+        assert!((wheels(0.020) - 0.014).abs() < 1e-15, "pushed from below");
+        assert!((wheels(0.010) - 0.014).abs() < 1e-15, "nothing pushes on the way back");
+        assert!((wheels(0.000) - 0.006).abs() < 1e-15, "pushed from above");
+        assert!((wheels(-0.02) + 0.014).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_map_of_the_linkage_comes_before_the_play() {
+        let mut plant = plant(Robot { steering_backlash_rad: 0.006, ..Robot::default() });
+        plant.drive(0.5, 0.06);
+        assert!((plant.steering() - (nonlinear(0.06) - 0.006)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_slowest_drive_stays_stable_and_a_wreck_stays_where_it_is() {
+        let mut plant = plant(ideal());
+        plant.drive(0.01, 0.12);
+        run(&mut plant, 5000);
+        assert!(plant.state().is_finite() && plant.state().yaw_rate.abs() < 0.05);
+        plant.wreck();
+        let state = *plant.state();
+        plant.drive(1.0, 0.0);
+        assert_eq!(run(&mut plant, 100), 0.0);
+        assert_eq!(*plant.state(), state);
+    }
+}

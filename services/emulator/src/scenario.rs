@@ -1,0 +1,226 @@
+//! The scenario file: what stands on the track, what is wrong with the robot, and what counts as arrived.
+//!
+//! Every table and key is optional with the default shown in the file's description, except an obstacle's shape,
+//! position and size. A scenario that was read has been checked: whoever holds one through [`Scenario::parse`] or
+//! [`Scenario::from_table`] needs no further check. It can be written out again and reads back identically.
+
+mod endless;
+mod obstacle;
+mod places;
+mod read;
+mod robot;
+mod shipped;
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+use vehicle::geometry::Rectangle;
+use vehicle::{Invalid, require};
+
+pub use endless::Endless;
+pub use obstacle::{Obstacle, Shape};
+pub use places::{Goal, Start, Track};
+pub use robot::{Drift, Noise, Robot};
+
+/// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
+pub const WALL_MARGIN_M: f64 = 0.2;
+
+/// A checked scenario file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scenario {
+    /// Name in reports: letters, digits, blank, `-`, `_` and `.`.
+    pub name: String,
+    /// Seed of all noise and of the obstacles that the seed places.
+    pub seed: u64,
+    /// Time after which the run ends as `timeout` [s], 0.1 to 1e6.
+    pub timeout_s: f64,
+    /// Time of blocked wheels without a break that ends the run as `stopped` [s], 0.1 to 1e6.
+    pub stop_final_s: f64,
+    /// Bounds of the track, (7.45) and (7.46).
+    pub track: Track,
+    /// Pose at the start.
+    pub start: Start,
+    /// Where to land.
+    pub goal: Goal,
+    /// Obstacles by hand.
+    #[serde(rename = "obstacle")]
+    pub obstacles: Vec<Obstacle>,
+    /// Obstacles placed by the seed along the whole track.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub endless: Option<Endless>,
+    /// Imperfections of the robot.
+    pub robot: Robot,
+    /// Noise of scanner and odometer.
+    pub noise: Noise,
+}
+
+/// Why a scenario can't be driven.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ScenarioError {
+    /// The text is no TOML.
+    #[error("{file}: {message}")]
+    Syntax {
+        /// Name of the file.
+        file: String,
+        /// What the parser says, with the line.
+        message: String,
+    },
+    /// A key holds what it may not hold, does not exist, or is missing.
+    #[error("{file}: {invalid}")]
+    Invalid {
+        /// Name of the file.
+        file: String,
+        /// Key, value and allowed range.
+        invalid: Invalid,
+    },
+}
+
+impl Default for Scenario {
+    fn default() -> Self {
+        Self {
+            name: "corridor".to_owned(),
+            seed: 1,
+            timeout_s: 60.0,
+            stop_final_s: 5.0,
+            track: Track::default(),
+            start: Start::default(),
+            goal: Goal::default(),
+            obstacles: Vec::new(),
+            endless: None,
+            robot: Robot::default(),
+            noise: Noise::default(),
+        }
+    }
+}
+
+impl Scenario {
+    /// The scenario in `text`; `file` stands in messages only.
+    ///
+    /// # Errors
+    /// One message with file, key, value and allowed range.
+    pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
+        let table = toml::from_str::<toml::Table>(text).map_err(|error| {
+            let line = error.span().map_or(1, |span| read::line_of(text, span.start));
+            let message = format!("line {line}: {}", error.message().replace('\n', ", "));
+            ScenarioError::Syntax { file: file.to_owned(), message }
+        })?;
+        Self::from_table(table, file)
+    }
+
+    /// The scenario in a table that was read before, possibly with overrides in it.
+    ///
+    /// # Errors
+    /// One message with file, key, value and allowed range.
+    pub fn from_table(table: toml::Table, file: &str) -> Result<Self, ScenarioError> {
+        read::scenario(table)
+            .and_then(|scenario| scenario.validate().map(|()| scenario))
+            .map_err(|invalid| ScenarioError::Invalid { file: file.to_owned(), invalid })
+    }
+
+    /// Text of a shipped scenario.
+    pub fn shipped(name: &str) -> Option<&'static str> {
+        shipped::SHIPPED.iter().find(|(shipped, _)| *shipped == name).map(|(_, text)| *text)
+    }
+
+    /// Names of the shipped scenarios, the default one first.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        shipped::SHIPPED.iter().map(|(name, _)| *name)
+    }
+
+    /// The file that reads back as this scenario.
+    pub fn to_toml(&self) -> String {
+        // Numbers, texts and tables with text keys can always be written.
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// Checks every number and that start, goal and obstacles fit together.
+    ///
+    /// # Errors
+    /// The first key that is not allowed.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        let plain = |letter: char| letter.is_ascii_alphanumeric() || " -_.".contains(letter);
+        if self.name.is_empty() || self.name.len() > 64 || !self.name.chars().all(plain) {
+            return Err(Invalid::new(
+                "name",
+                &self.name,
+                "1 to 64 letters, digits, blanks, `-`, `_` and `.`",
+            ));
+        }
+        if i64::try_from(self.seed).is_err() {
+            return Err(Invalid::new("seed", self.seed, format!("0 to {}", i64::MAX)));
+        }
+        require("timeout_s", self.timeout_s, 0.1..=1e6)?;
+        require("stop_final_s", self.stop_final_s, 0.1..=1e6)?;
+        self.track.validate().map_err(|error| error.within("track"))?;
+        self.robot.validate().map_err(|error| error.within("robot"))?;
+        self.noise.validate().map_err(|error| error.within("noise"))?;
+        self.start.validate(&self.track).map_err(|error| error.within("start"))?;
+        self.goal.validate(&self.track).map_err(|error| error.within("goal"))?;
+        if let Some(endless) = &self.endless {
+            endless.validate().map_err(|error| error.within("endless"))?;
+        }
+        self.validate_start_in_walls()?;
+        for (index, obstacle) in self.obstacles.iter().enumerate() {
+            obstacle
+                .validate()
+                .and_then(|()| self.validate_start_is_free(obstacle))
+                .map_err(|error| error.within(&format!("obstacle[{index}]")))?;
+        }
+        Ok(())
+    }
+
+    /// The body of the robot with its centre at a pose.
+    pub fn body(&self, x: f64, y: f64, yaw: f64) -> Rectangle {
+        Rectangle { centre: Vector2::new(x, y), yaw, length: self.robot.length_m, width: self.robot.width_m }
+    }
+
+    /// Obstacles of the file, then those that the seed places.
+    pub fn placed_obstacles(&self) -> Vec<Obstacle> {
+        let mut obstacles = self.obstacles.clone();
+        if let Some(endless) = &self.endless {
+            endless.place(self, &mut obstacles);
+        }
+        obstacles
+    }
+
+    /// Bound of the robot's centre across the track: `track.y_m`, or less where walls stand there [m].
+    pub fn centre_y_m(&self) -> [f64; 2] {
+        let [low, high] = self.track.y_m;
+        if !self.track.walls {
+            return [low, high];
+        }
+        let shrink = self.robot.width_m / 2.0 + WALL_MARGIN_M;
+        [low + shrink, high - shrink]
+    }
+
+    fn start_body(&self) -> Rectangle {
+        self.body(self.start.x_m, self.start.y_m, self.start.yaw_rad)
+    }
+
+    fn validate_start_in_walls(&self) -> Result<(), Invalid> {
+        let [low, high] = self.track.y_m;
+        let corners = self.start_body().corners();
+        if self.track.walls && corners.iter().any(|corner| corner.y <= low || corner.y >= high) {
+            let allowed = format!("the robot's body must stand between the walls at {low} and {high} m");
+            return Err(Invalid::new("start.y_m", self.start.y_m, allowed));
+        }
+        Ok(())
+    }
+
+    fn validate_start_is_free(&self, obstacle: &Obstacle) -> Result<(), Invalid> {
+        let distance =
+            obstacle.solid_at(Vector2::new(obstacle.x_m, obstacle.y_m)).distance_to(&self.start_body());
+        if obstacle.appears_s <= 0.0 && distance <= 0.0 {
+            let place = format!("{} (y_m = {})", obstacle.x_m, obstacle.y_m);
+            return Err(Invalid::new(
+                "x_m",
+                place,
+                "an obstacle must not touch the robot's body at the start",
+            ));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,228 @@
+//! One obstacle of the file.
+//!
+//! In the file all keys stand side by side (`shape`, `x_m`, `radius_m`, ...); in the program the size belongs to
+//! the shape, so that a circle without a radius can't exist.
+
+use std::f64::consts::PI;
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+use vehicle::geometry::Rectangle;
+use vehicle::{Invalid, require};
+
+use crate::scene::Solid;
+
+/// Shape and size of an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// An upright cylinder.
+    Circle {
+        /// Radius [m], 0.005 to 50.
+        radius_m: f64,
+    },
+    /// An upright box.
+    Box {
+        /// Full length along its own axis [m], 0.005 to 100.
+        length_m: f64,
+        /// Full width [m], 0.005 to 100.
+        width_m: f64,
+        /// Direction of the length axis [rad], -pi to pi.
+        yaw_rad: f64,
+    },
+}
+
+/// An obstacle, where it stands, when it is there, and how it moves.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "ObstacleFile", into = "ObstacleFile")]
+pub struct Obstacle {
+    /// Shape and size.
+    pub shape: Shape,
+    /// Position of the centre along the track when it appears [m].
+    pub x_m: f64,
+    /// Lateral position of the centre when it appears [m].
+    pub y_m: f64,
+    /// When it appears [s] since the start of the run; ignored where `appears_ahead_m` is given.
+    pub appears_s: f64,
+    /// It appears when the front of the body has come this near to its surface, measured forward [m].
+    pub appears_ahead_m: Option<f64>,
+    /// When it vanishes [s] since the start of the run.
+    pub disappears_s: Option<f64>,
+    /// Velocity along the track from the moment it appears [m/s].
+    pub velocity_x_mps: f64,
+    /// Velocity across the track from the moment it appears [m/s].
+    pub velocity_y_mps: f64,
+}
+
+impl Obstacle {
+    /// An obstacle that stands there all the time.
+    pub fn fixed(shape: Shape, x_m: f64, y_m: f64) -> Self {
+        Self {
+            shape,
+            x_m,
+            y_m,
+            appears_s: 0.0,
+            appears_ahead_m: None,
+            disappears_s: None,
+            velocity_x_mps: 0.0,
+            velocity_y_mps: 0.0,
+        }
+    }
+
+    /// Whether it moves.
+    pub fn moves(&self) -> bool {
+        self.velocity_x_mps != 0.0 || self.velocity_y_mps != 0.0
+    }
+
+    /// Whether it stands still at one place for the whole run.
+    pub fn is_permanent(&self) -> bool {
+        !self.moves()
+            && self.appears_s <= 0.0
+            && self.appears_ahead_m.is_none()
+            && self.disappears_s.is_none()
+    }
+
+    /// Radius of the circle about its centre that holds all of it [m].
+    pub fn reach(&self) -> f64 {
+        match self.shape {
+            Shape::Circle { radius_m } => radius_m,
+            Shape::Box { length_m, width_m, .. } => length_m.hypot(width_m) / 2.0,
+        }
+    }
+
+    /// Its body with the centre at `centre`.
+    pub fn solid_at(&self, centre: Vector2<f64>) -> Solid {
+        match self.shape {
+            Shape::Circle { radius_m } => Solid::circle(centre, radius_m),
+            Shape::Box { length_m, width_m, yaw_rad } => {
+                Solid::rectangle(Rectangle { centre, yaw: yaw_rad, length: length_m, width: width_m })
+            }
+        }
+    }
+
+    pub(super) fn validate(&self) -> Result<(), Invalid> {
+        match self.shape {
+            Shape::Circle { radius_m } => require("radius_m", radius_m, 0.005..=50.0)?,
+            Shape::Box { length_m, width_m, yaw_rad } => {
+                require("length_m", length_m, 0.005..=100.0)?;
+                require("width_m", width_m, 0.005..=100.0)?;
+                require("yaw_rad", yaw_rad, -PI..=PI)?;
+            }
+        }
+        require("x_m", self.x_m, -20_000.0..=20_000.0)?;
+        require("y_m", self.y_m, -2_000.0..=2_000.0)?;
+        require("appears_s", self.appears_s, 0.0..=1e6)?;
+        if let Some(ahead) = self.appears_ahead_m {
+            require("appears_ahead_m", ahead, 0.0..=100.0)?;
+        }
+        if let Some(disappears) = self.disappears_s {
+            require("disappears_s", disappears, self.appears_s..=1e6)?;
+        }
+        require("velocity_x_mps", self.velocity_x_mps, -5.0..=5.0)?;
+        require("velocity_y_mps", self.velocity_y_mps, -5.0..=5.0)
+    }
+}
+
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum ShapeName {
+    Circle,
+    Box,
+}
+
+/// The keys as they stand in the file.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct ObstacleFile {
+    shape: Option<ShapeName>,
+    x_m: Option<f64>,
+    y_m: Option<f64>,
+    radius_m: Option<f64>,
+    length_m: Option<f64>,
+    width_m: Option<f64>,
+    yaw_rad: Option<f64>,
+    appears_s: Option<f64>,
+    appears_ahead_m: Option<f64>,
+    disappears_s: Option<f64>,
+    velocity_x_mps: Option<f64>,
+    velocity_y_mps: Option<f64>,
+}
+
+impl TryFrom<ObstacleFile> for Obstacle {
+    type Error = Invalid;
+
+    fn try_from(file: ObstacleFile) -> Result<Self, Invalid> {
+        let shape = match file.shape {
+            None => return Err(missing("shape", "`box` or `circle`")),
+            Some(ShapeName::Circle) => {
+                absent("length_m", file.length_m, "box")?;
+                absent("width_m", file.width_m, "box")?;
+                absent("yaw_rad", file.yaw_rad, "box")?;
+                Shape::Circle { radius_m: given("radius_m", file.radius_m)? }
+            }
+            Some(ShapeName::Box) => {
+                absent("radius_m", file.radius_m, "circle")?;
+                Shape::Box {
+                    length_m: given("length_m", file.length_m)?,
+                    width_m: given("width_m", file.width_m)?,
+                    yaw_rad: file.yaw_rad.unwrap_or(0.0),
+                }
+            }
+        };
+        if let (Some(appears), Some(_)) = (file.appears_s, file.appears_ahead_m) {
+            return Err(Invalid::new("appears_s", appears, "either appears_s or appears_ahead_m, not both"));
+        }
+        Ok(Self {
+            shape,
+            x_m: given("x_m", file.x_m)?,
+            y_m: given("y_m", file.y_m)?,
+            appears_s: file.appears_s.unwrap_or(0.0),
+            appears_ahead_m: file.appears_ahead_m,
+            disappears_s: file.disappears_s,
+            velocity_x_mps: file.velocity_x_mps.unwrap_or(0.0),
+            velocity_y_mps: file.velocity_y_mps.unwrap_or(0.0),
+        })
+    }
+}
+
+impl From<Obstacle> for ObstacleFile {
+    fn from(obstacle: Obstacle) -> Self {
+        let Obstacle { appears_ahead_m, disappears_s, .. } = obstacle;
+        let base = Self {
+            x_m: Some(obstacle.x_m),
+            y_m: Some(obstacle.y_m),
+            appears_s: appears_ahead_m.is_none().then_some(obstacle.appears_s),
+            appears_ahead_m,
+            disappears_s,
+            velocity_x_mps: Some(obstacle.velocity_x_mps),
+            velocity_y_mps: Some(obstacle.velocity_y_mps),
+            ..Self::default()
+        };
+        match obstacle.shape {
+            Shape::Circle { radius_m } => {
+                Self { shape: Some(ShapeName::Circle), radius_m: Some(radius_m), ..base }
+            }
+            Shape::Box { length_m, width_m, yaw_rad } => Self {
+                shape: Some(ShapeName::Box),
+                length_m: Some(length_m),
+                width_m: Some(width_m),
+                yaw_rad: Some(yaw_rad),
+                ..base
+            },
+        }
+    }
+}
+
+fn given(key: &str, value: Option<f64>) -> Result<f64, Invalid> {
+    value.ok_or_else(|| missing(key, "a number [m]"))
+}
+
+fn missing(key: &str, allowed: &str) -> Invalid {
+    Invalid::new(key, "(missing)", format!("{allowed} must be given"))
+}
+
+fn absent(key: &str, value: Option<f64>, shape: &str) -> Result<(), Invalid> {
+    match value {
+        Some(value) => Err(Invalid::new(key, value, format!("only with shape = \"{shape}\""))),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,202 @@
+use super::*;
+use proptest::prelude::*;
+
+fn message(text: &str) -> String {
+    Scenario::parse(text, "my.toml").unwrap_err().to_string()
+}
+
+const BOX: &str = "[[obstacle]]\nshape = \"box\"\nx_m = 5\ny_m = 0\nlength_m = 0.1\nwidth_m = 0.4\n";
+
+#[test]
+fn an_empty_file_is_the_default_without_obstacles() {
+    let scenario = Scenario::parse("", "my.toml").unwrap();
+    assert_eq!(scenario, Scenario::default());
+    assert!(scenario.obstacles.is_empty());
+}
+
+#[test]
+fn every_shipped_scenario_is_valid_named_as_its_file_and_reads_back_identically() {
+    for name in Scenario::names() {
+        let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+        assert_eq!(scenario.name, name);
+        let written = scenario.to_toml();
+        assert_eq!(Scenario::parse(&written, "written").unwrap(), scenario, "{written}");
+    }
+    assert_eq!(Scenario::names().next(), Some("corridor"));
+    assert_eq!(Scenario::shipped("nowhere"), None);
+}
+
+#[test]
+fn the_shipped_corridor_is_the_default_with_one_box() {
+    let scenario = Scenario::parse(Scenario::shipped("corridor").unwrap(), "corridor").unwrap();
+    let shape = Shape::Box { length_m: 0.1, width_m: 0.4, yaw_rad: 0.0 };
+    let expected = Scenario { obstacles: vec![Obstacle::fixed(shape, 5.0, 0.0)], ..Scenario::default() };
+    assert_eq!(scenario, expected);
+}
+
+#[test]
+fn messages_name_file_key_value_and_what_is_allowed() {
+    let cases = [
+        ("[noise]\nrange_m = 2", "my.toml: noise.range_m = 2 is not allowed: 0 to 1"),
+        ("[noise]\nrange_m = nan", "my.toml: noise.range_m = NaN is not allowed: 0 to 1"),
+        ("[noise]\ndropout = \"no\"", "my.toml: noise.dropout = \"no\" is not allowed: a number"),
+        ("seed = -1", "my.toml: seed = -1 is not allowed: a whole number from 0"),
+        ("timeout_s = inf", "my.toml: timeout_s = inf is not allowed: 0.1 to 1000000"),
+        ("track = 5", "my.toml: track = 5 is not allowed: a table [track]"),
+        ("[track]\nwalls = 1", "my.toml: track.walls = 1 is not allowed: a boolean"),
+        ("[track]\nx_m = [0.0]", "my.toml: track.x_m = [0.0] is not allowed: an array of two numbers"),
+        (
+            "[track]\ny_m = [1.5, -1.5]",
+            "my.toml: track.y_m = [1.5, -1.5] is not allowed: two numbers from -1000 to 1000, the smaller one first",
+        ),
+        ("[start]\ny_m = 1.6", "my.toml: start.y_m = 1.6 is not allowed: -1.5 to 1.5, the bounds track.y_m"),
+        ("[goal]\nx_m = 22.5", "my.toml: goal.x_m = 22.5 is not allowed: 0 to 22, the bounds track.x_m"),
+        (
+            "[robot]\nsteering_map = \"bent\"",
+            "my.toml: robot.steering_map = \"bent\" is not allowed: `nonlinear` or `identity`",
+        ),
+        ("obstacle = 3", "my.toml: obstacle = 3 is not allowed: tables [[obstacle]]"),
+        (
+            "name = \"../up\"",
+            "my.toml: name = ../up is not allowed: 1 to 64 letters, digits, blanks, `-`, `_` and `.`",
+        ),
+    ];
+    for (text, expected) in cases {
+        assert_eq!(message(text), expected);
+    }
+}
+
+#[test]
+fn messages_about_an_obstacle_carry_its_index() {
+    let second = |keys: &str| message(&format!("{BOX}[[obstacle]]\n{keys}"));
+    let start = "my.toml: obstacle[1].";
+    let cases = [
+        ("x_m = 1", "shape = (missing) is not allowed: `box` or `circle` must be given"),
+        ("shape = \"ball\"", "shape = \"ball\" is not allowed: `circle` or `box`"),
+        (
+            "shape = \"circle\"\nx_m = 3\ny_m = 0",
+            "radius_m = (missing) is not allowed: a number [m] must be given",
+        ),
+        ("shape = \"circle\"\nx_m = 3\ny_m = 0\nradius_m = -1", "radius_m = -1 is not allowed: 0.005 to 50"),
+        (
+            "shape = \"circle\"\nx_m = 3\ny_m = 0\nradius_m = 1\nwidth_m = 0.5",
+            "width_m = 0.5 is not allowed: only with shape = \"box\"",
+        ),
+        (
+            "shape = \"circle\"\nx_m = 0.3\ny_m = 0\nradius_m = 0.1",
+            "x_m = 0.3 (y_m = 0) is not allowed: an obstacle must not touch the robot's body at the start",
+        ),
+        (
+            "shape = \"circle\"\nx_m = 3\ny_m = 0\nradius_m = 0.1\nappears_s = 1\nappears_ahead_m = 1",
+            "appears_s = 1 is not allowed: either appears_s or appears_ahead_m, not both",
+        ),
+        (
+            "shape = \"circle\"\nx_m = 3\ny_m = 0\nradius_m = 0.1\nappears_s = 3\ndisappears_s = 1",
+            "disappears_s = 1 is not allowed: 3 to 1000000",
+        ),
+    ];
+    for (keys, expected) in cases {
+        assert_eq!(second(keys), format!("{start}{expected}"));
+    }
+}
+
+#[test]
+fn an_unknown_key_is_named_with_the_known_ones() {
+    let text = message("[noise]\nrnage_m = 0.1");
+    assert!(
+        text.starts_with("my.toml: noise.rnage_m = 0.1 is not allowed: the key is unknown, expected one of")
+    );
+    assert!(text.contains("`range_m`"));
+    assert!(message("speed = 1").contains("speed = 1"));
+    assert!(message(&format!("{BOX}heigth_m = 1")).starts_with("my.toml: obstacle[0].heigth_m = 1 "));
+}
+
+#[test]
+fn a_syntax_error_names_its_line() {
+    assert!(message("seed = 1\n\nname = ").starts_with("my.toml: line 3: "));
+}
+
+#[test]
+fn an_obstacle_that_comes_later_may_stand_on_the_start() {
+    let text = "[[obstacle]]\nshape = \"circle\"\nx_m = 0\ny_m = 0\nradius_m = 0.1\nappears_s = 9";
+    assert!(Scenario::parse(text, "my.toml").is_ok());
+}
+
+#[test]
+fn a_body_that_reaches_into_a_wall_at_the_start_is_refused() {
+    let text = "[track]\nwalls = true\n[start]\ny_m = 1.31";
+    assert!(
+        message(text)
+            .starts_with("my.toml: start.y_m = 1.31 is not allowed: the robot's body must stand between")
+    );
+}
+
+#[test]
+fn walls_shrink_the_bound_of_the_centre_by_half_the_body_and_the_safety_distance() {
+    let scenario = Scenario::parse(Scenario::shipped("walls").unwrap(), "walls").unwrap();
+    let [low, high] = scenario.centre_y_m();
+    assert!((low + 1.5).abs() < 1e-12 && (high - 1.5).abs() < 1e-12);
+}
+
+#[test]
+fn endless_obstacles_depend_on_the_seed_only_and_stay_in_their_ranges() {
+    let scenario = Scenario::parse(Scenario::shipped("endless").unwrap(), "endless").unwrap();
+    let placed = scenario.placed_obstacles();
+    assert_eq!(placed, scenario.placed_obstacles());
+    assert_eq!(placed.len(), 1815, "from 6 m to 9984 m each 5.5 m");
+    for obstacle in &placed {
+        let Shape::Box { width_m, .. } = obstacle.shape else { panic!("boxes only") };
+        assert!((0.2..0.5).contains(&width_m) && obstacle.y_m.abs() <= 0.6);
+    }
+    assert_ne!(Scenario { seed: 2, ..scenario }.placed_obstacles(), placed);
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in ".{0,200}") {
+        let _ = Scenario::parse(&text, "my.toml");
+    }
+
+    #[test]
+    fn no_value_of_any_key_makes_the_reader_panic(
+        table in prop::sample::select(vec!["", "track", "start", "goal", "robot", "noise", "endless", "obstacle"]),
+        key in prop::sample::select(vec![
+            "name", "seed", "timeout_s", "x_m", "y_m", "yaw_rad", "walls", "tolerance_m", "shape", "radius_m",
+            "length_m", "width_m", "velocity_factor", "spacing_m", "appears_s", "odometry_drift", "dropout",
+        ]),
+        value in prop::sample::select(vec![
+            "nan", "-inf", "1e308", "-1", "true", "\"box\"", "[]", "[nan, 1]", "{}", "9223372036854775807",
+            "[[]]", "1979-05-27", "{ shape = \"box\" }", "\"\"",
+        ]),
+    ) {
+        let header = match table {
+            "" => String::new(),
+            "obstacle" => "[[obstacle]]\n".to_owned(),
+            name => format!("[{name}]\n"),
+        };
+        if let Err(error) = Scenario::parse(&format!("{header}{key} = {value}"), "my.toml") {
+            let text = error.to_string();
+            prop_assert!(text.starts_with("my.toml: ") && text.contains(table), "{}", text);
+            prop_assert!(!text.contains('\n'), "one line: {}", text);
+        }
+    }
+
+    #[test]
+    fn a_valid_scenario_reads_back_identically(
+        x in 2.0..20.0f64, y in -1.0..1.0f64, radius in 0.01..0.5f64, yaw in -1.0..1.0f64,
+        seed in 0..=i64::MAX as u64, speed in -1.0..1.0f64, ahead in proptest::option::of(0.1..3.0f64),
+    ) {
+        let mut obstacle = Obstacle::fixed(Shape::Circle { radius_m: radius }, x, y);
+        obstacle.velocity_y_mps = speed;
+        obstacle.appears_ahead_m = ahead;
+        let scenario = Scenario {
+            seed,
+            start: Start { yaw_rad: yaw, ..Start::default() },
+            obstacles: vec![obstacle],
+            endless: Some(Endless::default()),
+            ..Scenario::default()
+        };
+        prop_assert_eq!(scenario.validate(), Ok(()));
+        prop_assert_eq!(Scenario::parse(&scenario.to_toml(), "written").unwrap(), scenario);
+    }
+}

@@ -1,0 +1,223 @@
+//! Settings of the estimator.
+
+use serde::{Deserialize, Serialize};
+use vehicle::{Invalid, Parameters, require};
+
+use crate::correction::{Drift, Mode};
+use crate::motion::MotionModel;
+use crate::observability::{Measured, require_observable};
+
+/// A set of values for noise and correction that go together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Profile {
+    /// Noise in metres and radians, so that the gate and the consistency of the filter mean something.
+    #[default]
+    Scaled,
+    /// The values printed in the source, with the printed drift.
+    ///
+    /// Only the ratios of its noise act, so there is no gate.
+    Source,
+}
+
+/// Settings of the estimator; what is not set comes from the profile.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// `"scaled"` or `"source"`.
+    pub profile: Profile,
+    /// What is measured; must determine the state while the robot moves, (7.1)-(7.2).
+    pub measure: Vec<Measured>,
+    /// Variances Q of (yaw, x, y) per 100 ms, each 1e-12 to 1e6 [rad^2, m^2, m^2]; scaled: of (yaw, ahead, left).
+    pub process_noise: Option<[f64; 3]>,
+    /// Variances R of measured (yaw, x, y), each 1e-12 to 1e6 [rad^2, m^2, m^2].
+    pub measurement_noise: Option<[f64; 3]>,
+    /// How measured data are corrected: `"off"`, `"time"`, `"moving"` or `"yaw"`.
+    pub correction: Option<Mode>,
+    /// Share of the way that odometry misses, df, -0.5 to 0.5.
+    pub odometry_longitudinal: Option<f64>,
+    /// Growth of the lateral drift, dds, -1 to 1 [1/s].
+    pub odometry_lateral_rate: Option<f64>,
+    /// Time after which the lateral drift begins at zero again, 0 (never) to 3600 [s].
+    pub drift_reset_s: f64,
+    /// Whether measurements that do not fit the estimate are refused; not with the printed noise.
+    pub gate: Option<bool>,
+    /// Measurements refused in a row after which the estimate begins anew, 1 to 1000.
+    pub recover_after: u32,
+    /// Time without odometry after which the estimate begins anew, 0.1 to 60 [s].
+    pub max_gap_s: f64,
+    /// Weight of the speed measured at the wheels against the desired one, 0 to 1.
+    pub speed_weight: f64,
+    /// Time from the pose to the wheels that is added to the age of the scan, 0 to 500 [ms].
+    pub extra_latency_ms: f64,
+    /// Deceleration of blocked wheels, 0.1 to 50 [m/s^2].
+    pub blocked_deceleration_mps2: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            profile: Profile::Scaled,
+            measure: vec![Measured::Yaw, Measured::X, Measured::Y],
+            process_noise: None,
+            measurement_noise: None,
+            correction: None,
+            odometry_longitudinal: None,
+            odometry_lateral_rate: None,
+            drift_reset_s: 0.0,
+            gate: None,
+            // Half a second at 10 Hz: longer than a burst of outliers, shorter than a metre at top speed.
+            recover_after: 5,
+            max_gap_s: 2.0,
+            speed_weight: 1.0,
+            extra_latency_ms: 0.0,
+            blocked_deceleration_mps2: 5.0,
+        }
+    }
+}
+
+/// All settings with the profile's values filled in, checked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Which of (yaw, x, y) are measured.
+    pub measured: [bool; 3],
+    /// Variances Q per 100 ms.
+    pub process_noise: [f64; 3],
+    /// Whether Q is along and across the heading instead of along the axes of the track.
+    pub noise_turns: bool,
+    /// Variances R.
+    pub measurement_noise: [f64; 3],
+    /// Correction of measured data.
+    pub drift: Drift,
+    /// Whether measurements that do not fit are refused.
+    pub gate: bool,
+    /// Refusals in a row after which the estimate begins anew.
+    pub recover_after: u64,
+    /// Time without odometry after which the estimate begins anew [s].
+    pub max_gap_s: f64,
+    /// Time added to the age of the scan [ns].
+    pub extra_latency_ns: u64,
+    /// What the motion is computed with.
+    pub motion: MotionModel,
+}
+
+/// Q and R as printed, for (yaw, x, y); only their ratios act.
+const SOURCE_NOISE: ([f64; 3], [f64; 3]) = ([0.1, 0.1, 100.0], [1.0, 1.0, 10.0]);
+
+/// Q for 100 ms: 2 mrad, 4 mm ahead, 2 mm to the left; R: 10 mrad and 20 mm.
+///
+/// R is the noise of the odometry that the robot is expected to have; Q makes the steady gains about 0.18, which
+/// leaves 30 % of the noise, and follows a bend of the way that the model does not know within half a second.
+const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
+
+impl Config {
+    /// The settings with the values of the profile filled in.
+    ///
+    /// # Errors
+    /// [`Invalid`] with the key, the value and what is allowed; for `measure` also the rank, (7.1)-(7.2).
+    pub fn settings(&self) -> Result<Settings, Invalid> {
+        let source = self.profile == Profile::Source;
+        let (process_noise, measurement_noise) = if source { SOURCE_NOISE } else { SCALED_NOISE };
+        let drift = Drift {
+            mode: self.correction.unwrap_or(if source { Mode::Time } else { Mode::Moving }),
+            longitudinal: self.odometry_longitudinal.unwrap_or(0.01),
+            lateral_rate: self.odometry_lateral_rate.unwrap_or(if source { 0.053 } else { 0.0 }),
+            reset_s: self.drift_reset_s,
+        };
+        let settings = Settings {
+            measured: [Measured::Yaw, Measured::X, Measured::Y].map(|state| self.measure.contains(&state)),
+            process_noise: self.process_noise.unwrap_or(process_noise),
+            noise_turns: !source,
+            measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
+            drift,
+            gate: self.gate.unwrap_or(!source),
+            recover_after: u64::from(self.recover_after),
+            max_gap_s: self.max_gap_s,
+            extra_latency_ns: (self.extra_latency_ms * 1e6) as u64,
+            motion: MotionModel {
+                parameters: Parameters::default(),
+                blocked_deceleration_mps2: self.blocked_deceleration_mps2,
+                speed_weight: self.speed_weight,
+            },
+        };
+
+        require_observable(&self.measure)?;
+        for variance in settings.process_noise {
+            require("process_noise", variance, 1e-12..=1e6)?;
+        }
+        for variance in settings.measurement_noise {
+            require("measurement_noise", variance, 1e-12..=1e6)?;
+        }
+        require("odometry_longitudinal", drift.longitudinal, -0.5..=0.5)?;
+        require("odometry_lateral_rate", drift.lateral_rate, -1.0..=1.0)?;
+        require("drift_reset_s", drift.reset_s, 0.0..=3600.0)?;
+        require("recover_after", f64::from(self.recover_after), 1.0..=1000.0)?;
+        require("max_gap_s", self.max_gap_s, 0.1..=60.0)?;
+        require("speed_weight", self.speed_weight, 0.0..=1.0)?;
+        require("extra_latency_ms", self.extra_latency_ms, 0.0..=500.0)?;
+        require("blocked_deceleration_mps2", self.blocked_deceleration_mps2, 0.1..=50.0)?;
+        if settings.gate && source {
+            return Err(Invalid::new(
+                "gate",
+                true,
+                "false with the noise of profile \"source\", which has no unit",
+            ));
+        }
+        Ok(settings)
+    }
+
+    /// Passes when all settings are within their ranges and determine the state.
+    ///
+    /// # Errors
+    /// [`Invalid`] as [`Self::settings`].
+    pub fn validate(&self) -> Result<(), Invalid> {
+        self.settings().map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn profiles_fill_what_is_not_set() {
+        let scaled = Config::default().settings().unwrap();
+        assert!(scaled.gate && scaled.drift.lateral_rate == 0.0 && scaled.drift.longitudinal == 0.01);
+        let source = Config { profile: Profile::Source, ..Config::default() }.settings().unwrap();
+        assert!(!source.gate && source.drift.lateral_rate == 0.053 && source.drift.mode == Mode::Time);
+        assert_eq!(source.process_noise, [0.1, 0.1, 100.0]);
+        let mixed = Config { odometry_lateral_rate: Some(-0.02), ..Config::default() };
+        assert_eq!(mixed.settings().unwrap().drift.lateral_rate, -0.02);
+    }
+
+    #[test]
+    fn settings_outside_their_ranges_are_refused_by_name() {
+        let key = |config: Config| config.validate().unwrap_err().key;
+        assert_eq!(key(Config { measure: vec![Measured::Yaw], ..Config::default() }), "measure");
+        assert_eq!(
+            key(Config { process_noise: Some([1e-6, 0.0, 1e-6]), ..Config::default() }),
+            "process_noise"
+        );
+        assert_eq!(
+            key(Config { measurement_noise: Some([f64::NAN; 3]), ..Config::default() }),
+            "measurement_noise"
+        );
+        assert_eq!(key(Config { extra_latency_ms: f64::NAN, ..Config::default() }), "extra_latency_ms");
+        assert_eq!(key(Config { speed_weight: 1.1, ..Config::default() }), "speed_weight");
+        let gated = Config { profile: Profile::Source, gate: Some(true), ..Config::default() };
+        assert_eq!(key(gated), "gate");
+    }
+
+    #[test]
+    fn settings_are_read_from_their_file() {
+        let read = |text: &str| toml::from_str::<Config>(text);
+        assert_eq!(read(""), Ok(Config::default()));
+        let text = "profile = \"source\"\nmeasure = [\"x\", \"y\"]\ncorrection = \"yaw\"\n\
+            measurement_noise = [1e-4, 1e-4, 1e-4]";
+        let config = read(text).unwrap();
+        assert_eq!((config.profile, config.correction), (Profile::Source, Some(Mode::Yaw)));
+        assert_eq!(config.settings().unwrap().measured, [false, true, true]);
+        assert_eq!(toml::from_str(&toml::to_string(&config).unwrap()), Ok(config));
+        assert!(read("measure = [\"speed\"]").is_err() && read("noise = 1").is_err());
+    }
+}

@@ -1,0 +1,322 @@
+//! One odometry sample in, one pose out.
+//!
+//! The order of a step: correct what was measured, move the estimate to the time of the sample under the controls
+//! that were in force, compare, update, and look ahead to the time at which an answer will act.
+//!
+//! Assumptions: stamps are of one clock; the robot starts at the pose it reports first. Time between samples is
+//! measured from their stamps, so lost samples are a longer prediction and nothing else. Samples that are not newer
+//! than the estimate give no pose. A sample that does not fit (its NIS is beyond 99.9 % of the chi-squared
+//! distribution) is not used; after several in a row the estimate begins anew from the measurement, because then it
+//! is the estimate that is wrong. After a longer gap it begins anew as well.
+
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use shared_types::{Actuation, Fault, Odometry, Pose, Role};
+use vehicle::Invalid;
+use vehicle::frame::wrap_angle;
+
+use crate::correction::{CorrectionState, Planar};
+use crate::ekf::{Ekf, Innovation, NotPositive};
+use crate::motion::{MotionState, plausible_speed};
+use crate::observability::motion_jacobian;
+use crate::{Config, EstimatorState, Settings};
+
+/// Positions beyond this are no measurement [m]: the longest track has 10 km.
+const FARTHEST_M: f64 = 1e6;
+
+/// The look ahead is never longer than this [ns]: older scans are not driven on.
+const MAX_AHEAD_NS: u64 = 500_000_000;
+
+/// 99.9 % quantiles of the chi-squared distribution with one, two and three degrees of freedom.
+const GATE: [f64; 3] = [10.828, 13.816, 16.266];
+
+/// The interval that Q is given for [s].
+const NOISE_INTERVAL_S: f64 = 0.1;
+
+/// Estimates pose and motion from odometry and actuations.
+#[derive(Debug, Clone)]
+pub struct Estimator {
+    settings: Settings,
+    state: EstimatorState,
+}
+
+/// What the estimator did not use, and why, since the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counters {
+    /// Measurements refused by the gate.
+    pub rejected: u64,
+    /// Times the estimate began anew from a measurement.
+    pub restarts: u64,
+    /// Odometry samples that were not newer than the estimate.
+    pub skipped: u64,
+    /// Odometry samples that could not be used because of their content.
+    pub invalid: u64,
+}
+
+/// The measurement update in terms of (yaw, x, y), whatever is measured.
+#[derive(Debug, Clone, Copy, Default)]
+struct Update {
+    innovation: Vector3<f64>,
+    gain: Matrix3<f64>,
+    nis: f64,
+}
+
+impl Estimator {
+    /// An estimator without an estimate: the first odometry makes one.
+    ///
+    /// # Errors
+    /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
+    pub fn new(config: &Config) -> Result<Self, Invalid> {
+        Ok(Self { settings: config.settings()?, state: EstimatorState::default() })
+    }
+
+    /// The pose at the time of an odometry sample and ahead of it, at `now_ns` plus the latency to be expected.
+    ///
+    /// `realised` is the newest actuation, the same one as before or none where there is no newer. Identity and
+    /// stamps in the header of the pose are those of the odometry, to be completed when it is published.
+    /// `None` for a sample that is not newer than the estimate, or whose content cannot be used.
+    pub fn step(&mut self, odometry: &Odometry, realised: Option<&Actuation>, now_ns: u64) -> Option<Pose> {
+        if let Some(actuation) = realised {
+            self.note(actuation, now_ns);
+        }
+        let reported = usable(odometry).filter(|_| odometry.header.acquired_ns <= latest(now_ns));
+        let Some(reported) = reported else {
+            self.state.invalid += 1;
+            return None;
+        };
+        if !self.is_newer(odometry) {
+            self.state.skipped += 1;
+            return None;
+        }
+        let acquired_ns = odometry.header.acquired_ns;
+        let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+        let update = if self.state.initialised == 1 {
+            let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
+            let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
+            if dt > self.settings.max_gap_s {
+                self.begin_anew(measured, odometry);
+                Update::default()
+            } else {
+                self.predict(odometry, dt);
+                self.update(measured, odometry)
+            }
+        } else {
+            self.state.correction = CorrectionState::begin(reported, speed);
+            self.begin(reported, odometry);
+            Update::default()
+        };
+        self.state.initialised = 1;
+        self.state.incarnation = odometry.header.incarnation;
+        self.state.sequence = odometry.header.sequence;
+        self.state.acquired_ns = acquired_ns;
+        Some(self.pose(odometry, &update, now_ns))
+    }
+
+    /// Remembers an actuation for later steps; several may be noted between two steps, in order.
+    ///
+    /// One that is stamped more than a second ahead of `now_ns` is ignored: it would shut out all that follow.
+    pub fn note(&mut self, actuation: &Actuation, now_ns: u64) {
+        let published_ns = actuation.header.stage(Role::Actuator).published_ns;
+        if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
+            self.state.motion.note(actuation);
+        }
+    }
+
+    /// What was not used since the start.
+    pub fn counters(&self) -> Counters {
+        let EstimatorState { rejected, restarts, skipped, invalid, .. } = self.state;
+        Counters { rejected, restarts, skipped, invalid }
+    }
+
+    /// What a restarted estimator resumes from.
+    pub fn state(&self) -> EstimatorState {
+        self.state
+    }
+
+    /// Goes on from the state of another estimator.
+    ///
+    /// # Errors
+    /// [`Fault`] when the state is not usable; the estimator is unchanged then.
+    pub fn resume(&mut self, state: &EstimatorState) -> Result<(), Fault> {
+        state.check()?;
+        self.state = *state;
+        Ok(())
+    }
+
+    fn is_newer(&self, odometry: &Odometry) -> bool {
+        let header = &odometry.header;
+        let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
+        self.state.initialised == 0
+            || (header.acquired_ns > self.state.acquired_ns
+                && !(same_producer && header.sequence <= self.state.sequence))
+    }
+
+    fn begin(&mut self, measured: Planar, odometry: &Odometry) {
+        self.state.estimate = [measured.yaw, measured.x, measured.y];
+        let covariance = Matrix3::from_diagonal(&Vector3::from(self.settings.measurement_noise));
+        self.state.covariance.copy_from_slice(covariance.as_slice());
+        self.state.rejected_in_a_row = 0;
+        self.state.motion.begin(&self.settings.motion, odometry.header.acquired_ns, odometry.speed_mps);
+    }
+
+    fn begin_anew(&mut self, measured: Planar, odometry: &Odometry) {
+        self.begin(measured, odometry);
+        self.state.restarts += 1;
+    }
+
+    /// Time update (7.22), (7.23) from the last sample to this one.
+    fn predict(&mut self, odometry: &Odometry, dt: f64) {
+        let mut filter = self.filter();
+        let before = Planar { yaw: filter.state[0], x: filter.state[1], y: filter.state[2] };
+        let (from_ns, to_ns) = (self.state.acquired_ns, odometry.header.acquired_ns);
+        let after = self.state.motion.advance(
+            &self.settings.motion,
+            before,
+            from_ns,
+            to_ns,
+            Some(odometry.speed_mps),
+        );
+        let by_state = motion_jacobian(after.x - before.x, after.y - before.y);
+        let by_noise = if self.settings.noise_turns {
+            // Noise ahead and to the left of the robot, in the middle of its turn.
+            let (sin, cos) = ((before.yaw + after.yaw) / 2.0).sin_cos();
+            Matrix3::new(1.0, 0.0, 0.0, 0.0, cos, -sin, 0.0, sin, cos)
+        } else {
+            Matrix3::identity()
+        };
+        let noise = Vector3::from(self.settings.process_noise) * (dt / NOISE_INTERVAL_S);
+        let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
+        filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
+        self.keep(&filter);
+    }
+
+    /// Measurement update (7.24)-(7.26) with what is measured, unless the gate refuses it.
+    fn update(&mut self, measured: Planar, odometry: &Odometry) -> Update {
+        let update = match self.settings.measured {
+            [true, true, true] => self.update_with([0, 1, 2], measured),
+            [false, true, true] => self.update_with([1, 2], measured),
+            // Not reached: the settings were refused, as nothing else determines the state.
+            _ => Ok((Update::default(), true)),
+        };
+        let finite = self.state.estimate.iter().chain(&self.state.covariance).all(|value| value.is_finite());
+        match update {
+            Ok((update, true)) if finite => {
+                self.state.rejected_in_a_row = 0;
+                update
+            }
+            Ok((update, false)) if finite => {
+                self.state.rejected += 1;
+                self.state.rejected_in_a_row += 1;
+                if self.state.rejected_in_a_row >= self.settings.recover_after {
+                    self.begin_anew(measured, odometry);
+                }
+                update
+            }
+            _ => {
+                self.begin_anew(measured, odometry);
+                Update::default()
+            }
+        }
+    }
+
+    /// The update with M of (yaw, x, y), and whether the measurement was used.
+    fn update_with<const M: usize>(
+        &mut self,
+        indices: [usize; M],
+        measured: Planar,
+    ) -> Result<(Update, bool), NotPositive> {
+        let mut filter = self.filter();
+        let mut by_state = SMatrix::<f64, M, 3>::zeros();
+        for (row, &index) in indices.iter().enumerate() {
+            by_state[(row, index)] = 1.0;
+        }
+        let all = Vector3::new(measured.yaw, measured.x, measured.y);
+        let noise = by_state * Vector3::from(self.settings.measurement_noise);
+        let innovation: Innovation<3, M> = filter.compare(
+            &(by_state * all),
+            &(by_state * filter.state),
+            &by_state,
+            &SMatrix::<f64, M, M>::identity(),
+            &SMatrix::<f64, M, M>::from_diagonal(&noise),
+            |measured, expected| {
+                let difference: SVector<f64, M> = measured - expected;
+                SVector::from_fn(|row, _| {
+                    if indices[row] == 0 { wrap_angle(difference[row]) } else { difference[row] }
+                })
+            },
+        )?;
+        let fits = !self.settings.gate || innovation.nis <= GATE[M - 1];
+        if fits {
+            filter.update(&innovation);
+            filter.state[0] = wrap_angle(filter.state[0]);
+            self.keep(&filter);
+        }
+        let update = Update {
+            innovation: by_state.transpose() * innovation.value,
+            gain: innovation.gain * by_state,
+            nis: innovation.nis,
+        };
+        Ok((update, fits))
+    }
+
+    fn pose(&self, odometry: &Odometry, update: &Update, now_ns: u64) -> Pose {
+        let [yaw, x, y] = self.state.estimate;
+        let motion: MotionState = self.state.motion;
+        let acquired_ns = self.state.acquired_ns;
+        let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.extra_latency_ns);
+        let predicted_ns = acquired_ns.saturating_add(age_ns.min(MAX_AHEAD_NS));
+        let mut ahead = motion;
+        let predicted =
+            ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None);
+        let mut gain = [0.0; 9];
+        // Row by row, where the matrix is stored column by column.
+        gain.copy_from_slice(update.gain.transpose().as_slice());
+        Pose {
+            header: odometry.header.answer(),
+            yaw_rad: yaw,
+            x_m: x,
+            y_m: y,
+            covariance: self.state.covariance,
+            speed_mps: motion.speed_mps,
+            sideslip_rad: motion.sideslip_rad,
+            yaw_rate_radps: motion.yaw_rate_radps,
+            predicted_ns,
+            predicted_sideslip_rad: ahead.sideslip_rad,
+            predicted_yaw_rad: wrap_angle(predicted.yaw),
+            predicted_yaw_rate_radps: ahead.yaw_rate_radps,
+            predicted_x_m: predicted.x,
+            predicted_y_m: predicted.y,
+            predicted_speed_mps: ahead.speed_mps,
+            innovation: [update.innovation[0], update.innovation[1], update.innovation[2]],
+            gain,
+            nis: update.nis,
+            rejected: self.state.rejected,
+        }
+    }
+
+    fn filter(&self) -> Ekf<3> {
+        Ekf {
+            state: Vector3::from(self.state.estimate),
+            covariance: Matrix3::from_column_slice(&self.state.covariance),
+        }
+    }
+
+    fn keep(&mut self, filter: &Ekf<3>) {
+        self.state.estimate.copy_from_slice(filter.state.as_slice());
+        self.state.covariance.copy_from_slice(filter.covariance.as_slice());
+    }
+}
+
+/// Stamps beyond this are no time of this clock [ns].
+fn latest(now_ns: u64) -> u64 {
+    now_ns.saturating_add(1_000_000_000)
+}
+
+/// The reported pose, where it can be one.
+fn usable(odometry: &Odometry) -> Option<Planar> {
+    let Odometry { x_m, y_m, yaw_rad, .. } = *odometry;
+    let possible = x_m.abs() <= FARTHEST_M && y_m.abs() <= FARTHEST_M && yaw_rad.abs() <= 1e3;
+    possible.then(|| Planar { yaw: wrap_angle(yaw_rad), x: x_m, y: y_m })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! All that the estimator remembers, as plain bytes: the working state and the checkpoint are one thing.
+
+use nalgebra::Matrix3;
+use shared_types::Fault;
+
+use crate::correction::CorrectionState;
+use crate::motion::{HISTORY, MotionState};
+
+/// Declares plain state with the description of its fields that a checkpoint is recognised by.
+macro_rules! plain_state {
+    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+
+        impl shared_types::Described for $name {
+            const KIND: shared_types::Kind = shared_types::Kind::Struct(stringify!($name), &[
+                $(shared_types::Field {
+                    name: stringify!($field),
+                    doc: $doc.trim_ascii(),
+                    offset: std::mem::offset_of!($name, $field),
+                    kind: <$type as shared_types::Described>::KIND,
+                },)*
+            ]);
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                bytemuck::Zeroable::zeroed()
+            }
+        }
+    };
+}
+pub(crate) use plain_state;
+
+plain_state! {
+    /// All that the estimator remembers from sample to sample.
+    pub struct EstimatorState {
+        /// 1 once there is an estimate
+        pub initialised: u32,
+        /// Incarnation that the last odometry came from
+        pub incarnation: u32,
+        /// Sequence number of the last odometry
+        pub sequence: u64,
+        /// Time of the estimate: acquisition of the last odometry [ns]
+        pub acquired_ns: u64,
+        /// Estimated (yaw, x, y) [rad, m, m]
+        pub estimate: [f64; 3],
+        /// Covariance of (yaw, x, y), column by column, which is row by row as it is symmetric
+        pub covariance: [f64; 9],
+        /// Correction of measured data
+        pub correction: CorrectionState,
+        /// Speed, sideslip, yaw rate, and the controls in force
+        pub motion: MotionState,
+        /// Measurements refused by the gate since the start
+        pub rejected: u64,
+        /// Measurements refused by the gate in a row
+        pub rejected_in_a_row: u64,
+        /// Times the estimate began anew from a measurement
+        pub restarts: u64,
+        /// Odometry samples that were not newer than the estimate
+        pub skipped: u64,
+        /// Odometry samples that could not be used because of their content
+        pub invalid: u64,
+    }
+}
+
+impl EstimatorState {
+    /// Passes when an estimator can go on from this state.
+    ///
+    /// # Errors
+    /// [`Fault`] when a number is not finite, the covariance is not positive definite, or a count is too large.
+    pub fn check(&self) -> Result<(), Fault> {
+        let finite = |field, values: &[f64]| {
+            if values.iter().all(|value| value.is_finite()) {
+                Ok(())
+            } else {
+                Err(Fault::NotFinite { field })
+            }
+        };
+        finite("estimate", &self.estimate)?;
+        finite("covariance", &self.covariance)?;
+        finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
+        let motion = &self.motion;
+        finite("motion", &[motion.speed_mps, motion.sideslip_rad, motion.yaw_rate_radps])?;
+        for control in &motion.controls {
+            finite("controls", &[control.velocity_mps, control.steering_rad])?;
+        }
+        if motion.count > HISTORY as u64 {
+            return Err(Fault::OutOfRange { field: "count", value: motion.count as f64 });
+        }
+        if self.initialised == 1 && Matrix3::from_column_slice(&self.covariance).cholesky().is_none() {
+            return Err(Fault::OutOfRange { field: "covariance", value: self.covariance[0] });
+        }
+        Ok(())
+    }
+}
+
+const _: () = assert!(size_of::<EstimatorState>() <= shared_types::CHECKPOINT_BYTES);

@@ -1,0 +1,280 @@
+//! Condensing: the node states are eliminated with the linearised model, so that a quadratic program in the 2N
+//! changes of the controls remains.
+//!
+//! The change of the state at node k is `sum over j < k of G(k, j) v(j) + e(k)`, with G from the sensitivities of the
+//! intervals and e from their gaps. The objective is quadratic in the node states, so the Gauss-Newton Hessian
+//! `sum of G' 2 W G` plus that of the controls lacks only the curvature of the model and of the ellipses. The rows of
+//! G at a node serve three times: in the Hessian, as rows of the state bounds, and for the rows of the ellipses.
+//!
+//! Work grows with N^3; that is as fast as a Riccati recursion at N = 6 and clearly slower from about N = 50.
+
+use crate::collocation::Collocation;
+use crate::curvature::{Curvature, curvature};
+use crate::interval::Interval;
+use crate::objective::{control_gradient, ellipse_excess, node_weights, reference, state_bounds};
+use crate::problem::Problem;
+use crate::qp::Qp;
+use crate::shooting::{Iterate, Shooting};
+
+/// Row of the program that belongs to the bound of a state component at a node (1 to N).
+#[inline]
+pub(crate) fn bound_row(node: usize, component: usize) -> usize {
+    5 * (node - 1) + component
+}
+
+/// Row of the program that belongs to an ellipse at a node (1 to N) of `count` nodes.
+#[inline]
+pub(crate) fn ellipse_row(count: usize, ellipses: usize, node: usize, ellipse: usize) -> usize {
+    5 * count + ellipses * (node - 1) + ellipse
+}
+
+/// How far `iterate` is above the upper limit of a row of the program, or below the lower one as a negative number.
+pub(crate) fn row_excess(problem: &Problem, iterate: &Iterate, row: usize, upper: bool) -> f64 {
+    let count = problem.intervals.len();
+    if row < 5 * count {
+        let (node, component) = (row / 5 + 1, row % 5);
+        let (low, high) = state_bounds(problem);
+        iterate.states[node][component] - if upper { high[component] } else { low[component] }
+    } else {
+        let place = row - 5 * count;
+        let (node, which) = (place / problem.ellipses.len() + 1, place % problem.ellipses.len());
+        ellipse_excess(&problem.ellipses[which], node, &iterate.states[node]).0
+    }
+}
+
+/// Multipliers at which second derivatives are taken.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Multipliers<'a> {
+    /// Costates of the model at nodes 1 to N.
+    pub costates: &'a [[f64; 5]],
+    /// Multipliers of the soft rows.
+    pub rows: &'a [f64],
+}
+
+/// Fills `qp` with the program in the changes of the controls at `iterate`.
+///
+/// `damping` is added to the diagonal of the Hessian; it shortens steps and leaves the solution of the nonlinear
+/// program alone.
+pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting, damping: f64, qp: &mut Qp) {
+    let count = problem.intervals.len();
+    let width = 2 * count;
+    let ellipses = problem.ellipses.len();
+    let row_count = (5 + ellipses) * count;
+    resize(&mut qp.rows, row_count * width);
+    resize(&mut qp.row_lower, row_count);
+    resize(&mut qp.row_upper, row_count);
+    resize(&mut qp.hessian, width * width);
+    control_gradient(problem, iterate, &mut qp.gradient);
+    qp.slack_linear = problem.weights.slack_linear;
+    qp.slack_quadratic = problem.weights.slack_quadratic;
+
+    let (state_lower, state_upper) = state_bounds(problem);
+    let mut offset = [0.0; 5];
+    for node in 1..=count {
+        let interval = &shooting.intervals[node - 1];
+        let used = 2 * node;
+        predict(&mut qp.rows, width, node, interval);
+        offset = interval.transport(&offset);
+        for (offset, gap) in offset.iter_mut().zip(&shooting.gaps[node - 1]) {
+            *offset += gap;
+        }
+
+        let state = &iterate.states[node];
+        let target = reference(problem, node);
+        let weights = node_weights(problem, node);
+        for component in 0..5 {
+            let index = bound_row(node, component);
+            let row = &qp.rows[index * width..index * width + used];
+            let moved = state[component] + offset[component];
+            qp.row_lower[index] = state_lower[component] - moved;
+            qp.row_upper[index] = state_upper[component] - moved;
+            let weight = 2.0 * weights[component];
+            if weight == 0.0 {
+                continue;
+            }
+            let slope = weight * (moved - target[component]);
+            for (gradient, entry) in qp.gradient.iter_mut().zip(row) {
+                *gradient += slope * entry;
+            }
+            add_square(weight, row, width, &mut qp.hessian);
+        }
+        for (which, ellipse) in problem.ellipses.iter().enumerate() {
+            let (excess, slope) = ellipse_excess(ellipse, node, state);
+            let index = ellipse_row(count, ellipses, node, which);
+            let (states, rest) = qp.rows.split_at_mut(index * width);
+            let along = &states[bound_row(node, 3) * width..][..used];
+            let across = &states[bound_row(node, 4) * width..][..used];
+            for ((entry, along), across) in rest.iter_mut().zip(along).zip(across) {
+                *entry = slope[0] * along + slope[1] * across;
+            }
+            qp.row_lower[index] = f64::NEG_INFINITY;
+            qp.row_upper[index] = -(excess + slope[0] * offset[3] + slope[1] * offset[4]);
+        }
+    }
+    add_controls(problem, damping, &mut qp.hessian);
+    mirror(&mut qp.hessian, width);
+    limits(problem, iterate, qp);
+}
+
+/// Adds to `hessian` what the Gauss-Newton Hessian lacks: second derivatives of the model and of the ellipses.
+///
+/// The result is the exact Hessian of the Lagrangian on the linearised model; it may be indefinite.
+pub(crate) fn add_second_order(
+    problem: &Problem,
+    collocation: &Collocation,
+    iterate: &Iterate,
+    shooting: &Shooting,
+    multipliers: Multipliers,
+    rows: &[f64],
+    hessian: &mut [f64],
+) {
+    let count = problem.intervals.len();
+    let width = 2 * count;
+    let ellipses = problem.ellipses.len();
+    for node in 1..=count {
+        let before = node - 1;
+        let frame = Interval { parameters: &problem.parameters, collocation, length: problem.intervals[before] };
+        let bend = curvature(
+            &frame,
+            &iterate.states[before],
+            &iterate.controls[before],
+            &iterate.stages[before],
+            &shooting.intervals[before],
+            &multipliers.costates[before],
+        );
+        add_curvature(&bend, width, node, rows, hessian);
+        let mut bend = [0.0; 2];
+        for (which, ellipse) in problem.ellipses.iter().enumerate() {
+            let multiplier = multipliers.rows[ellipse_row(count, ellipses, node, which)];
+            bend[0] -= 2.0 * multiplier / (ellipse.a * ellipse.a);
+            bend[1] -= 2.0 * multiplier / (ellipse.b * ellipse.b);
+        }
+        for (component, bend) in [3, 4].into_iter().zip(bend) {
+            if bend != 0.0 {
+                add_square(bend, &rows[bound_row(node, component) * width..][..2 * node], width, hessian);
+            }
+        }
+    }
+    mirror(hessian, width);
+}
+
+/// Adds `weight * row row'` to the lower triangle.
+#[inline]
+fn add_square(weight: f64, row: &[f64], width: usize, hessian: &mut [f64]) {
+    for (position, entry) in row.iter().enumerate() {
+        let factor = weight * entry;
+        let line = &mut hessian[position * width..=position * width + position];
+        for (target, entry) in line.iter_mut().zip(row) {
+            *target += factor * entry;
+        }
+    }
+}
+
+/// Rows of G at `node` from those at the node before.
+#[inline]
+fn predict(rows: &mut [f64], width: usize, node: usize, interval: &crate::interval::Linearisation) {
+    let used = 2 * (node - 1);
+    let (before, here) = rows.split_at_mut(bound_row(node, 0) * width);
+    let before = if node > 1 { &before[bound_row(node - 1, 0) * width..] } else { &[] };
+    for component in 0..5 {
+        let row = &mut here[component * width..(component + 1) * width];
+        if used > 0 {
+            let lateral = interval.by_lateral[component];
+            let (sideslip, yaw, yaw_rate) =
+                (&before[..used], &before[width..][..used], &before[2 * width..][..used]);
+            let own = &before[component * width..][..used];
+            for position in 0..used {
+                let mut value = lateral[0] * sideslip[position] + lateral[1] * yaw_rate[position];
+                if component == 1 || component >= 3 {
+                    value += own[position];
+                }
+                if component >= 3 {
+                    value += interval.by_yaw[component - 3] * yaw[position];
+                }
+                row[position] = value;
+            }
+        }
+        row[used] = interval.by_control[component][0];
+        row[used + 1] = interval.by_control[component][1];
+    }
+}
+
+/// Adds the curvature of the interval before `node`, in the rows of G at its start and its own controls.
+fn add_curvature(bend: &Curvature, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
+    let used = 2 * (node - 1);
+    // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
+    let starts: [&[f64]; 3] = if node > 1 {
+        [0, 2, 1].map(|component| &rows[bound_row(node - 1, component) * width..][..used])
+    } else {
+        [&[]; 3]
+    };
+    for position in 0..used {
+        let mut mixed = [0.0; 5];
+        for (start, line) in starts.iter().zip(bend) {
+            for (mixed, entry) in mixed.iter_mut().zip(line) {
+                *mixed += start[position] * entry;
+            }
+        }
+        for (start, factor) in starts.iter().zip(mixed) {
+            let line = &mut hessian[position * width..=position * width + position];
+            for (target, entry) in line.iter_mut().zip(*start) {
+                *target += factor * entry;
+            }
+        }
+        hessian[used * width + position] += mixed[3];
+        hessian[(used + 1) * width + position] += mixed[4];
+    }
+    hessian[used * width + used] += bend[3][3];
+    hessian[(used + 1) * width + used] += bend[4][3];
+    hessian[(used + 1) * width + used + 1] += bend[4][4];
+}
+
+/// Adds the controls' own part and the damping to the lower triangle.
+fn add_controls(problem: &Problem, damping: f64, hessian: &mut [f64]) {
+    let count = problem.intervals.len();
+    let width = 2 * count;
+    let weights = &problem.weights;
+    let bounds = &problem.bounds;
+    let range = [bounds.velocity_max_mps - bounds.velocity_min_mps, 2.0 * bounds.steering_max_rad];
+    let damping = range.map(|range| damping / (range * range).max(1e-12));
+    for index in 0..count {
+        for component in 0..2 {
+            let position = 2 * index + component;
+            let earlier = if index > 0 || problem.previous.is_some() { 1.0 } else { 0.0 };
+            let later = if index + 1 < count { 1.0 } else { 0.0 };
+            hessian[position * width + position] +=
+                2.0 * weights.control[component] + 2.0 * weights.change[component] * (earlier + later)
+                    + damping[component];
+            if index > 0 {
+                hessian[position * width + position - 2] -= 2.0 * weights.change[component];
+            }
+        }
+    }
+}
+
+fn mirror(hessian: &mut [f64], width: usize) {
+    for row in 1..width {
+        for column in 0..row {
+            hessian[column * width + row] = hessian[row * width + column];
+        }
+    }
+}
+
+fn limits(problem: &Problem, iterate: &Iterate, qp: &mut Qp) {
+    let bounds = &problem.bounds;
+    let lower = [bounds.velocity_min_mps, -bounds.steering_max_rad];
+    let upper = [bounds.velocity_max_mps, bounds.steering_max_rad];
+    qp.lower.clear();
+    qp.upper.clear();
+    for control in &iterate.controls {
+        for component in 0..2 {
+            qp.lower.push(lower[component] - control[component]);
+            qp.upper.push(upper[component] - control[component]);
+        }
+    }
+}
+
+fn resize(values: &mut Vec<f64>, length: usize) {
+    values.clear();
+    values.resize(length, 0.0);
+}

@@ -1,0 +1,540 @@
+//! One interval: collocation of the model between two nodes under a constant control.
+//!
+//! Only (sideslip, yaw rate) are implicit: they form a closed system of their own, (7.27) and (7.29). Yaw is the
+//! quadrature of the yaw rate, and the position the quadrature of the course, (7.28), (7.30), (7.31), so an
+//! interval costs one block elimination of 2s unknowns with five right-hand sides.
+//!
+//! The stage values are iterates of the optimisation ("lifted" collocation): [`linearise`] makes one Newton step
+//! of the collocation equations and reports what is left of them. [`propagate`] iterates to the end and gives the
+//! end state with its exact sensitivities; it is what a design analysis or a roll-out needs.
+//!
+//! States are ordered (sideslip, yaw, yaw rate, x, y), controls (velocity, steering).
+
+use vehicle::{Control, Parameters, State};
+
+use crate::collocation::{Collocation, MAX_STAGES};
+use crate::lateral::{Lateral, LateralSlope};
+
+/// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
+pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
+
+/// What can be said about the end of an interval near the present values.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Linearisation {
+    /// End state from the present stage values.
+    pub end: [f64; 5],
+    /// Change of the end state by the Newton step of the stages alone.
+    pub correction: [f64; 5],
+    /// Derivatives of the end state by the start's (sideslip, yaw rate).
+    pub by_lateral: [[f64; 2]; 5],
+    /// Derivatives of the end's (x, y) by the start's yaw; that of yaw itself is 1, the others are 0.
+    pub by_yaw: [f64; 2],
+    /// Derivatives of the end state by (velocity, steering).
+    pub by_control: [[f64; 2]; 5],
+    /// Change of each stage by: the Newton step, the start's (sideslip, yaw rate), and (velocity, steering).
+    pub stages: [[[f64; 5]; 2]; MAX_STAGES],
+    /// Collocation residual: sum and largest of its absolute values.
+    pub residual: Residual,
+}
+
+/// Sum and largest of absolute values.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Residual {
+    /// Sum.
+    pub sum: f64,
+    /// Largest.
+    pub largest: f64,
+}
+
+impl Residual {
+    /// Takes one more value into account; NaN stays NaN.
+    pub(crate) fn add(&mut self, value: f64) {
+        self.sum += value.abs();
+        self.largest = if value.abs() > self.largest || value.is_nan() { value.abs() } else { self.largest };
+    }
+}
+
+impl Default for Linearisation {
+    fn default() -> Self {
+        Self {
+            end: [0.0; 5],
+            correction: [0.0; 5],
+            by_lateral: [[0.0; 2]; 5],
+            by_yaw: [0.0; 2],
+            by_control: [[0.0; 2]; 5],
+            stages: [[[0.0; 5]; 2]; MAX_STAGES],
+            residual: Residual::default(),
+        }
+    }
+}
+
+/// What an interval is computed from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Interval<'a> {
+    pub parameters: &'a Parameters,
+    pub collocation: &'a Collocation,
+    /// Length [s].
+    pub length: f64,
+}
+
+/// End state, residual and sensitivities from the present start, control and stage values.
+pub(crate) fn linearise(
+    interval: &Interval,
+    start: &[f64; 5],
+    control: &[f64; 2],
+    stages: &Stages,
+) -> Linearisation {
+    match interval.collocation.stages {
+        1 => linearise_stages::<1>(interval, start, control, stages),
+        2 => linearise_stages::<2>(interval, start, control, stages),
+        3 => linearise_stages::<3>(interval, start, control, stages),
+        _ => linearise_stages::<4>(interval, start, control, stages),
+    }
+}
+
+/// End state and residual only.
+pub(crate) fn evaluate(
+    interval: &Interval,
+    start: &[f64; 5],
+    control: &[f64; 2],
+    stages: &Stages,
+) -> ([f64; 5], Residual) {
+    match interval.collocation.stages {
+        1 => evaluate_stages::<1>(interval, start, control, stages),
+        2 => evaluate_stages::<2>(interval, start, control, stages),
+        3 => evaluate_stages::<3>(interval, start, control, stages),
+        _ => evaluate_stages::<4>(interval, start, control, stages),
+    }
+}
+
+/// End state of an interval with its exact sensitivities.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Propagation {
+    /// State at the end.
+    pub end: State,
+    /// Derivatives by the start state, row by row, in the order (sideslip, yaw, yaw rate, x, y).
+    pub by_state: [[f64; 5]; 5],
+    /// Derivatives by (velocity, steering), row by row.
+    pub by_control: [[f64; 2]; 5],
+}
+
+/// Solves the collocation equations of one interval of `length` [s]; `None` when they do not converge.
+///
+/// Newton starts from the start's values at all stages. The equations are nearly linear in (sideslip, yaw rate):
+/// three to five steps are usual.
+pub fn propagate(
+    parameters: &Parameters,
+    collocation: &Collocation,
+    length: f64,
+    start: &State,
+    control: &Control,
+) -> Option<Propagation> {
+    /// Many times the usual count.
+    const NEWTON_STEPS: usize = 30;
+    /// Rounding level of values of order one, with room for h times the stiff Jacobian.
+    const TOLERANCE: f64 = 1e-13;
+    let interval = Interval { parameters, collocation, length };
+    let start: [f64; 5] = start.to_vector().into();
+    let control = [control.velocity, control.steering];
+    let mut stages = [[start[0], start[2]]; MAX_STAGES];
+    for _ in 0..NEWTON_STEPS {
+        let linearisation = linearise(&interval, &start, &control, &stages);
+        let step = linearisation.stages.iter().flatten().fold(Residual::default(), |mut step, change| {
+            step.add(change[0]);
+            step
+        });
+        if !step.sum.is_finite() {
+            return None;
+        }
+        for (stage, change) in stages.iter_mut().zip(&linearisation.stages) {
+            stage[0] += change[0][0];
+            stage[1] += change[1][0];
+        }
+        if step.largest <= TOLERANCE {
+            // The sensitivities belong to values that differ by the last step only.
+            let end = State::from_vector(&linearisation.end.into());
+            return end.is_finite().then(|| Propagation {
+                end,
+                by_state: linearisation.by_state(),
+                by_control: linearisation.by_control,
+            });
+        }
+    }
+    None
+}
+
+impl Linearisation {
+    /// Derivatives of the end state by the start state, row by row.
+    pub(crate) fn by_state(&self) -> [[f64; 5]; 5] {
+        let mut matrix = [[0.0; 5]; 5];
+        for (row, lateral) in matrix.iter_mut().zip(&self.by_lateral) {
+            row[0] = lateral[0];
+            row[2] = lateral[1];
+        }
+        matrix[1][1] = 1.0;
+        matrix[3][1] = self.by_yaw[0];
+        matrix[4][1] = self.by_yaw[1];
+        matrix[3][3] = 1.0;
+        matrix[4][4] = 1.0;
+        matrix
+    }
+
+    /// The derivative by the start state times a change of it.
+    #[inline]
+    pub(crate) fn transport(&self, change: &[f64; 5]) -> [f64; 5] {
+        let mut end = [0.0; 5];
+        for (value, lateral) in end.iter_mut().zip(&self.by_lateral) {
+            *value = lateral[0] * change[0] + lateral[1] * change[2];
+        }
+        end[1] += change[1];
+        end[3] += self.by_yaw[0] * change[1] + change[3];
+        end[4] += self.by_yaw[1] * change[1] + change[4];
+        end
+    }
+
+    /// The transposed derivative by the start state times a costate of the end.
+    #[inline]
+    pub(crate) fn transport_back(&self, costate: &[f64; 5]) -> [f64; 5] {
+        let mut start = [0.0; 5];
+        for (value, lateral) in costate.iter().zip(&self.by_lateral) {
+            start[0] += lateral[0] * value;
+            start[2] += lateral[1] * value;
+        }
+        start[1] = costate[1] + self.by_yaw[0] * costate[3] + self.by_yaw[1] * costate[4];
+        start[3] = costate[3];
+        start[4] = costate[4];
+        start
+    }
+}
+
+fn linearise_stages<const S: usize>(
+    interval: &Interval,
+    start: &[f64; 5],
+    control: &[f64; 2],
+    stages: &Stages,
+) -> Linearisation {
+    let Interval { parameters, collocation, length } = *interval;
+    let lateral = Lateral::new(parameters, *control);
+    let mut slopes = [LateralSlope::default(); S];
+    for stage in 0..S {
+        slopes[stage] = lateral.slope(stages[stage]);
+    }
+
+    // The system (I - h A x J) change = right, in 2 x 2 blocks with five right-hand sides.
+    let mut residual = Residual::default();
+    let mut matrix = [[[[0.0; 2]; 2]; S]; S];
+    let mut right = [[[0.0; 5]; 2]; S];
+    for row in 0..S {
+        for component in 0..2 {
+            let origin = start[2 * component];
+            let mut sums = [0.0; 3];
+            for column in 0..S {
+                let factor = length * collocation.integrals[row][column];
+                let slope = &slopes[column];
+                matrix[row][column][component][0] = -factor * slope.by_state[component][0];
+                matrix[row][column][component][1] = -factor * slope.by_state[component][1];
+                sums[0] += factor * slope.value[component];
+                sums[1] += factor * slope.by_control[component][0];
+                sums[2] += factor * slope.by_control[component][1];
+            }
+            matrix[row][row][component][component] += 1.0;
+            let left = origin + sums[0] - stages[row][component];
+            residual.add(left);
+            right[row][component] = [left, 0.0, 0.0, sums[1], sums[2]];
+            right[row][component][1 + component] = 1.0;
+        }
+    }
+    eliminate(&mut matrix, &mut right);
+
+    let mut result = Linearisation { residual, ..Linearisation::default() };
+    result.stages[..S].copy_from_slice(&right);
+
+    // Sideslip and yaw rate at the end are linear in the stages.
+    let mut rest = 1.0;
+    let mut ends = [[0.0; 6]; 2];
+    for stage in 0..S {
+        let factor = collocation.end[stage];
+        rest -= factor;
+        for component in 0..2 {
+            ends[component][5] += factor * stages[stage][component];
+            for column in 0..5 {
+                ends[component][column] += factor * right[stage][component][column];
+            }
+        }
+    }
+    for component in 0..2 {
+        let end = &mut ends[component];
+        end[5] += rest * start[2 * component];
+        end[1 + component] += rest;
+        result.set(2 * component, end);
+    }
+
+    // Yaw at the end and course at the stages are quadratures of the yaw rate; the position of the course.
+    let mut yaw = [0.0; 6];
+    let mut position = [[0.0; 6]; 2];
+    let mut by_yaw = [0.0; 2];
+    yaw[5] = start[1];
+    for stage in 0..S {
+        let weight = length * collocation.weights[stage];
+        yaw[5] += weight * stages[stage][1];
+        let mut course = [0.0; 6];
+        course[5] = start[1] + stages[stage][0];
+        course[..5].copy_from_slice(&right[stage][0]);
+        for other in 0..S {
+            let factor = length * collocation.integrals[stage][other];
+            course[5] += factor * stages[other][1];
+            for column in 0..5 {
+                course[column] += factor * right[other][1][column];
+            }
+        }
+        for column in 0..5 {
+            yaw[column] += weight * right[stage][1][column];
+        }
+        let (sin, cos) = course[5].sin_cos();
+        let (along, across) = (weight * cos, weight * sin);
+        position[0][5] += control[0] * along;
+        position[1][5] += control[0] * across;
+        let slope = [-control[0] * across, control[0] * along];
+        for component in 0..2 {
+            by_yaw[component] += slope[component];
+            for column in 0..5 {
+                position[component][column] += slope[component] * course[column];
+            }
+        }
+        position[0][3] += along;
+        position[1][3] += across;
+    }
+    position[0][5] += start[3];
+    position[1][5] += start[4];
+    result.set(1, &yaw);
+    result.set(3, &position[0]);
+    result.set(4, &position[1]);
+    result.by_yaw = by_yaw;
+    result
+}
+
+impl Linearisation {
+    /// Fills the row of one component from (Newton step, sideslip, yaw rate, velocity, steering, value).
+    #[inline]
+    fn set(&mut self, component: usize, row: &[f64; 6]) {
+        self.correction[component] = row[0];
+        self.by_lateral[component] = [row[1], row[2]];
+        self.by_control[component] = [row[3], row[4]];
+        self.end[component] = row[5];
+    }
+}
+
+/// Solves the block system in place by elimination without exchanges of blocks.
+///
+/// The leading minors of I - h A x J are positive for the stable J of the model, since those of A are; with a
+/// sideslip beyond a right angle nothing is promised, and the caller meets numbers that are not finite.
+#[inline]
+pub(crate) fn eliminate<const S: usize, const C: usize>(
+    matrix: &mut [[[[f64; 2]; 2]; S]; S],
+    right: &mut [[[f64; C]; 2]; S],
+) {
+    for pivot in 0..S {
+        let inverse = invert(&matrix[pivot][pivot]);
+        for column in pivot + 1..S {
+            matrix[pivot][column] = multiply(&inverse, &matrix[pivot][column]);
+        }
+        right[pivot] = multiply(&inverse, &right[pivot]);
+        for row in 0..S {
+            if row == pivot {
+                continue;
+            }
+            let factor = matrix[row][pivot];
+            for column in pivot + 1..S {
+                let product = multiply(&factor, &matrix[pivot][column]);
+                subtract(&mut matrix[row][column], &product);
+            }
+            let product = multiply(&factor, &right[pivot]);
+            subtract(&mut right[row], &product);
+        }
+    }
+}
+
+#[inline]
+fn invert(block: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let scale = 1.0 / (block[0][0] * block[1][1] - block[0][1] * block[1][0]);
+    [[block[1][1] * scale, -block[0][1] * scale], [-block[1][0] * scale, block[0][0] * scale]]
+}
+
+#[inline]
+fn multiply<const C: usize>(left: &[[f64; 2]; 2], right: &[[f64; C]; 2]) -> [[f64; C]; 2] {
+    let mut product = [[0.0; C]; 2];
+    for row in 0..2 {
+        for column in 0..C {
+            product[row][column] = left[row][0] * right[0][column] + left[row][1] * right[1][column];
+        }
+    }
+    product
+}
+
+#[inline]
+fn subtract<const C: usize>(target: &mut [[f64; C]; 2], value: &[[f64; C]; 2]) {
+    for row in 0..2 {
+        for column in 0..C {
+            target[row][column] -= value[row][column];
+        }
+    }
+}
+
+fn evaluate_stages<const S: usize>(
+    interval: &Interval,
+    start: &[f64; 5],
+    control: &[f64; 2],
+    stages: &Stages,
+) -> ([f64; 5], Residual) {
+    let Interval { parameters, collocation, length } = *interval;
+    let lateral = Lateral::new(parameters, *control);
+    let mut slopes = [[0.0; 2]; S];
+    for stage in 0..S {
+        slopes[stage] = lateral.value(stages[stage]);
+    }
+    let mut residual = Residual::default();
+    let mut end = [0.0, start[1], 0.0, start[3], start[4]];
+    let mut rest = 1.0;
+    for stage in 0..S {
+        let mut left = [start[0] - stages[stage][0], start[2] - stages[stage][1]];
+        let mut course = start[1] + stages[stage][0];
+        for other in 0..S {
+            let factor = length * collocation.integrals[stage][other];
+            left[0] += factor * slopes[other][0];
+            left[1] += factor * slopes[other][1];
+            course += factor * stages[other][1];
+        }
+        residual.add(left[0]);
+        residual.add(left[1]);
+        let factor = collocation.end[stage];
+        rest -= factor;
+        end[0] += factor * stages[stage][0];
+        end[2] += factor * stages[stage][1];
+        let weight = length * collocation.weights[stage];
+        let (sin, cos) = course.sin_cos();
+        end[1] += weight * stages[stage][1];
+        end[3] += weight * control[0] * cos;
+        end[4] += weight * control[0] * sin;
+    }
+    end[0] += rest * start[0];
+    end[2] += rest * start[2];
+    (end, residual)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::collocation::Scheme;
+    use proptest::prelude::*;
+    use vehicle::integrate;
+
+    fn state(sideslip: f64, yaw: f64, yaw_rate: f64) -> State {
+        State { sideslip, yaw, yaw_rate, x: 1.0, y: -0.2 }
+    }
+
+    proptest! {
+        #[test]
+        fn sensitivities_agree_with_central_differences(
+            sideslip in -0.15..0.15f64, yaw in -3.0..3.0f64, yaw_rate in -0.8..0.8f64,
+            velocity in 0.11..1.0f64, steering in -0.06..0.06f64, which in 0..8usize,
+        ) {
+            let parameters = Parameters::default();
+            let collocation = Collocation::new(Scheme::ALL[which]);
+            let run = |start: &State, control: &Control| {
+                propagate(&parameters, &collocation, 0.4533, start, control).expect("Newton converges")
+            };
+            let start = state(sideslip, yaw, yaw_rate);
+            let control = Control { velocity, steering };
+            let centre = run(&start, &control);
+            let step = 1e-5;
+            for column in 0..5 {
+                let shifted = |sign: f64| {
+                    let mut vector = start.to_vector();
+                    vector[column] += sign * step;
+                    run(&State::from_vector(&vector), &control).end.to_vector()
+                };
+                let difference = (shifted(1.0) - shifted(-1.0)) / (2.0 * step);
+                for row in 0..5 {
+                    // Newton leaves 1e-13 and the step is 1e-5; third derivatives are of order 10.
+                    prop_assert!((difference[row] - centre.by_state[row][column]).abs() < 1e-7);
+                }
+            }
+            for column in 0..2 {
+                let shifted = |sign: f64| {
+                    let mut vector = control.to_vector();
+                    vector[column] += sign * step;
+                    run(&start, &Control::from_vector(&vector)).end.to_vector()
+                };
+                let difference = (shifted(1.0) - shifted(-1.0)) / (2.0 * step);
+                for row in 0..5 {
+                    // The third derivative by the velocity reaches 1 / u1^3 = 1000: 1e-10 * 1000 / 6.
+                    prop_assert!((difference[row] - centre.by_control[row][column]).abs() < 1e-6);
+                }
+            }
+        }
+
+        #[test]
+        fn evaluation_and_linearisation_agree_away_from_convergence(
+            sideslip in -0.15..0.15f64, yaw_rate in -0.8..0.8f64, shift in -0.1..0.1f64, which in 0..8usize,
+        ) {
+            let parameters = Parameters::default();
+            let collocation = Collocation::new(Scheme::ALL[which]);
+            let interval = Interval { parameters: &parameters, collocation: &collocation, length: 0.3 };
+            let start = [sideslip, 0.4, yaw_rate, 2.0, 0.1];
+            let stages = [[shift, yaw_rate], [0.01, shift], [shift, 0.02], [-0.01, -shift]];
+            let full = linearise(&interval, &start, &[0.7, 0.02], &stages);
+            let (end, residual) = evaluate(&interval, &start, &[0.7, 0.02], &stages);
+            for row in 0..5 {
+                prop_assert!((full.end[row] - end[row]).abs() < 1e-12);
+            }
+            prop_assert!((full.residual.sum - residual.sum).abs() < 1e-9);
+            prop_assert!((full.residual.largest - residual.largest).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn radau_reproduces_a_fine_runge_kutta_reference() {
+        let parameters = Parameters::default();
+        let collocation = Collocation::new(Scheme::Radau3);
+        for velocity in [0.1, 0.4, 1.0] {
+            let control = Control { velocity, steering: 0.06 };
+            let start = state(0.02, 0.3, -0.2);
+            // Fifty intervals resolve the transient of 3 to 30 ms, so the fifth order shows.
+            let fine = (0..50).try_fold(start, |state, _| {
+                propagate(&parameters, &collocation, 0.4533 / 50.0, &state, &control).map(|step| step.end)
+            });
+            let reference = integrate::integrate(&parameters, &start, &control, 0.4533);
+            let error = (fine.unwrap().to_vector() - reference.to_vector()).amax();
+            assert!(error < 1e-6, "{velocity} m/s: {error}");
+            // One interval passes over the transient; the analysis puts the adverse error at 2 to 3 mm.
+            let coarse = propagate(&parameters, &collocation, 0.4533, &start, &control).unwrap().end;
+            assert!((coarse.x - reference.x).hypot(coarse.y - reference.y) < 3e-3);
+        }
+    }
+
+    #[test]
+    fn transport_is_multiplication_with_the_derivative() {
+        let parameters = Parameters::default();
+        let collocation = Collocation::new(Scheme::Radau3);
+        let interval = Interval { parameters: &parameters, collocation: &collocation, length: 0.45 };
+        let linearisation =
+            linearise(&interval, &[0.01, 0.2, 0.1, 0.0, 0.0], &[0.8, 0.03], &[[0.01, 0.1]; MAX_STAGES]);
+        let matrix = linearisation.by_state();
+        let change = [0.3, -0.2, 0.5, 0.7, -0.1];
+        let ahead = linearisation.transport(&change);
+        let back = linearisation.transport_back(&change);
+        for index in 0..5 {
+            let row: f64 = (0..5).map(|column| matrix[index][column] * change[column]).sum();
+            let column: f64 = (0..5).map(|row| matrix[row][index] * change[row]).sum();
+            assert!((ahead[index] - row).abs() < 1e-14 && (back[index] - column).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn nothing_is_returned_for_a_state_that_is_not_finite() {
+        let collocation = Collocation::new(Scheme::Radau3);
+        let start = State { sideslip: f64::NAN, ..State::default() };
+        let control = Control { velocity: 0.5, steering: 0.0 };
+        assert!(propagate(&Parameters::default(), &collocation, 0.4, &start, &control).is_none());
+    }
+}

@@ -1,0 +1,258 @@
+//! A Newton step of the nonlinear program on the constraints that its quadratic program found active.
+//!
+//! The quadratic program has the Gauss-Newton Hessian, which is always convex but wrong by the curvature of the model and
+//! of the ellipses: alone it converges linearly, or swings to and fro. It does find the active set. With controls at
+//! their bounds fixed, limits that are kept as equations and limits that are exceeded as their quadratic penalty, the
+//! exact Hessian gives quadratic convergence, where it is positive definite on what is left; elsewhere there is no step
+//! and the caller uses that of the quadratic program.
+
+use crate::qp::{BoundState, Qp, QpSolution, RowState, cholesky, dot};
+
+/// Buffers of the step.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Newton {
+    /// The exact Hessian, both triangles.
+    pub hessian: Vec<f64>,
+    /// The step and its multipliers, after [`Newton::solve`] has returned true.
+    pub solution: QpSolution,
+    free: Vec<usize>,
+    equations: Vec<usize>,
+    matrix: Vec<f64>,
+    factor: Vec<f64>,
+    right: Vec<f64>,
+    columns: Vec<f64>,
+    schur: Vec<f64>,
+    schur_factor: Vec<f64>,
+    multipliers: Vec<f64>,
+}
+
+impl Newton {
+    /// The step on the active set of `answer`; false where the exact Hessian is not positive definite there.
+    pub(crate) fn solve(&mut self, qp: &Qp, answer: &QpSolution) -> bool {
+        let count = qp.variables();
+        self.free.clear();
+        self.free.extend((0..count).filter(|&index| answer.bound_states[index] == BoundState::Free));
+        self.equations.clear();
+        self.equations.extend(
+            (0..qp.row_count()).filter(|&row| matches!(answer.row_states[row], RowState::AtLower | RowState::AtUpper)),
+        );
+        let size = self.free.len();
+        if size == 0 || self.equations.len() > size {
+            return false;
+        }
+        self.assemble(qp, answer);
+        if !cholesky(&self.matrix, size, &mut self.factor) || !self.solve_equations(qp, answer) {
+            return false;
+        }
+        self.report(qp, answer);
+        self.solution.step.iter().all(|value| value.is_finite())
+    }
+
+    /// Rows that the step holds at a limit.
+    pub(crate) fn equations(&self) -> &[usize] {
+        &self.equations
+    }
+
+    /// Second-order correction: moves the step so that the rows it holds, which the curvature has left by `excesses`
+    /// beyond the upper or before the lower limit, return to their limits. False where that is not within the bounds.
+    ///
+    /// Without it a good step is refused near the solution, because the penalty sees the excess and not the gain.
+    pub(crate) fn correct(&mut self, qp: &Qp, excesses: &[f64]) -> bool {
+        let size = self.free.len();
+        let equations = self.equations.len();
+        self.multipliers.clear();
+        self.multipliers.extend_from_slice(excesses);
+        forward(&self.schur_factor, equations, &mut self.multipliers);
+        backward(&self.schur_factor, equations, &mut self.multipliers);
+        self.right.clear();
+        self.right.resize(size, 0.0);
+        for (position, multiplier) in self.multipliers.iter().enumerate() {
+            let column = &self.columns[position * size..(position + 1) * size];
+            for (value, entry) in self.right.iter_mut().zip(column) {
+                *value -= multiplier * entry;
+            }
+        }
+        backward(&self.factor, size, &mut self.right);
+        let mut inside = true;
+        for (&index, change) in self.free.iter().zip(&self.right) {
+            let value = &mut self.solution.step[index];
+            *value += change;
+            inside &= *value >= qp.lower[index] && *value <= qp.upper[index];
+        }
+        inside
+    }
+
+    /// Matrix and right-hand side in the free variables.
+    fn assemble(&mut self, qp: &Qp, answer: &QpSolution) {
+        let count = qp.variables();
+        let size = self.free.len();
+        self.matrix.clear();
+        self.right.clear();
+        for &row in &self.free {
+            let line = &self.hessian[row * count..(row + 1) * count];
+            self.matrix.extend(self.free.iter().map(|&column| line[column]));
+            let fixed: f64 = (0..count)
+                .filter(|&column| answer.bound_states[column] != BoundState::Free)
+                .map(|column| line[column] * answer.step[column])
+                .sum();
+            self.right.push(-qp.gradient[row] - fixed);
+        }
+        for row in 0..qp.row_count() {
+            let (sign, limit) = match answer.row_states[row] {
+                RowState::BeyondUpper => (1.0, qp.row_upper[row]),
+                RowState::BeyondLower => (-1.0, qp.row_lower[row]),
+                _ => continue,
+            };
+            let line = qp.row(row);
+            let excess = self.fixed_part(line, answer) - limit;
+            let bend = 2.0 * qp.slack_quadratic;
+            let slope = sign * qp.slack_linear + bend * excess;
+            for (position, &index) in self.free.iter().enumerate() {
+                self.right[position] -= slope * line[index];
+                for (other, &column) in self.free.iter().enumerate() {
+                    self.matrix[position * size + other] += bend * line[index] * line[column];
+                }
+            }
+        }
+        // Squares of the equations change nothing where they hold, and make the matrix positive definite when it is so
+        // on their null space. Ten times the largest diagonal entry is enough unless it nearly is not.
+        let largest = (0..size).map(|index| self.matrix[index * size + index].abs()).fold(0.0, f64::max);
+        for &row in &self.equations {
+            let line = qp.row(row);
+            let square: f64 = self.free.iter().map(|&index| line[index] * line[index]).sum();
+            if square <= 0.0 {
+                continue;
+            }
+            let weight = 10.0 * largest / square;
+            let target = limit_of(qp, answer, row) - self.fixed_part(line, answer);
+            for (position, &index) in self.free.iter().enumerate() {
+                self.right[position] += weight * target * line[index];
+                for (other, &column) in self.free.iter().enumerate() {
+                    self.matrix[position * size + other] += weight * line[index] * line[column];
+                }
+            }
+        }
+    }
+
+    /// Solves for the free variables, into `right`, and the multipliers of the equations.
+    fn solve_equations(&mut self, qp: &Qp, answer: &QpSolution) -> bool {
+        let size = self.free.len();
+        let equations = self.equations.len();
+        forward(&self.factor, size, &mut self.right);
+        self.columns.clear();
+        for &row in &self.equations {
+            let line = qp.row(row);
+            let start = self.columns.len();
+            self.columns.extend(self.free.iter().map(|&index| line[index]));
+            forward(&self.factor, size, &mut self.columns[start..]);
+        }
+        self.schur.clear();
+        self.multipliers.clear();
+        for (position, &row) in self.equations.iter().enumerate() {
+            let column = &self.columns[position * size..(position + 1) * size];
+            for other in 0..equations {
+                self.schur.push(dot(column, &self.columns[other * size..(other + 1) * size]));
+            }
+            let target = limit_of(qp, answer, row) - self.fixed_part(qp.row(row), answer);
+            self.multipliers.push(dot(column, &self.right) - target);
+        }
+        if equations > 0 {
+            if !cholesky(&self.schur, equations, &mut self.schur_factor) {
+                return false;
+            }
+            forward(&self.schur_factor, equations, &mut self.multipliers);
+            backward(&self.schur_factor, equations, &mut self.multipliers);
+        }
+        for (position, multiplier) in self.multipliers.iter().enumerate() {
+            let column = &self.columns[position * size..(position + 1) * size];
+            for (value, entry) in self.right.iter_mut().zip(column) {
+                *value -= multiplier * entry;
+            }
+        }
+        backward(&self.factor, size, &mut self.right);
+        true
+    }
+
+    /// Cuts the step at the bounds on the way from that of the quadratic program, and fills the multipliers.
+    fn report(&mut self, qp: &Qp, answer: &QpSolution) {
+        let mut fraction = 1.0f64;
+        for (&index, &value) in self.free.iter().zip(&self.right) {
+            let change = value - answer.step[index];
+            let room = if change > 0.0 { qp.upper[index] } else { qp.lower[index] } - answer.step[index];
+            if change != 0.0 {
+                fraction = fraction.min((room / change).max(0.0));
+            }
+        }
+        for row in 0..qp.row_count() {
+            let line = qp.row(row);
+            let before = dot(line, &answer.step);
+            let after: f64 = before
+                + self
+                    .free
+                    .iter()
+                    .zip(&self.right)
+                    .map(|(&index, value)| line[index] * (value - answer.step[index]))
+                    .sum::<f64>();
+            let limit = match answer.row_states[row] {
+                RowState::Inside if after > before => qp.row_upper[row],
+                RowState::Inside => qp.row_lower[row],
+                RowState::BeyondUpper if after < before => qp.row_upper[row],
+                RowState::BeyondLower if after > before => qp.row_lower[row],
+                _ => continue,
+            };
+            if (after - limit) * (before - limit) < 0.0 {
+                fraction = fraction.min((limit - before) / (after - before));
+            }
+        }
+        self.solution.clone_from(answer);
+        for (&index, &value) in self.free.iter().zip(&self.right) {
+            self.solution.step[index] += fraction * (value - answer.step[index]);
+        }
+        for (&row, &value) in self.equations.iter().zip(&self.multipliers) {
+            let before = answer.row_multipliers[row];
+            self.solution.row_multipliers[row] = before + fraction * (value - before);
+        }
+        for row in 0..qp.row_count() {
+            let (sign, limit) = match answer.row_states[row] {
+                RowState::BeyondUpper => (1.0, qp.row_upper[row]),
+                RowState::BeyondLower => (-1.0, qp.row_lower[row]),
+                _ => continue,
+            };
+            let excess = dot(qp.row(row), &self.solution.step) - limit;
+            self.solution.row_multipliers[row] = sign * qp.slack_linear + 2.0 * qp.slack_quadratic * excess;
+        }
+    }
+
+    /// The part of a row that belongs to fixed variables.
+    fn fixed_part(&self, line: &[f64], answer: &QpSolution) -> f64 {
+        line.iter()
+            .zip(&answer.step)
+            .zip(&answer.bound_states)
+            .filter(|(_, state)| **state != BoundState::Free)
+            .map(|((entry, value), _)| entry * value)
+            .sum()
+    }
+}
+
+fn limit_of(qp: &Qp, answer: &QpSolution, row: usize) -> f64 {
+    if answer.row_states[row] == RowState::AtLower { qp.row_lower[row] } else { qp.row_upper[row] }
+}
+
+/// Solves L x = b in place.
+fn forward(factor: &[f64], size: usize, values: &mut [f64]) {
+    for row in 0..size {
+        let line = &factor[row * size..row * size + row];
+        values[row] = (values[row] - dot(line, &values[..row])) / factor[row * size + row];
+    }
+}
+
+/// Solves L' x = b in place.
+fn backward(factor: &[f64], size: usize, values: &mut [f64]) {
+    for row in (0..size).rev() {
+        values[row] /= factor[row * size + row];
+        let value = values[row];
+        for (target, entry) in values[..row].iter_mut().zip(&factor[row * size..row * size + row]) {
+            *target -= value * entry;
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! The reference of the optimal control problem: a point that moves along the guide as fast as the robot can.
+//!
+//! The point starts beside the robot and keeps the cruising velocity until the distance to the goal over the
+//! landing time is less; then it slows down exponentially to the smallest velocity, with which it passes the
+//! goal: the stop is not part of the program. A reference outside of what the horizon can reach makes full-step
+//! Gauss-Newton diverge, and one that waits at the goal slows the robot down long before, because the robot
+//! cannot wait; so nothing here is ever out of reach, neither too far nor too near.
+
+use vehicle::{Control, State};
+
+use crate::guide::Guide;
+
+/// How the moving point is led.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pace {
+    /// Velocity far from the goal [m/s].
+    pub cruise: f64,
+    /// Smallest velocity [m/s].
+    pub slowest: f64,
+    /// Position of the goal along the track [m].
+    pub goal_x: f64,
+    /// Time constant of the approach [s].
+    pub landing_time: f64,
+}
+
+impl Pace {
+    /// Velocity of the point at `x` [m/s].
+    pub fn velocity(&self, x: f64) -> f64 {
+        ((self.goal_x - x) / self.landing_time).clamp(self.slowest, self.cruise.max(self.slowest))
+    }
+}
+
+/// Steps per interval with which the point is moved.
+const STEPS: usize = 4;
+
+/// Fills `references` for nodes 1 to `intervals` and returns the reference of the controls.
+pub fn fill(
+    guide: &Guide,
+    pace: &Pace,
+    start_x: f64,
+    interval_s: f64,
+    intervals: usize,
+    references: &mut Vec<State>,
+) -> Control {
+    references.clear();
+    let mut x = start_x;
+    let step = interval_s / STEPS as f64;
+    for _ in 0..intervals {
+        for _ in 0..STEPS {
+            let (_, course, _) = guide.at(x);
+            x += pace.velocity(x) * course.cos() * step;
+        }
+        let (y, course, curvature) = guide.at(x);
+        references.push(State { sideslip: 0.0, yaw: course, yaw_rate: curvature * pace.velocity(x), x, y });
+    }
+    Control { velocity: pace.velocity(start_x), steering: 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn references(start_x: f64) -> (Vec<State>, Control) {
+        let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 10.0, landing_time: 0.8 };
+        let (mut guide, mut states) = (Guide::default(), Vec::new());
+        guide.set_line(start_x, 0.3, 1.0);
+        let control = fill(&guide, &pace, start_x, 0.4, 5, &mut states);
+        (states, control)
+    }
+
+    #[test]
+    fn far_from_the_goal_the_point_moves_at_cruising_velocity() {
+        let (states, control) = references(2.0);
+        assert!((states[4].x - 4.0).abs() < 1e-12 && states[4].y == 0.3);
+        assert_eq!(control.velocity, 1.0);
+    }
+
+    #[test]
+    fn near_the_goal_the_point_slows_down_to_the_smallest_velocity() {
+        let (states, control) = references(9.6);
+        assert!((control.velocity - 0.5).abs() < 1e-12);
+        assert!(states[0].x > 9.6 && states[4].x > 9.9 && states[4].x < 10.1);
+        let (behind, _) = references(10.2);
+        assert!((behind[4].x - 10.4).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,131 @@
+//! On which side each obstacle is passed, held from scan to scan.
+//!
+//! An obstacle on the line is a symmetric trap: left and right cost the same, and noise would change the
+//! choice with every scan until it is too late for both. The choice itself is made by the guide, whose cost
+//! contains every side that was chosen before; this module remembers the choices. Ellipses are found again
+//! by their identity, or by their place when tracking has given them a new one.
+
+use bytemuck::{Pod, Zeroable};
+use shared_types::{Described, Field, Kind};
+
+use crate::scene::Hazard;
+
+/// How many choices are remembered.
+pub const MAX_SIDES: usize = 16;
+/// Distance within which an ellipse with a new identity is taken for a known one [m].
+const SAME_PLACE_M: f64 = 0.5;
+
+/// The choice for one ellipse.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Side {
+    /// Identity of the ellipse; 0 marks an unused entry.
+    pub id: u32,
+    /// 1 passes left of it, -1 right of it.
+    pub side: i32,
+    /// Where its centre was, along the track [m].
+    pub x_m: f64,
+    /// Where its centre was, across the track [m].
+    pub y_m: f64,
+}
+
+impl Described for Side {
+    const KIND: Kind = Kind::Struct(
+        "Side",
+        &[
+            Field { name: "id", doc: "Identity of the ellipse", offset: 0, kind: u32::KIND },
+            Field { name: "side", doc: "1 passes left of it, -1 right of it", offset: 4, kind: i32::KIND },
+            Field { name: "x_m", doc: "Centre along the track [m]", offset: 8, kind: f64::KIND },
+            Field { name: "y_m", doc: "Centre across the track [m]", offset: 16, kind: f64::KIND },
+        ],
+    );
+}
+
+/// The choices of the last scan.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sides {
+    entries: [Side; MAX_SIDES],
+}
+
+impl Sides {
+    /// The choices as they stand in a checkpoint.
+    pub fn entries(&self) -> &[Side; MAX_SIDES] {
+        &self.entries
+    }
+
+    /// The choices of a checkpoint; entries without meaning are left out.
+    pub fn from_entries(entries: &[Side; MAX_SIDES]) -> Self {
+        let sound = |entry: &Side| entry.side.abs() == 1 && entry.x_m.is_finite() && entry.y_m.is_finite();
+        Self { entries: entries.map(|entry| if sound(&entry) { entry } else { Side::default() }) }
+    }
+
+    /// The side held for the ellipse: 1 left, -1 right, 0 none.
+    pub fn held(&self, hazard: &Hazard) -> i8 {
+        let used = || self.entries.iter().filter(|entry| entry.id != 0);
+        let known = used().find(|entry| entry.id == hazard.id).or_else(|| {
+            let distance = |entry: &Side| (entry.x_m - hazard.centre[0]).hypot(entry.y_m - hazard.centre[1]);
+            used().filter(|entry| distance(entry) < SAME_PLACE_M).min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        });
+        known.map_or(0, |entry| entry.side as i8)
+    }
+
+    /// Holds `side` for the ellipse; 0 lets go.
+    pub fn hold(&mut self, hazard: &Hazard, side: i8) {
+        let old = self.entries.iter().position(|entry| entry.id == hazard.id);
+        let Some(index) = old.or_else(|| self.entries.iter().position(|entry| entry.id == 0)) else { return };
+        self.entries[index] = match side {
+            0 => Side::default(),
+            _ => Side { id: hazard.id, side: i32::from(side), x_m: hazard.centre[0], y_m: hazard.centre[1] },
+        };
+    }
+
+    /// Replaces all choices by those that `choose` makes; 0 keeps what was held for the ellipse.
+    pub fn renew(&mut self, hazards: &[Hazard], choose: impl Fn(&Hazard) -> i8) {
+        let mut renewed = Self::default();
+        for hazard in hazards.iter().filter(|hazard| hazard.id != 0) {
+            let chosen = choose(hazard);
+            renewed.hold(hazard, if chosen == 0 { self.held(hazard) } else { chosen });
+        }
+        *self = renewed;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
+
+    fn hazard(id: u32, x: f64, y: f64) -> Hazard {
+        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
+        Hazard { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body }
+    }
+
+    #[test]
+    fn a_choice_is_found_again_by_identity_or_by_place() {
+        let mut sides = Sides::default();
+        sides.hold(&hazard(7, 5.0, 0.0), -1);
+        assert_eq!(sides.held(&hazard(7, 5.9, 0.3)), -1);
+        assert_eq!(sides.held(&hazard(8, 5.2, 0.1)), -1);
+        assert_eq!(sides.held(&hazard(8, 6.0, 0.0)), 0);
+    }
+
+    #[test]
+    fn choices_of_ellipses_that_are_gone_are_forgotten() {
+        let mut sides = Sides::default();
+        sides.hold(&hazard(7, 5.0, 0.0), -1);
+        sides.renew(&[hazard(9, 9.0, 0.0)], |_| 1);
+        assert_eq!(sides.held(&hazard(7, 5.0, 0.0)), 0);
+        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), 1);
+        sides.renew(&[hazard(9, 9.0, 0.0)], |_| 0);
+        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), 1);
+    }
+
+    #[test]
+    fn nonsense_in_a_checkpoint_is_left_out() {
+        let mut entries = [Side::default(); MAX_SIDES];
+        entries[0] = Side { id: 3, side: 40, x_m: 1.0, y_m: 0.0 };
+        entries[1] = Side { id: 4, side: 1, x_m: f64::NAN, y_m: 0.0 };
+        assert_eq!(Sides::from_entries(&entries), Sides::default());
+    }
+}

@@ -1,0 +1,78 @@
+//! What a restarted controller goes on from.
+
+use bytemuck::{Pod, Zeroable};
+use shared_types::{Described, Field, Kind, PLAN_NODES, PlanNode};
+
+use crate::side::{MAX_SIDES, Side};
+
+/// Declares a plain struct and its description from one list of fields.
+macro_rules! described {
+    (
+        $(#[$meta:meta])*
+        pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }
+    ) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+
+        impl Described for $name {
+            const KIND: Kind = Kind::Struct(stringify!($name), &[
+                $(Field {
+                    name: stringify!($field),
+                    doc: $doc.trim_ascii(),
+                    offset: std::mem::offset_of!($name, $field),
+                    kind: <$type as Described>::KIND,
+                },)*
+            ]);
+        }
+    };
+}
+
+described! {
+    /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
+    pub struct ControllerState {
+        /// 1 when the robot has landed
+        pub landed: u32,
+        /// Scans since the path was found blocked, from 1; 0 when it is not
+        pub blocked_scans: u32,
+        /// Scans in a row that showed a clear way
+        pub clear_scans: u32,
+        /// How many nodes of `plan` are used; 0 without a plan
+        pub plan_length: u32,
+        /// Time of the first node of the plan [ns]
+        pub plan_start_ns: u64,
+        /// Time between two nodes of the plan [s]
+        pub plan_interval_s: f64,
+        /// When the front beam of the last scan was taken [ns]; 0 before the first scan
+        pub acquired_ns: u64,
+        /// Velocity of the last command [m/s]
+        pub velocity_mps: f64,
+        /// Steering angle of the last command [rad]
+        pub steering_rad: f64,
+        /// Sides on which obstacles are passed
+        pub sides: [Side; MAX_SIDES],
+        /// The last verified plan
+        pub plan: [PlanNode; PLAN_NODES],
+    }
+}
+
+impl Default for ControllerState {
+    fn default() -> Self {
+        Self::zeroed()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_types::{Checkpoint, Role};
+
+    #[test]
+    fn the_state_survives_a_checkpoint() {
+        let mut state = ControllerState { blocked_scans: 3, plan_start_ns: 7, ..ControllerState::default() };
+        state.plan[4].y_m = 0.5;
+        let checkpoint = Checkpoint::of(Role::Controller, &state);
+        assert_eq!(checkpoint.state::<ControllerState>(), Ok(state));
+    }
+}

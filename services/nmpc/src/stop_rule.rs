@@ -1,0 +1,200 @@
+//! Whether the path is blocked: a solved program is no proof of safety.
+//!
+//! Seen at 2.5 m, an obstacle makes the program brake to 0.1 m/s before the end of its horizon, and so only
+//! postpone the collision. So every plan is driven on behind its end: straight, at full lock to either side,
+//! and at full lock followed by the opposite lock back to the direction of the track; the same from where
+//! the robot is now. If one of them comes past what is in the way, the path is not blocked. If none does, the
+//! robot stops when the solver already needed slack, or when it is nearer than the distance at which full
+//! lock still clears an obstacle of that size.
+//!
+//! Assumed: a turn of constant radius begins a few centimetres after the command (the yaw rate needs 30 ms).
+//! The family of turns is small; the guide searches a larger one, and a clear guide is never blocked.
+
+use vehicle::{Control, State};
+
+use crate::rollout::Sampled;
+use crate::verify::{Baseline, Scene, Violation};
+
+/// Semi-axis b of a centred obstacle and the last centre distance at which full lock clears it in a corridor
+/// of 1.5 m to each side [m].
+const LATEST: [(f64, f64); 4] = [(0.6, 2.42), (0.8, 2.64), (1.0, 2.82), (1.2, 3.04)];
+/// Obstacles whose centre is further ahead are no reason to stop yet [m].
+const SIGHT_M: f64 = 4.5;
+/// Step along a turn [m].
+const STEP_M: f64 = 0.08;
+/// Way until a turn has begun [m].
+const LAG_M: f64 = 0.03;
+/// Lengths of the first turn, before the opposite one [m].
+const TURNS_M: [f64; 8] = [0.5, 0.9, 1.3, 1.7, 2.1, 2.5, 2.9, 9.0];
+
+/// Last centre distance at which full lock clears a centred obstacle with semi-axis `b` [m].
+pub fn latest_distance(b: f64) -> f64 {
+    let right = LATEST.iter().position(|&(table_b, _)| b < table_b).unwrap_or(LATEST.len() - 1).max(1);
+    let ((b0, d0), (b1, d1)) = (LATEST[right - 1], LATEST[right]);
+    d0 + (b - b0) * (d1 - d0) / (b1 - b0)
+}
+
+/// Whether to stop: no continuation of the plan comes past the obstacles, and there is no time to wait.
+///
+/// `way` is the verified plan as driven, `slack` the slack the solver needed, `largest_slack` what is still fine.
+pub fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_slack: f64) -> bool {
+    let here = scene.initial;
+    let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
+    let Some(end_x) = scene
+        .hazards
+        .iter()
+        .filter(|hazard| ahead(hazard.centre[0]) && hazard.centre[0] - hazard.a < scene.goal_x)
+        .map(|hazard| hazard.centre[0] + hazard.a / 2.0)
+        .reduce(f64::max)
+    else {
+        return false;
+    };
+    let turns = Turns {
+        scene,
+        baseline: scene.baseline(),
+        end_x: end_x.min(scene.goal_x),
+        curvature: full_lock_curvature(scene),
+        speed: scene.bounds.velocity_max_mps,
+    };
+    let mut best = (f64::NEG_INFINITY, None);
+    for start in [way.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {
+        for side in [0.0, 1.0, -1.0] {
+            for &length in &TURNS_M[if side == 0.0 { 7 } else { 0 }..] {
+                match turns.drive(start, side, length) {
+                    Reach::Past => return false,
+                    Reach::Hit { x, hazard } if x > best.0 => best = (x, hazard),
+                    Reach::Hit { .. } => {}
+                }
+            }
+        }
+    }
+    let nearest = || (0..scene.hazards.len()).filter(|&index| ahead(scene.hazards[index].centre[0]));
+    let distance = |index: usize| {
+        let [x, y] = scene.hazards[index].centre;
+        (x - here.x).hypot(y - here.y)
+    };
+    let hit = best.1.or_else(|| nearest().min_by(|&a, &b| distance(a).total_cmp(&distance(b))));
+    let too_near = hit.is_some_and(|index| distance(index) < latest_distance(scene.hazards[index].b));
+    slack > largest_slack || too_near
+}
+
+/// How far a continuation comes.
+enum Reach {
+    Past,
+    Hit { x: f64, hazard: Option<usize> },
+}
+
+struct Turns<'a> {
+    scene: &'a Scene<'a>,
+    baseline: Baseline,
+    end_x: f64,
+    curvature: f64,
+    speed: f64,
+}
+
+impl Turns<'_> {
+    /// Follows a turn to `side` of `length`, then the opposite lock until along the track, then straight.
+    fn drive(&self, start: Sampled, side: f64, length: f64) -> Reach {
+        let Sampled { mut t, mut state } = start;
+        let mut course = state.yaw + state.sideslip;
+        let mut way = 0.0;
+        // Longest way: past the furthest obstacle in sight with a detour.
+        while way < 2.0 * SIGHT_M {
+            if state.x >= self.end_x {
+                return Reach::Past;
+            }
+            if let Some(violation) = self.scene.check(&self.baseline, t, &state) {
+                let hazard = match violation {
+                    Violation::Ellipse(index) => Some(index),
+                    _ => None,
+                };
+                return Reach::Hit { x: state.x, hazard };
+            }
+            let turn = if way < LAG_M {
+                0.0
+            } else if way < length {
+                side
+            } else if course * side > 0.0 {
+                -side
+            } else {
+                0.0
+            };
+            course += turn * self.curvature * STEP_M;
+            if turn == -side && course * side < 0.0 {
+                course = 0.0;
+            }
+            state = State {
+                sideslip: 0.0,
+                yaw: course,
+                x: state.x + STEP_M * course.cos(),
+                y: state.y + STEP_M * course.sin(),
+                ..state
+            };
+            way += STEP_M;
+            t += STEP_M / self.speed;
+        }
+        Reach::Hit { x: state.x, hazard: None }
+    }
+}
+
+/// Curvature at full lock and the largest velocity [1/m].
+fn full_lock_curvature(scene: &Scene) -> f64 {
+    let control = Control { velocity: scene.bounds.velocity_max_mps, steering: scene.bounds.steering_max_rad };
+    vehicle::model::steady_turn(scene.parameters, &control).1 / control.velocity
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Hazard;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
+    use vehicle::{Bounds, Parameters};
+
+    fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
+        let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
+        let hazards = [Hazard { id: 1, centre: [distance, y], velocity: [0.0, 0.0], a: 1.2_f64.max(1.15 * b), b, body }];
+        let scene = Scene {
+            parameters: &Parameters::default(),
+            bounds: &Bounds::default(),
+            initial: State::default(),
+            interval_s: 2.72 / 6.0,
+            body: [0.56, 0.4],
+            clearance: 0.05,
+            x_range: [-10.0, 22.0],
+            y_range: [-1.5, 1.5],
+            walls: None,
+            goal_x: 15.0,
+            hazards: &hazards,
+        };
+        is_blocked(&scene, &[], slack, 0.05)
+    }
+
+    #[test]
+    fn the_table_is_interpolated_and_continued() {
+        assert_eq!(latest_distance(0.8), 2.64);
+        assert!((latest_distance(0.9) - 2.73).abs() < 1e-12);
+        assert!((latest_distance(0.5) - 2.31).abs() < 1e-12);
+        assert!((latest_distance(1.4) - 3.26).abs() < 1e-12);
+    }
+
+    #[test]
+    fn centred_obstacles_are_passable_a_little_before_the_table_and_blocked_behind_it() {
+        for (b, latest) in LATEST {
+            assert!(!blocked_at(latest + 0.25, 0.0, b, 0.0), "b = {b}");
+            assert!(blocked_at(latest - 0.35, 0.0, b, 0.0), "b = {b}");
+        }
+    }
+
+    #[test]
+    fn an_obstacle_that_closes_the_track_blocks_only_when_near_or_with_slack() {
+        assert!(!blocked_at(4.3, 0.0, 1.7, 0.0));
+        assert!(blocked_at(4.3, 0.0, 1.7, 0.06));
+        assert!(blocked_at(3.3, 0.0, 1.7, 0.0));
+    }
+
+    #[test]
+    fn an_obstacle_beside_the_way_never_blocks() {
+        assert!(!blocked_at(1.5, 1.2, 0.9, 0.1));
+    }
+}

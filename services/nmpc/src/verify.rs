@@ -1,0 +1,317 @@
+//! Whether a plan may be driven: an independent look at every command before it leaves the controller.
+//!
+//! The plan's controls are driven through the model from the initial state, whatever the solver says its
+//! states are, and the way is held against the described obstacles every few centimetres. A robot that is
+//! already too near, or outside a bound, may drive a plan that does not make it worse. Behind the goal nothing
+//! is checked, because the robot lands there; the plan is cut.
+//!
+//! Assumed: the description is right. Obstacles out of sight are not known here; they are seen before the
+//! plan gets to them, because the scanner reaches 2 m further than the horizon.
+
+use nalgebra::Vector2;
+use vehicle::geometry::Rectangle;
+use vehicle::{Bounds, Control, Parameters, State};
+
+use crate::rollout::{Sampled, simulate};
+use crate::scene::Hazard;
+
+/// Samples per interval: 5 cm apart at 1 m/s and N = 6.
+const PIECES: usize = 9;
+/// How much deeper than now an ellipse may be entered, in units of (7.34).
+pub const DEEPER: f64 = 0.01;
+/// How far a bound of the position may be exceeded [m].
+pub const OUTSIDE_M: f64 = 0.05;
+/// Numerical tolerance of all comparisons of lengths [m].
+const TOLERANCE_M: f64 = 1e-3;
+/// Tolerance of the hard bounds of the controls: solver accuracy, clamped before the command is sent.
+const CONTROL_TOLERANCE: f64 = 1e-6;
+/// How far behind the goal the plan is still checked [m].
+const BEHIND_GOAL_M: f64 = 0.03;
+
+/// What a plan is held against.
+#[derive(Debug, Clone, Copy)]
+pub struct Scene<'a> {
+    /// Parameters of the model.
+    pub parameters: &'a Parameters,
+    /// Hard bounds of the controls.
+    pub bounds: &'a Bounds,
+    /// State at the start of the plan.
+    pub initial: State,
+    /// Length of an interval [s].
+    pub interval_s: f64,
+    /// Length and width of the body [m].
+    pub body: [f64; 2],
+    /// Smallest distance of the body to an obstacle or a wall [m].
+    pub clearance: f64,
+    /// Bounds along the track, (7.45) [m].
+    pub x_range: [f64; 2],
+    /// Bounds across the track, (7.46) [m].
+    pub y_range: [f64; 2],
+    /// Surfaces of the walls, where there are walls [m].
+    pub walls: Option<[f64; 2]>,
+    /// Position of the goal along the track [m].
+    pub goal_x: f64,
+    /// The obstacles.
+    pub hazards: &'a [Hazard],
+}
+
+/// What is wrong at a place of the plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Violation {
+    /// A number is not finite, or there is no plan.
+    NotFinite,
+    /// A control is outside its hard bounds.
+    Control,
+    /// The body comes too near to an obstacle or a wall.
+    Clearance,
+    /// An ellipse is entered, or deeper than now; its index.
+    Ellipse(usize),
+    /// The position leaves its bounds.
+    Outside,
+}
+
+/// The result of a verification.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Verdict {
+    /// How many intervals may be driven.
+    pub intervals: usize,
+    /// The first violation and its time, `None` when there is none up to the end or the goal.
+    pub violation: Option<(Violation, f64)>,
+}
+
+impl Verdict {
+    /// Whether the whole plan may be driven.
+    pub fn holds(&self) -> bool {
+        self.violation.is_none() && self.intervals > 0
+    }
+}
+
+impl Scene<'_> {
+    /// Limits as they are at the start of the plan.
+    pub fn baseline(&self) -> Baseline {
+        let mut baseline = Baseline {
+            values: [1.0; shared_types::MAX_OBSTACLES],
+            gaps: [self.clearance; shared_types::MAX_OBSTACLES],
+            wall_gap: self.clearance,
+            outside: [OUTSIDE_M; 2],
+        };
+        let State { x, y, .. } = self.initial;
+        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            baseline.values[index] = hazard.value(0.0, x, y).min(1.0) - DEEPER;
+            let gap = self.body_at(&self.initial).distance_to_rectangle(&hazard.body);
+            baseline.gaps[index] = gap.min(self.clearance) - TOLERANCE_M;
+        }
+        baseline.wall_gap = self.wall_gap(&self.initial).min(self.clearance) - TOLERANCE_M;
+        baseline.outside = [excess(x, self.x_range), excess(y, self.y_range)].map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
+        baseline
+    }
+
+    /// The first thing wrong with the robot at `state`, `t` seconds after the start of the plan.
+    pub fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
+        if !state.is_finite() {
+            return Some(Violation::NotFinite);
+        }
+        if excess(state.x, self.x_range) > baseline.outside[0] || excess(state.y, self.y_range) > baseline.outside[1] {
+            return Some(Violation::Outside);
+        }
+        if self.walls.is_some() && self.wall_gap(state) < baseline.wall_gap {
+            return Some(Violation::Clearance);
+        }
+        let reach = self.body[0].hypot(self.body[1]) / 2.0 + self.clearance;
+        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            if hazard.value(t, state.x, state.y) < baseline.values[index] {
+                return Some(Violation::Ellipse(index));
+            }
+            let body = hazard.body_at(t);
+            let distance = (body.centre - Vector2::new(state.x, state.y)).norm();
+            if distance < reach + body.length.hypot(body.width) / 2.0
+                && self.body_at(state).distance_to_rectangle(&body) < baseline.gaps[index]
+            {
+                return Some(Violation::Clearance);
+            }
+        }
+        None
+    }
+
+    /// The body at a state.
+    pub fn body_at(&self, state: &State) -> Rectangle {
+        let centre = Vector2::new(state.x, state.y);
+        Rectangle { centre, yaw: state.yaw, length: self.body[0], width: self.body[1] }
+    }
+
+    fn wall_gap(&self, state: &State) -> f64 {
+        let middle = (self.y_range[0] + self.y_range[1]) / 2.0;
+        self.walls.map_or(f64::INFINITY, |walls| {
+            let body = self.body_at(state);
+            body.distance_to_wall(walls[0], middle).min(body.distance_to_wall(walls[1], middle))
+        })
+    }
+}
+
+/// What is already the case at the start of the plan, and so allowed along it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Baseline {
+    values: [f64; shared_types::MAX_OBSTACLES],
+    gaps: [f64; shared_types::MAX_OBSTACLES],
+    wall_gap: f64,
+    outside: [f64; 2],
+}
+
+/// A plan as it would be driven.
+#[derive(Debug, Clone, Default)]
+pub struct Driven {
+    /// States at the ends of the intervals, the first is the start.
+    pub nodes: Vec<State>,
+    /// States on the way.
+    pub way: Vec<Sampled>,
+}
+
+/// Drives `controls` into `driven` and says how far they may be driven.
+pub fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdict {
+    driven.nodes.clear();
+    driven.way.clear();
+    if !scene.initial.is_finite() || controls.is_empty() {
+        return Verdict { intervals: 0, violation: Some((Violation::NotFinite, 0.0)) };
+    }
+    if !controls.iter().all(|control| scene.bounds.contains(*control, CONTROL_TOLERANCE)) {
+        return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
+    }
+    simulate(
+        scene.parameters,
+        &scene.initial,
+        controls,
+        scene.interval_s,
+        PIECES,
+        &mut driven.nodes,
+        &mut driven.way,
+    );
+    let baseline = scene.baseline();
+    let mut behind_goal = false;
+    for (index, sample) in driven.way.iter().enumerate() {
+        behind_goal |= sample.state.x > scene.goal_x + BEHIND_GOAL_M;
+        if let Some(violation) = scene.check(&baseline, sample.t, &sample.state) {
+            let intervals = index.saturating_sub(1) / PIECES;
+            let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
+            return Verdict { intervals, violation };
+        }
+    }
+    Verdict { intervals: controls.len(), violation: None }
+}
+
+/// How far `value` is outside of `range` [m].
+fn excess(value: f64, range: [f64; 2]) -> f64 {
+    (range[0] - value).max(value - range[1]).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Fixture {
+        parameters: Parameters,
+        bounds: Bounds,
+        hazards: Vec<Hazard>,
+    }
+
+    impl Fixture {
+        fn new(hazards: Vec<Hazard>) -> Self {
+            Self { parameters: Parameters::default(), bounds: Bounds::default(), hazards }
+        }
+
+        fn scene(&self) -> Scene<'_> {
+            Scene {
+                parameters: &self.parameters,
+                bounds: &self.bounds,
+                initial: State::default(),
+                interval_s: 2.72 / 6.0,
+                body: [0.56, 0.4],
+                clearance: 0.05,
+                x_range: [0.0, 22.0],
+                y_range: [-1.5, 1.5],
+                walls: None,
+                goal_x: 10.0,
+                hazards: &self.hazards,
+            }
+        }
+    }
+
+    /// A box 0.4 m wide with an ellipse as small as the box, to see the body's own check.
+    fn hazard(x: f64, y: f64, a: f64, b: f64) -> Hazard {
+        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
+        Hazard { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body }
+    }
+
+    fn straight(velocity: f64) -> [Control; 6] {
+        [Control { velocity, steering: 0.0 }; 6]
+    }
+
+    fn verdict(scene: &Scene, controls: &[Control]) -> Verdict {
+        verify(scene, controls, &mut Driven::default())
+    }
+
+    #[test]
+    fn a_free_way_holds_and_nan_or_a_hard_bound_does_not() {
+        let fixture = Fixture::new(Vec::new());
+        assert!(verdict(&fixture.scene(), &straight(1.0)).holds());
+        assert_eq!(verdict(&fixture.scene(), &straight(1.01)).violation, Some((Violation::Control, 0.0)));
+        assert_eq!(verdict(&fixture.scene(), &straight(f64::NAN)).violation, Some((Violation::Control, 0.0)));
+        assert!(!verdict(&fixture.scene(), &[]).holds());
+        let lost = Scene { initial: State { y: f64::NAN, ..State::default() }, ..fixture.scene() };
+        assert_eq!(verdict(&lost, &straight(1.0)).violation, Some((Violation::NotFinite, 0.0)));
+    }
+
+    #[test]
+    fn the_body_keeps_its_distance_although_the_centre_is_outside_of_the_ellipse() {
+        let near = Fixture::new(vec![hazard(2.0, 0.44, 0.05, 0.05)]);
+        assert_eq!(verdict(&near.scene(), &straight(1.0)).violation.unwrap().0, Violation::Clearance);
+        let far = Fixture::new(vec![hazard(2.0, 0.46, 0.05, 0.05)]);
+        assert!(verdict(&far.scene(), &straight(1.0)).holds());
+    }
+
+    #[test]
+    fn an_ellipse_is_not_entered_but_may_be_left() {
+        let ahead = Fixture::new(vec![hazard(2.5, 0.0, 1.2, 0.8)]);
+        let (violation, t) = verdict(&ahead.scene(), &straight(1.0)).violation.unwrap();
+        assert_eq!(violation, Violation::Ellipse(0));
+        assert!((1.25..1.45).contains(&t), "{t}");
+        let beside = Fixture::new(vec![hazard(-0.2, 0.78, 1.2, 0.8)]);
+        assert!(verdict(&beside.scene(), &straight(1.0)).holds());
+    }
+
+    #[test]
+    fn a_moving_body_is_where_it_will_be() {
+        let mut crossing = hazard(1.0, -2.0, 0.5, 0.4);
+        crossing.velocity = [0.0, 2.0];
+        let fixture = Fixture::new(vec![crossing]);
+        assert!(!verdict(&fixture.scene(), &straight(1.0)).holds());
+        assert!(verdict(&fixture.scene(), &straight(0.1)).holds());
+    }
+
+    #[test]
+    fn a_robot_outside_of_its_bounds_may_come_back_but_not_go_further() {
+        let fixture = Fixture::new(Vec::new());
+        let outside = State { y: 1.7, yaw: -0.1, ..State::default() };
+        assert!(verdict(&Scene { initial: outside, ..fixture.scene() }, &straight(0.5)).holds());
+        let further = State { yaw: 0.1, ..outside };
+        let scene = Scene { initial: further, ..fixture.scene() };
+        assert_eq!(verdict(&scene, &straight(0.5)).violation.unwrap().0, Violation::Outside);
+    }
+
+    #[test]
+    fn behind_the_goal_the_plan_is_cut_and_not_refused() {
+        let fixture = Fixture::new(vec![hazard(2.6, 0.0, 1.0, 0.8)]);
+        let scene = Scene { goal_x: 1.3, ..fixture.scene() };
+        let verdict = verdict(&scene, &straight(1.0));
+        assert!(verdict.holds());
+        // The ellipse begins at 1.6 m, in the fourth interval of 0.4533 m.
+        assert_eq!(verdict.intervals, 3);
+    }
+
+    #[test]
+    fn walls_are_kept_clear_by_the_corners_of_the_body() {
+        let fixture = Fixture::new(Vec::new());
+        let initial = State { y: 1.0, yaw: 0.3, ..State::default() };
+        let scene = Scene { initial, walls: Some([-1.9, 1.9]), ..fixture.scene() };
+        assert!(!verdict(&scene, &straight(1.0)).holds());
+    }
+}

@@ -1,0 +1,130 @@
+//! Where the solver starts from: the last plan moved on in time, or the guide followed by simple steering.
+//!
+//! Both are driven through the model from the present state, so the start has no defects. The last plan is
+//! the better start as long as it passes everything on the same side as the guide: within one scan little
+//! changes. When the side changes, Gauss-Newton would have to cross the obstacle; the guide is the start then.
+
+use vehicle::{Bounds, Control};
+
+use crate::guide::Guide;
+use crate::reference::Pace;
+use crate::rollout::{Sampled, advance};
+use crate::scene::Hazard;
+use crate::verify::Scene;
+
+/// Steering correction per lateral distance to the guide, as curvature [1/m^2].
+const OFFSET_GAIN: f64 = 0.6;
+/// Steering correction per difference of course to the guide, as curvature [1/m].
+const COURSE_GAIN: f64 = 1.4;
+
+/// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
+///
+/// An interval that contains a change of the control gets the mean over its time; the last control is held.
+pub fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mut Vec<Control>) {
+    shifted.clear();
+    let Some(&last) = controls.last() else { return };
+    let at = |index: usize| controls.get(index).copied().unwrap_or(last);
+    let intervals = (elapsed_s / interval_s).clamp(0.0, 1e3);
+    let (whole, share) = (intervals as usize, intervals.fract());
+    for index in 0..controls.len() {
+        let (early, late) = (at(index + whole), at(index + whole + 1));
+        shifted.push(Control {
+            velocity: early.velocity + share * (late.velocity - early.velocity),
+            steering: early.steering + share * (late.steering - early.steering),
+        });
+    }
+}
+
+/// Fills `controls` with steering that follows the guide at the pace of the reference.
+pub fn follow(scene: &Scene, guide: &Guide, pace: &Pace, intervals: usize, controls: &mut Vec<Control>) {
+    controls.clear();
+    let gain = scene.parameters.yaw_rate_gain();
+    let mut state = scene.initial;
+    for _ in 0..intervals {
+        let velocity = pace.velocity(state.x);
+        // The correction aims at the middle of the interval, where its effect is seen.
+        let middle = state.x + velocity * state.yaw.cos() * scene.interval_s / 2.0;
+        let (_, _, curvature) = guide.at(middle);
+        let (y, course, _) = guide.at(state.x);
+        let wanted =
+            curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
+        let control = scene.bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
+        state = advance(scene.parameters, &state, &control, scene.interval_s);
+        controls.push(control);
+    }
+}
+
+/// Forces `controls` into the hard bounds: solvers keep them to their accuracy only.
+pub fn clamp(bounds: &Bounds, controls: &mut [Control]) {
+    controls.iter_mut().for_each(|control| *control = bounds.clamp(*control));
+}
+
+/// Whether two ways pass every hazard that both come past on the same side.
+pub fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
+    scene.hazards.iter().all(|hazard| {
+        let side = side_of(hazard, way);
+        let planned = guide.side_of(hazard);
+        side == 0 || planned == 0 || side == planned
+    })
+}
+
+/// Side on which a way passes the hazard: 1 left, -1 right, 0 when it does not come past its centre.
+fn side_of(hazard: &Hazard, way: &[Sampled]) -> i8 {
+    for pair in way.windows(2) {
+        let centres = [pair[0].t, pair[1].t].map(|t| hazard.centre_at(t));
+        let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
+        if from < 0.0 && to >= 0.0 {
+            return if pair[1].state.y > centres[1][1] { 1 } else { -1 };
+        }
+    }
+    0
+}
+
+fn finite(value: f64) -> f64 {
+    if value.is_finite() { value } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vehicle::{Parameters, State};
+
+    #[test]
+    fn a_plan_moves_on_in_time_and_holds_its_last_control() {
+        let controls = [0.02, -0.04, 0.06].map(|steering| Control { velocity: 1.0, steering });
+        let mut shifted = Vec::new();
+        shift(&controls, 0.4, 0.1, &mut shifted);
+        // A quarter of the interval has gone: three quarters of the first control and one of the second.
+        assert!((shifted[0].steering - 0.005).abs() < 1e-12);
+        assert!((shifted[2].steering - 0.06).abs() < 1e-12);
+        shift(&controls, 0.4, 100.0, &mut shifted);
+        assert!(shifted.iter().all(|control| control.steering == 0.06));
+    }
+
+    #[test]
+    fn following_a_line_brings_the_robot_onto_it() {
+        let (parameters, bounds) = (Parameters::default(), Bounds::default());
+        let scene = Scene {
+            parameters: &parameters,
+            bounds: &bounds,
+            initial: State { y: 0.2, ..State::default() },
+            interval_s: 2.72 / 6.0,
+            body: [0.56, 0.4],
+            clearance: 0.05,
+            x_range: [0.0, 22.0],
+            y_range: [-1.5, 1.5],
+            walls: None,
+            goal_x: 20.0,
+            hazards: &[],
+        };
+        let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 20.0, landing_time: 0.8 };
+        let (mut guide, mut controls) = (Guide::default(), Vec::new());
+        guide.set_line(0.0, 0.0, 1.0);
+        follow(&scene, &guide, &pace, 12, &mut controls);
+        let mut state = scene.initial;
+        for control in &controls {
+            state = advance(&parameters, &state, control, scene.interval_s);
+        }
+        assert!(state.y.abs() < 0.05 && state.yaw.abs() < 0.05, "{state:?}");
+    }
+}

@@ -1,0 +1,394 @@
+//! The description from scan to scan: place returns, cut them into bodies, follow the bodies, draw ellipses.
+
+use nalgebra::Vector2;
+use shared_types::{BEAMS, Fault, Header, MAX_OBSTACLES, Obstacle, Obstacles, Pose, Scan};
+use vehicle::Invalid;
+use vehicle::frame::to_robot;
+use vehicle::geometry::Rectangle;
+
+use crate::Config;
+use crate::ellipse::{MAX_PIECES, cover};
+use crate::outline::{Vertex, trace};
+use crate::points::{Beams, Place, Point};
+use crate::segment::Segments;
+use crate::shape::Directions;
+use crate::state::{ObstaclesState, TRACKS, TrackState};
+use crate::track::{Track, View};
+use crate::visibility::{Sight, look};
+use crate::walls::Walls;
+
+/// Identities of the ellipses of one body: its own times this, plus the number of the piece.
+const IDS_PER_BODY: u32 = 8;
+const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
+/// Identities of bodies start again after this many, so that those of ellipses fit a u32.
+const MAX_BODY: u32 = u32::MAX / IDS_PER_BODY - 1;
+/// Returns this near to where a body is expected are its own [m]; a body of 1 m/s moves 0.1 m between scans.
+const GATE_M: f64 = 0.2;
+/// Growth of the gate with the distance: three standard deviations of a yaw that is off by 0.01 rad.
+const GATE_PER_M: f64 = 0.03;
+/// Bodies nearer to each other than this are one [m].
+const TOUCHING_M: f64 = 0.04;
+/// A body that is not confirmed is forgotten after this time [s].
+const SPECKLE_MEMORY_S: f64 = 0.35;
+/// A body this far away is out of all reach: the pose must have jumped [m].
+const LOST_M: f64 = 12.0;
+
+/// Describes obstacles; one call per scan.
+#[derive(Debug, Clone)]
+pub struct Describer {
+    config: Config,
+    beams: Beams,
+    directions: Directions,
+    acquired_ns: u64,
+    pose: [f64; 3],
+    last_body: u32,
+    tracks: Vec<Track>,
+    // Buffers of one step.
+    points: Vec<Point>,
+    segments: Segments,
+    outlines: Vec<Outline>,
+    vertices: Vec<Vertex>,
+    view: Vec<Vertex>,
+    boxes: Vec<Rectangle>,
+    drawn: Vec<Drawn>,
+}
+
+/// Outline of one cluster: a range of the vertices.
+#[derive(Debug, Clone, Copy)]
+struct Outline {
+    first: usize,
+    end: usize,
+    returns: usize,
+    edges: Vector2<f64>,
+    may_start: bool,
+    /// Index of the track that it belongs to.
+    track: Option<usize>,
+}
+
+/// An ellipse on its way to the sample.
+#[derive(Debug, Clone, Copy)]
+struct Drawn {
+    behind: bool,
+    distance: f64,
+    obstacle: Obstacle,
+}
+
+impl Describer {
+    /// A describer that knows no obstacles yet.
+    ///
+    /// # Errors
+    /// [`Invalid`] when a setting is out of its range.
+    pub fn new(config: Config) -> Result<Self, Invalid> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            beams: Beams::new(),
+            directions: Directions::new(),
+            acquired_ns: 0,
+            pose: [0.0; 3],
+            last_body: 0,
+            tracks: Vec::with_capacity(TRACKS + 1),
+            points: Vec::with_capacity(BEAMS),
+            segments: Segments::with_capacity(),
+            outlines: Vec::with_capacity(BEAMS),
+            vertices: Vec::with_capacity(4 * BEAMS),
+            view: Vec::with_capacity(4 * BEAMS),
+            boxes: Vec::with_capacity(TRACKS + 1),
+            drawn: Vec::with_capacity(TRACKS * MAX_PIECES),
+        })
+    }
+
+    /// The obstacles known after `scan`, taken from `pose`; layout and sequence are left to the publisher.
+    ///
+    /// A pose that is not finite shows nothing: what is known is carried on as unseen.
+    pub fn step(&mut self, scan: &Scan, pose: &Pose) -> Obstacles {
+        let elapsed = self.elapse(scan.header.acquired_ns);
+        for track in &mut self.tracks {
+            track.predict(elapsed);
+        }
+        if let Some(place) = Place::of(pose) {
+            self.pose = [place.at.x, place.at.y, place.yaw];
+        }
+        let place = Place::of(pose);
+        let mut overflow = 0;
+        if let Some(place) = &place {
+            self.outline(scan, place);
+            self.associate(place);
+            self.sight(place, elapsed);
+            overflow = self.start(place);
+            self.forget(scan, place);
+            self.unite();
+        }
+        self.expire();
+        self.describe(scan.header.answer_both(&pose.header), overflow)
+    }
+
+    /// All that the next step depends on.
+    pub fn state(&self) -> ObstaclesState {
+        let mut tracks = [TrackState::default(); TRACKS];
+        for (state, track) in tracks.iter_mut().zip(&self.tracks) {
+            *state = track.to_state();
+        }
+        ObstaclesState {
+            acquired_ns: self.acquired_ns,
+            pose: self.pose,
+            last_body: self.last_body,
+            count: self.tracks.len().min(TRACKS) as u32,
+            tracks,
+        }
+    }
+
+    /// Carries on from a state.
+    ///
+    /// # Errors
+    /// [`Fault`] when a number of the state cannot be; the describer is unchanged then.
+    pub fn resume(&mut self, state: &ObstaclesState) -> Result<(), Fault> {
+        let count = state.count as usize;
+        if count > TRACKS {
+            return Err(Fault::OutOfRange { field: "count", value: f64::from(state.count) });
+        }
+        if !state.pose.iter().all(|value| value.abs() < 1e6) {
+            return Err(Fault::NotFinite { field: "pose" });
+        }
+        let sound = |state: &TrackState| Track::from_state(state).filter(|track| track.body <= MAX_BODY);
+        if state.last_body > MAX_BODY || !state.tracks[..count].iter().all(|state| sound(state).is_some()) {
+            return Err(Fault::NotFinite { field: "tracks" });
+        }
+        self.acquired_ns = state.acquired_ns;
+        self.pose = state.pose;
+        self.last_body = state.last_body;
+        self.tracks.clear();
+        self.tracks.extend(state.tracks[..count].iter().filter_map(sound));
+        Ok(())
+    }
+
+    /// Time since the scan before [s], zero for the first and for one that is not newer.
+    fn elapse(&mut self, acquired_ns: u64) -> f64 {
+        let before = self.acquired_ns;
+        if acquired_ns <= before {
+            return 0.0;
+        }
+        self.acquired_ns = acquired_ns;
+        if before == 0 { 0.0 } else { (acquired_ns - before) as f64 * 1e-9 }
+    }
+
+    /// Cuts the scan into outlines of bodies.
+    fn outline(&mut self, scan: &Scan, place: &Place) {
+        self.beams.place(scan, place, &mut self.points);
+        let walls = Walls::fit(&self.config, place, &self.points);
+        self.points.retain(|point| walls.leaves(point.at));
+        self.segments.find(scan, &self.points, self.config.range_noise_m);
+        self.outlines.clear();
+        self.vertices.clear();
+        for cluster in &self.segments.clusters {
+            let members = &self.segments.members[cluster.first..cluster.end];
+            let first = self.vertices.len();
+            let edges = trace(cluster, members, place, self.config.range_noise_m, &mut self.vertices);
+            walls.extend(&mut self.vertices, first);
+            let end = self.vertices.len();
+            self.outlines.push(Outline {
+                first,
+                end,
+                returns: members.len(),
+                may_start: cluster.may_start,
+                track: None,
+            });
+        }
+    }
+
+    /// Gives each outline to the track whose expected box it is nearest to.
+    fn associate(&mut self, place: &Place) {
+        self.boxes.clear();
+        self.boxes.extend(self.tracks.iter().map(|track| track.expected(&self.directions)));
+        for outline in &mut self.outlines {
+            let vertices = &self.vertices[outline.first..outline.end];
+            let mut best = f64::INFINITY;
+            for (index, expected) in self.boxes.iter().enumerate() {
+                let (mut least, mut sum) = (f64::INFINITY, 0.0);
+                for vertex in vertices {
+                    let distance = expected.distance_to_point(vertex.at).max(0.0);
+                    least = least.min(distance);
+                    sum += distance;
+                }
+                let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
+                // The mean decides between two that both touch.
+                let cost = least + 0.1 * sum / vertices.len() as f64;
+                if least < gate && cost < best {
+                    (best, outline.track) = (cost, Some(index));
+                }
+            }
+        }
+    }
+
+    /// Shows each track all outlines that belong to it.
+    fn sight(&mut self, place: &Place, elapsed: f64) {
+        for (index, track) in self.tracks.iter_mut().enumerate() {
+            self.view.clear();
+            let (mut returns, mut edges) = (0, Vector2::zeros());
+            for outline in self.outlines.iter().filter(|outline| outline.track == Some(index)) {
+                self.view.extend_from_slice(&self.vertices[outline.first..outline.end]);
+                returns += outline.returns;
+                edges += outline.edges;
+            }
+            if returns == 0 {
+                continue;
+            }
+            // Time since it was last seen, which may be longer than a scan.
+            let elapsed = track.unseen_s.max(elapsed);
+            let view = View { vertices: &self.view, edges, returns, robot: place.at, elapsed };
+            track.sight(&view, &self.config, &self.directions);
+            track.confirmed = true;
+        }
+    }
+
+    /// Starts a track for each outline in the window that belongs to none; returns how many found no room.
+    fn start(&mut self, place: &Place) -> u32 {
+        let mut overflow = 0;
+        for outline in self.outlines.iter().filter(|outline| outline.track.is_none() && outline.may_start) {
+            let vertices = &self.vertices[outline.first..outline.end];
+            let nearest =
+                vertices.iter().map(|vertex| (vertex.at - place.at).norm()).fold(f64::INFINITY, f64::min);
+            if self.tracks.len() >= TRACKS {
+                let Some(farthest) = farthest_unseen(&self.tracks, place, nearest, &self.directions) else {
+                    overflow += 1;
+                    continue;
+                };
+                self.tracks.remove(farthest);
+            }
+            self.last_body = self.last_body % MAX_BODY + 1;
+            let view = View {
+                vertices,
+                edges: outline.edges,
+                returns: outline.returns,
+                robot: place.at,
+                elapsed: 0.0,
+            };
+            let mut track = Track::start(self.last_body, &view, &self.config, &self.directions);
+            track.confirmed = nearest < self.config.near_m;
+            self.tracks.push(track);
+        }
+        overflow
+    }
+
+    /// Forgets bodies whose place is seen to be free.
+    fn forget(&mut self, scan: &Scan, place: &Place) {
+        for track in self.tracks.iter_mut().filter(|track| track.unseen_s > 0.0) {
+            match look(scan, &self.beams, place, &track.rectangle(&self.directions)) {
+                Sight::Free => track.free = track.free.saturating_add(1),
+                Sight::Taken => track.free = 0,
+                Sight::Unknown => {}
+            }
+        }
+        let limit = self.config.free_scans;
+        self.tracks.retain(|track| track.free < if track.confirmed { limit } else { limit.min(2) });
+    }
+
+    /// Unites standing bodies that touch: parts of one that were first seen apart.
+    fn unite(&mut self) {
+        self.boxes.clear();
+        self.boxes.extend(self.tracks.iter().map(|track| track.rectangle(&self.directions)));
+        let mut older = 0;
+        while older < self.tracks.len() {
+            let mut younger = older + 1;
+            while younger < self.tracks.len() {
+                let (a, b) = (&self.boxes[older], &self.boxes[younger]);
+                let standing = !self.tracks[older].moving && !self.tracks[younger].moving;
+                let reach = (a.length.hypot(a.width) + b.length.hypot(b.width)) / 2.0 + TOUCHING_M;
+                let touch = standing
+                    && (a.centre - b.centre).norm_squared() < reach * reach
+                    && a.distance_to_rectangle(b) < TOUCHING_M;
+                if touch {
+                    let part = self.tracks.remove(younger);
+                    self.boxes.remove(younger);
+                    self.tracks[older].absorb(&part, &self.directions);
+                    self.boxes[older] = self.tracks[older].rectangle(&self.directions);
+                } else {
+                    younger += 1;
+                }
+            }
+            older += 1;
+        }
+    }
+
+    /// Forgets bodies that are far behind, out of reach, moved out of sight, or never confirmed.
+    fn expire(&mut self) {
+        let [x, y, yaw] = self.pose;
+        let (config, directions) = (&self.config, &self.directions);
+        self.tracks.retain(|track| {
+            if !track.is_sound() {
+                return false;
+            }
+            let rectangle = track.rectangle(directions);
+            let at = Vector2::new(x, y);
+            let forward = |corner: Vector2<f64>| to_robot(yaw, corner.x - x, corner.y - y).x;
+            let front = rectangle.corners().map(forward).into_iter().fold(f64::NEG_INFINITY, f64::max);
+            let lost = rectangle.distance_to_point(at) > LOST_M || front < -config.keep_behind_m;
+            let gone = track.moving && track.unseen_s > config.moving_memory_s;
+            let speckle = !track.confirmed && track.unseen_s > SPECKLE_MEMORY_S;
+            !(lost || gone || speckle)
+        });
+    }
+
+    /// Draws the ellipses of all confirmed tracks, nearest ahead first.
+    fn describe(&mut self, header: Header, overflow: u32) -> Obstacles {
+        let [x, y, yaw] = self.pose;
+        self.drawn.clear();
+        for track in self.tracks.iter_mut().filter(|track| track.confirmed) {
+            let rectangle = track.rectangle(&self.directions);
+            let cover = cover(&self.config, &rectangle, &track.extent(), track.pieces, &self.directions);
+            track.pieces = cover.list().len() as u32;
+            let velocity = track.velocity();
+            for (piece, ellipse) in (0..).zip(cover.list()) {
+                let offset = ellipse.centre - Vector2::new(x, y);
+                let obstacle = Obstacle {
+                    id: track.body * IDS_PER_BODY + piece,
+                    body: track.body,
+                    x_m: ellipse.centre.x,
+                    y_m: ellipse.centre.y,
+                    a_m: ellipse.a,
+                    b_m: ellipse.b,
+                    velocity_x_mps: velocity.x,
+                    velocity_y_mps: velocity.y,
+                    velocity_covariance: track.velocity_covariance(),
+                    box_x_m: rectangle.centre.x,
+                    box_y_m: rectangle.centre.y,
+                    box_length_m: rectangle.length,
+                    box_width_m: rectangle.width,
+                    box_yaw_rad: rectangle.yaw,
+                    unseen_s: track.unseen_s,
+                    sightings: u64::from(track.sightings),
+                };
+                let behind = to_robot(yaw, offset.x, offset.y).x < 0.0;
+                self.drawn.push(Drawn { behind, distance: offset.norm(), obstacle });
+            }
+        }
+        self.drawn.sort_unstable_by(|a, b| {
+            (a.behind.cmp(&b.behind))
+                .then(a.distance.total_cmp(&b.distance))
+                .then(a.obstacle.id.cmp(&b.obstacle.id))
+        });
+        let count = self.drawn.len().min(MAX_OBSTACLES);
+        let mut items = [Obstacle::default(); MAX_OBSTACLES];
+        for (item, drawn) in items.iter_mut().zip(&self.drawn) {
+            *item = drawn.obstacle;
+        }
+        Obstacles {
+            header,
+            count: count as u32,
+            overflow: overflow + (self.drawn.len() - count) as u32,
+            items,
+        }
+    }
+}
+
+/// Index of the track farthest away among those not seen now, when it is farther than `distance`.
+fn farthest_unseen(tracks: &[Track], place: &Place, distance: f64, directions: &Directions) -> Option<usize> {
+    let mut farthest = (distance, None);
+    for (index, track) in tracks.iter().enumerate().filter(|(_, track)| track.unseen_s > 0.0) {
+        let distance = track.rectangle(directions).distance_to_point(place.at);
+        if distance > farthest.0 {
+            farthest = (distance, Some(index));
+        }
+    }
+    farthest.1
+}

@@ -1,0 +1,255 @@
+//! Ellipses that the robot's centre stays outside of, (7.32)-(7.35).
+//!
+//! (7.35) takes the width of an obstacle only: b = |y_begin - y_end| + 2 theta, a = 1.2 m or 1.15 b. That
+//! ellipse keeps the robot's body off obstacles up to about half a metre deep. Longer ones get a larger a, just
+//! so that the ellipse holds the body's box with the robot's keep-off distance around it. Long bodies that are
+//! turned, and very long ones, are cut into pieces along their length, each with an ellipse of its own: one
+//! ellipse around a turned body would close the corridor where there is room to pass.
+//!
+//! The keep-off distance is half the diagonal of the robot along the track, and what the robot reaches sideways
+//! at a yaw of 0.4 rad across it, each with the clearance added. While the centre is outside of the ellipses
+//! the body keeps the clearance, as long as the robot drives roughly along their boundary.
+//!
+//! Source note: (7.32), (7.33) place the centre between the first and last boundary point, which are points of
+//! the visible front. Here the centre is that of the body's box, which grows as more of the body is seen.
+
+use nalgebra::Vector2;
+use vehicle::frame::to_track;
+use vehicle::geometry::Rectangle;
+
+use crate::Config;
+use crate::shape::{DIRECTIONS, Directions};
+
+/// Most ellipses that cover one body.
+pub(crate) const MAX_PIECES: usize = 6;
+/// Largest a of a single ellipse [m]; a body of 3 m needs 2.4.
+const MAX_SINGLE_M: f64 = 2.6;
+/// Length of a piece [m]: about as long as the robot's corridor beside it is wide.
+const PIECE_M: f64 = 0.65;
+/// Shorter bodies are not cut, however they are turned [m].
+const MIN_CUT_M: f64 = 0.8;
+/// A body is turned when the box along the track around it is this much larger.
+const TURNED: f64 = 1.5;
+/// What was decided for the last scan is kept until a value is this share beyond its limit.
+const KEEP: f64 = 0.1;
+/// Yaw at which the robot passes beside an ellipse at most [rad].
+const PASSING_YAW: f64 = 0.4;
+/// Semi-axis across the track per reach of a piece: 1 would need an endless a.
+const ROOM: f64 = 1.05;
+
+/// An ellipse (7.34) with axes along and across the track.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Ellipse {
+    /// Centre [m].
+    pub(crate) centre: Vector2<f64>,
+    /// Semi-axis along the track [m].
+    pub(crate) a: f64,
+    /// Semi-axis across the track [m].
+    pub(crate) b: f64,
+}
+
+/// Ellipses of one body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cover {
+    ellipses: [Ellipse; MAX_PIECES],
+    count: usize,
+}
+
+impl Cover {
+    /// The ellipses.
+    pub(crate) fn list(&self) -> &[Ellipse] {
+        &self.ellipses[..self.count]
+    }
+}
+
+/// Covers a body by ellipses.
+///
+/// `extent` holds its lowest and highest coordinates, `before` the number of ellipses of the scan before (0
+/// when there was none): near a limit the number is kept.
+pub(crate) fn cover(
+    config: &Config,
+    rectangle: &Rectangle,
+    extent: &[Vector2<f64>; 2],
+    before: u32,
+    directions: &Directions,
+) -> Cover {
+    let keep = Keep::of(config);
+    let single = single(config, &keep, rectangle, extent, directions);
+    let mut result = Cover { ellipses: [single; MAX_PIECES], count: 1 };
+    let length = rectangle.length.max(rectangle.width);
+    let wanted = length / PIECE_M.max(rectangle.length.min(rectangle.width));
+    let [dx, dy] = spans(rectangle);
+    let turned = dx * dy / (rectangle.length * rectangle.width);
+    // Once cut, a body stays cut until it is clearly short and straight again, and the other way round.
+    let bias = if before > 1 { 1.0 - KEEP } else { 1.0 };
+    let cut = (turned > TURNED * bias && length > MIN_CUT_M * bias) || single.a > MAX_SINGLE_M * bias;
+    if !cut {
+        return result;
+    }
+    let before = (before as usize).clamp(1, MAX_PIECES);
+    let mut count = (wanted - KEEP).ceil().clamp(1.0, MAX_PIECES as f64) as usize;
+    if count < before && wanted > before as f64 - 1.0 - 2.0 * KEEP {
+        count = before;
+    }
+    let along = if rectangle.length >= rectangle.width {
+        to_track(rectangle.yaw, length, 0.0)
+    } else {
+        to_track(rectangle.yaw, 0.0, length)
+    };
+    for (index, ellipse) in result.ellipses.iter_mut().enumerate().take(count) {
+        let share = (index as f64 + 0.5) / count as f64 - 0.5;
+        let mut piece = Rectangle { centre: rectangle.centre + along * share, ..*rectangle };
+        if rectangle.length >= rectangle.width {
+            piece.length /= count as f64;
+        } else {
+            piece.width /= count as f64;
+        }
+        let b = ROOM * (spans(&piece)[1] / 2.0 + keep.across);
+        *ellipse = sized(config, &keep, piece.centre, &piece, b, directions);
+    }
+    result.count = count;
+    result
+}
+
+/// The one ellipse of (7.35), its a enlarged where the body is long.
+fn single(
+    config: &Config,
+    keep: &Keep,
+    rectangle: &Rectangle,
+    extent: &[Vector2<f64>; 2],
+    directions: &Directions,
+) -> Ellipse {
+    let [low, high] = extent;
+    let width = high.y - low.y;
+    let b = (width + 2.0 * config.safety_distance_m).max(1.03 * (width / 2.0 + keep.across));
+    sized(config, keep, (low + high) / 2.0, rectangle, b, directions)
+}
+
+/// The ellipse with semi-axis `b` that follows (7.35) and holds the rectangle with the distance to keep.
+fn sized(
+    config: &Config,
+    keep: &Keep,
+    centre: Vector2<f64>,
+    rectangle: &Rectangle,
+    b: f64,
+    directions: &Directions,
+) -> Ellipse {
+    let b = b.clamp(0.01, 80.0);
+    let ratio = config.long_axis_ratio * b;
+    let rule =
+        if b < config.long_axis_m { config.long_axis_m.max(ratio.min(config.long_axis_m)) } else { ratio };
+    let mut needed = 0.0_f64;
+    for corner in rectangle.corners() {
+        for index in (0..DIRECTIONS).step_by(3) {
+            let unit = directions.unit(index);
+            let reach = corner - centre + Vector2::new(unit.x * keep.along, unit.y * keep.across);
+            // What reaches beyond b is left to the neighbour or the bound on the ratio: 0.98 b needs 5 times the x.
+            let height = (reach.y / b).clamp(-0.98, 0.98);
+            needed = needed.max(reach.x.abs() / (1.0 - height * height).sqrt());
+        }
+    }
+    Ellipse { centre, a: rule.max(needed).min(100.0), b }
+}
+
+/// Distance that the robot's centre keeps from an obstacle's surface.
+struct Keep {
+    along: f64,
+    across: f64,
+}
+
+impl Keep {
+    fn of(config: &Config) -> Self {
+        let (sin, cos) = PASSING_YAW.sin_cos();
+        Self {
+            along: config.body_length_m.hypot(config.body_width_m) / 2.0 + config.clearance_m,
+            across: (config.body_length_m * sin + config.body_width_m * cos) / 2.0 + config.clearance_m,
+        }
+    }
+}
+
+/// Size of a rectangle along and across the track.
+fn spans(rectangle: &Rectangle) -> [f64; 2] {
+    let (sin, cos) = rectangle.yaw.sin_cos();
+    let (sin, cos) = (sin.abs(), cos.abs());
+    [rectangle.length * cos + rectangle.width * sin, rectangle.length * sin + rectangle.width * cos]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn body(length: f64, width: f64, yaw: f64) -> Rectangle {
+        Rectangle { centre: Vector2::new(5.0, 0.3), yaw, length, width }
+    }
+
+    fn covered(rectangle: &Rectangle) -> Cover {
+        let [dx, dy] = spans(rectangle);
+        let half = Vector2::new(dx, dy) / 2.0;
+        let extent = [rectangle.centre - half, rectangle.centre + half];
+        cover(&Config::default(), rectangle, &extent, 0, &Directions::new())
+    }
+
+    /// Smallest distance of the robot's body to the rectangle while its centre goes round the ellipses,
+    /// heading along them, by at most 0.8 rad off the track.
+    fn smallest_clearance(rectangle: &Rectangle) -> f64 {
+        let cover = covered(rectangle);
+        let mut smallest = f64::INFINITY;
+        for (index, ellipse) in cover.list().iter().enumerate() {
+            for step in 0..720 {
+                let (sin, cos) = (f64::from(step) * std::f64::consts::TAU / 720.0).sin_cos();
+                let centre = ellipse.centre + Vector2::new(ellipse.a * cos, ellipse.b * sin);
+                let inside = |other: &Ellipse| {
+                    let offset = centre - other.centre;
+                    (offset.x / other.a).powi(2) + (offset.y / other.b).powi(2) < 1.0
+                };
+                if cover.list().iter().enumerate().any(|(other, ellipse)| other != index && inside(ellipse)) {
+                    continue;
+                }
+                let slope = (-ellipse.b * cos).atan2(ellipse.a * sin.abs()).clamp(-0.8, 0.8) * sin.signum();
+                let robot = Rectangle { centre, yaw: slope, length: 0.56, width: 0.40 };
+                smallest = smallest.min(robot.distance_to_rectangle(rectangle));
+            }
+        }
+        smallest
+    }
+
+    #[test]
+    fn a_small_obstacle_has_the_printed_ellipse() {
+        let cover = covered(&body(0.1, 0.4, 0.0));
+        let [ellipse] = cover.list() else { panic!("{cover:?}") };
+        assert!((ellipse.b - 0.8).abs() < 1e-12 && ellipse.a == 1.2);
+        assert_eq!(ellipse.centre, Vector2::new(5.0, 0.3));
+        let wide = covered(&body(0.1, 1.0, 0.0));
+        assert!((wide.list()[0].a - 1.15 * 1.4).abs() < 1e-12, "a = 1.15 b for b of 1.2 m or more");
+    }
+
+    #[test]
+    fn the_body_keeps_its_distance_to_long_and_turned_bodies() {
+        for length in [0.05, 0.3, 0.5, 0.8, 1.2, 2.0, 3.5] {
+            for width in [0.05, 0.2, 0.4, 0.8, 1.2] {
+                for yaw in [0.0, 0.1, 0.3, 0.8, -0.8, 1.2] {
+                    let clearance = smallest_clearance(&body(length, width, yaw));
+                    assert!(clearance >= 0.1, "{length} x {width} at {yaw}: {clearance}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_long_turned_body_in_the_middle_leaves_a_way() {
+        let cover = covered(&Rectangle { centre: Vector2::new(5.0, 0.0), ..body(2.0, 0.3, 0.8) });
+        let reach = cover.list().iter().map(|ellipse| ellipse.centre.y + ellipse.b).fold(0.0, f64::max);
+        assert!(cover.list().len() > 1 && reach < 1.4, "{cover:?}");
+        let straight = covered(&body(2.0, 0.4, 0.0));
+        assert!(straight.list().len() == 1 && straight.list()[0].a < 1.9, "{straight:?}");
+    }
+
+    #[test]
+    fn the_number_of_ellipses_is_kept_near_its_limit() {
+        let near = body(0.78, 0.2, 0.8);
+        let [dx, dy] = spans(&near);
+        let extent = [near.centre - Vector2::new(dx, dy) / 2.0, near.centre + Vector2::new(dx, dy) / 2.0];
+        let count = |before| cover(&Config::default(), &near, &extent, before, &Directions::new()).count;
+        assert_eq!((count(0), count(1), count(2)), (1, 1, 2));
+    }
+}

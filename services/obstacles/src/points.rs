@@ -1,0 +1,137 @@
+//! Returns of a sweep as points of the track.
+//!
+//! The beams are taken one after the other while the robot moves, so each is placed from the pose at its own
+//! time: the pose at the front beam carried on with speed, sideslip and yaw rate. Over half a sweep (33 ms)
+//! constant rates are good to a millimetre. Error codes are no returns. All 240 deg are placed: the window of
+//! the source decides only which points may start an obstacle, the rest keeps track of bodies beside the robot.
+//!
+//! The scanner is taken to stand at the robot's reference point, as (7.32) and (7.33) do.
+
+use nalgebra::Vector2;
+use shared_types::{BEAMS, Pose, Scan};
+
+/// Longest reading that is a return [m]; the device measures to 5.6 m, noise may add to that.
+pub(crate) const MAX_RANGE_M: f64 = 5.75;
+
+/// A return, in track coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Point {
+    /// Where it is [m].
+    pub(crate) at: Vector2<f64>,
+    /// Measured range [m].
+    pub(crate) range: f64,
+    /// Index of the beam.
+    pub(crate) beam: usize,
+}
+
+/// A usable pose with what placing needs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    /// Position at the front beam [m].
+    pub(crate) at: Vector2<f64>,
+    /// Yaw at the front beam [rad].
+    pub(crate) yaw: f64,
+    /// Velocity over ground at the front beam [m/s].
+    velocity: Vector2<f64>,
+    /// Yaw rate [rad/s].
+    yaw_rate: f64,
+}
+
+impl Place {
+    /// The pose, `None` when it cannot be one: not finite, or out of all bounds.
+    ///
+    /// Speeds above 5 m/s and yaw rates above 3 rad/s are no motion of this robot and are taken as zero.
+    pub(crate) fn of(pose: &Pose) -> Option<Self> {
+        let Pose { x_m, y_m, yaw_rad, speed_mps, sideslip_rad, yaw_rate_radps, .. } = *pose;
+        let usable = x_m.abs() < 1e6 && y_m.abs() < 1e6 && yaw_rad.abs() < 1e3;
+        if !usable {
+            return None;
+        }
+        let speed = if speed_mps.abs() <= 5.0 { speed_mps } else { 0.0 };
+        let yaw_rate = if yaw_rate_radps.abs() <= 3.0 { yaw_rate_radps } else { 0.0 };
+        let sideslip = if sideslip_rad.abs() <= 1.6 { sideslip_rad } else { 0.0 };
+        let (sin, cos) = (yaw_rad + sideslip).sin_cos();
+        let at = Vector2::new(x_m, y_m);
+        Some(Self { at, yaw: yaw_rad, velocity: Vector2::new(speed * cos, speed * sin), yaw_rate })
+    }
+
+    /// A robot that stands still.
+    #[cfg(test)]
+    pub(crate) fn standing(at: Vector2<f64>, yaw: f64) -> Self {
+        Self { at, yaw, velocity: Vector2::zeros(), yaw_rate: 0.0 }
+    }
+}
+
+/// Range of a beam [m] with readings beyond the device's reach taken as no return.
+pub(crate) fn range_of(scan: &Scan, beam: usize) -> Option<f64> {
+    scan.range_m(beam).filter(|range| *range <= MAX_RANGE_M)
+}
+
+/// Directions of all beams in the robot's frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Beams {
+    units: Vec<Vector2<f64>>,
+}
+
+impl Beams {
+    /// The table of directions.
+    pub(crate) fn new() -> Self {
+        let unit = |beam| {
+            let (sin, cos) = Scan::beam_yaw_rad(beam).sin_cos();
+            Vector2::new(cos, sin)
+        };
+        Self { units: (0..BEAMS).map(unit).collect() }
+    }
+
+    /// Direction of one beam in the robot's frame; `beam` is below [`BEAMS`].
+    pub(crate) fn unit(&self, beam: usize) -> Vector2<f64> {
+        self.units[beam]
+    }
+
+    /// Places all returns of `scan` into `points`, in the order of the beams.
+    pub(crate) fn place(&self, scan: &Scan, place: &Place, points: &mut Vec<Point>) {
+        points.clear();
+        let (sin, cos) = place.yaw.sin_cos();
+        for (beam, unit) in self.units.iter().enumerate() {
+            let Some(range) = range_of(scan, beam) else { continue };
+            let time = scan.beam_time_s(beam).clamp(-0.2, 0.2);
+            let turned = place.yaw_rate * time;
+            // Series of cosine and sine: the turn within a sweep is below 0.1 rad, where they miss 1e-6.
+            let (turn_sin, turn_cos) = (turned - turned * turned * turned / 6.0, 1.0 - turned * turned / 2.0);
+            let forward = unit.x * turn_cos - unit.y * turn_sin;
+            let left = unit.y * turn_cos + unit.x * turn_sin;
+            let direction = Vector2::new(forward * cos - left * sin, left * cos + forward * sin);
+            // The course turns with the yaw; its mean over the time is that of half the turn.
+            let course = place.velocity + Vector2::new(-place.velocity.y, place.velocity.x) * (turned / 2.0);
+            points.push(Point { at: place.at + course * time + direction * range, range, beam });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beams_of_a_moving_robot_are_placed_from_where_it_was() {
+        let mut scan = Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        scan.ranges_mm[0] = 2000;
+        scan.ranges_mm[340] = 2000;
+        scan.ranges_mm[5] = 19;
+        let place = Place::of(&Pose { speed_mps: 1.0, ..Pose::default() }).unwrap();
+        let mut points = Vec::new();
+        Beams::new().place(&scan, &place, &mut points);
+        assert_eq!(points.len(), 2, "an error code is no return");
+        assert_eq!(points[1].at, Vector2::new(2.0, 0.0));
+        // Beam 0 was taken 340 / 682 of 66.7 ms earlier: the robot stood 33.2 mm farther back.
+        let angle = -340.0 * std::f64::consts::TAU / 1024.0;
+        assert!((points[0].at - Vector2::new(2.0 * angle.cos() - 0.03324, 2.0 * angle.sin())).norm() < 1e-5);
+    }
+
+    #[test]
+    fn a_pose_that_is_none_is_refused() {
+        assert_eq!(Place::of(&Pose { x_m: f64::NAN, ..Pose::default() }), None);
+        assert_eq!(Place::of(&Pose { yaw_rad: f64::INFINITY, ..Pose::default() }), None);
+        assert!(Place::of(&Pose { speed_mps: f64::NAN, ..Pose::default() }).is_some());
+    }
+}

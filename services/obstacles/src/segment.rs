@@ -1,0 +1,149 @@
+//! Segmentation: which neighbouring returns belong to one body.
+//!
+//! Two returns belong together when they are nearer than what a surface seen at a grazing angle of 10 deg would
+//! leave between them, plus three standard deviations of the range. Missing beams (dropouts) widen the gap that
+//! is allowed, a single return off the surface (speckle) is stepped over. The last return of a body is dropped
+//! when it trails far behind along its ray: a beam that hit an edge and the background at once (mixed pixel).
+//!
+//! Where it fails: bodies less than about 0.2 m apart at 5 m range are one. No robot fits in between.
+
+use shared_types::{BEAMS, PITCH_RAD, Scan, WINDOW};
+
+use crate::points::{Point, range_of};
+
+/// Sine of the flattest angle between beam and surface that still connects two returns: 10 deg.
+const GRAZING: f64 = 0.174;
+/// Largest gap within one body, whatever the range [m]. The robot needs more than 0.4 m to pass.
+const MAX_GAP_M: f64 = 0.35;
+/// Most beams from one return to the next of a body: four dropouts in a row are one in 160 000 at 5 %.
+const MAX_BEAM_STEP: usize = 5;
+/// Bodies nearer than this show at least three beams when they are 3 cm wide [m].
+const SPARSE_M: f64 = 3.0;
+/// A neighbour nearer than the end of a body by this hides what comes behind [m].
+const HIDING_M: f64 = 0.15;
+/// Beyond this the end of the view and the end of a body look the same [m].
+const FADING_M: f64 = 5.4;
+
+/// Returns of one body: a range of [`Segments::members`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Cluster {
+    /// Index of the first member.
+    pub(crate) first: usize,
+    /// Index behind the last member.
+    pub(crate) end: usize,
+    /// Whether it is proof enough of a body that was not known before.
+    pub(crate) may_start: bool,
+    /// Whether the body may go on beyond its first and last member.
+    pub(crate) open: [bool; 2],
+}
+
+/// Clusters of one scan; buffers are kept.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Segments {
+    /// Members of all clusters, one cluster behind the other.
+    pub(crate) members: Vec<Point>,
+    /// The clusters from right to left.
+    pub(crate) clusters: Vec<Cluster>,
+}
+
+impl Segments {
+    /// Buffers large enough for any scan.
+    pub(crate) fn with_capacity() -> Self {
+        Self { members: Vec::with_capacity(BEAMS), clusters: Vec::with_capacity(BEAMS) }
+    }
+
+    /// Finds the clusters among `points`, which are in the order of beams.
+    pub(crate) fn find(&mut self, scan: &Scan, points: &[Point], range_noise: f64) {
+        self.members.clear();
+        self.clusters.clear();
+        let mut first = 0;
+        let mut index = 0;
+        while index < points.len() {
+            let point = points[index];
+            if self.members.len() > first {
+                let last = self.members[self.members.len() - 1];
+                if !connected(&last, &point, range_noise) {
+                    if is_speckle(points, index, &last, range_noise) {
+                        index += 1;
+                        continue;
+                    }
+                    self.close(scan, first, range_noise);
+                    first = self.members.len();
+                }
+            }
+            self.members.push(point);
+            index += 1;
+        }
+        self.close(scan, first, range_noise);
+    }
+
+    /// Ends the cluster that starts at member `first`, or forgets it when it is too small.
+    fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64) {
+        let start = first;
+        if self.members.len() >= first + 3 {
+            let end = self.members.len();
+            if is_mixed(&self.members[end - 1], &self.members[end - 2], &self.members[end - 3], range_noise) {
+                self.members.pop();
+            }
+        }
+        if self.members.len() >= first + 3
+            && is_mixed(&self.members[first], &self.members[first + 1], &self.members[first + 2], range_noise)
+        {
+            first += 1;
+        }
+        let members = &self.members[first..];
+        let range = members.iter().map(|point| point.range).fold(f64::INFINITY, f64::min);
+        let needed = if range > SPARSE_M { 2 } else { 3 };
+        if members.len() < needed {
+            self.members.truncate(start);
+            return;
+        }
+        let in_window = members.iter().filter(|point| WINDOW.contains(&point.beam)).count();
+        // A few returns one behind the other are mixed pixels between an edge and its background.
+        let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
+        let may_start = in_window >= 2 && (members.len() > 3 || farthest - range < 6.0 * range_noise);
+        let open = [is_open(scan, &members[0], false), is_open(scan, &members[members.len() - 1], true)];
+        self.clusters.push(Cluster { first, end: self.members.len(), may_start, open });
+    }
+}
+
+/// Whether two returns can lie on one surface.
+fn connected(a: &Point, b: &Point, range_noise: f64) -> bool {
+    let step = b.beam - a.beam;
+    if step > MAX_BEAM_STEP {
+        return false;
+    }
+    let spacing = step as f64 * PITCH_RAD * a.range.min(b.range);
+    let gap = (3.0 * range_noise + spacing / GRAZING).min(MAX_GAP_M);
+    (b.at - a.at).norm_squared() <= gap * gap
+}
+
+/// Whether the return at `index` stands alone between two of one surface.
+fn is_speckle(points: &[Point], index: usize, last: &Point, range_noise: f64) -> bool {
+    let next = |offset: usize| points.get(index + offset);
+    next(1)
+        .is_some_and(|one| connected(last, one, range_noise) && !connected(&points[index], one, range_noise))
+}
+
+/// Whether `end` trails behind (or ahead of) its neighbours along the ray.
+fn is_mixed(end: &Point, neighbour: &Point, inner: &Point, range_noise: f64) -> bool {
+    let trail = (end.at - neighbour.at).norm();
+    let usual = (neighbour.at - inner.at).norm();
+    let along = (end.range - neighbour.range).abs();
+    trail > 4.0 * range_noise && trail > 2.5 * usual && along > 0.8 * trail
+}
+
+/// Whether the body may go on beyond its end: something nearer hides it, or the view ends.
+fn is_open(scan: &Scan, end: &Point, leftwards: bool) -> bool {
+    if end.range > FADING_M {
+        return true;
+    }
+    for step in 1..=4 {
+        let beam = if leftwards { end.beam.checked_add(step) } else { end.beam.checked_sub(step) };
+        let Some(beam) = beam.filter(|beam| *beam < BEAMS) else { return true };
+        if let Some(range) = range_of(scan, beam) {
+            return range < end.range - HIDING_M;
+        }
+    }
+    false
+}

@@ -1,0 +1,90 @@
+//! State that a restarted or swapped process resumes from: all tracks as plain bytes.
+
+use bytemuck::{Pod, Zeroable};
+use shared_types::{CHECKPOINT_BYTES, Described, Field, Kind};
+
+use crate::shape::DIRECTIONS;
+
+/// Most bodies that are tracked at once; that many fit a checkpoint, and more than a description can hold.
+pub const TRACKS: usize = 17;
+
+/// Declares a plain struct with its description.
+macro_rules! plain {
+    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+
+        impl Described for $name {
+            const KIND: Kind = Kind::Struct(stringify!($name), &[$(Field {
+                name: stringify!($field),
+                doc: $doc.trim_ascii(),
+                offset: std::mem::offset_of!($name, $field),
+                kind: <$type as Described>::KIND,
+            },)*]);
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Zeroable::zeroed()
+            }
+        }
+    };
+}
+
+plain! {
+    /// One tracked body.
+    pub struct TrackState {
+        /// Place and velocity of the reference point: x, y, vx, vy [m, m/s]
+        pub motion: [f64; 4],
+        /// Covariance of `motion`, column by column
+        pub motion_covariance: [f64; 16],
+        /// Place of the reference point of a body at rest [m]
+        pub rest: [f64; 2],
+        /// Covariance of `rest`: xx, xy, yy [m^2]
+        pub rest_covariance: [f64; 3],
+        /// Where the reference point was first seen, or last came to rest [m]
+        pub origin: [f64; 2],
+        /// Direction of the edges seen, at four times its angle, with their squared length [m^2]
+        pub edges: [f64; 2],
+        /// Time since the body was last seen [s]
+        pub unseen_s: f64,
+        /// Reach in each direction from the reference point, as bits of an f32 [m]
+        pub reach: [u32; DIRECTIONS],
+        /// Identity of the body, never 0
+        pub body: u32,
+        /// Scans that showed the body
+        pub sightings: u32,
+        /// Scans in a row that saw its place free
+        pub free: u32,
+        /// 1 while the body moves
+        pub moving: u32,
+        /// Scans in a row that speak against `moving`
+        pub doubts: u32,
+        /// Direction of the box's axis
+        pub orientation: u32,
+        /// Ellipses that cover the body; 0 before the first description
+        pub pieces: u32,
+        /// 1 once the body is reported
+        pub confirmed: u32,
+    }
+}
+
+plain! {
+    /// State of a [`Describer`](crate::Describer) after a scan.
+    pub struct ObstaclesState {
+        /// When the last scan was acquired [ns]
+        pub acquired_ns: u64,
+        /// The last usable pose: x, y, yaw [m, rad]
+        pub pose: [f64; 3],
+        /// Identity of the body last found
+        pub last_body: u32,
+        /// How many of `tracks` are used
+        pub count: u32,
+        /// The tracks, oldest first
+        pub tracks: [TrackState; TRACKS],
+    }
+}
+
+const _: () = assert!(size_of::<ObstaclesState>() <= CHECKPOINT_BYTES, "the state does not fit a checkpoint");

@@ -1,0 +1,323 @@
+//! One body followed from scan to scan: where it is, how it moves, how far it reaches.
+
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
+use shared_types::PITCH_RAD;
+use vehicle::geometry::Rectangle;
+
+use crate::Config;
+use crate::motion::{Motion, Rest, agreed, noise_along};
+use crate::outline::Vertex;
+use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, deepen, facing, merge, orient};
+use crate::state::TrackState;
+
+/// Standard deviation along an axis that a sighting says nothing about [m].
+const BLIND_M: f64 = 10.0;
+/// A near surface that jumps farther than this has changed its shape and not its place [m].
+const JUMP_M: f64 = 0.25;
+/// The place of rest is left behind when the moving one is this far off [m].
+const LEFT_BEHIND_M: f64 = 0.15;
+/// A body counts as moving only when it is this far from where it was first seen [m].
+const MOVED_M: f64 = 0.1;
+/// Three standard deviations of a velocity with two components.
+const SIGNIFICANT: f64 = 11.8;
+/// Two standard deviations or less: the body may have stopped.
+const INSIGNIFICANT: f64 = 6.2;
+/// Scans in a row that must show a body moving.
+const STARTS: u32 = 3;
+/// Scans in a row that must show a body standing.
+const STOPS: u32 = 5;
+/// Share of the edges seen before that counts beside those of a new scan: the last second counts most.
+const EDGE_MEMORY: f64 = 0.9;
+/// Longest time a filter is carried on at once [s].
+const MAX_ELAPSED_S: f64 = 1.0;
+
+/// A tracked body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Track {
+    pub(crate) body: u32,
+    pub(crate) sightings: u32,
+    pub(crate) unseen_s: f64,
+    /// Scans in a row that saw its place free.
+    pub(crate) free: u32,
+    pub(crate) moving: bool,
+    pub(crate) confirmed: bool,
+    /// Ellipses of the last description, 0 before the first.
+    pub(crate) pieces: u32,
+    motion: Motion,
+    rest: Rest,
+    origin: Vector2<f64>,
+    edges: Vector2<f64>,
+    reach: [f32; DIRECTIONS],
+    doubts: u32,
+    orientation: u32,
+}
+
+/// What one scan shows of one body.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct View<'a> {
+    /// Outline of what was seen.
+    pub(crate) vertices: &'a [Vertex],
+    /// Direction of its edges, see [`trace`](crate::outline::trace).
+    pub(crate) edges: Vector2<f64>,
+    /// How many returns are behind it.
+    pub(crate) returns: usize,
+    /// Where the robot stands [m].
+    pub(crate) robot: Vector2<f64>,
+    /// Time since the scan before [s].
+    pub(crate) elapsed: f64,
+}
+
+impl Track {
+    /// A body seen for the first time; `view` has at least one vertex.
+    pub(crate) fn start(body: u32, view: &View<'_>, config: &Config, directions: &Directions) -> Self {
+        let share = 1.0 / view.vertices.len().max(1) as f64;
+        let at = view.vertices.iter().fold(Vector2::zeros(), |sum, vertex| sum + vertex.at) * share;
+        let noise = deviations(view, (at - view.robot).norm(), config).1;
+        let mut reach = Seen::of(view.vertices, at, directions).reach.map(|reach| reach as f32);
+        deepen(&mut reach, view.vertices, at, direction(view.robot, at), config.unseen_depth_m, directions);
+        Self {
+            body,
+            sightings: 1,
+            unseen_s: 0.0,
+            free: 0,
+            moving: false,
+            confirmed: false,
+            pieces: 0,
+            motion: Motion::start(at, noise),
+            rest: Rest { place: at, covariance: Matrix2::identity() * (noise * noise) },
+            origin: at,
+            orientation: orient(&reach, view.edges, 0, directions),
+            edges: view.edges,
+            reach,
+            doubts: 0,
+        }
+    }
+
+    /// The body `elapsed` seconds later; one that stands and is out of sight stays where it is.
+    pub(crate) fn predict(&mut self, elapsed: f64) {
+        if self.moving || self.unseen_s == 0.0 {
+            self.motion.predict(elapsed.min(MAX_ELAPSED_S));
+        }
+        self.unseen_s = (self.unseen_s + elapsed).min(1e6);
+    }
+
+    /// The box where the next sighting is expected.
+    pub(crate) fn expected(&self, directions: &Directions) -> Rectangle {
+        self.shape().rectangle(self.motion.place(), directions)
+    }
+
+    /// The box where the body is, by the best estimate.
+    pub(crate) fn rectangle(&self, directions: &Directions) -> Rectangle {
+        self.shape().rectangle(self.place(), directions)
+    }
+
+    /// Lowest and highest coordinates of the body.
+    pub(crate) fn extent(&self) -> [Vector2<f64>; 2] {
+        self.shape().extent(self.place())
+    }
+
+    /// Velocity, zero unless the body clearly moves [m/s].
+    pub(crate) fn velocity(&self) -> Vector2<f64> {
+        if self.moving { self.motion.velocity() } else { Vector2::zeros() }
+    }
+
+    /// Covariance of the velocity: xx, xy, yy [m^2/s^2].
+    pub(crate) fn velocity_covariance(&self) -> [f64; 3] {
+        let covariance = self.motion.velocity_covariance();
+        [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
+    }
+
+    /// Takes in what a scan shows of the body.
+    pub(crate) fn sight(&mut self, view: &View<'_>, config: &Config, directions: &Directions) {
+        let origin = self.motion.place();
+        let expected = self.expected(directions);
+        let seen = Seen::of(view.vertices, origin, directions);
+        let nearest = nearest_point(&expected, view.robot);
+        // From afar the view is that of the centre; beside a long body it is that of its side.
+        let far = (expected.centre - view.robot).norm() > 1.5 * expected.length.hypot(expected.width) / 2.0;
+        let near = directions.nearest(view.robot - if far { expected.centre } else { nearest });
+        let excess = |index: usize| {
+            let index = index % DIRECTIONS;
+            let usable = !seen.open[index] && facing(&expected, directions.unit(index), view.robot) > ENDS;
+            usable
+                .then_some(seen.reach[index] - f64::from(self.reach[index]))
+                .filter(|excess| excess.is_finite())
+        };
+        let along = excess(near).filter(|excess| excess.abs() < JUMP_M);
+        let ends = (excess(near + DIRECTIONS / 4), excess(near + DIRECTIONS * 3 / 4));
+        let across = if let (Some(left), Some(right)) = ends { Some(agreed(left, -right)) } else { None };
+        let across = across.filter(|across| across.abs() < JUMP_M);
+
+        let shift = directions.unit(near) * along.unwrap_or(0.0)
+            + directions.unit(near + DIRECTIONS / 4) * across.unwrap_or(0.0);
+        let (along_noise, across_noise) = deviations(view, (nearest - view.robot).norm(), config);
+        let noise = noise_along(
+            directions.unit(near),
+            along.map_or(BLIND_M, |_| along_noise),
+            across.map_or(BLIND_M, |_| across_noise),
+        );
+        self.motion.update(origin + shift, &noise);
+        self.rest.update(origin + shift, &noise, view.elapsed.min(MAX_ELAPSED_S));
+        if !self.moving {
+            let blind = [(along, near), (across, near + DIRECTIONS / 4)];
+            for (_, index) in blind.into_iter().filter(|(measured, _)| measured.is_none()) {
+                self.motion.hold(directions.unit(index), self.rest.place);
+            }
+        }
+
+        let sighting =
+            Sighting { seen: &seen, shift, expected, robot: view.robot, sightings: self.sightings };
+        merge(&mut self.reach, &sighting, directions);
+        let away = direction(view.robot, expected.centre);
+        deepen(&mut self.reach, view.vertices, origin + shift, away, config.unseen_depth_m, directions);
+        self.edges = self.edges * EDGE_MEMORY + view.edges;
+        self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
+        self.sightings = self.sightings.saturating_add(1);
+        self.unseen_s = 0.0;
+        self.free = 0;
+        self.judge(config);
+    }
+
+    /// Takes in the whole of another body that has turned out to be a part of this one.
+    pub(crate) fn absorb(&mut self, other: &Self, directions: &Directions) {
+        let offset = other.place() - self.place();
+        for index in 0..DIRECTIONS {
+            let reach = f64::from(other.reach[index]) + directions.unit(index).dot(&offset);
+            self.reach[index] = self.reach[index].max(reach as f32);
+        }
+        self.edges += other.edges;
+        self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
+        self.sightings = self.sightings.max(other.sightings);
+        self.confirmed |= other.confirmed;
+        if other.unseen_s < self.unseen_s {
+            (self.unseen_s, self.free) = (other.unseen_s, other.free);
+        }
+    }
+
+    /// Whether all numbers of the track can be used.
+    pub(crate) fn is_sound(&self) -> bool {
+        let place = self.motion.state.iter().chain(self.rest.place.iter()).chain(self.origin.iter());
+        place.copied().all(|value| value.abs() < 1e7)
+            && self
+                .motion
+                .covariance
+                .iter()
+                .chain(self.rest.covariance.iter())
+                .chain(self.edges.iter())
+                .all(|value| value.is_finite())
+            && self.reach.iter().all(|reach| reach.abs() < 50.0)
+            && self.body != 0
+            && self.unseen_s >= 0.0
+            && self.unseen_s.is_finite()
+    }
+
+    /// The track as plain bytes.
+    pub(crate) fn to_state(self) -> TrackState {
+        let mut motion_covariance = [0.0; 16];
+        motion_covariance.copy_from_slice(self.motion.covariance.as_slice());
+        let rest = self.rest.covariance;
+        TrackState {
+            motion: self.motion.state.into(),
+            motion_covariance,
+            rest: self.rest.place.into(),
+            rest_covariance: [rest[(0, 0)], rest[(0, 1)], rest[(1, 1)]],
+            origin: self.origin.into(),
+            edges: self.edges.into(),
+            unseen_s: self.unseen_s,
+            reach: self.reach.map(f32::to_bits),
+            body: self.body,
+            sightings: self.sightings,
+            free: self.free,
+            moving: self.moving.into(),
+            doubts: self.doubts,
+            orientation: self.orientation,
+            pieces: self.pieces,
+            confirmed: self.confirmed.into(),
+        }
+    }
+
+    /// The track behind plain bytes; `None` when they are none.
+    pub(crate) fn from_state(state: &TrackState) -> Option<Self> {
+        let [xx, xy, yy] = state.rest_covariance;
+        let track = Self {
+            body: state.body,
+            sightings: state.sightings,
+            unseen_s: state.unseen_s,
+            free: state.free,
+            moving: state.moving == 1,
+            confirmed: state.confirmed == 1,
+            pieces: state.pieces,
+            motion: Motion {
+                state: Vector4::from(state.motion),
+                covariance: Matrix4::from_column_slice(&state.motion_covariance),
+            },
+            rest: Rest { place: state.rest.into(), covariance: Matrix2::new(xx, xy, xy, yy) },
+            origin: state.origin.into(),
+            edges: state.edges.into(),
+            reach: state.reach.map(f32::from_bits),
+            doubts: state.doubts,
+            orientation: state.orientation,
+        };
+        track.is_sound().then_some(track)
+    }
+
+    fn shape(&self) -> Shape<'_> {
+        Shape { reach: &self.reach, orientation: self.orientation }
+    }
+
+    /// Place of the reference point by the best estimate.
+    fn place(&self) -> Vector2<f64> {
+        if self.moving { self.motion.place() } else { self.rest.place }
+    }
+
+    /// Decides whether the body moves.
+    fn judge(&mut self, config: &Config) {
+        let (squared, speed) = self.motion.significance();
+        if self.moving {
+            let stands = squared < INSIGNIFICANT || speed < 0.5 * config.moving_mps;
+            self.doubts = if stands { self.doubts.saturating_add(1) } else { 0 };
+            if self.doubts >= STOPS {
+                (self.moving, self.doubts) = (false, 0);
+                self.settle();
+                self.origin = self.rest.place;
+            }
+            return;
+        }
+        let left = (self.motion.place() - self.origin).norm() > MOVED_M;
+        let moves = left && squared > SIGNIFICANT && speed > config.moving_mps;
+        self.doubts = if moves { self.doubts.saturating_add(1) } else { 0 };
+        if self.doubts >= STARTS {
+            (self.moving, self.doubts) = (true, 0);
+        } else if (self.rest.place - self.motion.place()).norm() > LEFT_BEHIND_M {
+            self.settle();
+        }
+    }
+
+    /// Moves the place of rest to where the body is.
+    fn settle(&mut self) {
+        self.rest.place = self.motion.place();
+        self.rest.covariance = self.motion.covariance.fixed_view::<2, 2>(0, 0).into();
+    }
+}
+
+/// The point of a rectangle nearest to `point`.
+fn nearest_point(rectangle: &Rectangle, point: Vector2<f64>) -> Vector2<f64> {
+    let (sin, cos) = rectangle.yaw.sin_cos();
+    let offset = point - rectangle.centre;
+    let (half_length, half_width) = (rectangle.length / 2.0, rectangle.width / 2.0);
+    let forward = (offset.x * cos + offset.y * sin).clamp(-half_length, half_length);
+    let left = (offset.y * cos - offset.x * sin).clamp(-half_width, half_width);
+    rectangle.centre + Vector2::new(forward * cos - left * sin, left * cos + forward * sin)
+}
+
+/// Unit vector from one point to another, along the track when they coincide.
+fn direction(from: Vector2<f64>, to: Vector2<f64>) -> Vector2<f64> {
+    (to - from).try_normalize(1e-9).unwrap_or(Vector2::new(1.0, 0.0))
+}
+
+/// Standard deviations of a place seen at `distance`: along the view and across it [m].
+fn deviations(view: &View<'_>, distance: f64, config: &Config) -> (f64, f64) {
+    let along = config.pose_noise_m.hypot(config.range_noise_m / (view.returns.clamp(1, 50) as f64).sqrt());
+    let across = config.pose_noise_m.hypot(distance * (config.pose_noise_rad + 0.5 * PITCH_RAD));
+    (along, across)
+}

@@ -1,0 +1,142 @@
+//! What is remembered: bodies out of view, bodies that move, bodies that vanish, state across processes.
+
+mod scene;
+
+use obstacles::{Config, Describer};
+use scene::{Body, Robot, Scene, block, describer, mover, run};
+use shared_types::Obstacles;
+
+#[test]
+fn an_obstacle_beside_and_behind_is_remembered_until_it_is_three_metres_behind() {
+    let mut scene = Scene::of(&[block(3.0, 0.9, 0.3, 0.3, 0.0)]).noisy(3);
+    let mut robot = Robot { speed: 1.0, ..Robot::default() };
+    let seen = run(&mut describer(), &mut scene, &mut robot, 75);
+    let id = seen[2].items[0].id;
+    for (scan, obstacles) in seen.iter().enumerate().skip(2) {
+        let behind = 0.1 * scan as f64 - 3.15;
+        if behind < 2.8 {
+            assert_eq!((obstacles.count, obstacles.items[0].id), (1, id), "scan {scan}");
+            assert!((obstacles.items[0].box_y_m - 0.9).abs() < 0.08, "scan {scan}");
+        } else if behind > 3.2 {
+            assert_eq!(obstacles.count, 0, "scan {scan}");
+        }
+    }
+    assert!(
+        seen[55].items[0].unseen_s > 0.2,
+        "behind the sweep it is not seen: {}",
+        seen[55].items[0].unseen_s
+    );
+    assert_eq!(seen[20].items[0].unseen_s, 0.0);
+}
+
+#[test]
+fn a_hidden_obstacle_is_remembered() {
+    let poles = [block(4.5, 0.4, 0.2, 0.3, 0.0)];
+    let mut describer = describer();
+    let mut scene = Scene::of(&poles);
+    let first = run(&mut describer, &mut scene, &mut Robot::default(), 3);
+    assert_eq!(first[2].count, 1);
+    scene.bodies.push(block(2.5, 0.2, 0.1, 1.0, 0.0));
+    let later = run(&mut describer, &mut scene, &mut Robot::default(), 20);
+    let hidden = later[19].list().iter().find(|item| item.id == first[2].items[0].id).unwrap();
+    assert!((hidden.unseen_s - 2.0).abs() < 1e-9, "{}", hidden.unseen_s);
+}
+
+#[test]
+fn an_obstacle_that_vanishes_is_forgotten_within_three_scans() {
+    for seed in 0..10 {
+        let mut describer = describer();
+        let mut scene =
+            Scene::of(&[block(4.0, 0.2, 0.1, 0.4, 0.0), Body::Circle([3.0, -0.8].into(), 0.15)]).noisy(seed);
+        let seen = run(&mut describer, &mut scene, &mut Robot::default(), 10);
+        assert_eq!(seen[9].count, 2);
+        scene.bodies.remove(0);
+        let seen = run(&mut describer, &mut scene, &mut Robot::default(), 4);
+        assert_eq!(
+            (seen[0].count, seen[3].count),
+            (2, 1),
+            "seed {seed}: one missing scan is no proof, three are"
+        );
+        assert!(seen[3].items[0].y_m < 0.0);
+    }
+}
+
+#[test]
+fn the_velocity_of_a_moving_obstacle_is_found_with_an_honest_covariance() {
+    let (mut inside, mut total) = (0, 0);
+    for seed in 0..20 {
+        let mut scene = Scene::of(&[mover(4.5, -1.2, 0.4, -0.1, 0.4)]).noisy(seed);
+        let seen = run(&mut describer(), &mut scene, &mut Robot::default(), 50);
+        let id = seen[2].items[0].body;
+        for (scan, obstacles) in seen.iter().enumerate().skip(20) {
+            let item = obstacles.items[0];
+            assert_eq!(item.body, id, "seed {seed} scan {scan}");
+            let error = (item.velocity_x_mps + 0.1, item.velocity_y_mps - 0.4);
+            // Noise of 5 cm across at 4.5 m and a gain for 0.4 m/s^2: about 0.07 m/s.
+            assert!(error.0.hypot(error.1) < 0.3, "seed {seed} scan {scan}: {error:?}");
+            let [xx, xy, yy] = item.velocity_covariance;
+            let squared = (yy * error.0 * error.0 - 2.0 * xy * error.0 * error.1 + xx * error.1 * error.1)
+                / (xx * yy - xy * xy);
+            total += 1;
+            inside += u32::from(squared < 5.99);
+        }
+    }
+    // 95 % of independent errors are inside; 30 scans of one drive are not independent.
+    assert!(f64::from(inside) > 0.9 * f64::from(total), "{inside} of {total}");
+}
+
+#[test]
+fn a_moving_obstacle_out_of_sight_is_carried_on_for_a_second() {
+    let mut describer = describer();
+    let mut scene = Scene::of(&[mover(3.5, -1.0, 0.4, 0.0, 0.5)]);
+    let seen = run(&mut describer, &mut scene, &mut Robot::default(), 25);
+    let last = seen[24].items[0];
+    assert!((last.velocity_y_mps - 0.5).abs() < 0.1, "{}", last.velocity_y_mps);
+    // Something near hides everything ahead.
+    scene.bodies = vec![block(1.0, 0.0, 0.1, 4.0, 0.0)];
+    let later = run(&mut describer, &mut scene, &mut Robot::default(), 12);
+    let find = |obstacles: &Obstacles| obstacles.list().iter().find(|item| item.body == last.body).copied();
+    let carried = find(&later[4]).unwrap();
+    assert!((carried.box_y_m - last.box_y_m - 0.25).abs() < 0.06, "{} {}", carried.box_y_m, last.box_y_m);
+    assert!(find(&later[11]).is_none());
+}
+
+#[test]
+fn a_body_that_comes_into_view_part_by_part_does_not_move() {
+    // A long box beside the way: at first only its front is seen, then more and more of its side.
+    for seed in 0..20 {
+        for yaw in [0.0, 0.3, -0.5] {
+            let mut scene = Scene::of(&[block(5.0, 1.1, 2.0, 0.4, yaw)]).noisy(seed);
+            let mut robot = Robot { speed: 1.0, ..Robot::default() };
+            for (scan, obstacles) in run(&mut describer(), &mut scene, &mut robot, 70).iter().enumerate() {
+                for item in obstacles.list() {
+                    assert_eq!((item.velocity_x_mps, item.velocity_y_mps), (0.0, 0.0), "{seed} {yaw} {scan}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_describer_that_resumes_goes_on_bit_by_bit() {
+    let bodies = [
+        block(4.0, 0.8, 0.3, 0.4, 0.4),
+        mover(3.5, -1.0, 0.3, 0.1, 0.2),
+        Body::Circle([5.0, 0.0].into(), 0.2),
+    ];
+    let mut scene = Scene::of(&bodies).noisy(5);
+    let mut robot = Robot { speed: 0.8, ..Robot::default() };
+    let (mut first, mut twin) = (describer(), describer());
+    for scan in 0..60 {
+        let (sample, pose) = scene.scan(&robot);
+        robot = robot.after(0.1);
+        if scan % 7 == 3 {
+            let state = twin.state();
+            twin = Describer::new(Config::default()).unwrap();
+            twin.resume(&state).unwrap();
+        }
+        let (one, two) = (first.step(&sample, &pose), twin.step(&sample, &pose));
+        assert_eq!(bytemuck::bytes_of(&one), bytemuck::bytes_of(&two), "scan {scan}");
+        assert_eq!(bytemuck::bytes_of(&first.state()), bytemuck::bytes_of(&twin.state()), "scan {scan}");
+    }
+}

@@ -1,0 +1,34 @@
+//! A whole run in one process.
+
+use emulator::{Outcome, Referee};
+use vehicle::Invalid;
+
+use crate::{Pipeline, Settings, Step};
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drive {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Why, in words.
+    pub reason: String,
+    /// Scans until then.
+    pub scans: u64,
+}
+
+/// Drives a scenario to its end; `observe` sees each scan.
+///
+/// # Errors
+/// The first setting that is not allowed.
+pub fn drive(settings: &Settings, mut observe: impl FnMut(&Step)) -> Result<Drive, Invalid> {
+    let mut pipeline = Pipeline::new(settings)?;
+    let mut referee = Referee::new(&settings.scenario);
+    for scans in 1.. {
+        let step = pipeline.step();
+        observe(step);
+        if let Some(outcome) = referee.observe(&step.truth, step.actuation.as_ref()) {
+            return Ok(Drive { outcome, reason: referee.reason().to_owned(), scans });
+        }
+    }
+    unreachable!("every scenario has a time-out that the referee keeps")
+}

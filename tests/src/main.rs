@@ -1,0 +1,5 @@
+//! The executable `scanloop`, built for the tests.
+
+fn main() -> std::process::ExitCode {
+    orchestrator::main()
+}

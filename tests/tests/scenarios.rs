@@ -1,0 +1,108 @@
+//! Every shipped scenario in lock-step, with the outcome it is shipped for.
+
+use emulator::{Outcome, Scenario};
+use orchestrator::digest::Digests;
+use orchestrator::report::Report;
+use pipeline::Settings;
+use scanloop_tests::System;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// Drives a scenario twice and checks what holds for all of them.
+fn drive(scenario: &str, expected: Outcome) -> Report {
+    let system = System::new(EXECUTABLE);
+    let report = system.lockstep(&[scenario]);
+    assert_eq!(report.outcome, expected, "{scenario}: {}", report.reason);
+    assert!(!report.drive.collided);
+    assert_eq!(report.scans.unaccounted, 0);
+    assert_eq!((report.scans.commanded, report.scans.lost), (report.scans.published, 0));
+    assert!(report.drive.min_clearance_m >= 0.05, "{scenario}: clearance {} m", report.drive.min_clearance_m);
+    let again = system.lockstep(&[scenario]);
+    assert_eq!(again.trajectory, report.trajectory, "{scenario}: two runs differ");
+    assert_eq!(again.digests, report.digests, "{scenario}: two runs differ");
+    system.assert_nothing_left();
+    report
+}
+
+/// A scenario that is to be reached.
+fn reach(scenario: &str) {
+    let report = drive(scenario, Outcome::Reached);
+    let tolerance = Scenario::parse(Scenario::shipped(scenario).unwrap(), scenario).unwrap().goal.tolerance_m;
+    assert!(report.drive.final_distance_m <= tolerance);
+}
+
+#[test]
+fn corridor_is_reached() {
+    reach("corridor");
+}
+
+#[test]
+fn free_is_reached() {
+    reach("free");
+}
+
+#[test]
+fn two_obstacles_are_passed() {
+    reach("two-obstacles");
+}
+
+#[test]
+fn slalom_is_reached() {
+    reach("slalom");
+}
+
+#[test]
+fn walls_are_kept_away_from() {
+    reach("walls");
+}
+
+#[test]
+fn noisy_is_reached() {
+    reach("noisy");
+}
+
+#[test]
+fn imperfect_robot_is_brought_to_the_goal() {
+    reach("imperfect-robot");
+}
+
+#[test]
+fn crossing_is_reached() {
+    reach("crossing");
+}
+
+#[test]
+fn long_is_reached() {
+    reach("long");
+}
+
+#[test]
+fn blocked_stops_before_the_wall() {
+    drive("blocked", Outcome::Stopped);
+}
+
+#[test]
+fn sudden_obstacle_is_stopped_for() {
+    drive("sudden", Outcome::Stopped);
+}
+
+#[test]
+fn processes_and_pipeline_give_the_same_bits() {
+    let system = System::new(EXECUTABLE);
+    for name in ["corridor", "noisy"] {
+        let report = system.lockstep(&[name]);
+        let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+        let mut digests = Digests::default();
+        let drive = pipeline::drive(&Settings::of(scenario), |step| {
+            digests.add(&step.truth);
+            step.pose.iter().for_each(|sample| digests.add(sample));
+            step.obstacles.iter().for_each(|sample| digests.add(sample));
+            step.command.iter().for_each(|sample| digests.add(sample));
+            step.actuation.iter().for_each(|sample| digests.add(sample));
+        })
+        .unwrap();
+        assert_eq!(drive.outcome, report.outcome);
+        assert_eq!(drive.scans, report.scans.published);
+        assert_eq!(digests.texts(), report.digests, "{name}");
+    }
+}
