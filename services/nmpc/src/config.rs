@@ -5,7 +5,7 @@ use vehicle::{Bounds, Invalid, Parameters, require};
 
 use crate::guide::GuideSettings;
 use crate::problem::Weights;
-use crate::sqp::SolverSettings;
+use crate::settings::SolverSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;

@@ -260,6 +260,7 @@ impl Search {
                 self.expand(layer, query, &grid, &arc);
             }
             let found = self.read(query, layers, step, &grid, guide);
+            if std::env::var_os("CNT").is_some() { println!("CNT {} of {}", self.active.iter().map(Vec::len).sum::<usize>(), (layers+1)*grid.layer_cells()); }
             self.forget();
             if found {
                 return;
@@ -603,5 +604,18 @@ mod tests {
     #[test]
     fn an_obstacle_too_near_has_no_clear_path() {
         assert!(!find(State::default(), &[hazard(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
+    }
+
+    #[test]
+    fn tmp_timing() {
+        let hazards = [hazard(1, 4.5, 0.2, 0.8)];
+        let query = Query { start: State::default(), line: 0.0, goal_x: 30.0, y_range: [-1.5, 1.5], curvature: 0.324, margin: 0.02, speed: 1.0, hazards: &hazards, sides: &Sides::default() };
+        let mut guide = Guide::default();
+        let mut search = Search::new(GuideSettings::default());
+        for _ in 0..5 {
+        let t = std::time::Instant::now();
+        for _ in 0..100 { search.find(&query, &mut guide); }
+        println!("TMP {:?}", t.elapsed() / 100);
+        }
     }
 }

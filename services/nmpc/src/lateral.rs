@@ -61,14 +61,7 @@ impl Lateral {
         }
     }
 
-    /// Derivatives of (sideslip, yaw rate), (7.27) and (7.29).
-    pub(crate) fn value(&self, [sideslip, yaw_rate]: [f64; 2]) -> [f64; 2] {
-        let slip = self.difference_per_velocity * yaw_rate - 2.0 * sideslip;
-        let moment = self.lever + sideslip * self.difference - yaw_rate * self.square_per_velocity;
-        [self.damping * slip / sideslip.cos() - yaw_rate, self.torque * moment]
-    }
-
-    /// Derivatives of (sideslip, yaw rate) with their Jacobians.
+    /// Derivatives of (sideslip, yaw rate), (7.27) and (7.29), with their Jacobians.
     pub(crate) fn slope(&self, [sideslip, yaw_rate]: [f64; 2]) -> LateralSlope {
         let (sin, cos) = sideslip.sin_cos();
         let damping = self.damping / cos;
@@ -104,13 +97,12 @@ mod tests {
             let parameters = Parameters::default();
             let control = Control { velocity, steering };
             let slope = Lateral::new(&parameters, [velocity, steering]).slope([sideslip, yaw_rate]);
-            let value = Lateral::new(&parameters, [velocity, steering]).value([sideslip, yaw_rate]);
             let expected = model::lateral(&parameters, sideslip, yaw_rate, &control);
             let (by_state, by_control) = model::lateral_jacobians(&parameters, sideslip, yaw_rate, &control);
             // Only the order of the roundings differs; the largest entries are about 4000.
             let near = |a: f64, b: f64| (a - b).abs() <= 1e-12 * (1.0 + a.abs().max(b.abs()));
             for row in 0..2 {
-                prop_assert!(near(slope.value[row], expected[row]) && near(value[row], expected[row]));
+                prop_assert!(near(slope.value[row], expected[row]));
                 for column in 0..2 {
                     prop_assert!(near(slope.by_state[row][column], by_state[row][column]));
                     prop_assert!(near(slope.by_control[row][column], by_control[row][column]));

@@ -6,7 +6,8 @@
 //! exact Hessian gives quadratic convergence, where it is positive definite on what is left; elsewhere there is no step
 //! and the caller uses that of the quadratic program.
 
-use crate::qp::{BoundState, Qp, QpSolution, RowState, cholesky, dot};
+use crate::dense::{backward, cholesky, dot, forward};
+use crate::qp::{BoundState, Qp, QpSolution, RowState};
 
 /// Buffers of the step.
 #[derive(Debug, Clone, Default)]
@@ -204,7 +205,7 @@ impl Newton {
                 fraction = fraction.min((limit - before) / (after - before));
             }
         }
-        self.solution.clone_from(answer);
+        self.solution.copy_from(answer);
         for (&index, &value) in self.free.iter().zip(&self.right) {
             self.solution.step[index] += fraction * (value - answer.step[index]);
         }
@@ -236,23 +237,4 @@ impl Newton {
 
 fn limit_of(qp: &Qp, answer: &QpSolution, row: usize) -> f64 {
     if answer.row_states[row] == RowState::AtLower { qp.row_lower[row] } else { qp.row_upper[row] }
-}
-
-/// Solves L x = b in place.
-fn forward(factor: &[f64], size: usize, values: &mut [f64]) {
-    for row in 0..size {
-        let line = &factor[row * size..row * size + row];
-        values[row] = (values[row] - dot(line, &values[..row])) / factor[row * size + row];
-    }
-}
-
-/// Solves L' x = b in place.
-fn backward(factor: &[f64], size: usize, values: &mut [f64]) {
-    for row in (0..size).rev() {
-        values[row] /= factor[row * size + row];
-        let value = values[row];
-        for (target, entry) in values[..row].iter_mut().zip(&factor[row * size..row * size + row]) {
-            *target -= value * entry;
-        }
-    }
 }

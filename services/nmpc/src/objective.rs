@@ -114,34 +114,29 @@ pub(crate) fn linearised_penalties(problem: &Problem, iterate: &Iterate, step: &
     sum
 }
 
-/// Slope and half curvature of the smooth part along `step`.
-pub(crate) fn smooth_along(problem: &Problem, iterate: &Iterate, step: &Iterate) -> (f64, f64) {
+/// Slope of the smooth part along `step`.
+pub(crate) fn smooth_slope(problem: &Problem, iterate: &Iterate, step: &Iterate) -> f64 {
     let weights = &problem.weights;
-    let (mut slope, mut curvature) = (0.0, 0.0);
+    let mut slope = 0.0;
     for node in 1..iterate.states.len() {
-        let (state, change, reference) =
-            (&iterate.states[node], &step.states[node], reference(problem, node));
+        let (state, change, reference) = (&iterate.states[node], &step.states[node], reference(problem, node));
         for (component, weight) in node_weights(problem, node).iter().enumerate() {
-            slope += 2.0 * weight * (state[component] - reference[component]) * change[component];
-            curvature += weight * change[component] * change[component];
+            slope += weight * (state[component] - reference[component]) * change[component];
         }
     }
     let centre = [problem.control_reference.velocity, problem.control_reference.steering];
     let mut before = problem.previous.map(|control| ([control.velocity, control.steering], [0.0; 2]));
     for (control, change) in iterate.controls.iter().zip(&step.controls) {
         for component in 0..2 {
-            slope += 2.0 * weights.control[component] * (control[component] - centre[component]) * change[component];
-            curvature += weights.control[component] * change[component] * change[component];
+            slope += weights.control[component] * (control[component] - centre[component]) * change[component];
             if let Some((before, change_before)) = before {
                 let difference = control[component] - before[component];
-                let moved = change[component] - change_before[component];
-                slope += 2.0 * weights.change[component] * difference * moved;
-                curvature += weights.change[component] * moved * moved;
+                slope += weights.change[component] * difference * (change[component] - change_before[component]);
             }
         }
         before = Some((*control, *change));
     }
-    (slope, curvature)
+    2.0 * slope
 }
 
 /// Gradient of the smooth part by the controls alone, two numbers per interval.

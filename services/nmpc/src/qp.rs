@@ -5,16 +5,21 @@
 //!
 //! The bounds of v are hard, the rows soft with one slack each, so the program always has a solution.
 
+pub(crate) mod active_set;
 pub(crate) mod clarabel;
 
 use serde::{Deserialize, Serialize};
+
+use crate::dense::dot;
 
 /// Which solver solves the quadratic programs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum QpChoice {
-    /// The interior-point solver Clarabel.
+    /// The dual active-set method, with Clarabel where its answer does not pass the check.
     #[default]
+    ActiveSet,
+    /// The interior-point solver Clarabel alone.
     Clarabel,
 }
 
@@ -102,8 +107,9 @@ impl Qp {
     }
 
     /// Largest violation of the optimality conditions by `solution`, from their definition; NaN where it has any.
-    #[allow(dead_code)]
-    pub(crate) fn residual(&self, solution: &QpSolution) -> f64 {
+    ///
+    /// `gradient` is a buffer.
+    pub(crate) fn residual(&self, solution: &QpSolution, gradient: &mut Vec<f64>) -> f64 {
         let count = self.variables();
         let mut largest = 0.0f64;
         let mut worse = |value: f64| {
@@ -111,31 +117,53 @@ impl Qp {
                 largest = value.abs();
             }
         };
+        gradient.clear();
+        gradient.extend(self.gradient.iter().zip(&solution.bound_multipliers).map(|(entry, bound)| entry + bound));
+        for row in 0..self.row_count() {
+            let (line, multiplier) = (self.row(row), solution.row_multipliers[row]);
+            if multiplier != 0.0 {
+                for (sum, entry) in gradient.iter_mut().zip(line) {
+                    *sum += multiplier * entry;
+                }
+            }
+            let (low, high) = (self.row_lower[row], self.row_upper[row]);
+            let value = dot(line, &solution.step);
+            worse(soft_residual(value, low, high, multiplier, self.slack_linear, self.slack_quadratic));
+        }
         for index in 0..count {
-            let mut sum = self.gradient[index] + solution.bound_multipliers[index];
-            for column in 0..count {
-                sum += self.hessian[index * count + column] * solution.step[column];
-            }
-            for row in 0..self.row_count() {
-                sum += self.rows[row * count + index] * solution.row_multipliers[row];
-            }
-            worse(sum);
+            worse(gradient[index] + dot(&self.hessian[index * count..(index + 1) * count], &solution.step));
             let (value, multiplier) = (solution.step[index], solution.bound_multipliers[index]);
-            // Inlined instead of f64::clamp, which panics when the bounds are out of order.
+            // Not f64::clamp, which panics when the bounds are out of order.
             worse(value - (value + multiplier).max(self.lower[index]).min(self.upper[index]));
         }
-        for row in 0..self.row_count() {
-            let value = dot(self.row(row), &solution.step);
-            worse(soft_residual(
-                value,
-                self.row_lower[row],
-                self.row_upper[row],
-                solution.row_multipliers[row],
-                self.slack_linear,
-                self.slack_quadratic,
-            ));
-        }
         largest
+    }
+}
+
+impl QpSolution {
+    /// Takes over the values of another, without allocating where they fit.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.step.clone_from(&other.step);
+        self.bound_multipliers.clone_from(&other.bound_multipliers);
+        self.row_multipliers.clone_from(&other.row_multipliers);
+        self.bound_states.clone_from(&other.bound_states);
+        self.row_states.clone_from(&other.row_states);
+    }
+
+    /// Zero, with nothing active.
+    pub(crate) fn reset(&mut self, variables: usize, rows: usize) {
+        for (values, length) in [
+            (&mut self.step, variables),
+            (&mut self.bound_multipliers, variables),
+            (&mut self.row_multipliers, rows),
+        ] {
+            values.clear();
+            values.resize(length, 0.0);
+        }
+        self.bound_states.clear();
+        self.bound_states.resize(variables, BoundState::Free);
+        self.row_states.clear();
+        self.row_states.resize(rows, RowState::Inside);
     }
 }
 
@@ -154,38 +182,6 @@ pub(crate) fn soft_residual(value: f64, lower: f64, upper: f64, multiplier: f64,
         moved
     };
     value - near
-}
-
-/// Lower triangular factor of the symmetric `matrix` of `size`, both row by row; false where it is not safely
-/// positive definite.
-pub(crate) fn cholesky(matrix: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
-    /// Pivots below this share of the largest diagonal entry are rounding errors or too flat to trust.
-    const SMALLEST_PIVOT: f64 = 1e-10;
-    factor.clear();
-    factor.extend_from_slice(&matrix[..size * size]);
-    let largest = (0..size).map(|index| matrix[index * size + index]).fold(0.0, f64::max);
-    for row in 0..size {
-        for column in 0..=row {
-            let (before, here) = factor.split_at_mut(row * size);
-            let other = if column == row { &here[..column] } else { &before[column * size..][..column] };
-            let value = here[column] - dot(&here[..column], other);
-            here[column] = if column < row {
-                value / before[column * size + column]
-            } else if value > SMALLEST_PIVOT * largest {
-                value.sqrt()
-            } else {
-                return false;
-            };
-        }
-    }
-    true
-}
-
-/// Scalar product.
-#[inline]
-#[allow(dead_code)]
-pub(crate) fn dot(left: &[f64], right: &[f64]) -> f64 {
-    left.iter().zip(right).map(|(left, right)| left * right).sum()
 }
 
 #[cfg(test)]

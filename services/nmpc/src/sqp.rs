@@ -1,64 +1,50 @@
 //! Sequential quadratic programming on the multiple-shooting program of one scan.
 //!
-//! Each iteration linearises the intervals, condenses, solves one quadratic program and searches along its step with
-//! the exact merit function `objective + penalties + rho * |defects|`. The search compares with the largest of the last
-//! few merit values, so that a good full step is not cut because of the curvature of the model (Maratos effect). Where
-//! no step length is accepted, the program is solved again with damping.
+//! One iteration: linearise the intervals, condense, solve the convex quadratic program with the Gauss-Newton Hessian;
+//! then try Newton's step on the active set it found, and where that is refused the program's own step, searched along.
+//! A trial gets its node states by a forward sweep, so every iterate after the first satisfies the model and the exact
+//! penalty function `objective + penalties` alone decides. A guess whose node states leave gaps is linearised as it is
+//! (that is what multiple shooting is for), and its step competes with the roll-out of the guess's controls.
 //!
-//! Assumptions and limits: the reference lies within what the horizon can reach (else the model is linearised far from
-//! where the step leads, and the search needs many iterations); with an active ellipse convergence is linear, because
-//! the Gauss-Newton Hessian lacks its curvature. The solution is a local one: the guess decides the side on which an
-//! obstacle is passed. A guess in the very centre of an ellipse has no direction to leave it.
+//! What each part is for: the quadratic program finds the active set from any guess; Newton's step makes the convergence
+//! quadratic, where the Gauss-Newton step alone needs tens of iterations with an active ellipse or swings for ever; its
+//! second-order correction keeps it from being refused because of the large penalty (Maratos effect); the damping bounds
+//! steps where limits are so nearly dependent that the linearisation does not hold up to where they cross.
+//!
+//! Limits: the solution is a local one, and the guess decides the side on which an obstacle is passed. A guess in the
+//! very centre of an ellipse has no direction to leave it. A reference far beyond what the horizon can reach makes the
+//! problem badly scaled: clip it.
 //!
 //! [`Solver::solve`] is a function of its arguments: buffers are kept between calls, values are not. A solver that was
 //! just made gives the same bits as one that has run for hours.
 
-use serde::{Deserialize, Serialize};
 use shared_types::SolveStatus;
-use vehicle::{Control, Invalid, State, require};
+use vehicle::{Control, State};
 
-use crate::collocation::{Collocation, Scheme};
+use crate::collocation::Collocation;
 use crate::condense::{Multipliers, add_second_order, condense, row_excess};
 use crate::kkt;
-use crate::objective::{linearised_penalties, penalties, smooth, smooth_along};
-use crate::problem::{Budget, Problem, Solution, Trajectory};
 use crate::newton::Newton;
-use crate::qp::{Qp, QpChoice, QpSolution, RowState, clarabel};
+use crate::objective::{linearised_penalties, penalties, smooth, smooth_slope};
+use crate::problem::{Budget, Problem, Solution, Trajectory};
+use crate::qp::active_set::ActiveSet;
+use crate::qp::{BoundState, Qp, QpChoice, QpSolution, RowState, clarabel};
+use crate::settings::SolverSettings;
 use crate::shooting::{Iterate, Shooting, Sweep};
+use crate::usable::is_usable;
 
-/// The largest number of intervals.
-pub const MAX_INTERVALS: usize = 200;
-
-/// How the nonlinear program is solved.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SolverSettings {
-    /// Collocation inside the intervals.
-    pub scheme: Scheme,
-    /// Solver of the quadratic programs.
-    pub qp: QpChoice,
-    /// Converged when the scaled KKT residual is at most this, 1e-10 to 1e-2.
-    pub tolerance: f64,
-    /// SQP iterations at most, 1 to 1000.
-    pub max_iterations: u32,
-}
-
-impl Default for SolverSettings {
-    fn default() -> Self {
-        Self { scheme: Scheme::default(), qp: QpChoice::default(), tolerance: 1e-6, max_iterations: 60 }
-    }
-}
-
-impl SolverSettings {
-    /// Checks every number.
-    ///
-    /// # Errors
-    /// [`Invalid`] names key, value and range.
-    pub fn validate(&self) -> Result<(), Invalid> {
-        require("tolerance", self.tolerance, 1e-10..=1e-2)?;
-        require("max_iterations", f64::from(self.max_iterations), 1.0..=1000.0)
-    }
-}
+/// Share of the predicted decrease that is asked for.
+const SUFFICIENT: f64 = 1e-4;
+/// Step lengths tried before the program is damped: 1, 1/2 and 1/4. Beyond that another direction is better.
+const ATTEMPTS: u32 = 3;
+/// First damping, in units of the objective per square of a control's range; the curvature of the objective is 1 to 100.
+const FIRST_DAMPING: f64 = 0.1;
+/// Damping at which a step is shorter than the tolerance, so that going on is pointless.
+const LARGEST_DAMPING: f64 = 1e10;
+/// Gaps up to this are closed by a sweep without asking: the guess is a roll-out up to rounding or Newton's tolerance.
+const SMALL_GAP: f64 = 1e-6;
+/// Largest violation of the optimality conditions by an answer of the active set, per size of the gradient.
+const QP_TOLERANCE: f64 = 1e-8;
 
 /// A solver with its buffers.
 #[derive(Debug, Clone)]
@@ -71,24 +57,23 @@ pub struct Solver {
     shooting: Shooting,
     trial_shooting: Shooting,
     qp: Qp,
+    active_set: ActiveSet,
     answer: QpSolution,
-    row_multipliers: Vec<f64>,
-    gradient: Vec<f64>,
-    costates: Vec<[f64; 5]>,
     newton: Newton,
-    recent: Vec<f64>,
+    row_multipliers: Vec<f64>,
+    costates: Vec<[f64; 5]>,
+    buffer: Vec<f64>,
+    fallbacks: u64,
 }
 
-/// How many accepted iterates a new one is compared with.
-const MEMORY: usize = 1;
-/// Share of the predicted decrease that is asked for.
-const SUFFICIENT: f64 = 1e-4;
-/// Step lengths tried before the program is damped: 1, 1/2, ... 1/128.
-const HALVINGS: u32 = 3;
-/// Damping of the first repetition, against Hessian entries of 1 to 1000.
-const FIRST_DAMPING: f64 = 1e-1;
-/// Damping beyond which a step is shorter than the tolerance, so that repeating is pointless.
-const LARGEST_DAMPING: f64 = 1e10;
+/// Which step is meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    /// That of the quadratic program.
+    GaussNewton,
+    /// Newton's on its active set.
+    Newton,
+}
 
 impl Solver {
     /// A solver with `settings`.
@@ -102,12 +87,13 @@ impl Solver {
             shooting: Shooting::default(),
             trial_shooting: Shooting::default(),
             qp: Qp::default(),
+            active_set: ActiveSet::default(),
             answer: QpSolution::default(),
-            row_multipliers: Vec::new(),
-            gradient: Vec::new(),
-            costates: Vec::new(),
             newton: Newton::default(),
-            recent: Vec::with_capacity(MEMORY),
+            row_multipliers: Vec::new(),
+            costates: Vec::new(),
+            buffer: Vec::new(),
+            fallbacks: 0,
         }
     }
 
@@ -121,38 +107,26 @@ impl Solver {
         &self.collocation
     }
 
+    /// How many quadratic programs the active set has left to the interior-point method since the solver was made.
+    pub fn fallbacks(&self) -> u64 {
+        self.fallbacks
+    }
+
     /// Solves `problem` from `guess`, with the measured state in the place of the guess's first.
     ///
-    /// Input that is not finite or contradicts itself gives [`SolveStatus::Failed`] and the guess itself.
+    /// A guess without states, or with a wrong number of them, stands for the roll-out of its controls; missing controls
+    /// are filled with the last, or with the reference. Input that is not finite or contradicts itself gives
+    /// [`SolveStatus::Failed`] and the guess itself. A solve that ends early gives its best iterate, which satisfies
+    /// the model and the bounds of the controls as soon as one iteration was made.
     pub fn solve(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> Solution {
-        if !is_usable(problem, guess) {
-            return Solution {
-                trajectory: guess.clone(),
-                status: SolveStatus::Failed,
-                iterations: 0,
-                kkt_residual: f64::INFINITY,
-                largest_violation: f64::INFINITY,
-                slack: f64::INFINITY,
-                objective: f64::INFINITY,
-                active_constraints: 0,
-            };
+        if !is_usable(problem, guess) || !self.start(problem, guess) {
+            return refused(guess);
         }
-        let sweep = self.iterate.start(problem, guess);
-        self.row_multipliers.clear();
-        self.row_multipliers.resize((5 + problem.ellipses.len()) * problem.intervals.len(), 0.0);
-        self.answer.bound_multipliers.clear();
-        self.recent.clear();
-
         let mut iterations = 0;
         let mut damping = 0.0;
-        let mut usable = self.shooting.sweep(problem, &self.collocation, &mut self.iterate, sweep);
         let (status, kkt_residual) = loop {
-            if !usable {
-                break (SolveStatus::Failed, f64::INFINITY);
-            }
             let residual =
-                kkt::residual(problem, &self.iterate, &self.shooting, &self.row_multipliers, &mut self.gradient);
-            if std::env::var_os("TRACE").is_some() { eprintln!("it {iterations} kkt {residual:.3e} defect {:.2e} u {:.4?}", self.shooting.defect, self.iterate.controls); }
+                kkt::residual(problem, &self.iterate, &self.shooting, &self.row_multipliers, &mut self.buffer);
             if !residual.is_finite() {
                 break (SolveStatus::Failed, f64::INFINITY);
             }
@@ -169,39 +143,84 @@ impl Solver {
                 };
             }
             iterations += 1;
-            usable = self.advance(problem, &mut damping);
+            let advanced =
+                if self.is_closed() { self.advance(problem, &mut damping) } else { self.close_gaps(problem) };
+            if !advanced {
+                break (SolveStatus::Failed, residual);
+            }
         };
         self.report(problem, status, iterations, kkt_residual)
     }
 
-    /// One iteration from the present linearisation; false where no step could be computed.
+    /// Takes over the guess; false where its collocation equations have no solution.
+    fn start(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
+        let sweep = self.iterate.start(problem, guess);
+        if !self.shooting.sweep(problem, &self.collocation, &mut self.iterate, sweep) {
+            return false;
+        }
+        let row_count = (5 + problem.ellipses.len()) * problem.intervals.len();
+        refill(&mut self.row_multipliers, row_count, 0.0);
+        self.answer.reset(2 * problem.intervals.len(), row_count);
+        // Controls of the guess at a bound are the first guess of the active set.
+        let bounds = &problem.bounds;
+        for (states, control) in self.answer.bound_states.chunks_exact_mut(2).zip(&self.iterate.controls) {
+            let lower = [bounds.velocity_min_mps, -bounds.steering_max_rad];
+            let upper = [bounds.velocity_max_mps, bounds.steering_max_rad];
+            for component in 0..2 {
+                if control[component] == upper[component] {
+                    states[component] = BoundState::Upper;
+                } else if control[component] == lower[component] {
+                    states[component] = BoundState::Lower;
+                }
+            }
+        }
+        let gap = self.shooting.gaps.iter().flatten().fold(0.0, |largest: f64, gap| largest.max(gap.abs()));
+        gap == 0.0
+            || gap > SMALL_GAP
+            || self.shooting.sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close)
+    }
+
+    fn is_closed(&self) -> bool {
+        self.shooting.gaps.iter().flatten().all(|&gap| gap == 0.0)
+    }
+
+    /// The iteration from an iterate with gaps: its full step, or the roll-out of its controls where that is better.
+    fn close_gaps(&mut self, problem: &Problem) -> bool {
+        condense(problem, &self.iterate, &self.shooting, 0.0, &mut self.qp);
+        let stepped = self.solve_program().then(|| {
+            self.expand(Step::GaussNewton);
+            self.try_fraction(problem, 1.0)
+        });
+        let stepped = stepped.flatten();
+        let rolled = self
+            .shooting
+            .sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close)
+            .then(|| merit(problem, &self.iterate));
+        match (stepped, rolled) {
+            (Some(stepped), rolled) if rolled.is_none_or(|rolled| stepped <= rolled) => {
+                self.accept(Step::GaussNewton);
+                true
+            }
+            (_, rolled) => rolled.is_some(),
+        }
+    }
+
+    /// One iteration from an iterate that satisfies the model; false where no step could be computed.
     fn advance(&mut self, problem: &Problem, damping: &mut f64) -> bool {
         let relieved = penalties(problem, &self.iterate).0;
         let present = smooth(problem, &self.iterate) + relieved;
-        // The merit of an iterate with gaps says nothing: the first one without is accepted as it comes.
-        let closed = self.shooting.gaps.iter().flatten().all(|&gap| gap == 0.0);
-        if self.recent.len() == MEMORY {
-            self.recent.remove(0);
-        }
-        if closed {
-            self.recent.push(present);
-        }
         loop {
             condense(problem, &self.iterate, &self.shooting, *damping, &mut self.qp);
-            if clarabel::solve(&self.qp, &mut self.answer) {
-                if closed && self.try_newton(problem, relieved) {
-                    *damping = if *damping <= FIRST_DAMPING { 0.0 } else { *damping / 10.0 };
+            if self.solve_program() {
+                if self.try_newton(problem, present, relieved) {
+                    *damping = relaxed(*damping);
                     return true;
                 }
-                let predicted = self.predict(problem, relieved, false);
-                if std::env::var_os("TRACE").is_some() { eprintln!("  step {:.3?}", self.answer.step);
-                   for row in 0..self.qp.row_count() { let g = self.qp.row_upper[row]; let v = crate::qp::dot(self.qp.row(row), &self.answer.step); if self.answer.row_multipliers[row] != 0.0 && self.answer.row_multipliers[row].abs() > 1e-7 { eprintln!("  row {row} {:?} excess {:.3e} after {:.3e} lambda {:.3}", self.answer.row_states[row], -g, v-g, self.answer.row_multipliers[row]); } } }
-                if let Some(fraction) = self.search(problem, closed, predicted, HALVINGS) {
-                    self.row_multipliers.clone_from(&self.answer.row_multipliers);
+                if let Some(fraction) = self.search(problem, present, relieved) {
                     if fraction == 1.0 {
-                    *damping = if *damping <= FIRST_DAMPING { 0.0 } else { *damping / 10.0 };
+                        *damping = relaxed(*damping);
                     } else if fraction < 0.5 {
-                    *damping = (*damping * 10.0).max(FIRST_DAMPING);
+                        *damping = raised(*damping);
                     }
                     return true;
                 }
@@ -209,22 +228,26 @@ impl Solver {
             if *damping > LARGEST_DAMPING {
                 return false;
             }
-            *damping = (*damping * 10.0).max(FIRST_DAMPING);
+            *damping = raised(*damping);
         }
     }
 
-    /// Expands the step of the quadratic program, or Newton's, and predicts the change of the merit to first order.
-    fn predict(&mut self, problem: &Problem, relieved: f64, newton: bool) -> f64 {
-        let controls = if newton { &self.newton.solution.step } else { &self.answer.step };
-        self.step.controls.clear();
-        self.step.controls.extend(controls.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
-        self.shooting.expand(&mut self.step);
-        let (slope, _) = smooth_along(problem, &self.iterate, &self.step);
-        slope + linearised_penalties(problem, &self.iterate, &self.step) - relieved
+    /// Solves the quadratic program; false where neither method does.
+    fn solve_program(&mut self) -> bool {
+        if self.settings.qp == QpChoice::ActiveSet {
+            let size = self.qp.gradient.iter().fold(1.0, |largest: f64, entry| largest.max(entry.abs()));
+            if self.active_set.solve(&self.qp, &mut self.answer)
+                && self.qp.residual(&self.answer, &mut self.buffer) <= QP_TOLERANCE * size
+            {
+                return true;
+            }
+            self.fallbacks += 1;
+        }
+        clarabel::solve(&self.qp, &mut self.answer)
     }
 
-    /// Newton's step on the active set of the quadratic program, where there is one that is accepted in full.
-    fn try_newton(&mut self, problem: &Problem, relieved: f64) -> bool {
+    /// Newton's step on the active set of the quadratic program; false where there is none that is accepted in full.
+    fn try_newton(&mut self, problem: &Problem, present: f64, relieved: f64) -> bool {
         let rows = &self.answer.row_multipliers;
         kkt::costates(problem, &self.iterate, &self.shooting, rows, &mut self.costates);
         self.newton.hessian.clone_from(&self.qp.hessian);
@@ -240,73 +263,103 @@ impl Solver {
         if !self.newton.solve(&self.qp, &self.answer) {
             return false;
         }
-        let predicted = self.predict(problem, relieved, true);
-        if predicted > 0.0 { return false; }
-        let mut accepted = self.search(problem, true, predicted, 1).is_some();
-        if !accepted && !self.newton.equations().is_empty() {
-            self.gradient.clear();
-            for &row in self.newton.equations() {
-                let upper = self.answer.row_states[row] == RowState::AtUpper;
-                self.gradient.push(row_excess(problem, &self.trial, row, upper));
-            }
-            if self.newton.correct(&self.qp, &self.gradient) {
-                self.predict(problem, relieved, true);
-                accepted = self.search(problem, true, predicted, 1).is_some();
-        if std::env::var_os("TRACE").is_some() { eprintln!("  corrected {accepted}"); }
-            }
+        self.expand(Step::Newton);
+        let predicted = self.predict(problem, relieved);
+        if predicted > 0.0 {
+            return false;
+        }
+        let wanted = wanted(present, predicted);
+        let mut accepted = self.try_fraction(problem, 1.0).is_some_and(|merit| merit <= wanted);
+        if !accepted && self.correct(problem) {
+            self.expand(Step::Newton);
+            accepted = self.try_fraction(problem, 1.0).is_some_and(|merit| merit <= wanted);
         }
         if accepted {
-            self.row_multipliers.clone_from(&self.newton.solution.row_multipliers);
+            self.accept(Step::Newton);
         }
-        if std::env::var_os("TRACE").is_some() { eprintln!("  newton {accepted}"); }
         accepted
     }
 
-    /// Tries 1, 1/2, ... of the step; an accepted one is the new iterate, with its linearisation.
-    fn search(&mut self, problem: &Problem, closed: bool, predicted: f64, attempts: u32) -> Option<f64> {
-        let reference = self.recent.iter().copied().fold(f64::MIN, f64::max);
-        // Near the solution differences of the merit are rounding errors.
-        let rounding = 1e-13 * (1.0 + reference.abs());
+    /// The second-order correction of Newton's step from what its trial has left of the held rows.
+    fn correct(&mut self, problem: &Problem) -> bool {
+        let (states, trial) = (&self.answer.row_states, &self.trial);
+        self.buffer.clear();
+        self.buffer.extend(
+            self.newton
+                .equations()
+                .iter()
+                .map(|&row| row_excess(problem, trial, row, states[row] == RowState::AtUpper)),
+        );
+        !self.buffer.is_empty() && self.newton.correct(&self.qp, &self.buffer)
+    }
+
+    /// Searches along the step of the quadratic program; the accepted fraction of it.
+    fn search(&mut self, problem: &Problem, present: f64, relieved: f64) -> Option<f64> {
+        self.expand(Step::GaussNewton);
+        let predicted = self.predict(problem, relieved).min(0.0);
         let mut fraction = 1.0;
-        for _ in 0..attempts {
-            self.trial.move_from(&self.iterate, &self.step, fraction);
-            for control in &mut self.trial.controls {
-                // Removes what rounding has put outside the bounds.
-                let inside = problem.bounds.clamp(Control { velocity: control[0], steering: control[1] });
-                *control = [inside.velocity, inside.steering];
-            }
-            if self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close) {
-                if std::env::var_os("TRACE").is_some() { for node in 1..=6 { for (e, el) in problem.ellipses.iter().enumerate() { eprint!(" [{node} {e}] {:.4}", crate::objective::ellipse_excess(el, node, &self.trial.states[node]).0); } } eprintln!(); }
-                let merit = smooth(problem, &self.trial) + penalties(problem, &self.trial).0;
-                if std::env::var_os("TRACE").is_some() { eprintln!("  f {fraction:.4} ref {reference:.8} trial {merit:.8} predicted {predicted:.3e}"); }
-                let wanted = reference + SUFFICIENT * fraction * predicted.min(0.0) + rounding;
-                if merit <= wanted || (!closed && merit.is_finite()) {
-                    std::mem::swap(&mut self.iterate, &mut self.trial);
-                    std::mem::swap(&mut self.shooting, &mut self.trial_shooting);
-                    return Some(fraction);
-                }
+        for _ in 0..ATTEMPTS {
+            let merit = self.try_fraction(problem, fraction);
+            if merit.is_some_and(|merit| merit <= wanted(present, fraction * predicted)) {
+                self.accept(Step::GaussNewton);
+                return Some(fraction);
             }
             fraction *= 0.5;
         }
         None
     }
 
+    /// Fills the step with the states that follow from its controls on the linearised model.
+    fn expand(&mut self, step: Step) {
+        let controls = match step {
+            Step::GaussNewton => &self.answer.step,
+            Step::Newton => &self.newton.solution.step,
+        };
+        self.step.controls.clear();
+        self.step.controls.extend(controls.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
+        self.shooting.expand(&mut self.step);
+    }
+
+    /// Change of the merit by the full step, to first order in the smooth part and exact in the penalties of the
+    /// linearised limits.
+    fn predict(&self, problem: &Problem, relieved: f64) -> f64 {
+        smooth_slope(problem, &self.iterate, &self.step)
+            + linearised_penalties(problem, &self.iterate, &self.step)
+            - relieved
+    }
+
+    /// The trial at a fraction of the step, linearised, and its merit; none where the model has no solution there.
+    fn try_fraction(&mut self, problem: &Problem, fraction: f64) -> Option<f64> {
+        self.trial.move_from(&self.iterate, &self.step, fraction);
+        for control in &mut self.trial.controls {
+            // Removes what rounding has put outside the bounds.
+            let inside = problem.bounds.clamp(Control { velocity: control[0], steering: control[1] });
+            *control = [inside.velocity, inside.steering];
+        }
+        let swept = self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close);
+        swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite())
+    }
+
+    /// Makes the trial the iterate.
+    fn accept(&mut self, step: Step) {
+        std::mem::swap(&mut self.iterate, &mut self.trial);
+        std::mem::swap(&mut self.shooting, &mut self.trial_shooting);
+        let solution = match step {
+            Step::GaussNewton => &self.answer,
+            Step::Newton => &self.newton.solution,
+        };
+        self.row_multipliers.clone_from(&solution.row_multipliers);
+    }
+
     fn report(&self, problem: &Problem, status: SolveStatus, iterations: u32, kkt_residual: f64) -> Solution {
-        /// Multipliers below this share of the linear slack weight do not count as active.
-        const ACTIVE: f64 = 1e-8;
         let (penalty, slack) = penalties(problem, &self.iterate);
-        let small = ACTIVE * problem.weights.slack_linear.max(1.0);
-        let active =
-            self.row_multipliers.iter().chain(&self.answer.bound_multipliers).filter(|value| value.abs() > small);
+        let bounds = self.answer.bound_states.iter().filter(|state| **state != BoundState::Free);
+        let rows = self.answer.row_states.iter().filter(|state| **state != RowState::Inside);
+        let to_control = |control: &[f64; 2]| Control { velocity: control[0], steering: control[1] };
         Solution {
             trajectory: Trajectory {
                 states: self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())).collect(),
-                controls: self
-                    .iterate
-                    .controls
-                    .iter()
-                    .map(|control| Control { velocity: control[0], steering: control[1] })
-                    .collect(),
+                controls: self.iterate.controls.iter().map(to_control).collect(),
             },
             status,
             iterations,
@@ -314,49 +367,44 @@ impl Solver {
             largest_violation: self.shooting.defect,
             slack,
             objective: smooth(problem, &self.iterate) + penalty,
-            active_constraints: active.count() as u32,
+            active_constraints: (bounds.count() + rows.count()) as u32,
         }
     }
 }
 
-/// Whether everything is finite, of fitting length and in order.
-fn is_usable(problem: &Problem, guess: &Trajectory) -> bool {
-    let count = problem.intervals.len();
-    let parameters = &problem.parameters;
-    let bounds = &problem.bounds;
-    let weights = &problem.weights;
-    let positive = |value: f64| value > 0.0 && value.is_finite();
-    let natural = |value: f64| value >= 0.0 && value.is_finite();
-    (1..=MAX_INTERVALS).contains(&count)
-        && problem.intervals.iter().all(|&length| positive(length))
-        && [parameters.mass_kg, parameters.stiffness_n_per_rad, parameters.inertia_kgm2].into_iter().all(positive)
-        && [parameters.rear_m, parameters.front_m].into_iter().all(positive)
-        && positive(bounds.velocity_min_mps)
-        && bounds.velocity_max_mps.is_finite()
-        && bounds.velocity_max_mps >= bounds.velocity_min_mps
-        // The model divides by the tangent's range: steering stays below a right angle.
-        && natural(bounds.steering_max_rad)
-        && bounds.steering_max_rad < 1.5
-        && bounds.sideslip_max_rad >= 0.0
-        && bounds.yaw_max_rad >= 0.0
-        && bounds.yaw_rate_max_radps >= 0.0
-        && problem.x_range[0] <= problem.x_range[1]
-        && problem.y_range[0] <= problem.y_range[1]
-        && problem.initial.is_finite()
-        && problem.previous.is_none_or(|control| control.is_finite())
-        && problem.references.len() == count
-        && problem.references.iter().all(State::is_finite)
-        && problem.control_reference.is_finite()
-        && weights.node.iter().chain(&weights.terminal).all(|&weight| natural(weight))
-        && weights.control.iter().chain(&weights.change).all(|&weight| natural(weight))
-        && natural(weights.slack_linear)
-        && natural(weights.slack_quadratic)
-        && problem.ellipses.iter().all(|ellipse| {
-            positive(ellipse.a)
-                && positive(ellipse.b)
-                && ellipse.centres.len() == count + 1
-                && ellipse.centres.iter().flatten().all(|value| value.is_finite())
-        })
-        && guess.states.iter().all(State::is_finite)
-        && guess.controls.iter().all(Control::is_finite)
+fn merit(problem: &Problem, iterate: &Iterate) -> f64 {
+    smooth(problem, iterate) + penalties(problem, iterate).0
+}
+
+/// The merit that a step with this predicted change has to reach.
+fn wanted(present: f64, predicted: f64) -> f64 {
+    // Near the solution differences of the merit are rounding errors.
+    const ROUNDING: f64 = 1e-13;
+    present + SUFFICIENT * predicted + ROUNDING * (1.0 + present.abs())
+}
+
+fn raised(damping: f64) -> f64 {
+    (10.0 * damping).max(FIRST_DAMPING)
+}
+
+fn relaxed(damping: f64) -> f64 {
+    if damping <= FIRST_DAMPING { 0.0 } else { damping / 10.0 }
+}
+
+fn refill(values: &mut Vec<f64>, length: usize, value: f64) {
+    values.clear();
+    values.resize(length, value);
+}
+
+fn refused(guess: &Trajectory) -> Solution {
+    Solution {
+        trajectory: guess.clone(),
+        status: SolveStatus::Failed,
+        iterations: 0,
+        kkt_residual: f64::INFINITY,
+        largest_violation: f64::INFINITY,
+        slack: f64::INFINITY,
+        objective: f64::INFINITY,
+        active_constraints: 0,
+    }
 }

@@ -106,12 +106,9 @@ impl Describer {
         for track in &mut self.tracks {
             track.predict(elapsed);
         }
-        if let Some(place) = Place::of(pose) {
-            self.pose = [place.at.x, place.at.y, place.yaw];
-        }
-        let place = Place::of(pose);
         let mut overflow = 0;
-        if let Some(place) = &place {
+        if let Some(place) = &Place::of(pose) {
+            self.pose = [place.at.x, place.at.y, place.yaw];
             self.outline(scan, place);
             self.associate(place);
             self.sight(place, elapsed);
@@ -190,6 +187,7 @@ impl Describer {
                 first,
                 end,
                 returns: members.len(),
+                edges,
                 may_start: cluster.may_start,
                 track: None,
             });

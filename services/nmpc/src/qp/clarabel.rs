@@ -6,7 +6,8 @@
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
 
-use super::{BoundState, Qp, QpSolution, RowState, dot};
+use super::{BoundState, Qp, QpSolution, RowState};
+use crate::dense::dot;
 
 /// Solves `qp` into `solution`; false where Clarabel finds no solution.
 pub(crate) fn solve(qp: &Qp, solution: &mut QpSolution) -> bool {
@@ -210,7 +211,7 @@ mod tests {
         assert!(solve(&qp, &mut solution));
         // v = (10 - 4 + 4) / (1 + 4) = 2 and the multiplier is 8.
         assert!((solution.step[0] - 2.0).abs() < 1e-6 && (solution.row_multipliers[0] - 8.0).abs() < 1e-5);
-        assert!(qp.residual(&solution) < 1e-5);
+        assert!(qp.residual(&solution, &mut Vec::new()) < 1e-5);
         qp.slack_linear = 20.0;
         assert!(solve(&qp, &mut solution));
         assert!((solution.step[0] - 1.0).abs() < 1e-6 && (solution.row_multipliers[0] - 9.0).abs() < 1e-5);

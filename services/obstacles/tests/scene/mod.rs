@@ -1,6 +1,11 @@
 //! A small scene with a ray-caster: what the scanner would measure, with noise and dropouts.
 
-#![allow(dead_code, unreachable_pub, reason = "each test file uses its part of the scene")]
+#![allow(
+    dead_code,
+    unreachable_pub,
+    clippy::unwrap_used,
+    reason = "each test file uses its part of the scene"
+)]
 
 use nalgebra::Vector2;
 use obstacles::{Config, Describer};
