@@ -236,6 +236,7 @@ impl Recorder {
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
             processes: ending.processes.clone(),
+            digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),
         }

@@ -52,6 +52,8 @@ pub struct Report {
     pub stop_reasons: BTreeMap<String, u64>,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
+    /// Hash of all samples per topic in lock-step: equal runs have equal samples.
+    pub digests: BTreeMap<String, String>,
     /// Rows that were left out at the beginning of `trajectory` because the run was too long to keep them.
     pub trajectory_rows_dropped: u64,
     /// True time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].

@@ -13,6 +13,7 @@ use vehicle::frame::to_track;
 
 use crate::cli::{Choice, RunArguments};
 use crate::control::ControlSocket;
+use crate::digest::Digests;
 use crate::exit::{Exit, Failure};
 use crate::fleet::Fleet;
 use crate::lock::SystemLock;
@@ -98,12 +99,12 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let domain = Domain::new(system_id)?;
     let mut session = prepare(&domain, &plan, arguments, &out)?;
     let ending = session.drive()?;
-    let Session { fleet, bus, recorder, samples, vitals, voice, control, .. } = session;
+    let Session { fleet, bus, recorder, samples, vitals, voice, control, digests, .. } = session;
     drop((samples, vitals, voice, control));
     drop(bus);
     fleet.clean()?;
 
-    let report = recorder.report(&ending);
+    let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
     let report_file = out.join("report.json");
     report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;
     let picture_file = out.join("drive.svg");
@@ -144,6 +145,7 @@ fn prepare(domain: &Domain, plan: &Plan, arguments: &RunArguments, out: &Path) -
         samples: Samples::new(&bus)?,
         vitals: Vitals::new(&bus)?,
         voice: Voice::new(&bus)?,
+        digests: Digests::default(),
         referee: Referee::new(scenario),
         progress: Progress::new(arguments.quiet),
         recorder: Recorder::new(info),

@@ -11,11 +11,13 @@ use runtime::{Bus, Domain, Shutdown, Voice, monotonic_ns, wait_for};
 use shared_types::{Directive, Phase, Role};
 
 use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
+use crate::digest::Digests;
 use crate::fleet::Fleet;
+use crate::ledger::PROCESS_RESTARTED;
 use crate::progress::{ProcessWord, Progress};
 use crate::recorder::{Ending, Recorder};
 use crate::report::{Outcome, ProcessReport};
-use crate::samples::Samples;
+use crate::samples::{Samples, ScanRecord};
 use crate::supervisor::{Action, Event, Severity, Supervisor};
 use crate::vitals::Vitals;
 
@@ -46,6 +48,7 @@ pub(crate) struct Session {
     pub(crate) control: ControlSocket,
     pub(crate) referee: Referee,
     pub(crate) samples: Samples,
+    pub(crate) digests: Digests,
     pub(crate) vitals: Vitals,
     pub(crate) voice: Voice<Directive>,
     pub(crate) directive: Directive,
@@ -110,7 +113,7 @@ impl Session {
     fn reap(&mut self) -> anyhow::Result<()> {
         for (role, incarnation, exit) in self.fleet.reap() {
             if self.end == End::NotYet {
-                self.recorder.outage_began(role, "process died");
+                self.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.progress.note(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_words(role) {
                     self.progress.note(&format!("  {role}: {line}"));
@@ -154,6 +157,7 @@ impl Session {
             && let Some(scan) = self.samples.next(flush)
         {
             self.moved_ns = monotonic_ns();
+            self.digest(&scan);
             scan.poses.iter().for_each(|pose| self.recorder.pose(pose));
             scan.obstacles.iter().for_each(|obstacles| self.recorder.obstacles(obstacles));
             scan.commands.iter().for_each(|command| self.recorder.command(command));
@@ -172,6 +176,17 @@ impl Session {
     /// In lock-step nothing after the scan that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.lockstep || self.end == End::NotYet
+    }
+
+    /// In lock-step equal runs have equal samples; in real time stamps differ.
+    fn digest(&mut self, scan: &ScanRecord) {
+        if self.lockstep {
+            self.digests.add(&scan.truth);
+            scan.poses.iter().for_each(|sample| self.digests.add(sample));
+            scan.obstacles.iter().for_each(|sample| self.digests.add(sample));
+            scan.commands.iter().for_each(|sample| self.digests.add(sample));
+            scan.actuations.iter().for_each(|sample| self.digests.add(sample));
+        }
     }
 
     fn judge(&mut self, truth: &shared_types::Truth) {

@@ -26,7 +26,9 @@ const LEAST_COSINE: f64 = 0.55;
 /// Curvatures of an arc: this many to each side, and straight.
 const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
-const CELL_M: f64 = 0.06;
+const CELL_M: f64 = 0.08;
+/// Shortest path that is searched, unless the goal is nearer: a little more than the horizon covers [m].
+const SHORTEST_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
 const OUTSIDE_M: f64 = 0.6;
 /// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
@@ -64,7 +66,7 @@ impl Default for GuideSettings {
     fn default() -> Self {
         Self {
             range_m: 6.3,
-            step_m: 0.35,
+            step_m: 0.45,
             curvature_share: 0.95,
             lateral_weight: 1.0,
             curvature_weight: 3.0,
@@ -203,13 +205,23 @@ struct Crossing {
     side: i8,
 }
 
+/// The cheapest path that ends in one cell of a layer.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    cost: f64,
+    y: f64,
+    parent: u32,
+}
+
+impl Cell {
+    const UNREACHED: Self = Self { cost: f64::INFINITY, y: 0.0, parent: 0 };
+}
+
 /// The search with its buffers.
 #[derive(Debug, Clone)]
 pub struct Search {
     settings: GuideSettings,
-    cost: Vec<f64>,
-    y: Vec<f64>,
-    parent: Vec<u32>,
+    cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
     rises: Vec<f64>,
     spans: Vec<Span>,
@@ -224,9 +236,7 @@ impl Search {
         let empty = Vec::new;
         Self {
             settings,
-            cost: Vec::new(),
-            y: Vec::new(),
-            parent: Vec::new(),
+            cells: Vec::new(),
             active: empty(),
             rises: Vec::new(),
             spans: Vec::new(),
@@ -241,6 +251,7 @@ impl Search {
     pub fn find(&mut self, query: &Query, guide: &mut Guide) {
         let settings = self.settings;
         let length = (query.goal_x - query.start.x).clamp(0.05, settings.range_m);
+        let length = length.min(self.needed(query));
         let layers = (length / settings.step_m).ceil().max(1.0) as usize;
         let step = length / layers as f64;
         let bend = query.curvature * settings.curvature_share / f64::from(BENDS);
@@ -252,8 +263,7 @@ impl Search {
         // Most searches find a clear path; only those that do not look at paths through obstacles at all.
         for hard in [false, true] {
             let origin = grid.start_cell(query.start.y);
-            self.cost[origin] = 0.0;
-            self.y[origin] = query.start.y;
+            self.cells[origin] = Cell { cost: 0.0, y: query.start.y, parent: 0 };
             self.active[0].push(origin as u32);
             let arc = Arc { step, bend, allowed: excess(query.start.y, query.y_range), hard };
             for layer in 0..layers {
@@ -270,12 +280,21 @@ impl Search {
         guide.clear = false;
     }
 
+    /// How far there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
+    fn needed(&self, query: &Query) -> f64 {
+        if query.goal_x - query.start.x < self.settings.range_m {
+            return f64::INFINITY;
+        }
+        let behind = |hazard: &Hazard| {
+            if hazard.moves() { f64::INFINITY } else { hazard.centre[0] + hazard.a - query.start.x }
+        };
+        query.hazards.iter().map(behind).fold(SHORTEST_M, f64::max)
+    }
+
     fn reserve(&mut self, layers: usize, grid: &Grid) {
         let cells = (layers + 1) * grid.layer_cells();
-        if self.cost.len() < cells {
-            self.cost.resize(cells, f64::INFINITY);
-            self.y.resize(cells, 0.0);
-            self.parent.resize(cells, 0);
+        if self.cells.len() < cells {
+            self.cells.resize(cells, Cell::UNREACHED);
         }
         if self.active.len() <= layers {
             self.active.resize_with(layers + 1, Vec::new);
@@ -286,7 +305,7 @@ impl Search {
     fn forget(&mut self) {
         for layer in &mut self.active {
             for &cell in layer.iter() {
-                self.cost[cell as usize] = f64::INFINITY;
+                self.cells[cell as usize] = Cell::UNREACHED;
             }
             layer.clear();
         }
@@ -342,10 +361,10 @@ impl Search {
         let settings = self.settings;
         let sources = std::mem::take(&mut self.active[layer]);
         let base = layer * grid.layer_cells();
+        let crossed = self.crossings.iter().any(|crossing| crossing.layer == layer);
         for &source in &sources {
-            let source = source as usize;
-            let (cost, y) = (self.cost[source], self.y[source]);
-            let course = ((source - base) / grid.cells) as i32;
+            let Cell { cost, y, .. } = self.cells[source as usize];
+            let course = ((source as usize - base) / grid.cells) as i32;
             for turn in -BENDS..=BENDS {
                 let next = course + turn;
                 if next < 0 || next >= grid.courses {
@@ -354,31 +373,33 @@ impl Search {
                 let rise = self.rises[(course * (2 * BENDS + 1) + turn + BENDS) as usize];
                 let y_next = y + rise;
                 let Some(cell) = grid.cell(y_next) else { continue };
-                let (curvature, sine) = (f64::from(turn) * bend, grid.sine(next));
+                let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
+                let (curvature, sine, offset) = (f64::from(turn) * bend, grid.sine(next), y_next - query.line);
                 let mut total = cost
                     + step
-                        * (settings.lateral_weight * (y_next - query.line).powi(2)
+                        * (settings.lateral_weight * offset * offset
                             + settings.curvature_weight * curvature * curvature
                             + settings.course_weight * sine * sine);
+                // All further costs are positive: most arcs end here.
+                if total >= self.cells[target].cost {
+                    continue;
+                }
                 total += self.obstacle_cost(2 * layer + 1, y + rise / 2.0, step / 2.0);
                 total += self.obstacle_cost(2 * layer + 2, y_next, step / 2.0);
-                total += self.switch_cost(layer, y, y_next);
+                if crossed {
+                    total += self.switch_cost(layer, y, y_next);
+                }
                 let outside = excess(y_next, query.y_range) - allowed;
                 if outside > 1e-9 {
                     total += HARD * (1.0 + 10.0 * outside);
                 }
-                if total >= HARD && !hard {
+                if (total >= HARD && !hard) || total >= self.cells[target].cost {
                     continue;
                 }
-                let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
-                if total < self.cost[target] {
-                    if self.cost[target] == f64::INFINITY {
-                        self.active[layer + 1].push(target as u32);
-                    }
-                    self.cost[target] = total;
-                    self.y[target] = y_next;
-                    self.parent[target] = source as u32;
+                if self.cells[target].cost == f64::INFINITY {
+                    self.active[layer + 1].push(target as u32);
                 }
+                self.cells[target] = Cell { cost: total, y: y_next, parent: source };
             }
         }
         self.active[layer] = sources;
@@ -420,9 +441,9 @@ impl Search {
         for &cell in &self.active[layers] {
             let cell = cell as usize;
             let sine = grid.sine(((cell - layers * grid.layer_cells()) / grid.cells) as i32);
-            let offset = self.y[cell] - query.line;
+            let offset = self.cells[cell].y - query.line;
             let weight = if at_goal { self.settings.goal_weight } else { self.settings.lateral_weight };
-            let total = self.cost[cell] + weight * offset * offset + sine * sine;
+            let total = self.cells[cell].cost + weight * offset * offset + sine * sine;
             if total < best.0 {
                 best = (total, cell);
             }
@@ -436,9 +457,9 @@ impl Search {
         guide.sine.clear();
         let mut cell = best.1;
         for layer in (0..=layers).rev() {
-            guide.y.push(self.y[cell]);
+            guide.y.push(self.cells[cell].y);
             guide.sine.push(grid.sine(((cell - layer * grid.layer_cells()) / grid.cells) as i32));
-            cell = self.parent[cell] as usize;
+            cell = self.cells[cell].parent as usize;
         }
         guide.y.reverse();
         guide.sine.reverse();
@@ -491,7 +512,7 @@ impl Grid {
     }
 
     fn cell(&self, y: f64) -> Option<usize> {
-        let cell = (y - self.low) / CELL_M;
+        let cell = (y - self.low) * (1.0 / CELL_M);
         (cell >= 0.0 && cell < self.cells as f64).then_some(cell as usize)
     }
 

@@ -29,7 +29,7 @@ pub(crate) struct Newton {
 
 impl Newton {
     /// The step on the active set of `answer`; false where the exact Hessian is not positive definite there.
-    pub(crate) fn solve(&mut self, qp: &Qp, answer: &QpSolution) -> bool {
+    pub(crate) fn solve(&mut self, qp: &Qp, answer: &QpSolution, shift: bool) -> bool {
         let count = qp.variables();
         self.free.clear();
         self.free.extend((0..count).filter(|&index| answer.bound_states[index] == BoundState::Free));
@@ -42,7 +42,7 @@ impl Newton {
             return false;
         }
         self.assemble(qp, answer);
-        if !cholesky(&self.matrix, size, &mut self.factor) || !self.solve_equations(qp, answer) {
+        if !self.factorise(qp, shift) || !self.solve_equations(qp, answer) {
             return false;
         }
         self.report(qp, answer);
@@ -133,6 +133,21 @@ impl Newton {
                 }
             }
         }
+    }
+
+    /// Factorises the matrix, after adding as much of the Gauss-Newton diagonal as makes it positive definite.
+    ///
+    /// Without that, iterations near a saddle point would creep.
+    fn factorise(&mut self, qp: &Qp, shift: bool) -> bool {
+        /// Shares of the diagonal that are added one after the other.
+        const SHARES: [f64; 4] = [0.0, 0.03, 0.3, 3.0];
+        let (count, size) = (qp.variables(), self.free.len());
+        SHARES[..if shift { SHARES.len() } else { 1 }].iter().any(|share| {
+            for (position, &index) in self.free.iter().enumerate() {
+                self.matrix[position * size + position] += share * qp.hessian[index * count + index];
+            }
+            cholesky(&self.matrix, size, &mut self.factor)
+        })
     }
 
     /// Solves for the free variables, into `right`, and the multipliers of the equations.

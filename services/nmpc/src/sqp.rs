@@ -64,6 +64,7 @@ pub struct Solver {
     costates: Vec<[f64; 5]>,
     buffer: Vec<f64>,
     fallbacks: u64,
+    refusals: u32,
 }
 
 /// Which step is meant.
@@ -94,6 +95,7 @@ impl Solver {
             costates: Vec::new(),
             buffer: Vec::new(),
             fallbacks: 0,
+            refusals: 0,
         }
     }
 
@@ -124,9 +126,11 @@ impl Solver {
         }
         let mut iterations = 0;
         let mut damping = 0.0;
+        self.refusals = 0;
         let (status, kkt_residual) = loop {
             let residual =
                 kkt::residual(problem, &self.iterate, &self.shooting, &self.row_multipliers, &mut self.buffer);
+            if std::env::var_os("TRACE").is_some() { eprintln!("it {iterations} kkt {residual:.3e} damp {damping:.1e} u {:.5?} free {:?} rows {:?}", self.iterate.controls, self.answer.bound_states.iter().enumerate().filter(|(_, s)| **s == BoundState::Free).map(|(i, _)| i).collect::<Vec<_>>(), self.answer.row_states.iter().enumerate().filter(|(_, s)| **s != RowState::Inside).map(|(i, s)| (i, *s, self.row_multipliers[i])).collect::<Vec<_>>()); }
             if !residual.is_finite() {
                 break (SolveStatus::Failed, f64::INFINITY);
             }
@@ -213,10 +217,12 @@ impl Solver {
             condense(problem, &self.iterate, &self.shooting, *damping, &mut self.qp);
             if self.solve_program() {
                 if self.try_newton(problem, present, relieved) {
+                    self.refusals = 0;
                     *damping = relaxed(*damping);
                     return true;
                 }
                 if let Some(fraction) = self.search(problem, present, relieved) {
+                    self.refusals += 1;
                     if fraction == 1.0 {
                         *damping = relaxed(*damping);
                     } else if fraction < 0.5 {
@@ -260,11 +266,13 @@ impl Solver {
             &self.qp.rows,
             &mut self.newton.hessian,
         );
-        if !self.newton.solve(&self.qp, &self.answer) {
+        if !self.newton.solve(&self.qp, &self.answer, self.refusals % 2 == 1) {
+            if std::env::var_os("TRACE").is_some() { eprintln!("  no newton"); }
             return false;
         }
         self.expand(Step::Newton);
         let predicted = self.predict(problem, relieved);
+        if std::env::var_os("TRACE").is_some() { eprintln!("  newton predicted {predicted:.3e} present {present}"); }
         if predicted > 0.0 {
             return false;
         }
@@ -337,7 +345,9 @@ impl Solver {
             *control = [inside.velocity, inside.steering];
         }
         let swept = self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close);
-        swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite())
+        let m = swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite());
+        if std::env::var_os("TRACE").is_some() { eprintln!("  trial {fraction} merit {m:?}, {:.3?}", self.step.controls); }
+        m
     }
 
     /// Makes the trial the iterate.
