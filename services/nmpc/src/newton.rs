@@ -29,24 +29,41 @@ pub(crate) struct Newton {
 
 impl Newton {
     /// The step on the active set of `answer`; false where the exact Hessian is not positive definite there.
+    ///
+    /// With `shift` it is made so, for iterations that would otherwise creep along a direction of negative curvature.
+    /// A constraint that is met on the way from the step of the quadratic program joins the active set.
     pub(crate) fn solve(&mut self, qp: &Qp, answer: &QpSolution, shift: bool) -> bool {
-        let count = qp.variables();
+        /// How many constraints may join; with more the quadratic program has too little to do with the step.
+        const JOINING: usize = 4;
+        self.solution.copy_from(answer);
+        for round in 0..=JOINING {
+            self.select(qp);
+            let size = self.free.len();
+            if size == 0 || self.equations.len() > size {
+                return round > 0;
+            }
+            self.assemble(qp);
+            if !self.factorise(qp, shift) || !self.solve_equations(qp) {
+                return round > 0;
+            }
+            if !self.walk(qp) {
+                break;
+            }
+        }
+        self.report(qp);
+        self.solution.step.iter().all(|value| value.is_finite())
+    }
+
+    /// Free variables and rows held at a limit.
+    fn select(&mut self, qp: &Qp) {
+        let solution = &self.solution;
         self.free.clear();
-        self.free.extend((0..count).filter(|&index| answer.bound_states[index] == BoundState::Free));
+        self.free.extend((0..qp.variables()).filter(|&index| solution.bound_states[index] == BoundState::Free));
         self.equations.clear();
         self.equations.extend(
-            (0..qp.row_count()).filter(|&row| matches!(answer.row_states[row], RowState::AtLower | RowState::AtUpper)),
+            (0..qp.row_count())
+                .filter(|&row| matches!(solution.row_states[row], RowState::AtLower | RowState::AtUpper)),
         );
-        let size = self.free.len();
-        if size == 0 || self.equations.len() > size {
-            return false;
-        }
-        self.assemble(qp, answer);
-        if !self.factorise(qp, shift) || !self.solve_equations(qp, answer) {
-            return false;
-        }
-        self.report(qp, answer);
-        self.solution.step.iter().all(|value| value.is_finite())
     }
 
     /// Rows that the step holds at a limit.
@@ -84,7 +101,8 @@ impl Newton {
     }
 
     /// Matrix and right-hand side in the free variables.
-    fn assemble(&mut self, qp: &Qp, answer: &QpSolution) {
+    fn assemble(&mut self, qp: &Qp) {
+        let answer = &self.solution;
         let count = qp.variables();
         let size = self.free.len();
         self.matrix.clear();
@@ -105,7 +123,7 @@ impl Newton {
                 _ => continue,
             };
             let line = qp.row(row);
-            let excess = self.fixed_part(line, answer) - limit;
+            let excess = fixed_part(line, answer) - limit;
             let bend = 2.0 * qp.slack_quadratic;
             let slope = sign * qp.slack_linear + bend * excess;
             for (position, &index) in self.free.iter().enumerate() {
@@ -125,7 +143,7 @@ impl Newton {
                 continue;
             }
             let weight = 10.0 * largest / square;
-            let target = limit_of(qp, answer, row) - self.fixed_part(line, answer);
+            let target = limit_of(qp, answer, row) - fixed_part(line, answer);
             for (position, &index) in self.free.iter().enumerate() {
                 self.right[position] += weight * target * line[index];
                 for (other, &column) in self.free.iter().enumerate() {
@@ -151,7 +169,8 @@ impl Newton {
     }
 
     /// Solves for the free variables, into `right`, and the multipliers of the equations.
-    fn solve_equations(&mut self, qp: &Qp, answer: &QpSolution) -> bool {
+    fn solve_equations(&mut self, qp: &Qp) -> bool {
+        let answer = &self.solution;
         let size = self.free.len();
         let equations = self.equations.len();
         forward(&self.factor, size, &mut self.right);
@@ -169,7 +188,7 @@ impl Newton {
             for other in 0..equations {
                 self.schur.push(dot(column, &self.columns[other * size..(other + 1) * size]));
             }
-            let target = limit_of(qp, answer, row) - self.fixed_part(qp.row(row), answer);
+            let target = limit_of(qp, answer, row) - fixed_part(qp.row(row), answer);
             self.multipliers.push(dot(column, &self.right) - target);
         }
         if equations > 0 {
@@ -189,47 +208,66 @@ impl Newton {
         true
     }
 
-    /// Cuts the step at the bounds on the way from that of the quadratic program, and fills the multipliers.
-    fn report(&mut self, qp: &Qp, answer: &QpSolution) {
+    /// Moves the step towards the solution for the free variables, to the first constraint on the way, which joins;
+    /// whether one did.
+    fn walk(&mut self, qp: &Qp) -> bool {
         let mut fraction = 1.0f64;
+        let mut met = None;
+        let solution = &self.solution;
         for (&index, &value) in self.free.iter().zip(&self.right) {
-            let change = value - answer.step[index];
-            let room = if change > 0.0 { qp.upper[index] } else { qp.lower[index] } - answer.step[index];
-            if change != 0.0 {
-                fraction = fraction.min((room / change).max(0.0));
+            let change = value - solution.step[index];
+            let (limit, state) = if change > 0.0 {
+                (qp.upper[index], BoundState::Upper)
+            } else {
+                (qp.lower[index], BoundState::Lower)
+            };
+            let room = (limit - solution.step[index]) / change;
+            if change != 0.0 && room < fraction {
+                fraction = room.max(0.0);
+                met = Some(Met::Bound(index, state));
             }
         }
         for row in 0..qp.row_count() {
             let line = qp.row(row);
-            let before = dot(line, &answer.step);
-            let after: f64 = before
-                + self
-                    .free
-                    .iter()
-                    .zip(&self.right)
-                    .map(|(&index, value)| line[index] * (value - answer.step[index]))
-                    .sum::<f64>();
-            let limit = match answer.row_states[row] {
-                RowState::Inside if after > before => qp.row_upper[row],
-                RowState::Inside => qp.row_lower[row],
-                RowState::BeyondUpper if after < before => qp.row_upper[row],
-                RowState::BeyondLower if after > before => qp.row_lower[row],
+            let before = dot(line, &solution.step);
+            let change: f64 =
+                self.free.iter().zip(&self.right).map(|(&index, value)| line[index] * (value - solution.step[index])).sum();
+            let (limit, state) = match solution.row_states[row] {
+                RowState::Inside if change > 0.0 => (qp.row_upper[row], RowState::AtUpper),
+                RowState::Inside => (qp.row_lower[row], RowState::AtLower),
+                RowState::BeyondUpper if change < 0.0 => (qp.row_upper[row], RowState::AtUpper),
+                RowState::BeyondLower if change > 0.0 => (qp.row_lower[row], RowState::AtLower),
                 _ => continue,
             };
-            if (after - limit) * (before - limit) < 0.0 {
-                fraction = fraction.min((limit - before) / (after - before));
+            let room = (limit - before) / change;
+            if change != 0.0 && room < fraction {
+                fraction = room.max(0.0);
+                met = Some(Met::Row(row, state));
             }
         }
-        self.solution.copy_from(answer);
         for (&index, &value) in self.free.iter().zip(&self.right) {
-            self.solution.step[index] += fraction * (value - answer.step[index]);
+            let step = &mut self.solution.step[index];
+            *step += fraction * (value - *step);
         }
+        match met {
+            Some(Met::Bound(index, state)) => {
+                self.solution.bound_states[index] = state;
+                self.solution.step[index] =
+                    if state == BoundState::Upper { qp.upper[index] } else { qp.lower[index] };
+            }
+            Some(Met::Row(row, state)) => self.solution.row_states[row] = state,
+            None => {}
+        }
+        met.is_some()
+    }
+
+    /// Fills the multipliers of the rows.
+    fn report(&mut self, qp: &Qp) {
         for (&row, &value) in self.equations.iter().zip(&self.multipliers) {
-            let before = answer.row_multipliers[row];
-            self.solution.row_multipliers[row] = before + fraction * (value - before);
+            self.solution.row_multipliers[row] = value;
         }
         for row in 0..qp.row_count() {
-            let (sign, limit) = match answer.row_states[row] {
+            let (sign, limit) = match self.solution.row_states[row] {
                 RowState::BeyondUpper => (1.0, qp.row_upper[row]),
                 RowState::BeyondLower => (-1.0, qp.row_lower[row]),
                 _ => continue,
@@ -238,16 +276,23 @@ impl Newton {
             self.solution.row_multipliers[row] = sign * qp.slack_linear + 2.0 * qp.slack_quadratic * excess;
         }
     }
+}
 
-    /// The part of a row that belongs to fixed variables.
-    fn fixed_part(&self, line: &[f64], answer: &QpSolution) -> f64 {
-        line.iter()
-            .zip(&answer.step)
-            .zip(&answer.bound_states)
-            .filter(|(_, state)| **state != BoundState::Free)
-            .map(|((entry, value), _)| entry * value)
-            .sum()
-    }
+/// A constraint that the step has met.
+#[derive(Clone, Copy)]
+enum Met {
+    Bound(usize, BoundState),
+    Row(usize, RowState),
+}
+
+/// The part of a row that belongs to fixed variables.
+fn fixed_part(line: &[f64], solution: &QpSolution) -> f64 {
+    line.iter()
+        .zip(&solution.step)
+        .zip(&solution.bound_states)
+        .filter(|(_, state)| **state != BoundState::Free)
+        .map(|((entry, value), _)| entry * value)
+        .sum()
 }
 
 fn limit_of(qp: &Qp, answer: &QpSolution, row: usize) -> f64 {

@@ -290,7 +290,7 @@ impl Solver {
 
     /// The second-order correction of Newton's step from what its trial has left of the held rows.
     fn correct(&mut self, problem: &Problem) -> bool {
-        let (states, trial) = (&self.answer.row_states, &self.trial);
+        let (states, trial) = (&self.newton.solution.row_states, &self.trial);
         self.buffer.clear();
         self.buffer.extend(
             self.newton

@@ -11,7 +11,7 @@
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, SMatrix, Vector2, Vector4};
 
 /// Accelerations that a body may have, standard deviation [m/s^2].
-const ACCELERATION: f64 = 0.4;
+const ACCELERATION: f64 = 0.25;
 /// Standard deviation of the velocity of a body just seen [m/s].
 const FIRST_SPEED: f64 = 0.7;
 /// How far the place of a body at rest may wander in a second, standard deviation [m].

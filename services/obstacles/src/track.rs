@@ -20,8 +20,12 @@ const LEFT_BEHIND_M: f64 = 0.15;
 const MOVED_M: f64 = 0.1;
 /// Three standard deviations of a velocity with two components.
 const SIGNIFICANT: f64 = 11.8;
-/// Two standard deviations or less: the body may have stopped.
-const INSIGNIFICANT: f64 = 6.2;
+/// Less than two standard deviations: the body may have stopped.
+const INSIGNIFICANT: f64 = 3.0;
+/// A body this far from where it was first seen has moved, however slowly: no error of the pose does that [m].
+const CARRIED_M: f64 = 0.25;
+/// Sightings after which the place is no longer that of a few noisy scans.
+const SETTLED: u32 = 12;
 /// Scans in a row that must show a body moving.
 const STARTS: u32 = 3;
 /// Scans in a row that must show a body standing.
@@ -283,8 +287,10 @@ impl Track {
             }
             return;
         }
-        let left = (self.motion.place() - self.origin).norm() > MOVED_M;
-        let moves = left && squared > SIGNIFICANT && speed > config.moving_mps;
+        let distance = (self.motion.place() - self.origin).norm();
+        let left = distance > MOVED_M && squared > SIGNIFICANT;
+        let carried = distance > CARRIED_M && squared > INSIGNIFICANT && self.sightings >= SETTLED;
+        let moves = (left || carried) && speed > config.moving_mps;
         self.doubts = if moves { self.doubts.saturating_add(1) } else { 0 };
         if self.doubts >= STARTS {
             (self.moving, self.doubts) = (true, 0);

@@ -1,0 +1,480 @@
+//! The search for the cheapest guide in a lattice of arcs.
+//!
+//! Curvatures are multiples of one smallest bend, so the sines of the courses form a regular grid, and every
+//! arc from one course to another has a fixed lateral rise: the search needs no trigonometry. Per layer, course
+//! and lateral cell only the cheapest path is kept. Both sides of every obstacle are in the lattice, so closed
+//! gaps, groups and walls need no rules of their own.
+//!
+//! Assumed: the curvature follows the steering angle at once (true within 30 ms at 1 m/s), and the path is
+//! driven at a constant velocity, which matters for moving bodies only. Courses beyond 53 degrees are not
+//! represented; a robot that stands across the track gets no clear guide. Obstacles are looked at twice per
+//! arc, every 0.2 m, so a corner of an ellipse may be cut by millimetres: the margin covers that.
+
+use vehicle::State;
+
+use crate::guide::{Guide, GuideSettings, SINE_MAX, rise};
+use crate::scene::Hazard;
+use crate::side::Sides;
+
+/// Cosine of the largest course from which a guide starts: SINE_MAX and a little.
+const LEAST_COSINE: f64 = 0.55;
+/// Curvatures of an arc: this many to each side, and straight.
+const BENDS: i32 = 2;
+/// Width of a lateral cell [m].
+const CELL_M: f64 = 0.08;
+/// Shortest path that is searched, unless the goal is nearer: a little more than the horizon covers [m].
+const SHORTEST_M: f64 = 3.2;
+/// How far beyond the bounds cells reach, for a robot that is outside [m].
+const OUTSIDE_M: f64 = 0.6;
+/// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
+const HARD: f64 = 1e3;
+/// Part of the value of an ellipse that a robot inside it may still lose.
+const SHRINK: f64 = 0.995;
+
+/// What a guide is searched for.
+#[derive(Debug, Clone, Copy)]
+pub struct Query<'a> {
+    /// State at the start of the plan.
+    pub start: State,
+    /// The line y = `line` that the path keeps to where it can [m].
+    pub line: f64,
+    /// Position along the track where the path ends at the latest [m].
+    pub goal_x: f64,
+    /// Bounds of the lateral position, (7.46) [m].
+    pub y_range: [f64; 2],
+    /// Largest curvature the robot can steer [1/m].
+    pub curvature: f64,
+    /// Distance that is kept to the ellipses [m].
+    pub margin: f64,
+    /// Velocity along the path [m/s].
+    pub speed: f64,
+    /// The obstacles.
+    pub hazards: &'a [Hazard],
+    /// Sides on which they were passed before.
+    pub sides: &'a Sides,
+}
+
+/// The extent of one ellipse across the track at one x.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    centre: f64,
+    bare: f64,
+    margin: f64,
+    comfort: f64,
+}
+
+/// The centre of an obstacle whose held side is known, between two layers.
+#[derive(Debug, Clone, Copy)]
+struct Crossing {
+    layer: usize,
+    share: f64,
+    centre: f64,
+    side: i8,
+}
+
+/// The cheapest path that ends in one cell of a layer.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    cost: f64,
+    y: f64,
+    parent: u32,
+}
+
+impl Cell {
+    const UNREACHED: Self = Self { cost: f64::INFINITY, y: 0.0, parent: 0 };
+}
+
+/// The search with its buffers.
+#[derive(Debug, Clone)]
+pub struct Search {
+    settings: GuideSettings,
+    cells: Vec<Cell>,
+    active: Vec<Vec<u32>>,
+    rises: Vec<f64>,
+    spans: Vec<Span>,
+    /// Where the spans of each half layer begin.
+    offsets: Vec<usize>,
+    crossings: Vec<Crossing>,
+}
+
+impl Search {
+    /// A search with empty buffers.
+    pub fn new(settings: GuideSettings) -> Self {
+        let empty = Vec::new;
+        Self {
+            settings,
+            cells: Vec::new(),
+            active: empty(),
+            rises: Vec::new(),
+            spans: Vec::new(),
+            offsets: Vec::new(),
+            crossings: Vec::new(),
+        }
+    }
+
+    /// Puts the cheapest path of `query` into `guide`.
+    ///
+    /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
+    pub fn find(&mut self, query: &Query, guide: &mut Guide) {
+        let settings = self.settings;
+        let length = (query.goal_x - query.start.x).clamp(0.05, settings.range_m);
+        let length = length.min(self.needed(query));
+        let layers = (length / settings.step_m).ceil().max(1.0) as usize;
+        let step = length / layers as f64;
+        let bend = query.curvature * settings.curvature_share / f64::from(BENDS);
+        let grid = Grid::new(query, bend * step);
+
+        self.measure(query, layers, step);
+        self.tabulate(&grid, step);
+        self.reserve(layers, &grid);
+        // Most searches find a clear path; only those that do not look at paths through obstacles at all.
+        for hard in [false, true] {
+            let origin = grid.start_cell(query.start.y);
+            self.cells[origin] = Cell { cost: 0.0, y: query.start.y, parent: 0 };
+            self.active[0].push(origin as u32);
+            let arc = Arc { step, bend, allowed: excess(query.start.y, query.y_range), hard };
+            for layer in 0..layers {
+                self.expand(layer, query, &grid, &arc);
+            }
+            let found = self.read(query, layers, step, &grid, guide);
+            self.forget();
+            if found {
+                return;
+            }
+        }
+        guide.set_line(query.start.x, query.line, query.speed);
+        guide.clear = false;
+    }
+
+    /// How far there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
+    fn needed(&self, query: &Query) -> f64 {
+        if query.goal_x - query.start.x < self.settings.range_m {
+            return f64::INFINITY;
+        }
+        let behind = |hazard: &Hazard| {
+            if hazard.moves() { f64::INFINITY } else { hazard.centre[0] + hazard.a - query.start.x }
+        };
+        query.hazards.iter().map(behind).fold(SHORTEST_M, f64::max)
+    }
+
+    fn reserve(&mut self, layers: usize, grid: &Grid) {
+        let cells = (layers + 1) * grid.layer_cells();
+        if self.cells.len() < cells {
+            self.cells.resize(cells, Cell::UNREACHED);
+        }
+        if self.active.len() <= layers {
+            self.active.resize_with(layers + 1, Vec::new);
+        }
+    }
+
+    /// Makes all cells unreached again: only those that were reached are touched.
+    fn forget(&mut self) {
+        for layer in &mut self.active {
+            for &cell in layer.iter() {
+                self.cells[cell as usize] = Cell::UNREACHED;
+            }
+            layer.clear();
+        }
+    }
+
+    /// Tabulates the extent of every ellipse at every half layer, and where centres are crossed.
+    fn measure(&mut self, query: &Query, layers: usize, step: f64) {
+        self.spans.clear();
+        self.offsets.clear();
+        self.crossings.clear();
+        for half in 0..=2 * layers {
+            self.offsets.push(self.spans.len());
+            let along = half as f64 * step / 2.0;
+            let t = along / query.speed;
+            for hazard in query.hazards {
+                // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
+                let scale = hazard.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
+                let scale = if scale < 1.0 { scale } else { 1.0 };
+                let [centre_x, centre_y] = hazard.centre_at(t);
+                let across = |grown: f64, scale: f64| {
+                    let ratio = (query.start.x + along - centre_x) / (hazard.a * scale + grown);
+                    (hazard.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
+                };
+                let comfort = across(query.margin + self.settings.comfort_m, 1.0);
+                if comfort > 0.0 {
+                    let (bare, margin) = (across(0.0, scale), across(query.margin, 1.0));
+                    self.spans.push(Span { centre: centre_y, bare, margin, comfort });
+                }
+            }
+        }
+        self.offsets.push(self.spans.len());
+        for hazard in query.hazards {
+            let side = query.sides.held(hazard);
+            if side != 0 && let Some(crossing) = crossing_of(hazard, side, query, layers, step) {
+                self.crossings.push(crossing);
+            }
+        }
+    }
+
+    fn tabulate(&mut self, grid: &Grid, step: f64) {
+        self.rises.clear();
+        for course in 0..grid.courses {
+            for bend in -BENDS..=BENDS {
+                let (from, to) = (grid.sine(course), grid.sine(course + bend));
+                self.rises.push(if to.abs() <= SINE_MAX { rise(from, to, step) } else { f64::NAN });
+            }
+        }
+    }
+
+    /// Extends every path of one layer by all arcs.
+    fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, arc: &Arc) {
+        let Arc { step, bend, allowed, hard } = *arc;
+        let settings = self.settings;
+        let sources = std::mem::take(&mut self.active[layer]);
+        let base = layer * grid.layer_cells();
+        let crossed = self.crossings.iter().any(|crossing| crossing.layer == layer);
+        for &source in &sources {
+            let Cell { cost, y, .. } = self.cells[source as usize];
+            let course = ((source as usize - base) / grid.cells) as i32;
+            for turn in -BENDS..=BENDS {
+                let next = course + turn;
+                if next < 0 || next >= grid.courses {
+                    continue;
+                }
+                let rise = self.rises[(course * (2 * BENDS + 1) + turn + BENDS) as usize];
+                let y_next = y + rise;
+                let Some(cell) = grid.cell(y_next) else { continue };
+                let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
+                let (curvature, sine, offset) = (f64::from(turn) * bend, grid.sine(next), y_next - query.line);
+                let mut total = cost
+                    + step
+                        * (settings.lateral_weight * offset * offset
+                            + settings.curvature_weight * curvature * curvature
+                            + settings.course_weight * sine * sine);
+                // All further costs are positive: most arcs end here.
+                if total >= self.cells[target].cost {
+                    continue;
+                }
+                total += self.obstacle_cost(2 * layer + 1, y + rise / 2.0, step / 2.0);
+                total += self.obstacle_cost(2 * layer + 2, y_next, step / 2.0);
+                if crossed {
+                    total += self.switch_cost(layer, y, y_next);
+                }
+                let outside = excess(y_next, query.y_range) - allowed;
+                if outside > 1e-9 {
+                    total += HARD * (1.0 + 10.0 * outside);
+                }
+                if (total >= HARD && !hard) || total >= self.cells[target].cost {
+                    continue;
+                }
+                if self.cells[target].cost == f64::INFINITY {
+                    self.active[layer + 1].push(target as u32);
+                }
+                self.cells[target] = Cell { cost: total, y: y_next, parent: source };
+            }
+        }
+        self.active[layer] = sources;
+    }
+
+    fn obstacle_cost(&self, half: usize, y: f64, length: f64) -> f64 {
+        let mut cost = 0.0;
+        for span in &self.spans[self.offsets[half]..self.offsets[half + 1]] {
+            let offset = (y - span.centre).abs();
+            if offset < span.comfort {
+                cost += self.settings.comfort_weight * length * (span.comfort - offset);
+                if offset < span.margin {
+                    cost += 10.0 * self.settings.comfort_weight * length * (span.margin - offset);
+                }
+                if offset < span.bare {
+                    cost += HARD * (1.0 + 10.0 * (span.bare - offset));
+                }
+            }
+        }
+        cost
+    }
+
+    fn switch_cost(&self, layer: usize, from: f64, to: f64) -> f64 {
+        let mut cost = 0.0;
+        for crossing in self.crossings.iter().filter(|crossing| crossing.layer == layer) {
+            let y = from + crossing.share * (to - from);
+            if (y > crossing.centre) != (crossing.side > 0) {
+                cost += self.settings.switch_cost;
+            }
+        }
+        cost
+    }
+
+    /// Follows the cheapest path back from its end.
+    /// False when no path comes to the end.
+    fn read(&self, query: &Query, layers: usize, step: f64, grid: &Grid, guide: &mut Guide) -> bool {
+        let at_goal = query.start.x + step * layers as f64 >= query.goal_x - 1e-6;
+        let mut best = (f64::INFINITY, 0usize);
+        for &cell in &self.active[layers] {
+            let cell = cell as usize;
+            let sine = grid.sine(((cell - layers * grid.layer_cells()) / grid.cells) as i32);
+            let offset = self.cells[cell].y - query.line;
+            let weight = if at_goal { self.settings.goal_weight } else { self.settings.lateral_weight };
+            let total = self.cells[cell].cost + weight * offset * offset + sine * sine;
+            if total < best.0 {
+                best = (total, cell);
+            }
+        }
+        if best.0 == f64::INFINITY {
+            return false;
+        }
+        (guide.start_x, guide.step, guide.speed) = (query.start.x, step, query.speed);
+        guide.clear = best.0 < HARD && (query.start.yaw + query.start.sideslip).cos() > LEAST_COSINE;
+        guide.y.clear();
+        guide.sine.clear();
+        let mut cell = best.1;
+        for layer in (0..=layers).rev() {
+            guide.y.push(self.cells[cell].y);
+            guide.sine.push(grid.sine(((cell - layer * grid.layer_cells()) / grid.cells) as i32));
+            cell = self.cells[cell].parent as usize;
+        }
+        guide.y.reverse();
+        guide.sine.reverse();
+        true
+    }
+}
+
+/// What all arcs of a search have in common.
+#[derive(Debug, Clone, Copy)]
+struct Arc {
+    /// Length along x [m].
+    step: f64,
+    /// Smallest curvature that is not zero [1/m].
+    bend: f64,
+    /// How far the robot is outside of its bounds already [m].
+    allowed: f64,
+    /// Whether paths through obstacles count.
+    hard: bool,
+}
+
+/// Courses and lateral cells of a layer.
+#[derive(Debug, Clone, Copy)]
+struct Grid {
+    start_sine: f64,
+    sine_step: f64,
+    start_course: i32,
+    courses: i32,
+    low: f64,
+    cells: usize,
+}
+
+impl Grid {
+    fn new(query: &Query, sine_step: f64) -> Self {
+        let (sin, cos) = (query.start.yaw + query.start.sideslip).sin_cos();
+        let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
+        let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor() as i32;
+        let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
+        let low = query.y_range[0].min(query.start.y) - OUTSIDE_M;
+        let high = query.y_range[1].max(query.start.y) + OUTSIDE_M;
+        let cells = ((high - low) / CELL_M).ceil().clamp(1.0, 2e3) as usize;
+        Self { start_sine, sine_step, start_course: right, courses: right + left + 1, low, cells }
+    }
+
+    fn layer_cells(&self) -> usize {
+        self.courses as usize * self.cells
+    }
+
+    fn sine(&self, course: i32) -> f64 {
+        self.start_sine + self.sine_step * f64::from(course - self.start_course)
+    }
+
+    fn cell(&self, y: f64) -> Option<usize> {
+        let cell = (y - self.low) * (1.0 / CELL_M);
+        (cell >= 0.0 && cell < self.cells as f64).then_some(cell as usize)
+    }
+
+    fn start_cell(&self, y: f64) -> usize {
+        self.start_course as usize * self.cells + self.cell(y).unwrap_or(0)
+    }
+}
+
+/// How far `y` is outside its bounds [m].
+fn excess(y: f64, range: [f64; 2]) -> f64 {
+    (range[0] - y).max(y - range[1]).max(0.0)
+}
+
+fn crossing_of(hazard: &Hazard, side: i8, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
+    for layer in 0..layers {
+        let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
+        let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
+        let (before, after) = (x[0] - hazard.centre_at(t[0])[0], x[1] - hazard.centre_at(t[1])[0]);
+        if before < 0.0 && after >= 0.0 {
+            let share = -before / (after - before);
+            let centre = hazard.centre_at(t[0] + share * (t[1] - t[0]))[1];
+            return Some(Crossing { layer, share, centre, side });
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
+
+    fn hazard(id: u32, x: f64, y: f64, b: f64) -> Hazard {
+        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
+        Hazard { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
+    }
+
+    fn find(start: State, hazards: &[Hazard], sides: &Sides) -> Guide {
+        let query = Query {
+            start,
+            line: 0.0,
+            goal_x: 30.0,
+            y_range: [-1.5, 1.5],
+            curvature: 0.324,
+            margin: 0.02,
+            speed: 1.0,
+            hazards,
+            sides,
+        };
+        let mut guide = Guide::default();
+        Search::new(GuideSettings::default()).find(&query, &mut guide);
+        guide
+    }
+
+    #[test]
+    fn a_centred_obstacle_is_passed_outside_of_its_ellipse() {
+        let obstacle = hazard(1, 4.5, 0.0, 0.9);
+        let guide = find(State::default(), &[obstacle], &Sides::default());
+        assert!(guide.clear);
+        for step in 0..60 {
+            let x = f64::from(step) * 0.1;
+            let (y, _, curvature) = guide.at(x);
+            assert!(obstacle.value(0.0, x, y) > 0.99, "{x} {y}");
+            assert!(y.abs() <= 1.5 && curvature.abs() <= 0.3241);
+        }
+        assert_ne!(guide.side_of(&obstacle), 0);
+    }
+
+    #[test]
+    fn a_closed_side_is_not_taken() {
+        let obstacle = hazard(1, 4.5, 0.7, 0.9);
+        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        let wide = hazard(1, 4.5, 0.0, 1.6);
+        assert!(!find(State::default(), &[wide], &Sides::default()).clear);
+    }
+
+    #[test]
+    fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
+        let pair = [hazard(1, 4.5, 0.75, 0.7), hazard(2, 4.5, -0.75, 0.7)];
+        assert!(find(State::default(), &pair, &Sides::default()).clear);
+        let closed = [hazard(1, 4.5, 0.7, 0.8), hazard(2, 4.5, -0.7, 0.8)];
+        assert!(!find(State::default(), &closed, &Sides::default()).clear);
+    }
+
+    #[test]
+    fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
+        let obstacle = hazard(1, 4.5, 0.03, 0.8);
+        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        let mut sides = Sides::default();
+        sides.hold(&obstacle, 1);
+        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), 1);
+    }
+
+    #[test]
+    fn an_obstacle_too_near_has_no_clear_path() {
+        assert!(!find(State::default(), &[hazard(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
+    }
+}
