@@ -16,7 +16,7 @@ use crate::system::System;
 ///
 /// # Errors
 /// The first file that is not allowed, with key, value and range; exit code 2.
-pub fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
+pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     if arguments.list {
         Scenario::names().for_each(|name| println!("{name}"));
         return Ok(Exit::Done);
@@ -52,7 +52,7 @@ pub fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
 }
 
 /// The processes in the order of the data flow, each with what it reads and writes.
-pub fn graph(system: &System) -> String {
+pub(crate) fn graph(system: &System) -> String {
     let mut text = format!("{} Hz, {} processes\n", system.rate_hz, system.processes.len());
     for role in Role::ALL {
         let label = system.entry(*role).map_or_else(String::new, |entry| entry.label());

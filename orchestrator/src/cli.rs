@@ -41,6 +41,12 @@ pub enum Command {
         /// emulator, ekf, ellipses, nmpc or actuation.
         name: String,
     },
+    /// Drive random courses through the in-process pipeline on all cores and count how they end.
+    ///
+    /// Six in ten courses have obstacles at rest; the others are symmetric, blocked, have an obstacle that appears
+    /// close ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`,
+    /// `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
+    Campaign(CampaignArguments),
     /// Look at the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
@@ -79,7 +85,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Stop after that many driven seconds.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Simulated time, as fast as the machine allows, no sample lost.
     #[arg(long)]
@@ -101,6 +107,23 @@ pub struct CheckArguments {
     /// Print the names of the shipped scenarios to standard output.
     #[arg(long)]
     pub list: bool,
+}
+
+/// Arguments of `campaign`.
+#[derive(Debug, Args)]
+pub struct CampaignArguments {
+    /// How many courses.
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub runs: u64,
+    /// Seed of the first course; the others follow it.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Where the scenario files of bad courses are written.
+    #[arg(long, value_name = "DIR", default_value = "out/campaign")]
+    pub out: PathBuf,
 }
 
 /// Looking at topics.

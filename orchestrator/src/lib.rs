@@ -1,5 +1,6 @@
 //! Starts, supervises and measures the processes of a system: the library behind the executable `scanloop`.
 
+mod campaign;
 mod check;
 pub mod child;
 pub mod child_log;
@@ -53,6 +54,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             runtime::start_logging();
             run::run(&cli.system_id, arguments)
         }
+        Command::Campaign(arguments) => campaign::campaign(arguments),
         Command::Check(arguments) => check::check(arguments),
         Command::Status { json } => remote::status(&domain()?, *json),
         Command::Stop => remote::stop(&domain()?),

@@ -18,7 +18,7 @@ const PROCESSES_FILE: &str = "processes.json";
 
 /// A process as it is written down, so that a later orchestrator can tell it from a stranger of the same id.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Registered {
+pub(crate) struct Registered {
     /// Name of its role.
     pub role: String,
     /// Process id, also the id of its process group.
@@ -31,7 +31,7 @@ pub struct Registered {
 
 /// The right to run a system; given back when dropped.
 #[derive(Debug)]
-pub struct SystemLock {
+pub(crate) struct SystemLock {
     domain: Domain,
     _lock: File,
     registered: Vec<Registered>,
@@ -42,7 +42,7 @@ impl SystemLock {
     ///
     /// # Errors
     /// [`RuntimeError::AlreadyRunning`] while another orchestrator holds it, and errors of the file system.
-    pub fn acquire(domain: &Domain) -> anyhow::Result<Self> {
+    pub(crate) fn acquire(domain: &Domain) -> anyhow::Result<Self> {
         let directory = domain.directory();
         std::fs::create_dir_all(directory).with_context(|| format!("{}", directory.display()))?;
         let path = directory.join(LOCK_FILE);
@@ -71,7 +71,7 @@ impl SystemLock {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn register(&mut self, role: Role, pid: i32, incarnation: u32) -> anyhow::Result<()> {
+    pub(crate) fn register(&mut self, role: Role, pid: i32, incarnation: u32) -> anyhow::Result<()> {
         let Some(start_time) = start_ticks(pid.cast_unsigned()) else { return Ok(()) };
         self.registered.retain(|process| process.role != role.name());
         self.registered.push(Registered { role: role.name().to_owned(), pid, start_time, incarnation });
@@ -86,7 +86,7 @@ impl SystemLock {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn clean(self) -> anyhow::Result<()> {
+    pub(crate) fn clean(self) -> anyhow::Result<()> {
         self.domain.remove_bus_files()?;
         let directory = self.domain.directory();
         std::fs::remove_dir_all(directory).with_context(|| format!("{}", directory.display()))?;

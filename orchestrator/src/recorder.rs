@@ -255,6 +255,7 @@ impl Recorder {
         };
         let Some(truth) = &self.truth else { return report };
         DriveReport {
+            final_speed_mps: truth.speed_mps,
             min_clearance_m: truth.min_clearance_m,
             path_length_m: truth.path_length_m,
             max_abs_lateral_m: truth.max_abs_lateral_m,

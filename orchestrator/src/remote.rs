@@ -15,7 +15,7 @@ const STOP_PATIENCE_NS: u64 = 15_000_000_000;
 ///
 /// # Errors
 /// A system that is not running; exit code 2.
-pub fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
+pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
     let Reply::Status(status) = ask(domain, &Request::Status)? else {
         anyhow::bail!("the orchestrator did not answer with a status");
     };
@@ -31,7 +31,7 @@ pub fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 ///
 /// # Errors
 /// A system that is not running (exit code 2), or that does not end.
-pub fn stop(domain: &Domain) -> anyhow::Result<Exit> {
+pub(crate) fn stop(domain: &Domain) -> anyhow::Result<Exit> {
     ask(domain, &Request::Stop)?;
     let deadline = monotonic_ns() + STOP_PATIENCE_NS;
     while ask(domain, &Request::Status).is_ok() {
@@ -48,7 +48,7 @@ pub fn stop(domain: &Domain) -> anyhow::Result<Exit> {
 ///
 /// # Errors
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
-pub fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
+pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
     let role: Role = role.parse().map_err(Failure::bad_input)?;
     match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
         Reply::Refused(reason) => Err(Failure::bad_input(reason)),

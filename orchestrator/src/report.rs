@@ -140,6 +140,8 @@ pub struct DriveReport {
     pub final_distance_m: f64,
     /// Smallest distance of the body to any obstacle or wall, negative when they overlapped; 1e9 without any [m].
     pub min_clearance_m: f64,
+    /// Speed over ground at the last scan [m/s].
+    pub final_speed_mps: f64,
     /// Way driven [m].
     pub path_length_m: f64,
     /// Largest lateral offset from the start [m].
@@ -164,6 +166,7 @@ impl Default for DriveReport {
         Self {
             final_distance_m: 0.0,
             min_clearance_m: NO_OBSTACLE_M,
+            final_speed_mps: 0.0,
             path_length_m: 0.0,
             max_abs_lateral_m: 0.0,
             estimate_error_max_m: 0.0,

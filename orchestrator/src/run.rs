@@ -38,7 +38,7 @@ const SCENARIO_KEYS: [&str; 11] =
 
 /// What is to be driven, checked.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub(crate) struct Plan {
     /// The scenario.
     pub scenario: Scenario,
     /// The system.
@@ -50,7 +50,7 @@ impl Plan {
     ///
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
-    pub fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
+    pub(crate) fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
         let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
         let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
         for text in &choice.overrides {
@@ -86,7 +86,7 @@ struct SettingsFile<'a> {
 ///
 /// # Errors
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
-pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
+pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
     if let Some(duration_s) = arguments.duration
         && !(duration_s > 0.0 && duration_s <= 1e6)

@@ -7,7 +7,7 @@ use crate::system::IMPLEMENTATIONS;
 ///
 /// # Errors
 /// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.
-pub fn run(name: &str) -> anyhow::Result<Exit> {
+pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     runtime::start_logging();
     match name {
         "emulator" => emulator::service::run()?,

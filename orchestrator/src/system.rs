@@ -12,12 +12,12 @@ use crate::exit::Failure;
 use crate::supervisor::{ProcessPolicy, Restart};
 
 /// The built-in process table.
-pub const BUILT_IN: &str = include_str!("../systems/default.toml");
+pub(crate) const BUILT_IN: &str = include_str!("../systems/default.toml");
 
 /// A checked system file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct System {
+pub(crate) struct System {
     /// Scans per second, 0.5 to 1000 [Hz].
     #[serde(default = "default_rate")]
     pub rate_hz: f64,
@@ -44,7 +44,7 @@ pub struct System {
 /// One process of the system.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ProcessEntry {
+pub(crate) struct ProcessEntry {
     /// Role that the process fills: robot, estimator, obstacles, controller or actuator.
     pub role: String,
     /// Built-in implementation; exactly one of this and `command`.
@@ -65,7 +65,7 @@ pub struct ProcessEntry {
 }
 
 /// Built-in implementations: name, and the role that each fills.
-pub const IMPLEMENTATIONS: [(&str, Role); 5] = [
+pub(crate) const IMPLEMENTATIONS: [(&str, Role); 5] = [
     ("emulator", Role::Robot),
     ("ekf", Role::Estimator),
     ("ellipses", Role::Obstacles),
@@ -78,7 +78,7 @@ impl System {
     ///
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
-    pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
+    pub(crate) fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
         let known = ["rate_hz", "orphan_timeout_s", "process", "estimator", "obstacles", "controller", "actuator"];
         if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
             let known = known.map(|key| format!("`{key}`")).join(", ");
@@ -99,7 +99,7 @@ impl System {
     ///
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
-    pub fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
+    pub(crate) fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
         let (text, name) = match file {
             None => (BUILT_IN.to_owned(), "built-in system".to_owned()),
             Some(path) => {
@@ -115,12 +115,12 @@ impl System {
     }
 
     /// The scan period [ns].
-    pub fn period_ns(&self) -> u64 {
+    pub(crate) fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz).round() as u64
     }
 
     /// The settings of the stages.
-    pub fn tuning(&self) -> Tuning {
+    pub(crate) fn tuning(&self) -> Tuning {
         Tuning {
             estimator: self.estimator.clone(),
             obstacles: self.obstacles.clone(),
@@ -130,7 +130,7 @@ impl System {
     }
 
     /// The entry of a role; a checked system has one for each.
-    pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
+    pub(crate) fn entry(&self, role: Role) -> Option<&ProcessEntry> {
         self.processes.iter().find(|entry| entry.role == role.name())
     }
 
@@ -158,7 +158,7 @@ impl System {
 
 impl ProcessEntry {
     /// The policy by which the supervisor keeps the process alive.
-    pub fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
+    pub(crate) fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
         let period_ms = period_ns.div_ceil(1_000_000);
         ProcessPolicy {
             restart: match self.restart.as_str() {
@@ -173,7 +173,7 @@ impl ProcessEntry {
     }
 
     /// Name of the built-in implementation, or the command.
-    pub fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         match (&self.implementation, &self.command) {
             (Some(name), _) => name.clone(),
             (None, Some(command)) => command.join(" "),

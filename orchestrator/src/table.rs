@@ -8,7 +8,7 @@ use crate::exit::Failure;
 ///
 /// # Errors
 /// A message that shows the expected form.
-pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
+pub(crate) fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
     let (key, value) = text
         .split_once('=')
         .filter(|(key, _)| !key.trim().is_empty())
@@ -21,7 +21,7 @@ pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
 ///
 /// # Errors
 /// A message that names the part of the key which leads nowhere.
-pub fn set(table: &mut Table, key: &str, value: Value) -> anyhow::Result<()> {
+pub(crate) fn set(table: &mut Table, key: &str, value: Value) -> anyhow::Result<()> {
     let (first, rest) = key.split_once('.').map_or((key, None), |(first, rest)| (first, Some(rest)));
     let Some(rest) = rest else {
         let same_kind = match (table.get(first), value) {

@@ -16,7 +16,7 @@ use crate::exit::Failure;
 const LOOK_NS: u64 = 20_000_000;
 
 /// The table of topics as text.
-pub fn list() -> String {
+pub(crate) fn list() -> String {
     let mut text = String::from("topic       bytes  writer        readers                type\n");
     for topic in TOPICS {
         let readers: Vec<&str> =
@@ -39,7 +39,7 @@ pub fn list() -> String {
 }
 
 /// All samples as Markdown: one table per topic.
-pub fn markdown() -> String {
+pub(crate) fn markdown() -> String {
     let mut text = String::from("# Topics and their samples\n");
     for topic in TOPICS {
         let _ = writeln!(
@@ -72,7 +72,7 @@ pub fn markdown() -> String {
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
-pub fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
+pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
     let mut watch = Watch::open(domain, topic)?;
     let started = monotonic_ns();
     let end = started + Duration::try_from_secs_f64(duration_s.max(0.0)).map_or(u64::MAX / 2, |d| d.as_nanos() as u64);
@@ -93,7 +93,7 @@ pub fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
-pub fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
+pub(crate) fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
     let mut watch = Watch::open(domain, topic)?;
     let mut left = count.unwrap_or(u64::MAX);
     while left > 0 && watch.sleep() {

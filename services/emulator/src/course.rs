@@ -68,6 +68,83 @@ pub fn random(seed: u64) -> Scenario {
     }
 }
 
+/// What kind of course a campaign drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Family {
+    /// Obstacles at rest anywhere, as [`random`] places them.
+    Plain,
+    /// All obstacles exactly on the line.
+    Symmetric,
+    /// The track is closed.
+    Blocked,
+    /// An obstacle appears 1.0 to 3.0 m ahead.
+    Sudden,
+    /// One obstacle crosses the track or comes along it.
+    Moving,
+}
+
+impl Family {
+    /// All families.
+    pub const ALL: [Self; 5] = [Self::Plain, Self::Symmetric, Self::Blocked, Self::Sudden, Self::Moving];
+
+    /// The name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Plain => "plain",
+            Self::Symmetric => "symmetric",
+            Self::Blocked => "blocked",
+            Self::Sudden => "sudden",
+            Self::Moving => "moving",
+        }
+    }
+}
+
+/// The course of a seed in a campaign, and its family: six in ten are plain, the others share the rest.
+pub fn of_campaign(seed: u64) -> (Family, Scenario) {
+    let mut course = random(seed);
+    let mut stream = Stream::new(course.seed, Purpose::Course, 1);
+    let draw = stream.uniform();
+    let family = match draw {
+        _ if draw < 0.6 => Family::Plain,
+        _ if draw < 0.7 => Family::Symmetric,
+        _ if draw < 0.8 => Family::Blocked,
+        _ if draw < 0.9 => Family::Sudden,
+        _ => Family::Moving,
+    };
+    let half_width = course.track.y_m[1];
+    match family {
+        Family::Plain => {}
+        Family::Symmetric => course.obstacles.iter_mut().for_each(|obstacle| obstacle.y_m = 0.0),
+        Family::Blocked => {
+            let which = (stream.uniform() * course.obstacles.len() as f64) as usize;
+            let shape = Shape::Box {
+                length_m: stream.between(0.05, 0.5),
+                width_m: 2.0 * half_width + stream.between(-0.3, 0.6),
+                yaw_rad: 0.0,
+            };
+            course.obstacles[which] = Obstacle::fixed(shape, course.obstacles[which].x_m, 0.0);
+        }
+        Family::Sudden => {
+            let which = (stream.uniform() * course.obstacles.len() as f64) as usize;
+            course.obstacles[which].appears_ahead_m = Some(stream.between(1.0, 3.0));
+        }
+        Family::Moving => {
+            let obstacle = &mut course.obstacles[0];
+            let side = if stream.chance(0.5) { 1.0 } else { -1.0 };
+            if stream.chance(0.7) {
+                // It is on the line about when the robot gets there at full speed.
+                let speed = stream.between(0.1, 0.6);
+                let meeting_s = obstacle.x_m * stream.between(0.8, 1.6);
+                obstacle.y_m = side * (speed * meeting_s).min(half_width + 1.0);
+                obstacle.velocity_y_mps = -side * speed;
+            } else {
+                obstacle.velocity_x_mps = stream.between(-0.3, 0.2);
+            }
+        }
+    }
+    (family, course)
+}
+
 /// An obstacle of random shape and lateral position; where it stands along the track comes later.
 fn obstacle(stream: &mut Stream) -> Obstacle {
     let shape = if stream.chance(0.4) {
@@ -99,6 +176,18 @@ mod tests {
             for pair in course.obstacles.windows(2) {
                 assert!(pair[1].x_m - pair[0].x_m >= SPACING_M - 1e-9);
             }
+        }
+    }
+
+    #[test]
+    fn a_campaign_has_all_families_and_only_the_closed_ones_are_impassable() {
+        let courses: Vec<(Family, Scenario)> = (0..200).map(of_campaign).collect();
+        for family in Family::ALL {
+            assert!(courses.iter().any(|(other, _)| *other == family), "{}", family.name());
+        }
+        for (family, course) in courses.iter().filter(|(family, _)| *family != Family::Moving) {
+            assert_eq!(course.validate(), Ok(()), "{}", course.name);
+            assert_eq!(crate::feasible::passable(course), *family != Family::Blocked, "{}", course.name);
         }
     }
 

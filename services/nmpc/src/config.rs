@@ -93,7 +93,7 @@ pub struct StopSettings {
 
 impl Default for StopSettings {
     fn default() -> Self {
-        Self { slack: 0.05, approach_mps: 0.6, hold_scans: 5, resume_scans: 3 }
+        Self { slack: 0.05, approach_mps: 0.6, hold_scans: 5, resume_scans: 5 }
     }
 }
 

@@ -10,22 +10,19 @@
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one whose [`Controller::state`] it got.
 
-use shared_types::{
-    Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, SolveStatus, StopReason,
-};
+use shared_types::{Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
 use vehicle::{Control, Invalid, State};
 
 use crate::config::Config;
-use crate::guide::{Guide, Query, Search};
+use crate::guide::Guide;
 use crate::landing::{Approach, approach};
-use crate::problem::{Budget, EllipsePath, Problem, Solution, Trajectory};
-use crate::reference::{self, Pace};
+use crate::lattice::{Query, Search};
+use crate::planner::{Choice, Planner, Task, scene as scene_of};
+use crate::problem::Budget;
 use crate::scene::{self, Hazard};
 use crate::side::Sides;
-use crate::sqp::Solver;
 use crate::state::ControllerState;
 use crate::stop_rule::is_blocked;
-use crate::verify::{Driven, Scene, Verdict, verify};
 use crate::warm;
 
 /// Velocities at which a way past moving bodies is looked for, as shares of the cruising velocity.
@@ -36,32 +33,21 @@ const LONGEST_LEAD_S: f64 = 1.0;
 const FAR_OUTSIDE_M: f64 = 1.0;
 /// How deep the body may overlap a described box [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
-/// Longest time that the rest of an old plan may be driven [s].
-const LONGEST_REST_S: f64 = 1.0;
-/// Largest distance between the solver's positions and those driven of a converged plan [m].
-const LARGEST_DEFECT_M: f64 = 0.01;
+/// `ControllerState::arrival` of a robot that has landed.
+const LANDED: u32 = 1;
+/// `ControllerState::arrival` of a robot that has passed the goal.
+const PASSED: u32 = 2;
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
 pub struct Controller {
     config: Config,
-    solver: Solver,
     search: Search,
+    planner: Planner,
     state: ControllerState,
     sides: Sides,
     hazards: Vec<Hazard>,
     guide: Guide,
-    problem: Problem,
-    guess: Trajectory,
-    driven: Driven,
-    controls: Vec<Control>,
-}
-
-/// A plan that may be driven.
-#[derive(Debug, Clone, Copy)]
-struct Choice {
-    level: Level,
-    verdict: Verdict,
 }
 
 impl Controller {
@@ -71,30 +57,15 @@ impl Controller {
     /// [`Invalid`] with the first setting that is not allowed.
     pub fn new(config: Config) -> Result<Self, Invalid> {
         config.validate()?;
-        let problem = Problem {
-            parameters: config.parameters,
-            bounds: config.bounds,
-            x_range: config.track.x_m,
-            y_range: config.y_range(),
-            intervals: vec![config.interval_s(); config.intervals],
-            initial: State::default(),
-            previous: None,
-            references: Vec::with_capacity(config.intervals),
-            control_reference: Control::default(),
-            weights: config.problem_weights(),
-            ellipses: Vec::with_capacity(config.max_ellipses),
-        };
+        let mut guide = Guide::default();
+        guide.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
-            solver: Solver::new(config.solver),
             search: Search::new(config.guide),
+            planner: Planner::new(&config),
             state: ControllerState::default(),
             sides: Sides::default(),
             hazards: Vec::with_capacity(shared_types::MAX_OBSTACLES),
-            guide: Guide::default(),
-            problem,
-            guess: Trajectory::default(),
-            driven: Driven::default(),
-            controls: Vec::with_capacity(config.intervals),
+            guide,
             config,
         })
     }
@@ -158,39 +129,54 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        if self.state.landed == 1 {
+        if self.state.arrival == LANDED {
             return Err(StopReason::Landed);
         }
         let initial = self.read(pose, obstacles)?;
-        let goal = &self.config.goal;
-        match approach(goal, &initial, pose.predicted_speed_mps, period_s, self.config.deceleration_mps2) {
-            Approach::Land => return Err(StopReason::Landed),
-            Approach::Passed => return Err(StopReason::GoalPassed),
-            Approach::Ahead => {}
-        }
+        self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         self.look_ahead(&initial);
         command.side = self.nearest_side(&initial);
         self.wait_for_a_way()?;
 
-        self.pose_problem(&initial);
-        let choice = self.plan(&initial, pose.predicted_ns, budget, command);
-        let scene = scene_of(&self.config, &self.hazards, initial);
-        let Ok(choice) = choice else {
+        let Self { config, hazards, guide, state, planner, .. } = self;
+        let task = Task { config, hazards, guide, last: state, initial, start_ns: pose.predicted_ns };
+        let scene = task.scene();
+        let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
-            let blocked = !self.guide.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
+            let blocked = !guide.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
             return Err(if blocked { StopReason::Blocked } else { StopReason::Unverified });
         };
-        let guided = self.guide.clear && warm::agrees(&scene, &self.guide, &self.driven.way);
-        if !guided && is_blocked(&scene, &self.driven.way, command.slack, self.config.stop.slack) {
+        let way = &planner.driven.way;
+        let guided = guide.clear && warm::agrees(&scene, guide, way);
+        if !guided && is_blocked(&scene, way, command.slack, config.stop.slack) {
             return Err(StopReason::Blocked);
         }
         Ok(choice)
     }
 
+    /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
+    fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
+        let goal = &self.config.goal;
+        match approach(goal, initial, speed, period_s, self.config.deceleration_mps2) {
+            Approach::Land => Err(StopReason::Landed),
+            Approach::Passed => Err(StopReason::GoalPassed),
+            Approach::Ahead
+                if self.state.arrival == PASSED && goal.x_m - initial.x < 2.0 * goal.tolerance_m =>
+            {
+                Err(StopReason::GoalPassed)
+            }
+            Approach::Ahead => Ok(()),
+        }
+    }
+
     /// Time between the last two scans [s].
     fn period(&self, pose: &Pose) -> f64 {
         let since = pose.header.acquired_ns.saturating_sub(self.state.acquired_ns) as f64 * 1e-9;
-        if self.state.acquired_ns != 0 && (0.005..=1.0).contains(&since) { since } else { self.config.period_s }
+        if self.state.acquired_ns != 0 && (0.005..=1.0).contains(&since) {
+            since
+        } else {
+            self.config.period_s
+        }
     }
 
     /// The state at the start of the plan, with the obstacles read into `hazards`.
@@ -220,8 +206,7 @@ impl Controller {
         if !sound || !scene::read(obstacles, lead_s, &mut self.hazards) {
             return Err(StopReason::BadInput);
         }
-        let scene = scene_of(&self.config, &self.hazards, initial);
-        let body = scene.body_at(&initial);
+        let body = scene_of(&self.config, &self.hazards, initial).body_at(&initial);
         let reach = body.length + body.width;
         let overlaps = |hazard: &Hazard| {
             let distance = (hazard.body.centre - body.centre).norm();
@@ -262,7 +247,9 @@ impl Controller {
                     sides: &self.sides,
                 };
                 self.search.find(&query, &mut self.guide);
-                if std::env::var_os("DBG").is_some() && !self.guide.clear { eprintln!("unclear {query:?}\n {:?}", self.guide); }
+                if std::env::var_os("DBG").is_some() && !self.guide.clear {
+                    eprintln!("unclear {query:?}\n {:?}", self.guide);
+                }
                 if self.guide.clear || !moving {
                     break;
                 }
@@ -278,9 +265,12 @@ impl Controller {
     fn nearest_side(&self, initial: &State) -> i32 {
         let line = self.config.goal.y_m;
         let in_the_way = |hazard: &&Hazard| {
-            hazard.centre[0] > initial.x && (hazard.centre[1] - line).abs() < hazard.b && self.sides.held(hazard) != 0
+            hazard.centre[0] > initial.x
+                && (hazard.centre[1] - line).abs() < hazard.b
+                && self.sides.held(hazard) != 0
         };
-        let nearest = self.hazards.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
+        let nearest =
+            self.hazards.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
         nearest.map_or(0, |hazard| i32::from(self.sides.held(hazard)))
     }
 
@@ -297,165 +287,12 @@ impl Controller {
         Ok(())
     }
 
-    fn pace(&self) -> Pace {
-        let speed = if self.guide.clear { self.guide.speed } else { self.config.stop.approach_mps };
-        Pace {
-            cruise: speed.min(self.config.cruise_mps),
-            slowest: self.config.bounds.velocity_min_mps,
-            goal_x: self.config.goal.x_m,
-            landing_time: self.config.landing_time_s,
-        }
-    }
-
-    /// Fills the optimal control problem of this scan.
-    fn pose_problem(&mut self, initial: &State) {
-        let (config, pace) = (&self.config, self.pace());
-        let problem = &mut self.problem;
-        problem.initial = *initial;
-        let last = Control { velocity: self.state.velocity_mps, steering: self.state.steering_rad };
-        problem.previous = (last.velocity > 0.0).then_some(last);
-        problem.control_reference = reference::fill(
-            &self.guide,
-            &pace,
-            initial.x,
-            config.interval_s(),
-            config.intervals,
-            &mut problem.references,
-        );
-        fill_ellipses(config, &self.hazards, initial, &mut problem.ellipses);
-    }
-
-    /// The best plan that may be driven; its way is in `driven`, its controls are in `controls`.
-    fn plan(
-        &mut self,
-        initial: &State,
-        start_ns: u64,
-        budget: &Budget,
-        command: &mut Command,
-    ) -> Result<Choice, StopReason> {
-        let interval_s = self.config.interval_s();
-        let elapsed_s = start_ns.saturating_sub(self.state.plan_start_ns) as f64 * 1e-9;
-        let fresh = self.state.plan_length >= 2
-            && self.state.plan_start_ns <= start_ns
-            && elapsed_s < LONGEST_REST_S
-            && (self.state.plan_interval_s - interval_s).abs() < 1e-9;
-        let mut used = 0;
-        for start in [Start::LastPlan, Start::Guide] {
-            if start == Start::LastPlan && !(fresh && self.start_from_plan(initial, elapsed_s)) {
-                continue;
-            }
-            if start == Start::Guide {
-                self.start_from_guide(initial);
-            }
-            if let Some(choice) = self.solve(initial, budget, &mut used, command) {
-                return Ok(choice);
-            }
-        }
-        // The guide as it is: an iterate too, the one before the first.
-        self.start_from_guide(initial);
-        let scene = scene_of(&self.config, &self.hazards, *initial);
-        let verdict = verify(&scene, &self.guess.controls, &mut self.driven);
-        if std::env::var_os("DBG").is_some() { eprintln!("guide plan {verdict:?} clear {}", self.guide.clear); }
-        if verdict.holds() && self.guide.clear {
-            self.controls.clone_from(&self.guess.controls);
-            return Ok(Choice { level: Level::BestIterate, verdict });
-        }
-        if fresh {
-            self.read_plan();
-            warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
-            let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
-            self.guess.controls.truncate(left);
-            let scene = scene_of(&self.config, &self.hazards, *initial);
-            let verdict = verify(&scene, &self.guess.controls, &mut self.driven);
-            if verdict.holds() {
-                self.controls.clone_from(&self.guess.controls);
-                return Ok(Choice { level: Level::LastPlan, verdict });
-            }
-        }
-        Err(StopReason::Unverified)
-    }
-
-    /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
-    fn start_from_plan(&mut self, initial: &State, elapsed_s: f64) -> bool {
-        self.read_plan();
-        if self.controls.len() != self.config.intervals {
-            return false;
-        }
-        warm::shift(&self.controls, self.config.interval_s(), elapsed_s, &mut self.guess.controls);
-        self.simulate_guess(initial);
-        let scene = scene_of(&self.config, &self.hazards, *initial);
-        warm::agrees(&scene, &self.guide, &self.driven.way)
-    }
-
-    fn start_from_guide(&mut self, initial: &State) {
-        let scene = scene_of(&self.config, &self.hazards, *initial);
-        warm::follow(&scene, &self.guide, &self.pace(), self.config.intervals, &mut self.guess.controls);
-        self.simulate_guess(initial);
-    }
-
-    /// Puts the states that the controls of the guess lead to into it.
-    fn simulate_guess(&mut self, initial: &State) {
-        warm::clamp(&self.config.bounds, &mut self.guess.controls);
-        let scene = scene_of(&self.config, &self.hazards, *initial);
-        verify(&scene, &self.guess.controls, &mut self.driven);
-        self.guess.states.clone_from(&self.driven.nodes);
-    }
-
-    /// Solves from `guess`, and takes the result when it may be driven.
-    fn solve(
-        &mut self,
-        initial: &State,
-        budget: &Budget,
-        used: &mut u32,
-        command: &mut Command,
-    ) -> Option<Choice> {
-        if !budget.allows(*used) {
-            return None;
-        }
-        let rest = match budget {
-            Budget::Iterations(limit) => Budget::Iterations(limit - *used),
-            Budget::Deadline { deadline_ns, now_ns } => {
-                Budget::Deadline { deadline_ns: *deadline_ns, now_ns: *now_ns }
-            }
-        };
-        let solution = self.solver.solve(&self.problem, &self.guess, &rest);
-        *used = used.saturating_add(solution.iterations.max(1));
-        report(&solution, *used, command);
-        if matches!(solution.status, SolveStatus::Failed | SolveStatus::NotSolved) {
-            return None;
-        }
-        self.controls.clone_from(&solution.trajectory.controls);
-        if self.controls.len() != self.config.intervals || !self.controls.iter().all(Control::is_finite) {
-            return None;
-        }
-        warm::clamp(&self.config.bounds, &mut self.controls);
-        let scene = scene_of(&self.config, &self.hazards, *initial);
-        let verdict = verify(&scene, &self.controls, &mut self.driven);
-        if std::env::var_os("DBG").is_some() && !verdict.holds() { eprintln!("solve {:?} {verdict:?} values {:?}", solution.status, self.hazards.iter().map(|h| h.value(0.0, initial.x, initial.y)).collect::<Vec<_>>());
-          for n in &self.driven.nodes { eprint!("({:.3} {:.3} {:.3}) ", n.x, n.y, self.hazards.iter().map(|h| h.value(0.0, n.x, n.y)).fold(9.0, f64::min)); } eprintln!(); }
-        let agrees = !self.guide.clear || warm::agrees(&scene, &self.guide, &self.driven.way);
-        if !verdict.holds() || !agrees {
-            return None;
-        }
-        let defect = largest_distance(&solution.trajectory.states, &self.driven.nodes);
-        command.largest_violation = command.largest_violation.max(defect);
-        let exact = solution.status == SolveStatus::Converged && defect < LARGEST_DEFECT_M;
-        Some(Choice { level: if exact { Level::Converged } else { Level::BestIterate }, verdict })
-    }
-
-    /// Puts the controls of the last plan into `controls`.
-    fn read_plan(&mut self) {
-        self.controls.clear();
-        let length = self.state.plan_length as usize;
-        let control = |node: &PlanNode| Control { velocity: node.velocity_mps, steering: node.steering_rad };
-        self.controls.extend(self.state.plan[..length.saturating_sub(1)].iter().map(control));
-    }
-
     fn drive(&mut self, choice: Choice, command: &mut Command) {
-        let intervals = choice.verdict.intervals.min(self.controls.len());
-        for (index, state) in self.driven.nodes.iter().enumerate().take(intervals + 1) {
+        let Planner { controls, driven, .. } = &self.planner;
+        let intervals = choice.intervals.min(controls.len());
+        for (index, state) in driven.nodes.iter().enumerate().take(intervals + 1) {
             // The last node repeats the control before it: nothing is planned behind it.
-            let control = self.controls[index.min(intervals.max(1) - 1)];
+            let control = controls[index.min(intervals.max(1) - 1)];
             command.plan[index] = PlanNode {
                 x_m: state.x,
                 y_m: state.y,
@@ -471,10 +308,10 @@ impl Controller {
         command.level = choice.level.wire();
         command.reason = StopReason::None.wire();
         command.verified = 1;
-        (command.velocity_mps, command.steering_rad) = (self.controls[0].velocity, self.controls[0].steering);
+        (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
 
         let state = &mut self.state;
-        (state.blocked_scans, state.clear_scans) = (0, 0);
+        (state.arrival, state.blocked_scans, state.clear_scans) = (0, 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);
         state.plan = command.plan;
         state.plan_length = command.plan_length;
@@ -483,12 +320,14 @@ impl Controller {
     }
 
     fn stop(&mut self, reason: StopReason, command: &mut Command) {
-        command.kind = if reason == StopReason::Landed { CommandKind::Land } else { CommandKind::Stop }.wire();
+        command.kind =
+            if reason == StopReason::Landed { CommandKind::Land } else { CommandKind::Stop }.wire();
         command.level = Level::Stop.wire();
         command.reason = reason.wire();
         let state = &mut self.state;
         match reason {
-            StopReason::Landed => state.landed = 1,
+            StopReason::Landed => state.arrival = LANDED,
+            StopReason::GoalPassed => state.arrival = PASSED,
             StopReason::Blocked => state.blocked_scans = state.blocked_scans.saturating_add(1),
             _ => {}
         }
@@ -498,82 +337,196 @@ impl Controller {
     }
 }
 
-/// Where a solve starts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Start {
-    LastPlan,
-    Guide,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use shared_types::{Obstacle, SolveStatus};
 
-fn scene_of<'a>(config: &'a Config, hazards: &'a [Hazard], initial: State) -> Scene<'a> {
-    Scene {
-        parameters: &config.parameters,
-        bounds: &config.bounds,
-        initial,
-        interval_s: config.interval_s(),
-        body: [config.body_length_m, config.body_width_m],
-        clearance: config.clearance_m,
-        x_range: config.track.x_m,
-        y_range: config.y_range(),
-        walls: config.track.walls.then_some(config.track.y_m),
-        goal_x: config.goal.x_m,
-        hazards,
+    const BUDGET: Budget = Budget::Iterations(60);
+
+    fn controller() -> Controller {
+        Controller::new(Config::default()).unwrap()
     }
-}
 
-/// Fills the ellipses that the horizon can reach, nearest first.
-fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses: &mut Vec<EllipsePath>) {
-    let reach = config.bounds.velocity_max_mps * config.horizon_s;
-    let in_reach = |hazard: &&Hazard| {
-        let [x, y] = hazard.centre;
-        let travel = hazard.velocity[0].hypot(hazard.velocity[1]) * config.horizon_s;
-        (x - initial.x).abs() < reach + hazard.a + travel
-            && (y - initial.y).abs() < reach + hazard.b + travel
-            && x + hazard.a + travel > initial.x
-    };
-    let mut count = 0;
-    let mut least = (f64::NEG_INFINITY, 0);
-    // Selection in place of a sort: at most sixteen, and nothing is allocated.
-    while count < config.max_ellipses {
-        let distance = |hazard: &Hazard| (hazard.centre[0] - initial.x).hypot(hazard.centre[1] - initial.y);
-        let next = hazards
-            .iter()
-            .enumerate()
-            .filter(|(_, hazard)| in_reach(hazard))
-            .map(|(index, hazard)| (distance(hazard), index))
-            .filter(|&candidate| count == 0 || candidate > least)
-            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let Some(next) = next else { break };
-        least = next;
-        let hazard = &hazards[next.1];
-        if ellipses.len() <= count {
-            ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
+    /// A robot at (x, y) that looks along the track, at scan `scan`.
+    fn pose(scan: u64, x: f64, y: f64) -> Pose {
+        let mut pose = Pose { predicted_x_m: x, predicted_y_m: y, ..Pose::default() };
+        pose.header.scan_id = scan;
+        pose.header.acquired_ns = scan * 100_000_000;
+        pose.predicted_ns = pose.header.acquired_ns + 33_000_000;
+        pose
+    }
+
+    fn obstacles(scan: u64, items: &[Obstacle]) -> Obstacles {
+        let mut obstacles = Obstacles { count: items.len() as u32, ..Obstacles::default() };
+        obstacles.header.scan_id = scan;
+        obstacles.items[..items.len()].copy_from_slice(items);
+        obstacles
+    }
+
+    fn obstacle(x: f64, y: f64, width: f64) -> Obstacle {
+        let b = width + 0.4;
+        Obstacle {
+            id: 1,
+            x_m: x,
+            y_m: y,
+            a_m: 1.2_f64.max(1.15 * b),
+            b_m: b,
+            box_x_m: x,
+            box_y_m: y,
+            box_length_m: 0.1,
+            box_width_m: width,
+            ..Obstacle::default()
         }
-        let ellipse = &mut ellipses[count];
-        (ellipse.a, ellipse.b) = (hazard.a + config.ellipse_margin_m, hazard.b + config.ellipse_margin_m);
-        ellipse.centres.clear();
-        let interval_s = config.interval_s();
-        ellipse.centres.extend((0..=config.intervals).map(|node| hazard.centre_at(node as f64 * interval_s)));
-        count += 1;
     }
-    ellipses.truncate(count);
-}
 
-fn report(solution: &Solution, iterations: u32, command: &mut Command) {
-    command.status = solution.status.wire();
-    command.iterations = iterations;
-    command.active_constraints = solution.active_constraints;
-    // A failed solve reports infinities, which have no place in a sample.
-    let finite = |value: f64| if value.is_finite() { value } else { f64::MAX };
-    command.kkt_residual = finite(solution.kkt_residual);
-    command.largest_violation = finite(solution.largest_violation);
-    command.slack = finite(solution.slack);
-    command.objective = finite(solution.objective);
-}
-
-fn largest_distance(planned: &[State], driven: &[State]) -> f64 {
-    if planned.len() != driven.len() {
-        return f64::MAX;
+    fn is_stop(command: &Command, reason: StopReason) -> bool {
+        command.kind == CommandKind::Stop.wire() && command.reason == reason.wire() && command.verified == 0
     }
-    planned.iter().zip(driven).map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).fold(0.0, f64::max)
+
+    #[test]
+    fn a_free_way_is_driven_with_a_converged_and_verified_plan() {
+        let command = controller().step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+        assert_eq!(command.kind, CommandKind::Drive.wire());
+        assert_eq!((command.level, command.verified), (Level::Converged.wire(), 1));
+        assert_eq!(command.status, SolveStatus::Converged.wire());
+        assert!(command.velocity_mps > 0.8 && command.steering_rad.abs() < 1e-3);
+        assert_eq!((command.plan_length, command.header.scan_id), (7, 1));
+        assert_eq!(command.plan_start_ns, 133_000_000);
+    }
+
+    #[test]
+    fn inputs_without_meaning_stop_the_robot() {
+        let free = obstacles(1, &[]);
+        let nan = Pose { predicted_y_m: f64::NAN, ..pose(1, 0.0, 0.0) };
+        assert!(is_stop(&controller().step(&nan, &free, &BUDGET), StopReason::BadInput));
+        let fast = Pose { predicted_speed_mps: f64::INFINITY, ..pose(1, 0.0, 0.0) };
+        assert!(is_stop(&controller().step(&fast, &free, &BUDGET), StopReason::BadInput));
+        let outside = pose(1, 0.0, 4.0);
+        assert!(is_stop(&controller().step(&outside, &free, &BUDGET), StopReason::BadInput));
+        let other_scan = obstacles(2, &[]);
+        assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &other_scan, &BUDGET), StopReason::BadInput));
+        let lost = obstacles(1, &[Obstacle { b_m: f64::NAN, ..obstacle(5.0, 0.0, 0.4) }]);
+        assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &lost, &BUDGET), StopReason::BadInput));
+        let inside = obstacles(1, &[obstacle(0.0, 0.0, 0.4)]);
+        assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &inside, &BUDGET), StopReason::BadInput));
+    }
+
+    #[test]
+    fn a_landing_is_kept_and_a_passed_goal_is_no_landing() {
+        let mut landing = controller();
+        let near = Pose { predicted_speed_mps: 0.2, ..pose(1, 9.99, 0.02) };
+        let command = landing.step(&near, &obstacles(1, &[]), &BUDGET);
+        assert_eq!(command.kind, CommandKind::Land.wire());
+        let command = landing.step(&pose(2, 9.8, 0.0), &obstacles(2, &[]), &BUDGET);
+        assert_eq!((command.kind, command.reason), (CommandKind::Land.wire(), StopReason::Landed.wire()));
+
+        let mut passing = controller();
+        let command = passing.step(&pose(1, 10.0, 0.3), &obstacles(1, &[]), &BUDGET);
+        assert!(is_stop(&command, StopReason::GoalPassed));
+        let command = passing.step(&pose(2, 9.98, 0.3), &obstacles(2, &[]), &BUDGET);
+        assert!(is_stop(&command, StopReason::GoalPassed), "noise does not start the robot again");
+    }
+
+    #[test]
+    fn a_stop_in_front_of_a_blocked_path_is_held_although_the_body_vanishes_for_a_scan() {
+        let mut controller = controller();
+        let closed = [obstacle(2.0, 0.0, 1.6)];
+        assert!(is_stop(
+            &controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &closed), &BUDGET),
+            StopReason::Blocked
+        ));
+        let stops = (2..30)
+            .take_while(|&scan| {
+                is_stop(
+                    &controller.step(&pose(scan, 0.0, 0.0), &obstacles(scan, &[]), &BUDGET),
+                    StopReason::Blocked,
+                )
+            })
+            .count();
+        // Five scans held in all, the first of them above; the fifth clear scan drives.
+        assert_eq!(stops, 4);
+    }
+
+    #[test]
+    fn without_a_budget_the_guide_is_driven_verified() {
+        let command = controller().step(
+            &pose(1, 0.0, 0.0),
+            &obstacles(1, &[obstacle(5.0, 0.1, 0.4)]),
+            &Budget::Iterations(0),
+        );
+        assert_eq!((command.kind, command.verified), (CommandKind::Drive.wire(), 1));
+        assert_eq!(command.level, Level::BestIterate.wire());
+    }
+
+    #[test]
+    fn a_resumed_controller_gives_the_same_bits() {
+        let mut first = controller();
+        let mut second = controller();
+        let way = |scan: u64| 0.1 * (scan - 1) as f64;
+        for scan in 1..20 {
+            let (pose, obstacles) = (pose(scan, way(scan), 0.0), obstacles(scan, &[obstacle(5.0, 0.0, 0.4)]));
+            let command = first.step(&pose, &obstacles, &BUDGET);
+            if scan > 1 {
+                assert_eq!(second.step(&pose, &obstacles, &BUDGET), command, "scan {scan}");
+            }
+            second = controller();
+            second.resume(&first.state());
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_full_of_nonsense_does_no_harm() {
+        let mut state =
+            ControllerState { plan_length: 900, plan_interval_s: f64::NAN, ..ControllerState::default() };
+        (state.velocity_mps, state.steering_rad) = (f64::NAN, f64::INFINITY);
+        state.plan[0].velocity_mps = f64::NAN;
+        let mut controller = controller();
+        controller.resume(&state);
+        let command = controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+        assert_eq!((command.kind, command.verified), (CommandKind::Drive.wire(), 1));
+    }
+
+    fn any_number() -> impl Strategy<Value = f64> {
+        prop_oneof![
+            8 => -3.0..3.0f64,
+            1 => prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(-1e300), Just(1e-300), Just(1e9)],
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+        #[test]
+        fn no_input_makes_it_panic_or_drive_unverified(
+            numbers in proptest::collection::vec(any_number(), 24), lead in 0u64..3_000_000_000,
+        ) {
+            let mut pose = pose(1, numbers[0], numbers[1] * 0.5);
+            pose.predicted_ns = pose.header.acquired_ns + lead / 10;
+            pose.predicted_yaw_rad = numbers[2] * 0.3;
+            pose.predicted_yaw_rate_radps = numbers[3] * 0.1;
+            pose.predicted_sideslip_rad = numbers[4] * 0.05;
+            pose.predicted_speed_mps = numbers[5].abs() * 0.3;
+            let items: Vec<Obstacle> = numbers[6..].chunks(6).enumerate().map(|(index, n)| Obstacle {
+                id: index as u32 + 1,
+                velocity_x_mps: n[2] * 0.3,
+                velocity_y_mps: n[3] * 0.3,
+                box_length_m: n[4].abs(),
+                box_yaw_rad: n[5],
+                ..obstacle(n[0] * 2.0 + 4.0, n[1], n[5].abs() * 0.2)
+            }).collect();
+            let mut controller = controller();
+            for scan in 1..4 {
+                (pose.header.scan_id, pose.predicted_ns) = (scan, pose.predicted_ns + 100_000_000);
+                pose.header.acquired_ns += 100_000_000;
+                let command = controller.step(&pose, &obstacles(scan, &items), &Budget::Iterations(20));
+                if command.kind == CommandKind::Drive.wire() {
+                    prop_assert_eq!(command.verified, 1);
+                    let control = Control { velocity: command.velocity_mps, steering: command.steering_rad };
+                    prop_assert!(controller.config().bounds.contains(control, 0.0));
+                }
+                prop_assert!(command.kkt_residual.is_finite() && command.objective.is_finite());
+            }
+        }
+    }
 }

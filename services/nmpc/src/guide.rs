@@ -107,21 +107,21 @@ impl Guide {
 
     /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind the end the path goes on along x.
     pub fn at(&self, x: f64) -> (f64, f64, f64) {
-        let along = (x - self.start_x) / self.step;
-        let last = self.y.len() - 1;
-        if along >= last as f64 || along.is_nan() {
-            return (self.y[last], 0.0, 0.0);
+        let Some(&end) = self.y.last() else { return (0.0, 0.0, 0.0) };
+        let (along, last) = ((x - self.start_x) / self.step, self.y.len() - 1);
+        if last == 0 || along >= last as f64 || along.is_nan() {
+            return (end, 0.0, 0.0);
         }
         let index = along.max(0.0) as usize;
         let (from, to) = (self.sine[index], self.sine[index + 1]);
         let curvature = (to - from) / self.step;
-        let sine = (from + curvature * (x - self.start_x - index as f64 * self.step)).clamp(-SINE_MAX, SINE_MAX);
-        (self.y[index] + rise(from, sine, x - self.start_x - index as f64 * self.step), sine.asin(), curvature)
-    }
-
-    /// End of the path along the track [m].
-    pub fn end_x(&self) -> f64 {
-        self.start_x + self.step * (self.y.len() - 1) as f64
+        let sine =
+            (from + curvature * (x - self.start_x - index as f64 * self.step)).clamp(-SINE_MAX, SINE_MAX);
+        (
+            self.y[index] + rise(from, sine, x - self.start_x - index as f64 * self.step),
+            sine.asin(),
+            curvature,
+        )
     }
 
     /// Side on which the path passes the hazard: 1 left of it, -1 right of it, 0 when it does not get there.

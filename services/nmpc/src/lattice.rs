@@ -13,6 +13,7 @@
 use vehicle::State;
 
 use crate::guide::{Guide, GuideSettings, SINE_MAX, rise};
+use crate::hurdles::{HARD, Hurdles};
 use crate::scene::Hazard;
 use crate::side::Sides;
 
@@ -26,10 +27,6 @@ const CELL_M: f64 = 0.08;
 const SHORTEST_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
 const OUTSIDE_M: f64 = 0.6;
-/// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
-const HARD: f64 = 1e3;
-/// Part of the value of an ellipse that a robot inside it may still lose.
-const SHRINK: f64 = 0.995;
 
 /// What a guide is searched for.
 #[derive(Debug, Clone, Copy)]
@@ -54,24 +51,6 @@ pub struct Query<'a> {
     pub sides: &'a Sides,
 }
 
-/// The extent of one ellipse across the track at one x.
-#[derive(Debug, Clone, Copy)]
-struct Span {
-    centre: f64,
-    bare: f64,
-    margin: f64,
-    comfort: f64,
-}
-
-/// The centre of an obstacle whose held side is known, between two layers.
-#[derive(Debug, Clone, Copy)]
-struct Crossing {
-    layer: usize,
-    share: f64,
-    centre: f64,
-    side: i8,
-}
-
 /// The cheapest path that ends in one cell of a layer.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
@@ -91,25 +70,14 @@ pub struct Search {
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
     rises: Vec<f64>,
-    spans: Vec<Span>,
-    /// Where the spans of each half layer begin.
-    offsets: Vec<usize>,
-    crossings: Vec<Crossing>,
+    hurdles: Hurdles,
 }
 
 impl Search {
     /// A search with empty buffers.
     pub fn new(settings: GuideSettings) -> Self {
         let empty = Vec::new;
-        Self {
-            settings,
-            cells: Vec::new(),
-            active: empty(),
-            rises: Vec::new(),
-            spans: Vec::new(),
-            offsets: Vec::new(),
-            crossings: Vec::new(),
-        }
+        Self { settings, cells: Vec::new(), active: empty(), rises: Vec::new(), hurdles: Hurdles::default() }
     }
 
     /// Puts the cheapest path of `query` into `guide`.
@@ -124,7 +92,7 @@ impl Search {
         let bend = query.curvature * settings.curvature_share / f64::from(BENDS);
         let grid = Grid::new(query, bend * step);
 
-        self.measure(query, layers, step);
+        self.hurdles.measure(&settings, query, layers, step);
         self.tabulate(&grid, step);
         self.reserve(layers, &grid);
         // Most searches find a clear path; only those that do not look at paths through obstacles at all.
@@ -177,40 +145,6 @@ impl Search {
         }
     }
 
-    /// Tabulates the extent of every ellipse at every half layer, and where centres are crossed.
-    fn measure(&mut self, query: &Query, layers: usize, step: f64) {
-        self.spans.clear();
-        self.offsets.clear();
-        self.crossings.clear();
-        for half in 0..=2 * layers {
-            self.offsets.push(self.spans.len());
-            let along = half as f64 * step / 2.0;
-            let t = along / query.speed;
-            for hazard in query.hazards {
-                // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
-                let scale = hazard.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
-                let scale = if scale < 1.0 { scale } else { 1.0 };
-                let [centre_x, centre_y] = hazard.centre_at(t);
-                let across = |grown: f64, scale: f64| {
-                    let ratio = (query.start.x + along - centre_x) / (hazard.a * scale + grown);
-                    (hazard.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
-                };
-                let comfort = across(query.margin + self.settings.comfort_m, 1.0);
-                if comfort > 0.0 {
-                    let (bare, margin) = (across(0.0, scale), across(query.margin, 1.0));
-                    self.spans.push(Span { centre: centre_y, bare, margin, comfort });
-                }
-            }
-        }
-        self.offsets.push(self.spans.len());
-        for hazard in query.hazards {
-            let side = query.sides.held(hazard);
-            if side != 0 && let Some(crossing) = crossing_of(hazard, side, query, layers, step) {
-                self.crossings.push(crossing);
-            }
-        }
-    }
-
     fn tabulate(&mut self, grid: &Grid, step: f64) {
         self.rises.clear();
         for course in 0..grid.courses {
@@ -227,7 +161,7 @@ impl Search {
         let settings = self.settings;
         let sources = std::mem::take(&mut self.active[layer]);
         let base = layer * grid.layer_cells();
-        let crossed = self.crossings.iter().any(|crossing| crossing.layer == layer);
+        let crossed = self.hurdles.has_crossing(layer);
         for &source in &sources {
             let Cell { cost, y, .. } = self.cells[source as usize];
             let course = ((source as usize - base) / grid.cells) as i32;
@@ -240,7 +174,8 @@ impl Search {
                 let y_next = y + rise;
                 let Some(cell) = grid.cell(y_next) else { continue };
                 let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
-                let (curvature, sine, offset) = (f64::from(turn) * bend, grid.sine(next), y_next - query.line);
+                let (curvature, sine, offset) =
+                    (f64::from(turn) * bend, grid.sine(next), y_next - query.line);
                 let mut total = cost
                     + step
                         * (settings.lateral_weight * offset * offset
@@ -250,10 +185,10 @@ impl Search {
                 if total >= self.cells[target].cost {
                     continue;
                 }
-                total += self.obstacle_cost(2 * layer + 1, y + rise / 2.0, step / 2.0);
-                total += self.obstacle_cost(2 * layer + 2, y_next, step / 2.0);
+                total += self.hurdles.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0);
+                total += self.hurdles.cost(&settings, 2 * layer + 2, y_next, step / 2.0);
                 if crossed {
-                    total += self.switch_cost(layer, y, y_next);
+                    total += settings.switch_cost * self.hurdles.switches(layer, y, y_next);
                 }
                 let outside = excess(y_next, query.y_range) - allowed;
                 if outside > 1e-9 {
@@ -269,34 +204,6 @@ impl Search {
             }
         }
         self.active[layer] = sources;
-    }
-
-    fn obstacle_cost(&self, half: usize, y: f64, length: f64) -> f64 {
-        let mut cost = 0.0;
-        for span in &self.spans[self.offsets[half]..self.offsets[half + 1]] {
-            let offset = (y - span.centre).abs();
-            if offset < span.comfort {
-                cost += self.settings.comfort_weight * length * (span.comfort - offset);
-                if offset < span.margin {
-                    cost += 10.0 * self.settings.comfort_weight * length * (span.margin - offset);
-                }
-                if offset < span.bare {
-                    cost += HARD * (1.0 + 10.0 * (span.bare - offset));
-                }
-            }
-        }
-        cost
-    }
-
-    fn switch_cost(&self, layer: usize, from: f64, to: f64) -> f64 {
-        let mut cost = 0.0;
-        for crossing in self.crossings.iter().filter(|crossing| crossing.layer == layer) {
-            let y = from + crossing.share * (to - from);
-            if (y > crossing.centre) != (crossing.side > 0) {
-                cost += self.settings.switch_cost;
-            }
-        }
-        cost
     }
 
     /// Follows the cheapest path back from its end.
@@ -392,20 +299,6 @@ fn excess(y: f64, range: [f64; 2]) -> f64 {
     (range[0] - y).max(y - range[1]).max(0.0)
 }
 
-fn crossing_of(hazard: &Hazard, side: i8, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
-    for layer in 0..layers {
-        let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
-        let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
-        let (before, after) = (x[0] - hazard.centre_at(t[0])[0], x[1] - hazard.centre_at(t[1])[0]);
-        if before < 0.0 && after >= 0.0 {
-            let share = -before / (after - before);
-            let centre = hazard.centre_at(t[0] + share * (t[1] - t[0]))[1];
-            return Some(Crossing { layer, share, centre, side });
-        }
-    }
-    None
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -460,7 +353,7 @@ mod tests {
     fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
         let pair = [hazard(1, 4.5, 0.75, 0.7), hazard(2, 4.5, -0.75, 0.7)];
         assert!(find(State::default(), &pair, &Sides::default()).clear);
-        let closed = [hazard(1, 4.5, 0.7, 0.8), hazard(2, 4.5, -0.7, 0.8)];
+        let closed = [hazard(1, 4.5, 0.7, 0.85), hazard(2, 4.5, -0.7, 0.85)];
         assert!(!find(State::default(), &closed, &Sides::default()).clear);
     }
 

@@ -38,13 +38,13 @@ impl Newton {
         self.solution.copy_from(answer);
         for round in 0..=JOINING {
             self.select(qp);
-            let size = self.free.len();
-            if size == 0 || self.equations.len() > size {
-                return round > 0;
-            }
-            self.assemble(qp);
-            if !self.factorise(qp, shift) || !self.solve_equations(qp) {
-                return round > 0;
+            if !self.solve_selected(qp, shift) {
+                if round == 0 {
+                    return false;
+                }
+                // What has been walked so far is a step of its own, which cannot be corrected.
+                self.equations.clear();
+                break;
             }
             if !self.walk(qp) {
                 break;
@@ -52,6 +52,29 @@ impl Newton {
         }
         self.report(qp);
         self.solution.step.iter().all(|value| value.is_finite())
+    }
+
+    /// Solves for the free variables with the selected rows as equations; false where that has no unique minimum.
+    fn solve_selected(&mut self, qp: &Qp, shift: bool) -> bool {
+        if self.free.is_empty() || self.equations.len() > self.free.len() {
+            return false;
+        }
+        self.assemble(qp);
+        self.factorise(qp, shift) && self.solve_equations(qp)
+    }
+
+    /// The multipliers of fixed variables that make the step stationary, and zero for free ones.
+    pub(crate) fn fill_bound_multipliers(&mut self, qp: &Qp) {
+        let count = qp.variables();
+        for index in 0..count {
+            let mut sum = qp.gradient[index]
+                + dot(&self.hessian[index * count..(index + 1) * count], &self.solution.step);
+            for row in 0..qp.row_count() {
+                sum += self.solution.row_multipliers[row] * qp.row(row)[index];
+            }
+            let free = self.solution.bound_states[index] == BoundState::Free;
+            self.solution.bound_multipliers[index] = if free { 0.0 } else { -sum };
+        }
     }
 
     /// Free variables and rows held at a limit.
@@ -270,7 +293,11 @@ impl Newton {
             let (sign, limit) = match self.solution.row_states[row] {
                 RowState::BeyondUpper => (1.0, qp.row_upper[row]),
                 RowState::BeyondLower => (-1.0, qp.row_lower[row]),
-                _ => continue,
+                RowState::Inside => {
+                    self.solution.row_multipliers[row] = 0.0;
+                    continue;
+                }
+                RowState::AtLower | RowState::AtUpper => continue,
             };
             let excess = dot(qp.row(row), &self.solution.step) - limit;
             self.solution.row_multipliers[row] = sign * qp.slack_linear + 2.0 * qp.slack_quadratic * excess;

@@ -113,7 +113,16 @@ mod tests {
     use super::*;
 
     fn obstacle() -> Obstacle {
-        Obstacle { id: 1, x_m: 5.0, y_m: 0.5, a_m: 1.2, b_m: 0.8, box_x_m: 5.0, box_y_m: 0.5, ..Obstacle::default() }
+        Obstacle {
+            id: 1,
+            x_m: 5.0,
+            y_m: 0.5,
+            a_m: 1.2,
+            b_m: 0.8,
+            box_x_m: 5.0,
+            box_y_m: 0.5,
+            ..Obstacle::default()
+        }
     }
 
     fn one(item: Obstacle) -> Obstacles {
@@ -124,7 +133,8 @@ mod tests {
 
     #[test]
     fn a_velocity_within_its_noise_does_not_move_the_ellipse() {
-        let mut item = Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
+        let mut item =
+            Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
         let mut hazards = Vec::new();
         assert!(read(&one(item), 0.1, &mut hazards));
         assert!(!hazards[0].moves() && hazards[0].centre == [5.0, 0.5]);

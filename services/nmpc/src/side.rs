@@ -64,7 +64,9 @@ impl Sides {
         let used = || self.entries.iter().filter(|entry| entry.id != 0);
         let known = used().find(|entry| entry.id == hazard.id).or_else(|| {
             let distance = |entry: &Side| (entry.x_m - hazard.centre[0]).hypot(entry.y_m - hazard.centre[1]);
-            used().filter(|entry| distance(entry) < SAME_PLACE_M).min_by(|a, b| distance(a).total_cmp(&distance(b)))
+            used()
+                .filter(|entry| distance(entry) < SAME_PLACE_M)
+                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
         });
         known.map_or(0, |entry| entry.side as i8)
     }

@@ -130,7 +130,6 @@ impl Solver {
         let (status, kkt_residual) = loop {
             let residual =
                 kkt::residual(problem, &self.iterate, &self.shooting, &self.row_multipliers, &mut self.buffer);
-            if std::env::var_os("TRACE").is_some() { eprintln!("it {iterations} kkt {residual:.3e} damp {damping:.1e} u {:.5?} free {:?} rows {:?}", self.iterate.controls, self.answer.bound_states.iter().enumerate().filter(|(_, s)| **s == BoundState::Free).map(|(i, _)| i).collect::<Vec<_>>(), self.answer.row_states.iter().enumerate().filter(|(_, s)| **s != RowState::Inside).map(|(i, s)| (i, *s, self.row_multipliers[i])).collect::<Vec<_>>()); }
             if !residual.is_finite() {
                 break (SolveStatus::Failed, f64::INFINITY);
             }
@@ -249,7 +248,22 @@ impl Solver {
             }
             self.fallbacks += 1;
         }
-        clarabel::solve(&self.qp, &mut self.answer)
+        clarabel::solve(&self.qp, &mut self.answer) && {
+            self.polish();
+            true
+        }
+    }
+
+    /// Replaces the interior point's answer by the exact solution on its active set, where that is the better one.
+    fn polish(&mut self) {
+        self.newton.hessian.clone_from(&self.qp.hessian);
+        if self.newton.solve(&self.qp, &self.answer, false) {
+            self.newton.fill_bound_multipliers(&self.qp);
+            let exact = self.qp.residual(&self.newton.solution, &mut self.buffer);
+            if exact < self.qp.residual(&self.answer, &mut self.buffer) {
+                self.answer.copy_from(&self.newton.solution);
+            }
+        }
     }
 
     /// Newton's step on the active set of the quadratic program; false where there is none that is accepted in full.
@@ -267,12 +281,10 @@ impl Solver {
             &mut self.newton.hessian,
         );
         if !self.newton.solve(&self.qp, &self.answer, self.refusals % 2 == 1) {
-            if std::env::var_os("TRACE").is_some() { eprintln!("  no newton"); }
             return false;
         }
         self.expand(Step::Newton);
         let predicted = self.predict(problem, relieved);
-        if std::env::var_os("TRACE").is_some() { eprintln!("  newton predicted {predicted:.3e} present {present}"); }
         if predicted > 0.0 {
             return false;
         }
@@ -345,9 +357,7 @@ impl Solver {
             *control = [inside.velocity, inside.steering];
         }
         let swept = self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close);
-        let m = swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite());
-        if std::env::var_os("TRACE").is_some() { eprintln!("  trial {fraction} merit {m:?}, {:.3?}", self.step.controls); }
-        m
+        swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite())
     }
 
     /// Makes the trial the iterate.

@@ -139,7 +139,8 @@ impl Turns<'_> {
 
 /// Curvature at full lock and the largest velocity [1/m].
 fn full_lock_curvature(scene: &Scene) -> f64 {
-    let control = Control { velocity: scene.bounds.velocity_max_mps, steering: scene.bounds.steering_max_rad };
+    let control =
+        Control { velocity: scene.bounds.velocity_max_mps, steering: scene.bounds.steering_max_rad };
     vehicle::model::steady_turn(scene.parameters, &control).1 / control.velocity
 }
 
@@ -153,7 +154,14 @@ mod tests {
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
-        let hazards = [Hazard { id: 1, centre: [distance, y], velocity: [0.0, 0.0], a: 1.2_f64.max(1.15 * b), b, body }];
+        let hazards = [Hazard {
+            id: 1,
+            centre: [distance, y],
+            velocity: [0.0, 0.0],
+            a: 1.2_f64.max(1.15 * b),
+            b,
+            body,
+        }];
         let scene = Scene {
             parameters: &Parameters::default(),
             bounds: &Bounds::default(),

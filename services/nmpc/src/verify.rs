@@ -102,7 +102,8 @@ impl Scene<'_> {
             baseline.gaps[index] = gap.min(self.clearance) - TOLERANCE_M;
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.clearance) - TOLERANCE_M;
-        baseline.outside = [excess(x, self.x_range), excess(y, self.y_range)].map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
+        baseline.outside =
+            [excess(x, self.x_range), excess(y, self.y_range)].map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
         baseline
     }
 
@@ -111,7 +112,9 @@ impl Scene<'_> {
         if !state.is_finite() {
             return Some(Violation::NotFinite);
         }
-        if excess(state.x, self.x_range) > baseline.outside[0] || excess(state.y, self.y_range) > baseline.outside[1] {
+        if excess(state.x, self.x_range) > baseline.outside[0]
+            || excess(state.y, self.y_range) > baseline.outside[1]
+        {
             return Some(Violation::Outside);
         }
         if self.walls.is_some() && self.wall_gap(state) < baseline.wall_gap {
@@ -166,6 +169,14 @@ pub struct Driven {
     pub way: Vec<Sampled>,
 }
 
+impl Driven {
+    /// Drives `controls` from the initial state, unchecked.
+    pub fn drive(&mut self, scene: &Scene, controls: &[Control]) {
+        let Scene { parameters, initial, interval_s, .. } = scene;
+        simulate(parameters, initial, controls, *interval_s, PIECES, &mut self.nodes, &mut self.way);
+    }
+}
+
 /// Drives `controls` into `driven` and says how far they may be driven.
 pub fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdict {
     driven.nodes.clear();
@@ -176,15 +187,7 @@ pub fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdi
     if !controls.iter().all(|control| scene.bounds.contains(*control, CONTROL_TOLERANCE)) {
         return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
     }
-    simulate(
-        scene.parameters,
-        &scene.initial,
-        controls,
-        scene.interval_s,
-        PIECES,
-        &mut driven.nodes,
-        &mut driven.way,
-    );
+    driven.drive(scene, controls);
     let baseline = scene.baseline();
     let mut behind_goal = false;
     for (index, sample) in driven.way.iter().enumerate() {

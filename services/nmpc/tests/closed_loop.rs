@@ -81,7 +81,8 @@ fn a_symmetric_trap_is_left_on_one_side_that_is_held() {
     let config = config(10.0);
     for outcome in both("symmetric", &config, &[body(5.0, 0.0, 0.1, 0.5)]) {
         assert!(outcome.reached(&config));
-        let mut sides: Vec<i32> = outcome.commands.iter().map(|command| command.side).filter(|side| *side != 0).collect();
+        let mut sides: Vec<i32> =
+            outcome.commands.iter().map(|command| command.side).filter(|side| *side != 0).collect();
         sides.dedup();
         assert_eq!(sides.len(), 1, "the side changed: {sides:?}");
     }

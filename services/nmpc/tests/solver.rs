@@ -2,95 +2,318 @@
 
 mod problems;
 
-use nmpc::{Budget, Problem, Solution, Solver, SolverSettings, Trajectory};
-use problems::{bench_weights, cold_guess, ellipse, problem, random};
+use nmpc::{
+    Budget, Collocation, EllipsePath, Problem, QpChoice, Scheme, Solution, Solver, SolverSettings, Trajectory, roll_out,
+};
+use problems::{bench_weights, cold_guess, ellipse, loop_weights, problem, random, rolled};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 use shared_types::SolveStatus;
-use vehicle::State;
+use vehicle::{Control, State};
 
 fn solve(solver: &mut Solver, problem: &Problem, guess: &Trajectory) -> Solution {
     solver.solve(problem, guess, &Budget::Iterations(60))
 }
 
+fn converged(problem: &Problem, guess: &Trajectory) -> Solution {
+    let solution = solve(&mut Solver::new(SolverSettings::default()), problem, guess);
+    assert_eq!(solution.status, SolveStatus::Converged, "residual {:.1e}", solution.kkt_residual);
+    solution
+}
+
+/// The objective with its penalties as a function of the controls alone, written down from its definition.
+fn objective(problem: &Problem, controls: &[Control]) -> f64 {
+    let collocation = Collocation::new(Scheme::Radau3);
+    let rolled = roll_out(&problem.parameters, &collocation, &problem.initial, controls, &problem.intervals)
+        .expect("the collocation equations have a solution");
+    let weights = &problem.weights;
+    let bounds = &problem.bounds;
+    let count = controls.len();
+    let penalty = |excess: f64| {
+        let slack = excess.max(0.0);
+        weights.slack_linear * slack + weights.slack_quadratic * slack * slack
+    };
+    let mut sum = 0.0;
+    for node in 1..=count {
+        let state = rolled.states[node];
+        let error = state.to_vector() - problem.references[node - 1].to_vector();
+        let row = if node == count { weights.terminal } else { weights.node };
+        sum += (0..5).map(|component| row[component] * error[component] * error[component]).sum::<f64>();
+        sum += penalty(state.sideslip.abs() - bounds.sideslip_max_rad);
+        sum += penalty(state.yaw.abs() - bounds.yaw_max_rad);
+        sum += penalty(state.yaw_rate.abs() - bounds.yaw_rate_max_radps);
+        sum += penalty(state.x - problem.x_range[1]) + penalty(problem.x_range[0] - state.x);
+        sum += penalty(state.y - problem.y_range[1]) + penalty(problem.y_range[0] - state.y);
+        for ellipse in &problem.ellipses {
+            let [x, y] = ellipse.centres[node];
+            sum += penalty(1.0 - ((state.x - x) / ellipse.a).powi(2) - ((state.y - y) / ellipse.b).powi(2));
+        }
+    }
+    let mut before = problem.previous;
+    for control in controls {
+        let from = |other: &Control| [control.velocity - other.velocity, control.steering - other.steering];
+        let error = from(&problem.control_reference);
+        let change = before.as_ref().map_or([0.0; 2], from);
+        for component in 0..2 {
+            sum += weights.control[component] * error[component].powi(2);
+            sum += weights.change[component] * change[component].powi(2);
+        }
+        before = Some(*control);
+    }
+    sum
+}
+
+#[test]
+fn the_bench_problem_converges_from_a_cold_guess() {
+    let mut solver = Solver::new(SolverSettings::default());
+    for step in 0..60 {
+        let step = f64::from(step);
+        let initial = State { x: 0.1 * step, y: -0.02 * step.min(20.0), ..State::default() };
+        let problem = problem(initial, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+        let solution = solve(&mut solver, &problem, &cold_guess(&problem));
+        assert_eq!(solution.status, SolveStatus::Converged, "x = {}: {:.1e}", initial.x, solution.kkt_residual);
+        assert!(solution.iterations <= 15, "x = {}: {}", initial.x, solution.iterations);
+    }
+    assert_eq!(solver.fallbacks(), 0);
+}
+
 #[test]
 fn random_problems_of_the_closed_loop_converge() {
     let mut solver = Solver::new(SolverSettings::default());
-    let count: u64 = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(300);
-    let mut iterations = Vec::new();
-    let mut failed = 0;
-    for seed in 0..count {
+    let mut iterations: Vec<_> = (0..1000)
+        .map(|seed| {
+            let (problem, guess) = random(seed);
+            let solution = solve(&mut solver, &problem, &guess);
+            (solution.iterations, solution.status != SolveStatus::Converged)
+        })
+        .collect();
+    iterations.sort_unstable();
+    // Measured: none of these 1000, 4 of 5000; 4 iterations in the median, 18 at p99.
+    assert!(iterations.iter().filter(|(_, failed)| *failed).count() <= 2);
+    assert!(iterations[500].0 <= 5 && iterations[990].0 <= 25, "{:?} {:?}", iterations[500], iterations[990]);
+    assert_eq!(solver.fallbacks(), 0);
+}
+
+#[test]
+fn no_admissible_change_of_the_controls_lowers_the_objective_of_a_solution() {
+    let mut rng = Pcg64::seed_from_u64(1);
+    for seed in 0..60 {
         let (problem, guess) = random(seed);
-        let solution = solve(&mut solver, &problem, &guess);
-        if solution.status != SolveStatus::Converged {
-            println!("{seed} {:?} {} {:.1e} slack {:.4} J {:.4} active {} ellipses {}", solution.status, solution.iterations, solution.kkt_residual, solution.slack, solution.objective, solution.active_constraints, problem.ellipses.len());
-            failed += 1;
+        let solution = converged(&problem, &guess);
+        let controls = &solution.trajectory.controls;
+        let least = objective(&problem, controls);
+        assert!((least - solution.objective).abs() < 1e-7 * (1.0 + least), "seed {seed}");
+        for _ in 0..40 {
+            let step = 1e-5;
+            let moved: Vec<_> = controls
+                .iter()
+                .map(|control| {
+                    problem.bounds.clamp(Control {
+                        velocity: control.velocity + step * rng.random_range(-0.9..0.9),
+                        steering: control.steering + step * rng.random_range(-0.12..0.12),
+                    })
+                })
+                .collect();
+            // Slopes of the objective reach 1000 per range; one that is off by a millionth of its scale passes.
+            let slope = (objective(&problem, &moved) - least) / step;
+            assert!(slope > -1e-3 * (1.0 + least), "seed {seed}: {slope}");
         }
-        iterations.push(solution.iterations);
     }
-    iterations.sort_unstable();
-    let n = iterations.len();
-    println!("failed {failed}, median {}, p90 {}, p99 {} max {} fallbacks {}", iterations[n / 2], iterations[n * 9 / 10], iterations[n * 99 / 100], iterations[n - 1], solver.fallbacks());
-    assert!(failed <= 3, "{failed}");
 }
 
 #[test]
-#[ignore]
-fn timing() {
-    let mut solver = Solver::new(SolverSettings::default());
-    let mut problems = Vec::new();
-    for seed in 0..300 { problems.push(random(seed)); }
-    for round in 0..2 {
-        let mut micros = Vec::new();
-        let mut per = Vec::new();
-        for (problem, guess) in &problems {
-            let mut t = f64::INFINITY;
-            let mut solution = solve(&mut solver, problem, guess);
-            for _ in 0..5 {
-            let start = std::time::Instant::now();
-            solution = solve(&mut solver, problem, guess);
-            t = t.min(start.elapsed().as_secs_f64() * 1e6);
+fn the_states_of_a_solution_are_those_of_its_controls() {
+    for seed in 0..100 {
+        let (problem, guess) = random(seed);
+        let solution = converged(&problem, &guess);
+        let expected = rolled(&problem, &solution.trajectory.controls);
+        for (mine, other) in solution.trajectory.states.iter().zip(&expected.states) {
+            assert!((mine.to_vector() - other.to_vector()).amax() < 1e-9, "seed {seed}");
+        }
+        for control in &solution.trajectory.controls {
+            assert!(problem.bounds.contains(*control, 0.0));
+        }
+    }
+}
+
+#[test]
+fn both_solvers_of_the_quadratic_programs_lead_to_the_same_controls() {
+    let settings = SolverSettings { qp: QpChoice::Clarabel, ..SolverSettings::default() };
+    let mut other = Solver::new(settings);
+    for seed in 0..60 {
+        let (problem, guess) = random(seed);
+        let mine = converged(&problem, &guess);
+        let theirs = solve(&mut other, &problem, &guess);
+        // Where an obstacle cannot be avoided the paths of the two may lead to different local solutions.
+        if (mine.objective - theirs.objective).abs() > 1e-5 * (1.0 + mine.objective) {
+            assert!(mine.slack > 0.01, "seed {seed}: {} {}", mine.objective, theirs.objective);
+            continue;
+        }
+        for (a, b) in mine.trajectory.controls.iter().zip(&theirs.trajectory.controls) {
+            // Two points with residual 1e-6 where the curvature is 0.01.
+            assert!((a.velocity - b.velocity).abs() < 1e-4 && (a.steering - b.steering).abs() < 1e-4, "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_used_solver_gives_the_same_bits_as_a_new_one() {
+    let mut used = Solver::new(SolverSettings::default());
+    for seed in 0..100 {
+        let (problem, guess) = random(seed);
+        let fresh = solve(&mut Solver::new(SolverSettings::default()), &problem, &guess);
+        assert_eq!(solve(&mut used, &problem, &guess), fresh, "seed {seed}");
+    }
+}
+
+#[test]
+fn the_guess_decides_the_side() {
+    let problem = problem(
+        State { x: 2.0, ..State::default() },
+        10.0,
+        bench_weights(),
+        vec![ellipse(5.0, 0.0, 1.2, 0.8)],
+    );
+    let side = |sign: f64| {
+        let steering = [0.05, 0.05, -0.02, -0.02, -0.02, -0.02].map(|angle: f64| sign * angle);
+        let controls = steering.map(|steering| Control { velocity: 0.9, steering });
+        converged(&problem, &Trajectory { states: Vec::new(), controls: controls.to_vec() })
+    };
+    let (left, right) = (side(1.0), side(-1.0));
+    assert!(left.trajectory.states[6].y > 0.5 && right.trajectory.states[6].y < -0.5);
+    // The mirror image has the same objective.
+    assert!((left.objective - right.objective).abs() < 1e-6);
+    assert!(left.slack < 1e-6 && right.slack < 1e-6);
+}
+
+#[test]
+fn a_guess_whose_states_leave_gaps_is_taken_up() {
+    let initial = State { x: 2.2, y: 0.02, ..State::default() };
+    let problem = problem(initial, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+    // A path beside the ellipse that no control has made.
+    let states = (0..7).map(|node| State { x: 2.2 + 0.4 * f64::from(node), y: -0.12 * f64::from(node), ..initial });
+    let guess = Trajectory { states: states.collect(), controls: vec![problem.control_reference; 6] };
+    let solution = converged(&problem, &guess);
+    assert!(solution.trajectory.states[6].y < -0.4 && solution.slack < 1e-6);
+}
+
+#[test]
+fn a_start_inside_an_ellipse_leads_out_of_it() {
+    let initial = State { x: 5.4, y: -0.6, yaw: -0.1, ..State::default() };
+    let problem = problem(initial, 10.0, loop_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+    let solution = converged(&problem, &cold_guess(&problem));
+    assert!(solution.slack < 0.15);
+    let last = solution.trajectory.states[6];
+    assert!(((last.x - 5.0) / 1.2).powi(2) + ((last.y - 0.1) / 0.8).powi(2) > 1.0);
+}
+
+#[test]
+fn an_ellipse_that_moves_is_avoided_where_it_will_be() {
+    let initial = State { x: 2.0, ..State::default() };
+    let mut problem = problem(initial, 10.0, loop_weights(), Vec::new());
+    let centres = (0..7).map(|node| [4.2, -1.4 + 0.3 * f64::from(node)]).collect();
+    problem.ellipses.push(EllipsePath { a: 1.2, b: 0.6, centres });
+    let solution = converged(&problem, &cold_guess(&problem));
+    for node in 1..7 {
+        let (state, [x, y]) = (solution.trajectory.states[node], problem.ellipses[0].centres[node]);
+        assert!(((state.x - x) / 1.2).powi(2) + ((state.y - y) / 0.6).powi(2) > 1.0 - 1e-6);
+    }
+}
+
+#[test]
+fn any_scheme_number_and_length_of_intervals_will_do() {
+    for scheme in Scheme::ALL {
+        for count in [2usize, 3, 12, 50] {
+            let initial = State { x: 2.6, y: -0.2, ..State::default() };
+            let mut problem = problem(initial, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+            // Lengths grow by the factor 3 over the horizon of 2.72 s.
+            let sum: f64 = (0..count).map(|index| 1.0 + 2.0 * index as f64 / count as f64).sum();
+            let mut time = 0.0;
+            problem.intervals.clear();
+            problem.references.clear();
+            for index in 0..count {
+                let length = 2.72 * (1.0 + 2.0 * index as f64 / count as f64) / sum;
+                time += length;
+                problem.intervals.push(length);
+                problem.references.push(State { x: 2.6 + time, ..State::default() });
             }
-            micros.push(t);
-            per.push(t / f64::from(solution.iterations.max(1)));
+            problem.ellipses[0].centres = vec![[5.0, 0.1]; count + 1];
+            let mut solver = Solver::new(SolverSettings { scheme, ..SolverSettings::default() });
+            let controls = vec![Control { velocity: 0.9, steering: -0.02 }; count];
+            let guess = Trajectory { states: Vec::new(), controls };
+            let solution = solve(&mut solver, &problem, &guess);
+            assert_eq!(solution.status, SolveStatus::Converged, "{scheme:?} {count}: {:.1e}", solution.kkt_residual);
+            assert!(solution.trajectory.states.len() == count + 1);
         }
-        micros.sort_by(f64::total_cmp);
-        per.sort_by(f64::total_cmp);
-        println!("random {round}: median {:.1} p90 {:.1} p99 {:.1} us; per iteration {:.1} {:.1}", micros[150], micros[270], micros[297], per[150], per[297]);
     }
-    let mut micros = Vec::new();
-    let mut iterations = Vec::new();
-    let mut previous: Option<Trajectory> = None;
-    let mut state = State { y: 0.02, ..State::default() };
-    for step in 0..200 {
-        let mut p = problem(state, 12.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
-        p.previous = None;
-        let guess = previous.clone().unwrap_or_else(|| cold_guess(&p));
-        let mut t = f64::INFINITY;
-        let mut solution = solve(&mut solver, &p, &guess);
-        for _ in 0..5 {
-            let start = std::time::Instant::now();
-            solution = solve(&mut solver, &p, &guess);
-            t = t.min(start.elapsed().as_secs_f64() * 1e6);
-        }
-        micros.push(t);
-        iterations.push(solution.iterations);
-        assert_eq!(solution.status, SolveStatus::Converged, "{step}");
-        let u = solution.trajectory.controls[0];
-        state = vehicle::integrate::integrate(&p.parameters, &state, &u, 0.1);
-        state.y += 0.003 * f64::from(step % 3 - 1);
-        previous = Some(solution.trajectory);
-        if state.x > 11.5 { break; }
-    }
-    let n = micros.len();
-    micros.sort_by(f64::total_cmp);
-    iterations.sort_unstable();
-    println!("loop: median {:.1} p90 {:.1} p99 {:.1} max {:.1}; iterations {} {} {}", micros[n/2], micros[n*9/10], micros[n*99/100], micros[n-1], iterations[n/2], iterations[n*9/10], iterations[n-1]);
 }
 
 #[test]
-#[ignore]
-fn one() {
-    let seed: u64 = std::env::var("SEED").unwrap().parse().unwrap();
-    let (problem, guess) = random(seed);
-    let solution = solve(&mut Solver::new(SolverSettings::default()), &problem, &guess);
-    eprintln!("{solution:?}");
+fn a_budget_ends_the_solve_with_an_iterate_that_satisfies_the_model() {
+    let (problem, guess) = (0..)
+        .map(random)
+        .find(|(problem, guess)| converged(problem, guess).iterations > 4)
+        .expect("some random problem needs five iterations");
+    let mut solver = Solver::new(SolverSettings::default());
+    let short = solver.solve(&problem, &guess, &Budget::Iterations(1));
+    assert_eq!((short.status, short.iterations), (SolveStatus::MaxIterations, 1));
+    assert!(short.largest_violation < 1e-6 && short.objective <= objective(&problem, &guess.controls) + 1e-9);
+    let late = solver.solve(&problem, &guess, &Budget::Deadline { deadline_ns: 5, now_ns: &|| 5 });
+    assert_eq!((late.status, late.iterations), (SolveStatus::OutOfTime, 0));
+    let limited = SolverSettings { max_iterations: 2, ..SolverSettings::default() };
+    let limited = Solver::new(limited).solve(&problem, &guess, &Budget::Iterations(60));
+    assert_eq!((limited.status, limited.iterations), (SolveStatus::MaxIterations, 2));
+}
+
+#[test]
+fn input_that_is_not_finite_or_contradicts_itself_fails_without_panic() {
+    type Spoil = fn(&mut Problem, f64);
+    let spoils: [Spoil; 17] = [
+        |problem, bad| problem.initial.yaw = bad,
+        |problem, bad| problem.initial.x = bad,
+        |problem, bad| problem.parameters.mass_kg = bad,
+        |problem, bad| problem.parameters.rear_m = bad,
+        |problem, bad| problem.bounds.velocity_max_mps = bad,
+        |problem, bad| problem.bounds.steering_max_rad = bad,
+        |problem, bad| problem.intervals[3] = bad,
+        |problem, bad| problem.references[5].y = bad,
+        |problem, bad| problem.control_reference.steering = bad,
+        |problem, bad| problem.previous = Some(Control { velocity: bad, steering: 0.0 }),
+        |problem, bad| problem.weights.node[3] = bad,
+        |problem, bad| problem.weights.slack_linear = bad,
+        |problem, bad| problem.ellipses[0].a = bad,
+        |problem, bad| problem.ellipses[0].centres[2][1] = bad,
+        |problem, _| problem.references.truncate(3),
+        |problem, _| problem.ellipses[0].centres.truncate(2),
+        |problem, _| problem.intervals.clear(),
+    ];
+    let mut solver = Solver::new(SolverSettings::default());
+    let whole = problem(State::default(), 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+    let guess = cold_guess(&whole);
+    for (index, spoil) in spoils.iter().enumerate() {
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let mut spoilt = whole.clone();
+            spoil(&mut spoilt, bad);
+            let solution = solve(&mut solver, &spoilt, &guess);
+            assert_eq!(solution.status, SolveStatus::Failed, "{index} {bad}");
+        }
+    }
+    let mut spoilt = guess.clone();
+    spoilt.states[3].y = f64::NAN;
+    assert_eq!(solve(&mut solver, &whole, &spoilt).status, SolveStatus::Failed);
+    assert_eq!(solve(&mut solver, &whole, &guess).status, SolveStatus::Converged);
+}
+
+#[test]
+fn absurd_but_finite_input_ends_without_panic() {
+    let mut solver = Solver::new(SolverSettings::default());
+    for value in [1e-300, 1e-9, 1e3, 1e9, 1e150, -1e150] {
+        let initial = State { sideslip: value, yaw: value, yaw_rate: value, x: value, y: value };
+        let mut problem = problem(State::default(), 10.0, loop_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+        problem.initial = initial;
+        problem.ellipses[0].b = value.abs();
+        let guess = Trajectory { states: Vec::new(), controls: Vec::new() };
+        let solution = solve(&mut solver, &problem, &guess);
+        assert_eq!(solution.trajectory.controls.len() % 6, 0);
+    }
 }

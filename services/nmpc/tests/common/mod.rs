@@ -206,29 +206,19 @@ pub fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outc
             outcome.largest_y = outcome.largest_y.max(state.y.abs());
         };
         (state, speed) = drive(&parameters, state, speed, control, PERIOD_S / 3.0, &mut watch);
-        control = (kind == CommandKind::Drive).then_some(Control {
-            velocity: command.velocity_mps,
-            steering: command.steering_rad,
-        });
+        control = (kind == CommandKind::Drive)
+            .then_some(Control { velocity: command.velocity_mps, steering: command.steering_rad });
         if kind == CommandKind::Drive {
             assert_eq!(command.verified, 1, "an unverified drive");
             assert!(config.bounds.contains(control.unwrap(), 0.0), "outside of the hard bounds: {control:?}");
         }
         if was_driving && kind == CommandKind::Stop {
-            if std::env::var_os("STOPS").is_some() {
-                println!(
-                    "scan {scan} ({:.3}, {:.3}, {:.3}) {:?} slack {:.3} status {} guide clear {}",
-                    state.x, state.y, state.yaw, StopReason::try_from(command.reason), command.slack, command.status,
-                    controller.guide().clear
-                );
-            }
             outcome.stops += 1;
         }
         was_driving = kind == CommandKind::Drive;
-        (state, speed) =
-            drive(&parameters, state, speed, control, PERIOD_S * 2.0 / 3.0, |elapsed, state| {
-                watch(elapsed + PERIOD_S / 3.0, state);
-            });
+        (state, speed) = drive(&parameters, state, speed, control, PERIOD_S * 2.0 / 3.0, |elapsed, state| {
+            watch(elapsed + PERIOD_S / 3.0, state);
+        });
 
         outcome.seconds = t + PERIOD_S;
         let standing = kind != CommandKind::Drive;

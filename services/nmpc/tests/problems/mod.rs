@@ -69,7 +69,8 @@ pub(crate) fn cold_guess(problem: &Problem) -> Trajectory {
 /// The trajectory under `controls`.
 pub(crate) fn rolled(problem: &Problem, controls: &[Control]) -> Trajectory {
     let collocation = Collocation::new(Scheme::Radau3);
-    roll_out(&problem.parameters, &collocation, &problem.initial, controls, &problem.intervals).expect("rolls out")
+    roll_out(&problem.parameters, &collocation, &problem.initial, controls, &problem.intervals)
+        .expect("rolls out")
 }
 
 /// A random problem like those of the closed loop, with a guess that fixes the side; some starts are hopeless.
@@ -95,7 +96,8 @@ pub(crate) fn random(seed: u64) -> (Problem, Trajectory) {
         .collect();
     let weights = if rng.random_bool(0.5) { loop_weights() } else { bench_weights() };
     // To the side of the nearest ellipse on which the robot is, then back.
-    let side = ellipses.first().map_or(0.0, |ellipse| if initial.y >= ellipse.centres[0][1] { 1.0 } else { -1.0 });
+    let side =
+        ellipses.first().map_or(0.0, |ellipse| if initial.y >= ellipse.centres[0][1] { 1.0 } else { -1.0 });
     let controls: Vec<_> = (0..INTERVALS)
         .map(|index| Control { velocity: 0.9, steering: side * if index < 2 { 0.04 } else { -0.01 } })
         .collect();

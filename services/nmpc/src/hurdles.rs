@@ -1,0 +1,121 @@
+//! What stands in the way of a lattice search, tabulated per layer before the search begins.
+
+use crate::guide::GuideSettings;
+use crate::lattice::Query;
+use crate::scene::Hazard;
+
+/// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
+pub(crate) const HARD: f64 = 1e3;
+/// Part of its depth that a robot inside an ellipse keeps: the rest is room for rounding.
+const SHRINK: f64 = 0.995;
+
+/// The extent of one ellipse across the track at one x.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    centre: f64,
+    bare: f64,
+    margin: f64,
+    comfort: f64,
+}
+
+/// The centre of an obstacle whose held side is known, between two layers.
+#[derive(Debug, Clone, Copy)]
+struct Crossing {
+    layer: usize,
+    share: f64,
+    centre: f64,
+    side: i8,
+}
+
+/// Extents of the ellipses at every half layer, and where their centres are crossed.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Hurdles {
+    spans: Vec<Span>,
+    /// Where the spans of each half layer begin.
+    offsets: Vec<usize>,
+    crossings: Vec<Crossing>,
+}
+
+impl Hurdles {
+    /// Tabulates the extent of every ellipse at every half layer, and where centres are crossed.
+    pub(crate) fn measure(&mut self, settings: &GuideSettings, query: &Query, layers: usize, step: f64) {
+        self.spans.clear();
+        self.offsets.clear();
+        self.crossings.clear();
+        for half in 0..=2 * layers {
+            self.offsets.push(self.spans.len());
+            let along = half as f64 * step / 2.0;
+            let t = along / query.speed;
+            for hazard in query.hazards {
+                // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
+                let scale = hazard.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
+                let scale = if scale < 1.0 { scale } else { 1.0 };
+                let [centre_x, centre_y] = hazard.centre_at(t);
+                let across = |grown: f64, scale: f64| {
+                    let ratio = (query.start.x + along - centre_x) / (hazard.a * scale + grown);
+                    (hazard.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
+                };
+                let comfort = across(query.margin + settings.comfort_m, 1.0);
+                if comfort > 0.0 {
+                    let (bare, margin) = (across(0.0, scale), across(query.margin, 1.0));
+                    self.spans.push(Span { centre: centre_y, bare, margin, comfort });
+                }
+            }
+        }
+        self.offsets.push(self.spans.len());
+        for hazard in query.hazards {
+            let side = query.sides.held(hazard);
+            if side != 0
+                && let Some(crossing) = crossing_of(hazard, side, query, layers, step)
+            {
+                self.crossings.push(crossing);
+            }
+        }
+    }
+
+    /// Cost of being at `y` for `length` along half layer `half`.
+    pub(crate) fn cost(&self, settings: &GuideSettings, half: usize, y: f64, length: f64) -> f64 {
+        let mut cost = 0.0;
+        for span in &self.spans[self.offsets[half]..self.offsets[half + 1]] {
+            let offset = (y - span.centre).abs();
+            if offset < span.comfort {
+                cost += settings.comfort_weight * length * (span.comfort - offset);
+                if offset < span.margin {
+                    cost += 10.0 * settings.comfort_weight * length * (span.margin - offset);
+                }
+                if offset < span.bare {
+                    cost += HARD * (1.0 + 10.0 * (span.bare - offset));
+                }
+            }
+        }
+        cost
+    }
+
+    /// Whether the centre of an obstacle with a held side is crossed from this layer to the next.
+    pub(crate) fn has_crossing(&self, layer: usize) -> bool {
+        self.crossings.iter().any(|crossing| crossing.layer == layer)
+    }
+
+    /// How many obstacles an arc from this layer to the next passes on the side that is not held.
+    pub(crate) fn switches(&self, layer: usize, from: f64, to: f64) -> f64 {
+        let switched = |crossing: &&Crossing| {
+            let y = from + crossing.share * (to - from);
+            crossing.layer == layer && (y > crossing.centre) != (crossing.side > 0)
+        };
+        self.crossings.iter().filter(switched).count() as f64
+    }
+}
+
+fn crossing_of(hazard: &Hazard, side: i8, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
+    for layer in 0..layers {
+        let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
+        let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
+        let (before, after) = (x[0] - hazard.centre_at(t[0])[0], x[1] - hazard.centre_at(t[1])[0]);
+        if before < 0.0 && after >= 0.0 {
+            let share = -before / (after - before);
+            let centre = hazard.centre_at(t[0] + share * (t[1] - t[0]))[1];
+            return Some(Crossing { layer, share, centre, side });
+        }
+    }
+    None
+}

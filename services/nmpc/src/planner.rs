@@ -1,0 +1,341 @@
+//! From the guide to a plan that may be driven: the rungs of the ladder.
+//!
+//! 1. The program solved from the last plan, moved on in time, where it agrees with the guide on the sides.
+//! 2. The program solved from the guide.
+//! 3. The guide itself, as simple steering follows it: the iterate before the first.
+//! 4. The rest of the last plan.
+//!
+//! Each rung counts only when it is verified against the obstacles of this scan.
+
+use shared_types::{Command, Level, PlanNode, SolveStatus};
+use vehicle::{Control, State};
+
+use crate::config::Config;
+use crate::guide::Guide;
+use crate::problem::{Budget, EllipsePath, Problem, Solution, Trajectory};
+use crate::reference::{self, Pace};
+use crate::scene::Hazard;
+use crate::sqp::Solver;
+use crate::state::ControllerState;
+use crate::verify::{Driven, Scene, verify};
+use crate::warm;
+
+/// Longest time that the rest of an old plan may be driven [s].
+const LONGEST_REST_S: f64 = 1.0;
+/// Largest distance between the solver's positions and those driven of a converged plan [m].
+const LARGEST_DEFECT_M: f64 = 0.01;
+
+/// What is known when a plan is asked for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Task<'a> {
+    pub(crate) config: &'a Config,
+    pub(crate) hazards: &'a [Hazard],
+    pub(crate) guide: &'a Guide,
+    /// The state of the controller, with the last plan.
+    pub(crate) last: &'a ControllerState,
+    /// State at the start of the plan.
+    pub(crate) initial: State,
+    /// Time of the start of the plan [ns].
+    pub(crate) start_ns: u64,
+}
+
+impl<'a> Task<'a> {
+    /// What plans are held against.
+    pub(crate) fn scene(&self) -> Scene<'a> {
+        scene(self.config, self.hazards, self.initial)
+    }
+
+    fn pace(&self) -> Pace {
+        let speed = if self.guide.clear { self.guide.speed } else { self.config.stop.approach_mps };
+        Pace {
+            cruise: speed.min(self.config.cruise_mps),
+            slowest: self.config.bounds.velocity_min_mps,
+            goal_x: self.config.goal.x_m,
+            landing_time: self.config.landing_time_s,
+        }
+    }
+
+    /// Time since the start of the last plan [s], when there is one that may still be used.
+    fn elapsed(&self) -> Option<f64> {
+        let elapsed_s = self.start_ns.checked_sub(self.last.plan_start_ns)? as f64 * 1e-9;
+        let usable = self.last.plan_length >= 2
+            && elapsed_s < LONGEST_REST_S
+            && (self.last.plan_interval_s - self.config.interval_s()).abs() < 1e-9;
+        usable.then_some(elapsed_s)
+    }
+}
+
+/// What plans from `initial` are held against.
+pub(crate) fn scene<'a>(config: &'a Config, hazards: &'a [Hazard], initial: State) -> Scene<'a> {
+    Scene {
+        parameters: &config.parameters,
+        bounds: &config.bounds,
+        initial,
+        interval_s: config.interval_s(),
+        body: [config.body_length_m, config.body_width_m],
+        clearance: config.clearance_m,
+        x_range: config.track.x_m,
+        y_range: config.y_range(),
+        walls: config.track.walls.then_some(config.track.y_m),
+        goal_x: config.goal.x_m,
+        hazards,
+    }
+}
+
+/// A plan that may be driven; its way and controls are in the planner.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Choice {
+    /// The rung it comes from.
+    pub(crate) level: Level,
+    /// How many of its intervals were verified.
+    pub(crate) intervals: usize,
+}
+
+/// The solver with its problem, and the plan of this scan.
+#[derive(Debug, Clone)]
+pub(crate) struct Planner {
+    solver: Solver,
+    problem: Problem,
+    guess: Trajectory,
+    /// Controls of the plan.
+    pub(crate) controls: Vec<Control>,
+    /// Where they lead.
+    pub(crate) driven: Driven,
+}
+
+impl Planner {
+    /// A planner for `config`, which is valid.
+    pub(crate) fn new(config: &Config) -> Self {
+        let problem = Problem {
+            parameters: config.parameters,
+            bounds: config.bounds,
+            x_range: config.track.x_m,
+            y_range: config.y_range(),
+            intervals: vec![config.interval_s(); config.intervals],
+            initial: State::default(),
+            previous: None,
+            references: Vec::with_capacity(config.intervals),
+            control_reference: Control::default(),
+            weights: config.problem_weights(),
+            ellipses: Vec::with_capacity(config.max_ellipses),
+        };
+        Self {
+            solver: Solver::new(config.solver),
+            problem,
+            guess: Trajectory::default(),
+            controls: Vec::with_capacity(config.intervals),
+            driven: Driven::default(),
+        }
+    }
+
+    /// The first rung of the ladder that holds, `None` when none does. The figures of the solver go into `command`.
+    pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
+        self.pose(task);
+        let mut used = 0;
+        if let Some(elapsed_s) = task.elapsed()
+            && self.start_from_plan(task, elapsed_s)
+            && let Some(choice) = self.solve(task, budget, &mut used, command)
+        {
+            return Some(choice);
+        }
+        self.start_from_guide(task);
+        if let Some(choice) = self.solve(task, budget, &mut used, command) {
+            return Some(choice);
+        }
+        if task.guide.clear
+            && let Some(intervals) = self.verify_guess(task)
+        {
+            return Some(Choice { level: Level::BestIterate, intervals });
+        }
+        let elapsed_s = task.elapsed()?;
+        let interval_s = task.config.interval_s();
+        read_plan(task.last, &mut self.controls);
+        warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
+        let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
+        self.guess.controls.truncate(left);
+        warm::clamp(&task.config.bounds, &mut self.guess.controls);
+        self.verify_guess(task).map(|intervals| Choice { level: Level::LastPlan, intervals })
+    }
+
+    /// Fills the optimal control problem of this scan.
+    fn pose(&mut self, task: &Task) {
+        let Task { config, initial, last, .. } = *task;
+        let problem = &mut self.problem;
+        problem.initial = initial;
+        let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
+        problem.previous = (previous.velocity > 0.0).then_some(previous);
+        problem.control_reference = reference::fill(
+            task.guide,
+            &task.pace(),
+            initial.x,
+            config.interval_s(),
+            config.intervals,
+            &mut problem.references,
+        );
+        fill_ellipses(config, task.hazards, &initial, &mut problem.ellipses);
+    }
+
+    /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
+    fn start_from_plan(&mut self, task: &Task, elapsed_s: f64) -> bool {
+        read_plan(task.last, &mut self.controls);
+        if self.controls.is_empty() {
+            return false;
+        }
+        // A plan that was cut at the goal goes on with its last control.
+        self.controls.resize(task.config.intervals, self.controls[self.controls.len() - 1]);
+        warm::shift(&self.controls, task.config.interval_s(), elapsed_s, &mut self.guess.controls);
+        self.drive_guess(task);
+        warm::agrees(&task.scene(), task.guide, &self.driven.way)
+    }
+
+    fn start_from_guide(&mut self, task: &Task) {
+        let intervals = task.config.intervals;
+        warm::follow(&task.scene(), task.guide, &task.pace(), intervals, &mut self.guess.controls);
+        self.drive_guess(task);
+    }
+
+    /// Puts the states that the controls of the guess lead to into it.
+    fn drive_guess(&mut self, task: &Task) {
+        warm::clamp(&task.config.bounds, &mut self.guess.controls);
+        self.driven.drive(&task.scene(), &self.guess.controls);
+        self.guess.states.clone_from(&self.driven.nodes);
+    }
+
+    /// Takes the guess as the plan when it may be driven, with the number of its intervals.
+    fn verify_guess(&mut self, task: &Task) -> Option<usize> {
+        let verdict = verify(&task.scene(), &self.guess.controls, &mut self.driven);
+        self.controls.clone_from(&self.guess.controls);
+        verdict.holds().then_some(verdict.intervals)
+    }
+
+    /// Solves from the guess, and takes the result when it may be driven.
+    fn solve(
+        &mut self,
+        task: &Task,
+        budget: &Budget,
+        used: &mut u32,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        if !budget.allows(*used) {
+            return None;
+        }
+        let rest = match budget {
+            Budget::Iterations(limit) => Budget::Iterations(limit - *used),
+            Budget::Deadline { deadline_ns, now_ns } => {
+                Budget::Deadline { deadline_ns: *deadline_ns, now_ns: *now_ns }
+            }
+        };
+        let solution = self.solver.solve(&self.problem, &self.guess, &rest);
+        *used = used.saturating_add(solution.iterations.max(1));
+        report(&solution, *used, command);
+        self.controls.clone_from(&solution.trajectory.controls);
+        let usable = matches!(
+            solution.status,
+            SolveStatus::Converged | SolveStatus::MaxIterations | SolveStatus::OutOfTime
+        ) && self.controls.len() == task.config.intervals
+            && self.controls.iter().all(Control::is_finite);
+        if !usable {
+            return None;
+        }
+        warm::clamp(&task.config.bounds, &mut self.controls);
+        let scene = task.scene();
+        let verdict = verify(&scene, &self.controls, &mut self.driven);
+        let agrees = !task.guide.clear || warm::agrees(&scene, task.guide, &self.driven.way);
+        if !verdict.holds() || !agrees {
+            return None;
+        }
+        let defect = largest_distance(&solution.trajectory.states, &self.driven.nodes);
+        command.largest_violation = command.largest_violation.max(defect);
+        let exact = solution.status == SolveStatus::Converged && defect < LARGEST_DEFECT_M;
+        let level = if exact { Level::Converged } else { Level::BestIterate };
+        Some(Choice { level, intervals: verdict.intervals })
+    }
+}
+
+/// Puts the controls of the last plan into `controls`.
+fn read_plan(last: &ControllerState, controls: &mut Vec<Control>) {
+    controls.clear();
+    let intervals = (last.plan_length as usize).clamp(1, last.plan.len()) - 1;
+    let control = |node: &PlanNode| Control { velocity: node.velocity_mps, steering: node.steering_rad };
+    controls.extend(last.plan[..intervals].iter().map(control));
+}
+
+/// Fills the ellipses that the horizon can reach, nearest first.
+fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses: &mut Vec<EllipsePath>) {
+    let reach = config.bounds.velocity_max_mps * config.horizon_s;
+    let in_reach = |hazard: &Hazard| {
+        let [x, y] = hazard.centre;
+        let travel = hazard.velocity[0].hypot(hazard.velocity[1]) * config.horizon_s;
+        (x - initial.x).abs() < reach + hazard.a + travel
+            && (y - initial.y).abs() < reach + hazard.b + travel
+            && x + hazard.a + travel > initial.x
+    };
+    let distance = |hazard: &Hazard| (hazard.centre[0] - initial.x).hypot(hazard.centre[1] - initial.y);
+    let mut count = 0;
+    let mut farthest = None;
+    // Selection in place of a sort: there are at most sixteen, and nothing is allocated.
+    while count < config.max_ellipses {
+        let next = (0..hazards.len())
+            .filter(|&index| in_reach(&hazards[index]))
+            .map(|index| (distance(&hazards[index]), index))
+            .filter(|&candidate| farthest.is_none_or(|last| candidate > last))
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let Some((_, index)) = next else { break };
+        farthest = next;
+        if ellipses.len() <= count {
+            ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
+        }
+        let (hazard, ellipse) = (&hazards[index], &mut ellipses[count]);
+        (ellipse.a, ellipse.b) = (hazard.a + config.ellipse_margin_m, hazard.b + config.ellipse_margin_m);
+        ellipse.centres.clear();
+        let interval_s = config.interval_s();
+        ellipse.centres.extend((0..=config.intervals).map(|node| hazard.centre_at(node as f64 * interval_s)));
+        count += 1;
+    }
+    ellipses.truncate(count);
+}
+
+fn report(solution: &Solution, iterations: u32, command: &mut Command) {
+    command.status = solution.status.wire();
+    command.iterations = iterations;
+    command.active_constraints = solution.active_constraints;
+    // A failed solve reports infinities, which have no place in a sample.
+    let finite = |value: f64| if value.is_finite() { value } else { f64::MAX };
+    command.kkt_residual = finite(solution.kkt_residual);
+    command.largest_violation = finite(solution.largest_violation);
+    command.slack = finite(solution.slack);
+    command.objective = finite(solution.objective);
+}
+
+fn largest_distance(planned: &[State], driven: &[State]) -> f64 {
+    if planned.len() != driven.len() {
+        return f64::MAX;
+    }
+    planned.iter().zip(driven).map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
+
+    #[test]
+    fn the_nearest_ellipses_are_taken_and_those_behind_left_out() {
+        let hazard = |id: u32, x: f64| Hazard {
+            id,
+            centre: [x, 0.0],
+            velocity: [0.0, 0.0],
+            a: 1.2,
+            b: 0.5,
+            body: Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.1 },
+        };
+        let hazards = [hazard(1, 3.0), hazard(2, -1.5), hazard(3, 2.0), hazard(4, 9.0), hazard(5, 1.0)];
+        let config = Config { max_ellipses: 2, ..Config::default() };
+        let mut ellipses = Vec::new();
+        fill_ellipses(&config, &hazards, &State::default(), &mut ellipses);
+        let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
+        assert_eq!(centres, [1.0, 2.0]);
+        assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);
+    }
+}

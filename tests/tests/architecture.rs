@@ -1,0 +1,90 @@
+//! Rules of the code base that no compiler checks.
+
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
+}
+
+/// All Rust sources below a folder, without build output.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if path.is_dir() && name != "target" && !name.starts_with('.') {
+            found.extend(sources(&path));
+        } else if name.ends_with(".rs") {
+            found.push(path);
+        }
+    }
+    found
+}
+
+fn within(path: &Path, folders: &[&str]) -> bool {
+    folders.iter().any(|folder| path.starts_with(root().join(folder)))
+}
+
+#[test]
+fn only_the_runtime_knows_the_bus() {
+    for path in sources(&root()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let uses = text.lines().any(|line| line.trim_start().starts_with("use iceoryx2"));
+        assert!(!uses || within(&path, &["services/runtime", "benches"]), "{}", path.display());
+    }
+}
+
+#[test]
+fn unsafe_code_stays_in_the_runtime_and_the_benches() {
+    for path in sources(&root()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let uses = text.lines().any(|line| {
+            let code = line.split("//").next().unwrap_or_default();
+            code.contains("unsafe {") || code.contains("unsafe fn") || code.contains("unsafe impl")
+        });
+        let allowed = within(&path, &["services/runtime", "benches", "tests/tests/architecture.rs"]);
+        assert!(!uses || allowed, "{}", path.display());
+    }
+}
+
+#[test]
+fn algorithms_read_no_clock_and_no_file() {
+    let pure = ["vehicle", "emulator", "estimator", "obstacles", "nmpc", "actuation", "pipeline"];
+    for name in pure {
+        for path in sources(&root().join("services").join(name).join("src")) {
+            let text = std::fs::read_to_string(&path).unwrap();
+            // Tests stand at the end of a file, or in a file of their own.
+            let text = text.split("#[cfg(test)]").next().unwrap_or_default();
+            let is_process = path.ends_with("service.rs");
+            for word in ["std::time::", "Instant::now", "SystemTime", "std::fs::", "monotonic_ns", "HashMap"] {
+                let allowed = is_process && word == "monotonic_ns" || path.to_string_lossy().contains("tests");
+                assert!(!text.contains(word) || allowed, "{}: {word}", path.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_wall_clock_is_never_read() {
+    for path in sources(&root()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let uses = text.contains("SystemTime::now") || text.contains("ClockId::Realtime");
+        assert!(!uses || path.ends_with("architecture.rs"), "{}", path.display());
+    }
+}
+
+#[test]
+fn process_tests_wait_on_conditions_and_never_sleep() {
+    for path in sources(&root().join("tests")) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let sleeps = text.contains("thread::sleep");
+        assert!(!sleeps || path.ends_with("architecture.rs"), "{}", path.display());
+    }
+}
+
+#[test]
+fn the_page_of_topics_is_what_the_executable_prints() {
+    let page = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_scanloop-under-test")).arg("types").output().unwrap();
+    assert_eq!(page, String::from_utf8(output.stdout).unwrap(), "run `scanloop types > docs/topics.md`");
+}

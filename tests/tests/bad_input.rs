@@ -1,0 +1,127 @@
+//! Bad input ends with exit code 2 and one message that names file, key, value and what is allowed.
+
+use scanloop_tests::System;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// Runs a command that must be refused and checks what its message names.
+fn refused(system: &System, arguments: &[&str], names: &[&str]) {
+    let output = system.run(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+    for name in names {
+        assert!(message.contains(name), "{arguments:?}: `{name}` is missing in: {message}");
+    }
+    assert!(!message.contains("panicked"), "{message}");
+    system.assert_nothing_left();
+}
+
+/// A scenario file with this text must be refused.
+fn scenario(text: &str, names: &[&str]) {
+    let system = System::new(EXECUTABLE);
+    std::fs::write(system.folder().join("lab.toml"), text).unwrap();
+    for command in [["run", "lab.toml"], ["check", "lab.toml"]] {
+        refused(&system, &command, &[&["lab.toml"], names].concat());
+    }
+}
+
+#[test]
+fn scenarios_are_checked() {
+    scenario("speed = 1.0", &["speed", "unknown"]);
+    scenario("[robot]\nvelocity_facto = 1.0", &["robot.velocity_facto", "unknown"]);
+    scenario("timeout_s = \"long\"", &["timeout_s", "long"]);
+    scenario("[noise]\nrange_m = nan", &["noise.range_m", "NaN", "0 to 1"]);
+    scenario("[noise]\ndropout = 2.0", &["noise.dropout", "2", "0 to 1"]);
+    scenario("[[obstacle]]\nshape = \"box\"\nx_m = 0.0\ny_m = 0.0\nlength_m = 0.1\nwidth_m = 0.4", &["obstacle[0]"]);
+    scenario("[[obstacle]]\nshape = \"star\"\nx_m = 5.0\ny_m = 0.0", &["obstacle[0].shape", "star"]);
+    scenario("[goal]\nx_m = 30.0", &["goal.x_m", "30"]);
+    scenario("[track", &["line 1"]);
+}
+
+#[test]
+fn systems_and_options_are_checked() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("system.toml");
+    let mut built_in = String::new();
+    for (role, implementation) in [
+        ("robot", "emulator"),
+        ("estimator", "ekf"),
+        ("obstacles", "ellipses"),
+        ("controller", "nmpc"),
+        ("actuator", "actuation"),
+    ] {
+        built_in += &format!("[[process]]\nrole = \"{role}\"\nimplementation = \"{implementation}\"\n");
+    }
+    let with = |more: &str| std::fs::write(&file, format!("{built_in}{more}")).unwrap();
+
+    with("[[process]]\nrole = \"controller\"\ncommand = [\"true\"]");
+    refused(&system, &["run", "--system", "system.toml"], &["system.toml", "controller", "would write topic command"]);
+    with("[[process]]\nrole = \"pilot\"\ncommand = [\"true\"]");
+    refused(&system, &["check", "--system", "system.toml"], &["process[5].role", "pilot", "robot"]);
+    std::fs::write(&file, built_in.replace("\"nmpc\"", "\"mpc\"")).unwrap();
+    refused(&system, &["run", "--system", "system.toml"], &["process[3].implementation", "mpc", "nmpc"]);
+
+    refused(&system, &["run", "nowhere.toml"], &["nowhere.toml", "corridor"]);
+    refused(&system, &["run", "--system", "nowhere.toml"], &["nowhere.toml"]);
+    refused(&system, &["run", "--set", "rate_hz=0"], &["rate_hz", "0.5 to 1000"]);
+    refused(&system, &["run", "--set", "controller.horizon=1"], &["controller.horizon", "unknown"]);
+    refused(&system, &["run", "--set", "robot.width_m=wide"], &["robot.width_m", "wide"]);
+    refused(&system, &["run", "--set", "actuator.calibration=best"], &["actuator.calibration", "best"]);
+    refused(&system, &["run", "--set", "seed"], &["KEY=VALUE"]);
+    refused(&system, &["run", "--duration", "-1"], &["--duration"]);
+    refused(&system, &["run", "--duration", "nan"], &["--duration"]);
+    refused(&system, &["run", "--out", "system.toml"], &["--out"]);
+    refused(&system, &["service", "warp"], &["warp", "nmpc"]);
+    refused(&system, &["topic", "echo", "scans"], &["scans", "odometry"]);
+    refused(&system, &["topic", "echo", "scan"], &["not running"]);
+    refused(&system, &["status"], &["not running"]);
+    refused(&system, &["stop"], &["not running"]);
+    refused(&system, &["fly"], &["fly"]);
+}
+
+#[test]
+fn a_system_id_that_is_no_file_name_is_refused() {
+    let output = std::process::Command::new(EXECUTABLE).args(["run", "--system-id", "a_b"]).output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(message.contains("a_b") && message.contains("letters"), "{message}");
+}
+
+#[test]
+fn a_service_started_by_hand_is_refused() {
+    let system = System::new(EXECUTABLE);
+    refused(&system, &["service", "nmpc"], &["SCANLOOP_INCARNATION"]);
+}
+
+#[test]
+fn a_command_that_does_not_exist_ends_the_run_with_its_name() {
+    let system = System::new(EXECUTABLE);
+    let output = system.run(&["run", "--quiet", "--set", "process.controller.command=[\"no-such-program\"]"]);
+    // `implementation` and `command` together are refused before anything starts.
+    assert_eq!(output.status.code(), Some(2));
+    failing(&system, "command = [\"no-such-program\"]", "no-such-program");
+}
+
+#[test]
+fn a_process_that_dies_at_start_three_times_ends_the_run_with_its_last_words() {
+    let system = System::new(EXECUTABLE);
+    failing(&system, "command = [\"sh\", \"-c\", \"echo no camera found; exit 7\"]", "no camera found");
+}
+
+/// A system whose controller does not come up ends with exit code 4 and says why.
+fn failing(system: &System, controller: &str, words: &str) {
+    let file = system.folder().join("system.toml");
+    let text = format!(
+        "[[process]]\nrole = \"robot\"\nimplementation = \"emulator\"\n\
+         [[process]]\nrole = \"estimator\"\nimplementation = \"ekf\"\n\
+         [[process]]\nrole = \"obstacles\"\nimplementation = \"ellipses\"\n\
+         [[process]]\nrole = \"controller\"\n{controller}\n\
+         [[process]]\nrole = \"actuator\"\nimplementation = \"actuation\"\n"
+    );
+    std::fs::write(&file, text).unwrap();
+    let output = system.run(&["run", "--quiet", "--system", "system.toml"]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{message}");
+    assert!(message.contains(words), "{message}");
+    system.assert_nothing_left();
+}

@@ -1,0 +1,150 @@
+//! Runs in real time: processes killed, stopped and interrupted while the robot drives.
+
+use emulator::Outcome;
+use orchestrator::report::Report;
+use rustix::process::Signal;
+use scanloop_tests::{System, processes_of};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// True wheels are blocked at the latest three scan periods after the last actuation.
+const LONGEST_BLIND_S: f64 = 0.3;
+
+/// Sends a signal to a role while it drives and returns the report of the run.
+fn disturb(role: Role, signal: Signal) -> Report {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "6"]);
+    let pid = system.pid(role);
+    system.signal(pid, signal);
+    let status = system.wait();
+    let report = system.report();
+    assert!(status.code().is_some(), "{}", system.stderr());
+    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
+    assert!(!report.drive.collided);
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    system.assert_nothing_left();
+    report
+}
+
+/// A killed process is restarted and the robot drives on.
+fn survives(role: Role, signal: Signal) {
+    let report = disturb(role, signal);
+    let process = report.processes.iter().find(|process| process.role == role.name()).unwrap();
+    assert_eq!(process.restarts, 1, "{report:?}");
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    let [.., before, last] = report.trajectory.as_slice() else { panic!("no trajectory") };
+    // It has gone on well beyond the place where the process died.
+    assert!(last[1] > 3.0, "{last:?} {before:?}");
+}
+
+#[test]
+fn the_robot_drives_on_after_the_estimator_was_killed() {
+    survives(Role::Estimator, Signal::KILL);
+}
+
+#[test]
+fn the_robot_drives_on_after_the_obstacles_were_killed() {
+    survives(Role::Obstacles, Signal::KILL);
+}
+
+#[test]
+fn the_robot_drives_on_after_the_controller_was_killed() {
+    survives(Role::Controller, Signal::KILL);
+}
+
+#[test]
+fn the_robot_drives_on_after_the_actuator_was_killed() {
+    survives(Role::Actuator, Signal::KILL);
+}
+
+#[test]
+fn a_controller_that_hangs_is_killed_and_restarted() {
+    survives(Role::Controller, Signal::STOP);
+}
+
+#[test]
+fn the_death_of_the_robot_ends_the_run() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[]);
+    let pid = system.pid(Role::Robot);
+    system.signal(pid, Signal::KILL);
+    assert_eq!(system.wait().code(), Some(4));
+    assert_eq!(system.report().outcome, Outcome::Failed);
+    assert!(system.stderr().contains("killed by signal 9"), "{}", system.stderr());
+    system.assert_nothing_left();
+}
+
+#[test]
+fn an_interrupt_stops_the_wheels_and_leaves_nothing() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[]);
+    system.signal(system.orchestrator(), Signal::INT);
+    assert_eq!(system.wait().code(), Some(1));
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Interrupted);
+    assert_eq!(report.drive.final_speed_mps, 0.0, "the robot stands at the end");
+    assert_eq!(report.scans.unaccounted, 0);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_run_after_the_orchestrator_was_killed_needs_no_cleaning() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[]);
+    let orphans = processes_of(system.domain().system_id());
+    assert!(orphans.len() >= 5, "{orphans:?}");
+    system.signal(system.orchestrator(), Signal::KILL);
+    system.wait();
+    let report = system.lockstep(&["free"]);
+    assert_eq!(report.outcome, Outcome::Reached);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_second_run_of_the_same_system_is_refused_and_the_first_goes_on() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "2"]);
+    let second = system.run(&["run", "--quiet", "--out", "second"]);
+    assert_eq!(second.status.code(), Some(2));
+    let message = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert!(message.contains("is already running"), "{message}");
+    system.wait();
+    assert_eq!(system.report().outcome, Outcome::Timeout);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_running_system_can_be_looked_at_restarted_and_stopped() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[]);
+    let status: serde_json::Value =
+        serde_json::from_slice(&system.run(&["status", "--json"]).stdout).expect("status prints JSON");
+    assert_eq!(status["scenario"], "corridor");
+    let roles: Vec<&str> =
+        status["processes"].as_array().unwrap().iter().map(|process| process["role"].as_str().unwrap()).collect();
+    assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
+
+    let echo = system.run(&["topic", "echo", "pose", "-n", "2"]);
+    let lines: Vec<serde_json::Value> = String::from_utf8_lossy(&echo.stdout)
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("one JSON object per line"))
+        .collect();
+    assert_eq!(lines.len(), 2);
+    assert!(lines[0]["header"]["scan_id"].as_u64() < lines[1]["header"]["scan_id"].as_u64());
+
+    assert_eq!(system.run(&["restart", "pilot"]).status.code(), Some(2));
+    assert_eq!(system.run(&["restart", "robot"]).status.code(), Some(2));
+    let before = system.pid(Role::Controller);
+    assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(0));
+    system.wait_until("a new controller", |system| {
+        let pid = system.pid(Role::Controller);
+        pid != 0 && pid != before
+    });
+
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1));
+    assert_eq!(system.report().outcome, Outcome::Interrupted);
+    assert_eq!(system.run(&["status"]).status.code(), Some(2));
+    system.assert_nothing_left();
+}
