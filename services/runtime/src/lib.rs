@@ -39,6 +39,8 @@ mod process;
 mod quality;
 mod settings;
 mod shutdown;
+#[cfg(test)]
+mod tests;
 mod wake;
 mod wire;
 

@@ -1,0 +1,165 @@
+//! Samples through real shared memory: what comes out of an input, and what never does.
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use shared_types::{Authority, Directive, Obstacles, Pose, Role, Sample};
+
+use crate::counters::Counters;
+use crate::input::{Drain, Input, join};
+use crate::output::Output;
+use crate::process::Shared;
+use crate::{Bus, Clock, Domain, Observer, Voice, wait_for};
+
+static NEXT: AtomicU32 = AtomicU32::new(0);
+
+/// A system of its own in shared memory, removed at the end.
+struct Lab {
+    bus: Option<Bus>,
+    domain: Domain,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let id = format!("u{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let domain = Domain::new(&id).unwrap();
+        std::fs::create_dir_all(domain.directory()).unwrap();
+        Self { bus: Some(Bus::create(&domain).unwrap()), domain }
+    }
+
+    fn bus(&self) -> &Bus {
+        self.bus.as_ref().unwrap()
+    }
+
+    /// What a process of a role shares; the estimator in charge is incarnation 7, the obstacles are 8.
+    fn shared(&self, role: Role, incarnation: u32) -> Rc<Shared> {
+        let mut directive = Directive::default();
+        for (role, incarnation) in [(Role::Estimator, 7), (Role::Obstacles, 8)] {
+            directive.authority[role.index()] = Authority { incarnation, ..Authority::default() };
+        }
+        Rc::new(Shared {
+            role,
+            incarnation,
+            clock: Clock::simulated(),
+            counters: Counters::default(),
+            stamps: Cell::default(),
+            directive: RefCell::new(directive),
+            max_age_ns: 300_000_000,
+            produced: Cell::new(false),
+        })
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        drop(self.bus.take());
+        self.domain.remove_bus_files().unwrap();
+        std::fs::remove_dir_all(self.domain.directory()).unwrap();
+    }
+}
+
+fn pose(scan_id: u64, x_m: f64) -> Pose {
+    let mut pose = Pose { x_m, ..Pose::default() };
+    pose.header.scan_id = scan_id;
+    pose
+}
+
+#[test]
+fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
+    let lab = Lab::new();
+    let (estimator, controller) = (lab.shared(Role::Estimator, 7), lab.shared(Role::Controller, 9));
+    let output = Output::<Pose>::new(lab.bus(), Rc::clone(&estimator)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    input.drain().unwrap();
+    estimator.clock.advance_to(42);
+    output.publish(&mut pose(3, 1.5)).unwrap();
+    assert!(wait_for(&[crate::wake::borrow(input.descriptor())], 1_000_000_000));
+    input.drain().unwrap();
+    let taken = input.take().unwrap();
+    assert_eq!((taken.x_m, taken.header.scan_id, taken.header.sequence), (1.5, 3, 1));
+    assert_eq!((taken.header.layout, taken.header.incarnation), (Pose::LAYOUT, 7));
+    assert_eq!(taken.header.stage(Role::Estimator).published_ns, 42);
+    assert!(input.take().is_none());
+    assert_eq!(estimator.counters.undelivered.get(), 0);
+}
+
+#[test]
+fn bad_foreign_repeated_and_old_samples_never_come_out() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    // Two voices of one incarnation number their samples alike, as a process that repeats itself does.
+    let (mut voice, mut echo) = (Voice::<Pose>::new(lab.bus()).unwrap(), Voice::<Pose>::new(lab.bus()).unwrap());
+    input.drain().unwrap();
+    let say = |voice: &mut Voice<Pose>, incarnation, x_m| {
+        let mut sample = pose(1, x_m);
+        sample.header.incarnation = incarnation;
+        voice.say(&mut sample, false).unwrap();
+        input.drain().unwrap();
+        input.take().map(|taken| taken.x_m)
+    };
+    assert_eq!(say(&mut voice, 7, 1.0), Some(1.0));
+    assert_eq!(say(&mut echo, 7, 2.0), None, "a duplicate");
+    assert_eq!(say(&mut voice, 7, f64::NAN), None, "not a number");
+    assert_eq!(say(&mut voice, 6, 3.0), None, "no authority");
+    assert_eq!(say(&mut voice, 7, 4.0), Some(4.0));
+    assert_eq!(say(&mut echo, 7, 5.0), None, "older than what was taken");
+    let counters = &controller.counters;
+    assert_eq!((counters.duplicate.get(), counters.reordered.get()), (1, 1));
+    assert_eq!((counters.invalid.get(), counters.foreign.get()), (1, 1));
+    // The two dropped samples of the voice are missing in the numbers of what was accepted.
+    assert_eq!((counters.missing.get(), counters.used.get()), (2, 2));
+}
+
+#[test]
+fn a_join_gives_the_newest_pair_of_one_scan_and_counts_what_it_replaced() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let described = Output::<Obstacles>::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
+    let pose_input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    let obstacle_input = Input::<Obstacles>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    pose_input.drain().unwrap();
+    obstacle_input.drain().unwrap();
+    for scan_id in 1..=3 {
+        poses.publish(&mut pose(scan_id, 0.0)).unwrap();
+    }
+    let publish = |scan_id| {
+        let mut obstacles = Obstacles::default();
+        obstacles.header.scan_id = scan_id;
+        described.publish(&mut obstacles).unwrap();
+        obstacle_input.drain().unwrap();
+    };
+    pose_input.drain().unwrap();
+    assert!(join(&pose_input, &obstacle_input).is_none());
+    publish(2);
+    let (pose, obstacles) = join(&pose_input, &obstacle_input).unwrap();
+    assert_eq!((pose.header.scan_id, obstacles.header.scan_id), (2, 2));
+    drop((pose, obstacles));
+    publish(3);
+    assert_eq!(join(&pose_input, &obstacle_input).unwrap().0.header.scan_id, 3);
+    assert_eq!(controller.counters.replaced.get(), 1);
+}
+
+#[test]
+fn an_observer_that_never_looks_does_not_stop_the_writer() {
+    let lab = Lab::new();
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let lazy = Observer::<Pose>::new(lab.bus()).unwrap();
+    lazy.connect();
+    for scan_id in 1..=100 {
+        output.publish(&mut pose(scan_id, 0.0)).unwrap();
+    }
+    let mut seen = Vec::new();
+    lazy.poll(|sample| seen.push(sample.header.scan_id)).unwrap();
+    assert_eq!(seen.last(), Some(&100), "the newest samples are kept");
+    assert_eq!(seen.len(), 16, "as many as the buffer holds");
+}
+
+#[test]
+fn a_wait_ends_by_its_time_out_when_nothing_happens() {
+    let lab = Lab::new();
+    let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    assert!(!wait_for(&[crate::wake::borrow(input.descriptor())], 2_000_000));
+}
