@@ -21,8 +21,9 @@ const LAST_WORDS: usize = 10;
 /// All processes of one run.
 pub(crate) struct Fleet {
     domain: Domain,
-    lock: SystemLock,
     members: BTreeMap<Role, Member>,
+    // Dropped last: what it removes must not be in use any more.
+    lock: SystemLock,
 }
 
 /// One role and the process that fills it.
@@ -65,7 +66,7 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        Ok(Self { domain, lock, members })
+        Ok(Self { domain, members, lock })
     }
 
     /// Starts the process of a role; `checkpoint` is the newest state of the one before it.
@@ -167,12 +168,5 @@ impl Fleet {
             100.0 * (usage.cpu_s - cpu_s).max(0.0) / elapsed_s
         });
         Load { cpu_percent, memory_kib: usage.memory_kib }
-    }
-
-    /// Gives the system back: nothing of it is left in shared memory or in its directory.
-    pub(crate) fn clean(self) -> anyhow::Result<()> {
-        let Self { lock, members, .. } = self;
-        drop(members);
-        lock.clean()
     }
 }

@@ -29,7 +29,8 @@ pub(crate) struct Registered {
     pub incarnation: u32,
 }
 
-/// The right to run a system; given back when dropped.
+/// The right to run a system. Dropping it gives the right back and removes everything that the system has on this
+/// machine: nothing is left in shared memory or in its directory, however the run ended.
 #[derive(Debug)]
 pub(crate) struct SystemLock {
     domain: Domain,
@@ -82,11 +83,7 @@ impl SystemLock {
             .with_context(|| format!("{}", path.display()))
     }
 
-    /// Removes everything that the system has on this machine, except logs that were asked for elsewhere.
-    ///
-    /// # Errors
-    /// Errors of the file system.
-    pub(crate) fn clean(self) -> anyhow::Result<()> {
+    fn clean(&self) -> anyhow::Result<()> {
         self.domain.remove_bus_files()?;
         let directory = self.domain.directory();
         std::fs::remove_dir_all(directory).with_context(|| format!("{}", directory.display()))?;
@@ -117,5 +114,13 @@ impl SystemLock {
             std::thread::sleep(std::time::Duration::from_millis(2));
         }
         std::fs::remove_file(self.processes_file()).context("processes of an earlier run")
+    }
+}
+
+impl Drop for SystemLock {
+    fn drop(&mut self) {
+        if let Err(error) = self.clean() {
+            tracing::warn!("not cleaned up: {error:#}");
+        }
     }
 }

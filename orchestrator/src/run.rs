@@ -99,11 +99,7 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     let domain = Domain::new(system_id)?;
     let mut session = prepare(&domain, &plan, arguments, &out)?;
     let ending = session.drive()?;
-    let Session { fleet, bus, recorder, samples, vitals, voice, control, digests, .. } = session;
-    drop((samples, vitals, voice, control));
-    drop(bus);
-    fleet.clean()?;
-
+    let (recorder, digests) = session.finish();
     let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
     let report_file = out.join("report.json");
     report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;

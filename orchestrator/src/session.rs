@@ -39,8 +39,6 @@ pub(crate) struct Session {
     pub(crate) lockstep: bool,
     pub(crate) duration_s: Option<f64>,
     pub(crate) period_ns: u64,
-    pub(crate) bus: Bus,
-    pub(crate) fleet: Fleet,
     pub(crate) supervisor: Supervisor,
     pub(crate) recorder: Recorder,
     pub(crate) progress: Progress,
@@ -56,6 +54,9 @@ pub(crate) struct Session {
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,
     pub(crate) moved_ns: u64,
+    // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
+    pub(crate) bus: Bus,
+    pub(crate) fleet: Fleet,
 }
 
 /// How far the end of a run has come.
@@ -95,6 +96,12 @@ impl Session {
         self.record(true);
         self.progress.finish();
         Ok(self.ending())
+    }
+
+    /// What was recorded; everything else of the system is gone when this returns.
+    pub(crate) fn finish(self) -> (Recorder, Digests) {
+        let Self { recorder, digests, .. } = self;
+        (recorder, digests)
     }
 
     fn sleep(&self) {

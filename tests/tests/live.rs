@@ -102,6 +102,15 @@ fn a_run_after_the_orchestrator_was_killed_needs_no_cleaning() {
 }
 
 #[test]
+fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--set", "orphan_timeout_s=1"]);
+    system.signal(system.orchestrator(), Signal::KILL);
+    system.wait();
+    system.wait_until("all processes have ended", |system| processes_of(system.domain().system_id()).is_empty());
+}
+
+#[test]
 fn a_second_run_of_the_same_system_is_refused_and_the_first_goes_on() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["--duration", "2"]);
