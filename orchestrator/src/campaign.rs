@@ -88,7 +88,9 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
             scope.spawn(move || {
                 loop {
                     let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= arguments.runs || sender.send(drive(arguments.seed.wrapping_add(index))).is_err() {
+                    if index >= arguments.runs
+                        || sender.send(drive(arguments.seed.wrapping_add(index))).is_err()
+                    {
                         return;
                     }
                 }
@@ -113,7 +115,8 @@ fn drive(seed: u64) -> anyhow::Result<Run> {
 }
 
 fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summary> {
-    let mut summary = Summary { runs: runs.len() as u64, min_clearance_m: NO_OBSTACLE_M, ..Summary::default() };
+    let mut summary =
+        Summary { runs: runs.len() as u64, min_clearance_m: NO_OBSTACLE_M, ..Summary::default() };
     let mut times: Vec<f64> = Vec::new();
     for run in runs {
         match run.outcome {
@@ -148,7 +151,8 @@ fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summ
     }
     times.sort_by(f64::total_cmp);
     if let (Some(first), Some(last)) = (times.first(), times.last()) {
-        summary.time_to_goal_s = BTreeMap::from([("min", *first), ("p50", times[times.len() / 2]), ("max", *last)]);
+        summary.time_to_goal_s =
+            BTreeMap::from([("min", *first), ("p50", times[times.len() / 2]), ("max", *last)]);
     }
     Ok(summary)
 }
@@ -177,7 +181,8 @@ fn text(summary: &Summary) -> String {
     let _ = writeln!(text, "closed          {} of {} stopped", summary.blocked_stopped, summary.blocked);
     let _ = writeln!(text, "clearance       smallest {:.3} m", summary.min_clearance_m);
     for (family, outcomes) in &summary.families {
-        let counts: Vec<String> = outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();
+        let counts: Vec<String> =
+            outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();
         let _ = writeln!(text, "  {family:<13} {}", counts.join(", "));
     }
     for bad in &summary.bad {

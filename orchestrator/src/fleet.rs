@@ -6,7 +6,9 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::path::PathBuf;
 
 use anyhow::Context;
-use runtime::{Domain, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns, write_handover};
+use runtime::{
+    Domain, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
+};
 use shared_types::{Checkpoint, Role};
 
 use crate::child::{Child, Launch};
@@ -47,7 +49,12 @@ pub(crate) struct Load {
 
 impl Fleet {
     /// A fleet whose processes write their output to files below `logs`.
-    pub(crate) fn new(domain: Domain, lock: SystemLock, system: &System, logs: PathBuf) -> anyhow::Result<Self> {
+    pub(crate) fn new(
+        domain: Domain,
+        lock: SystemLock,
+        system: &System,
+        logs: PathBuf,
+    ) -> anyhow::Result<Self> {
         let mut members = BTreeMap::new();
         for role in Role::ALL.iter().copied() {
             let Some(entry) = system.entry(role) else { continue };
@@ -77,7 +84,12 @@ impl Fleet {
         }
     }
 
-    fn try_spawn(&mut self, role: Role, incarnation: u32, checkpoint: Option<&Checkpoint>) -> anyhow::Result<u32> {
+    fn try_spawn(
+        &mut self,
+        role: Role,
+        incarnation: u32,
+        checkpoint: Option<&Checkpoint>,
+    ) -> anyhow::Result<u32> {
         let member = self.members.get_mut(&role).context("no process of this role")?;
         let command = match (&member.entry.command, &member.entry.implementation) {
             (Some(command), _) => command.iter().map(OsString::from).collect(),

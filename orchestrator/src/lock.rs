@@ -102,9 +102,14 @@ impl SystemLock {
     fn end_leftovers(&self) -> anyhow::Result<()> {
         let Ok(text) = std::fs::read_to_string(self.processes_file()) else { return Ok(()) };
         let left: Vec<Registered> = serde_json::from_str(&text).unwrap_or_default();
-        let alive = |process: &&Registered| start_ticks(process.pid.cast_unsigned()) == Some(process.start_time);
+        let alive =
+            |process: &&Registered| start_ticks(process.pid.cast_unsigned()) == Some(process.start_time);
         for process in left.iter().filter(alive) {
-            tracing::warn!(role = process.role, pid = process.pid, "ending a process that an earlier run left");
+            tracing::warn!(
+                role = process.role,
+                pid = process.pid,
+                "ending a process that an earlier run left"
+            );
             if let Some(group) = Pid::from_raw(process.pid) {
                 let _ = kill_process_group(group, Signal::KILL);
             }

@@ -33,8 +33,19 @@ use crate::vitals::Vitals;
 const DEFAULT_SCENARIO: &str = "corridor";
 
 /// Tables and keys that belong to the scenario; all others belong to the system.
-const SCENARIO_KEYS: [&str; 11] =
-    ["name", "seed", "timeout_s", "stop_final_s", "track", "start", "goal", "obstacle", "robot", "noise", "endless"];
+const SCENARIO_KEYS: [&str; 11] = [
+    "name",
+    "seed",
+    "timeout_s",
+    "stop_final_s",
+    "track",
+    "start",
+    "goal",
+    "obstacle",
+    "robot",
+    "noise",
+    "endless",
+];
 
 /// What is to be driven, checked.
 #[derive(Debug, Clone)]
@@ -60,8 +71,9 @@ impl Plan {
             table::set(target, &key, value)?;
         }
         if let Some(seed) = choice.seed {
-            let seed = i64::try_from(seed)
-                .map_err(|_| Failure::bad_input(format!("--seed {seed} is not allowed: 0 to {}", i64::MAX)))?;
+            let seed = i64::try_from(seed).map_err(|_| {
+                Failure::bad_input(format!("--seed {seed} is not allowed: 0 to {}", i64::MAX))
+            })?;
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
         Ok(Self {
@@ -91,7 +103,9 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     if let Some(duration_s) = arguments.duration
         && !(duration_s > 0.0 && duration_s <= 1e6)
     {
-        return Err(Failure::bad_input(format!("--duration {duration_s} is not allowed: above 0, up to 1000000 s")));
+        return Err(Failure::bad_input(format!(
+            "--duration {duration_s} is not allowed: above 0, up to 1000000 s"
+        )));
     }
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name));
     std::fs::create_dir_all(&out)
@@ -105,7 +119,8 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;
     let picture_file = out.join("drive.svg");
     let drawing = picture::draw(&scene_of(&plan.scenario, &report), &recorder.drive())?;
-    write_atomically(&picture_file, drawing.as_bytes()).with_context(|| format!("{}", picture_file.display()))?;
+    write_atomically(&picture_file, drawing.as_bytes())
+        .with_context(|| format!("{}", picture_file.display()))?;
     eprint!("{}", summary::text(&report, Some(&out)));
     Ok(match ending.outcome.exit_code() {
         0 => Exit::Done,

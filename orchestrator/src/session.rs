@@ -105,7 +105,8 @@ impl Session {
     }
 
     fn sleep(&self) {
-        let longest_ns = if self.lockstep { 500_000 } else { (4 * self.period_ns).clamp(1_000_000, 20_000_000) };
+        let longest_ns =
+            if self.lockstep { 500_000 } else { (4 * self.period_ns).clamp(1_000_000, 20_000_000) };
         let mut descriptors = vec![self.shutdown.descriptor(), self.control.descriptor()];
         descriptors.extend(self.fleet.descriptors());
         wait_for(&descriptors, longest_ns);
@@ -137,7 +138,9 @@ impl Session {
         self.control.serve(|request| match request {
             Request::Status => status.clone(),
             Request::Restart { role } => match role.parse::<Role>() {
-                Ok(Role::Robot) => Reply::Refused("the robot is not restarted: its end would end the run".to_owned()),
+                Ok(Role::Robot) => {
+                    Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
+                }
                 Ok(role) => {
                     requests.push(Event::RestartRequested { role });
                     Reply::Done
@@ -226,13 +229,20 @@ impl Session {
             && now.saturating_sub(self.moved_ns) > LOCKSTEP_PATIENCE_NS
         {
             let scan = self.samples.newest_scan();
-            self.decide(Outcome::Failed, &format!("scan {scan} was not answered within 20 s of the machine's time"));
+            self.decide(
+                Outcome::Failed,
+                &format!("scan {scan} was not answered within 20 s of the machine's time"),
+            );
         }
         match self.end.clone() {
             End::Resting(outcome, reason, until_ns) => {
                 let rests = self.recorder.last_truth().is_none_or(|truth| truth.speed_mps <= 0.0);
                 if rests || now >= until_ns || self.supervisor.phase() != Phase::Driving {
-                    self.end = End::Draining(outcome, reason, now + if self.lockstep { 0 } else { DRAIN_PATIENCE_NS });
+                    self.end = End::Draining(
+                        outcome,
+                        reason,
+                        now + if self.lockstep { 0 } else { DRAIN_PATIENCE_NS },
+                    );
                     self.directive.phase = Phase::Stopping.wire();
                     self.dirty = true;
                 }
@@ -369,9 +379,9 @@ impl Session {
     fn ending(&mut self) -> Ending {
         let (outcome, reason) = match &self.end {
             End::NotYet => (Outcome::Failed, "the processes ended".to_owned()),
-            End::Resting(outcome, reason, _) | End::Draining(outcome, reason, _) | End::Ending(outcome, reason) => {
-                (*outcome, reason.clone())
-            }
+            End::Resting(outcome, reason, _)
+            | End::Draining(outcome, reason, _)
+            | End::Ending(outcome, reason) => (*outcome, reason.clone()),
         };
         let mut processes: Vec<_> = self
             .supervisor
@@ -381,7 +391,11 @@ impl Session {
                 implementation: self.fleet.label(view.role),
                 pid: self.fleet.last_pid(view.role),
                 restarts: view.restarts,
-                state: if view.state.name() == "stopped" { "exited".to_owned() } else { view.state.name().to_owned() },
+                state: if view.state.name() == "stopped" {
+                    "exited".to_owned()
+                } else {
+                    view.state.name().to_owned()
+                },
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));

@@ -79,10 +79,13 @@ impl System {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub(crate) fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
-        let known = ["rate_hz", "orphan_timeout_s", "process", "estimator", "obstacles", "controller", "actuator"];
+        let known =
+            ["rate_hz", "orphan_timeout_s", "process", "estimator", "obstacles", "controller", "actuator"];
         if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
             let known = known.map(|key| format!("`{key}`")).join(", ");
-            return Err(Failure::bad_input(format!("{file}: {key}: the key is unknown, expected one of {known}")));
+            return Err(Failure::bad_input(format!(
+                "{file}: {key}: the key is unknown, expected one of {known}"
+            )));
         }
         let shown = table.clone();
         let system: Self = serde_path_to_error::deserialize(Value::Table(table)).map_err(|error| {
@@ -104,7 +107,11 @@ impl System {
             None => (BUILT_IN.to_owned(), "built-in system".to_owned()),
             Some(path) => {
                 let name = path.display().to_string();
-                (std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?, name)
+                (
+                    std::fs::read_to_string(path)
+                        .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?,
+                    name,
+                )
             }
         };
         let table = text.parse::<Table>().map_err(|error| {
@@ -123,7 +130,7 @@ impl System {
     pub(crate) fn tuning(&self) -> Tuning {
         Tuning {
             estimator: self.estimator.clone(),
-            obstacles: self.obstacles.clone(),
+            obstacles: self.obstacles,
             controller: self.controller.clone(),
             actuator: self.actuator.clone(),
         }
@@ -144,12 +151,18 @@ impl System {
             let count = self.processes.iter().filter(|entry| entry.role == role.name()).count();
             if count > 1 {
                 let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
-                let allowed =
-                    format!("one process per role; {count} processes would write topic {}", topics.join(", "));
+                let allowed = format!(
+                    "one process per role; {count} processes would write topic {}",
+                    topics.join(", ")
+                );
                 return Err(Invalid::new("process.role", role, allowed));
             }
             if count == 0 {
-                return Err(Invalid::new("process", format!("no process of role {role}"), "one process per role"));
+                return Err(Invalid::new(
+                    "process",
+                    format!("no process of role {role}"),
+                    "one process per role",
+                ));
             }
         }
         self.tuning().validate()
@@ -199,7 +212,13 @@ impl ProcessEntry {
                     return Err(Invalid::new("command", "[]", "a program and its arguments"));
                 }
             }
-            _ => return Err(Invalid::new("implementation", "both or none", "one of `implementation` and `command`")),
+            _ => {
+                return Err(Invalid::new(
+                    "implementation",
+                    "both or none",
+                    "one of `implementation` and `command`",
+                ));
+            }
         }
         if !["never", "on-failure", "always"].contains(&self.restart.as_str()) {
             return Err(Invalid::new("restart", &self.restart, "one of never, on-failure, always"));
@@ -268,7 +287,10 @@ mod tests {
     #[test]
     fn messages_name_file_key_value_and_what_is_allowed() {
         assert_eq!(error_of("rate_hz = nan"), "lab.toml: rate_hz = NaN is not allowed: 0.5 to 1000");
-        assert!(error_of("rate = 10.0").starts_with("lab.toml: rate: the key is unknown, expected one of `rate_hz`"));
+        assert!(
+            error_of("rate = 10.0")
+                .starts_with("lab.toml: rate: the key is unknown, expected one of `rate_hz`")
+        );
         let typed = error_of("rate_hz = \"fast\"");
         assert!(typed.starts_with("lab.toml: rate_hz = \"fast\" is not allowed: invalid type"), "{typed}");
     }

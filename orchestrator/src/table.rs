@@ -43,7 +43,9 @@ pub(crate) fn set(table: &mut Table, key: &str, value: Value) -> anyhow::Result<
             });
             match found {
                 Some((_, Value::Table(inner))) => set(inner, rest, value),
-                _ => Err(Failure::bad_input(format!("--set {key}: {first} has no element `{which}` (it has {count})"))),
+                _ => Err(Failure::bad_input(format!(
+                    "--set {key}: {first} has no element `{which}` (it has {count})"
+                ))),
             }
         }
         _ => Err(Failure::bad_input(format!("--set {key}: {first} is a value, not a table"))),
@@ -65,7 +67,9 @@ mod tests {
     #[test]
     fn keys_reach_into_tables_and_arrays() {
         let mut table: Table =
-            "[robot]\nx = 1.0\n[[process]]\nrole = \"controller\"\n[[process]]\nrole = \"robot\"".parse().unwrap();
+            "[robot]\nx = 1.0\n[[process]]\nrole = \"controller\"\n[[process]]\nrole = \"robot\""
+                .parse()
+                .unwrap();
         set(&mut table, "robot.x", Value::Integer(2)).unwrap();
         set(&mut table, "process.robot.restart", Value::String("never".into())).unwrap();
         set(&mut table, "process.0.restart", Value::String("always".into())).unwrap();

@@ -6,8 +6,8 @@ use std::time::Duration;
 use runtime::{Bus, Domain, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use shared_types::{
-    Actuation, Checkpoint, Command, Directive, Field, Heartbeat, Kind, Obstacles, Odometry, Pose, Role, Sample, Scan,
-    TOPICS, Topic, Truth,
+    Actuation, Checkpoint, Command, Directive, Field, Heartbeat, Kind, Obstacles, Odometry, Pose, Role,
+    Sample, Scan, TOPICS, Topic, Truth,
 };
 
 use crate::exit::Failure;
@@ -50,8 +50,14 @@ pub(crate) fn markdown() -> String {
             topic.published()
         );
         for field in topic.fields() {
-            let _ =
-                writeln!(text, "| {} | `{}` | {} | {} |", field.offset, field.name, kind_name(&field.kind), field.doc);
+            let _ = writeln!(
+                text,
+                "| {} | `{}` | {} | {} |",
+                field.offset,
+                field.name,
+                kind_name(&field.kind),
+                field.doc
+            );
         }
     }
     let mut structs: Vec<(&str, &[Field])> = Vec::new();
@@ -59,10 +65,19 @@ pub(crate) fn markdown() -> String {
         topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
     }
     for (name, fields) in structs {
-        let _ = writeln!(text, "\n## struct {name}\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
+        let _ = writeln!(
+            text,
+            "\n## struct {name}\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|"
+        );
         for field in fields {
-            let _ =
-                writeln!(text, "| {} | `{}` | {} | {} |", field.offset, field.name, kind_name(&field.kind), field.doc);
+            let _ = writeln!(
+                text,
+                "| {} | `{}` | {} | {} |",
+                field.offset,
+                field.name,
+                kind_name(&field.kind),
+                field.doc
+            );
         }
     }
     text
@@ -75,12 +90,18 @@ pub(crate) fn markdown() -> String {
 pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
     let mut watch = Watch::open(domain, topic)?;
     let started = monotonic_ns();
-    let end = started + Duration::try_from_secs_f64(duration_s.max(0.0)).map_or(u64::MAX / 2, |d| d.as_nanos() as u64);
+    let end = started
+        + Duration::try_from_secs_f64(duration_s.max(0.0)).map_or(u64::MAX / 2, |d| d.as_nanos() as u64);
     let (mut next, mut before) = (started + 1_000_000_000, 0);
     while monotonic_ns() < end && watch.sleep() {
         watch.look(&mut |_| true)?;
         if monotonic_ns() >= next {
-            println!("{topic}: {:.2} Hz, {} samples, {} lost", (watch.seen - before) as f64, watch.seen, watch.lost);
+            println!(
+                "{topic}: {:.2} Hz, {} samples, {} lost",
+                (watch.seen - before) as f64,
+                watch.seen,
+                watch.lost
+            );
             (next, before) = (next + 1_000_000_000, watch.seen);
         }
     }
@@ -109,10 +130,13 @@ pub(crate) fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool
     Ok(())
 }
 
+/// Gives the bytes of the next sample of a topic.
+type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
+
 /// A topic under observation, of whatever type.
 struct Watch {
     topic: Topic,
-    next: Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>,
+    next: NextSample,
     shutdown: Shutdown,
     seen: u64,
     lost: u64,
@@ -127,7 +151,7 @@ impl Watch {
             return Err(RuntimeError::NotRunning(domain.system_id().to_owned()).into());
         }
         let bus = Bus::open(domain, "observer")?;
-        fn of<S: Sample>(bus: &Bus) -> Result<Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>, RuntimeError> {
+        fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))
         }

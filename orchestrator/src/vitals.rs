@@ -47,7 +47,8 @@ impl Vitals {
         })?;
         let pulses = &mut self.pulses;
         self.heartbeats.poll(|heartbeat| {
-            let (Ok(role), Ok(state)) = (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
+            let (Ok(role), Ok(state)) =
+                (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
             else {
                 return;
             };

@@ -114,7 +114,8 @@ impl System {
 
     /// The report of the run that has ended.
     pub fn report(&self) -> Report {
-        Report::read(&self.folder.join("out/report.json")).unwrap_or_else(|error| panic!("{error}: {}", self.stderr()))
+        Report::read(&self.folder.join("out/report.json"))
+            .unwrap_or_else(|error| panic!("{error}: {}", self.stderr()))
     }
 
     /// What the run wrote to standard error.

@@ -1,4 +1,5 @@
 //! Rules of the code base that no compiler checks.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
 
@@ -56,8 +57,10 @@ fn algorithms_read_no_clock_and_no_file() {
             // Tests stand at the end of a file, or in a file of their own.
             let text = text.split("#[cfg(test)]").next().unwrap_or_default();
             let is_process = path.ends_with("service.rs");
-            for word in ["std::time::", "Instant::now", "SystemTime", "std::fs::", "monotonic_ns", "HashMap"] {
-                let allowed = is_process && word == "monotonic_ns" || path.to_string_lossy().contains("tests");
+            for word in ["std::time::", "Instant::now", "SystemTime", "std::fs::", "monotonic_ns", "HashMap"]
+            {
+                let allowed =
+                    is_process && word == "monotonic_ns" || path.to_string_lossy().contains("tests");
                 assert!(!text.contains(word) || allowed, "{}: {word}", path.display());
             }
         }
@@ -85,6 +88,7 @@ fn process_tests_wait_on_conditions_and_never_sleep() {
 #[test]
 fn the_page_of_topics_is_what_the_executable_prints() {
     let page = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_scanloop-under-test")).arg("types").output().unwrap();
+    let output =
+        std::process::Command::new(env!("CARGO_BIN_EXE_scanloop-under-test")).arg("types").output().unwrap();
     assert_eq!(page, String::from_utf8(output.stdout).unwrap(), "run `scanloop types > docs/topics.md`");
 }

@@ -1,4 +1,5 @@
 //! Bad input ends with exit code 2 and one message that names file, key, value and what is allowed.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use scanloop_tests::System;
 
@@ -32,7 +33,10 @@ fn scenarios_are_checked() {
     scenario("timeout_s = \"long\"", &["timeout_s", "long"]);
     scenario("[noise]\nrange_m = nan", &["noise.range_m", "NaN", "0 to 1"]);
     scenario("[noise]\ndropout = 2.0", &["noise.dropout", "2", "0 to 1"]);
-    scenario("[[obstacle]]\nshape = \"box\"\nx_m = 0.0\ny_m = 0.0\nlength_m = 0.1\nwidth_m = 0.4", &["obstacle[0]"]);
+    scenario(
+        "[[obstacle]]\nshape = \"box\"\nx_m = 0.0\ny_m = 0.0\nlength_m = 0.1\nwidth_m = 0.4",
+        &["obstacle[0]"],
+    );
     scenario("[[obstacle]]\nshape = \"star\"\nx_m = 5.0\ny_m = 0.0", &["obstacle[0].shape", "star"]);
     scenario("[goal]\nx_m = 30.0", &["goal.x_m", "30"]);
     scenario("[track", &["line 1"]);
@@ -55,7 +59,11 @@ fn systems_and_options_are_checked() {
     let with = |more: &str| std::fs::write(&file, format!("{built_in}{more}")).unwrap();
 
     with("[[process]]\nrole = \"controller\"\ncommand = [\"true\"]");
-    refused(&system, &["run", "--system", "system.toml"], &["system.toml", "controller", "would write topic command"]);
+    refused(
+        &system,
+        &["run", "--system", "system.toml"],
+        &["system.toml", "controller", "would write topic command"],
+    );
     with("[[process]]\nrole = \"pilot\"\ncommand = [\"true\"]");
     refused(&system, &["check", "--system", "system.toml"], &["process[5].role", "pilot", "robot"]);
     std::fs::write(&file, built_in.replace("\"nmpc\"", "\"mpc\"")).unwrap();

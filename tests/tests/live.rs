@@ -1,4 +1,5 @@
 //! Runs in real time: processes killed, stopped and interrupted while the robot drives.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::Outcome;
 use orchestrator::report::Report;
@@ -107,7 +108,9 @@ fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
     system.start(&["--set", "orphan_timeout_s=1"]);
     system.signal(system.orchestrator(), Signal::KILL);
     system.wait();
-    system.wait_until("all processes have ended", |system| processes_of(system.domain().system_id()).is_empty());
+    system.wait_until("all processes have ended", |system| {
+        processes_of(system.domain().system_id()).is_empty()
+    });
 }
 
 #[test]
@@ -130,8 +133,12 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
     let status: serde_json::Value =
         serde_json::from_slice(&system.run(&["status", "--json"]).stdout).expect("status prints JSON");
     assert_eq!(status["scenario"], "corridor");
-    let roles: Vec<&str> =
-        status["processes"].as_array().unwrap().iter().map(|process| process["role"].as_str().unwrap()).collect();
+    let roles: Vec<&str> = status["processes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|process| process["role"].as_str().unwrap())
+        .collect();
     assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
 
     let echo = system.run(&["topic", "echo", "pose", "-n", "2"]);

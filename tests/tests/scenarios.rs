@@ -1,4 +1,5 @@
 //! Every shipped scenario in lock-step, with the outcome it is shipped for.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::{Outcome, Scenario};
 use orchestrator::digest::Digests;

@@ -5,9 +5,9 @@
 
 mod actuator;
 mod config;
+pub mod service;
 mod state;
 mod verdict;
-pub mod service;
 
 pub use actuator::Actuator;
 pub use config::Config;

@@ -15,12 +15,12 @@ mod motion;
 mod outline;
 mod points;
 mod segment;
+pub mod service;
 mod shape;
 mod state;
 mod track;
 mod visibility;
 mod walls;
-pub mod service;
 
 pub use config::Config;
 pub use describer::Describer;

@@ -21,7 +21,9 @@ use emulator::Emulator;
 use estimator::Estimator;
 use nmpc::{Budget, Controller};
 use obstacles::Describer;
-use shared_types::{Actuation, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StageStamps, Truth};
+use shared_types::{
+    Actuation, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StageStamps, Truth,
+};
 use vehicle::Invalid;
 
 /// Everything that was said about one scan.
@@ -128,7 +130,8 @@ impl Publisher {
         header.incarnation = incarnation(role);
         header.sequence = self.scan_id;
         let now = self.now_ns;
-        *header.stage_mut(role) = StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now };
+        *header.stage_mut(role) =
+            StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now };
     }
 }
 

@@ -44,7 +44,8 @@ pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<Checkpoint>, Ru
     match std::fs::read(&path) {
         Ok(bytes) if bytes.len() == size_of::<Checkpoint>() => {
             let checkpoint: Checkpoint = bytemuck::pod_read_unaligned(&bytes);
-            Ok(Some(checkpoint).filter(|checkpoint| checkpoint.check().is_ok() && checkpoint.role == role.wire()))
+            Ok(Some(checkpoint)
+                .filter(|checkpoint| checkpoint.check().is_ok() && checkpoint.role == role.wire()))
         }
         Ok(_) => Ok(None),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),

@@ -52,7 +52,7 @@ pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
 pub use input::{Input, Taken, join};
 pub use logging::start_logging;
-pub use observer::{Observer, Voice};
+pub use observer::{Checked, Observer, Voice};
 pub use output::Output;
 pub use process::Process;
 pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};

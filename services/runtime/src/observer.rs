@@ -13,6 +13,9 @@ use crate::wake::{borrow, clear, descriptor};
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
+/// A sample, and whether its content may be used.
+pub type Checked<S> = (S, Result<(), Fault>);
+
 /// Copies samples of one topic; never slows the loop, because the oldest waiting sample is replaced.
 pub struct Observer<S: Sample> {
     subscriber: WireSubscriber<S>,
@@ -50,7 +53,7 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    pub fn next(&self) -> Result<Option<(S, Result<(), Fault>)>, RuntimeError> {
+    pub fn next(&self) -> Result<Option<Checked<S>>, RuntimeError> {
         if let Some(listener) = &self.listener {
             clear(listener);
         }

@@ -10,8 +10,8 @@ use shared_types::{
 };
 
 use crate::counters::{Counters, count};
-use crate::input::{Drain, Input};
 use crate::handover::{self, Handover};
+use crate::input::{Drain, Input};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
 use crate::wake::{borrow, wait_for};
@@ -240,7 +240,9 @@ impl Process {
         if !environment::is_restart() {
             return Ok(Handover::FirstStart);
         }
-        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else { return Ok(Handover::Lost) };
+        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else {
+            return Ok(Handover::Lost);
+        };
         let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
         if age_ns > CHECKPOINT_AGE_NS {
             return Ok(Handover::Lost);

@@ -90,7 +90,8 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     let controller = lab.shared(Role::Controller, 9);
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
     // Two voices of one incarnation number their samples alike, as a process that repeats itself does.
-    let (mut voice, mut echo) = (Voice::<Pose>::new(lab.bus()).unwrap(), Voice::<Pose>::new(lab.bus()).unwrap());
+    let (mut voice, mut echo) =
+        (Voice::<Pose>::new(lab.bus()).unwrap(), Voice::<Pose>::new(lab.bus()).unwrap());
     input.drain().unwrap();
     let say = |voice: &mut Voice<Pose>, incarnation, x_m| {
         let mut sample = pose(1, x_m);

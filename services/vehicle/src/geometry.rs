@@ -96,7 +96,8 @@ mod tests {
         let diagonal = square(0.0, 0.0, 0.0).distance_to_rectangle(&square(5.0, 6.0, 0.0));
         assert!((diagonal - 5.0).abs() < 1e-12);
         assert!((square(0.0, 0.0, 0.0).distance_to_rectangle(&square(1.5, 0.0, 0.0)) + 0.5).abs() < 1e-12);
-        let turned = square(0.0, 0.0, 0.0).distance_to_rectangle(&square(3.0, 0.0, std::f64::consts::FRAC_PI_4));
+        let turned =
+            square(0.0, 0.0, 0.0).distance_to_rectangle(&square(3.0, 0.0, std::f64::consts::FRAC_PI_4));
         assert!((turned - (2.0 - 2.0_f64.sqrt())).abs() < 1e-12);
     }
 

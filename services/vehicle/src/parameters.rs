@@ -22,7 +22,13 @@ pub struct Parameters {
 
 impl Default for Parameters {
     fn default() -> Self {
-        Self { mass_kg: 14.695, rear_m: 0.1924, front_m: 0.1776, stiffness_n_per_rad: 250.0, inertia_kgm2: 0.5024 }
+        Self {
+            mass_kg: 14.695,
+            rear_m: 0.1924,
+            front_m: 0.1776,
+            stiffness_n_per_rad: 250.0,
+            inertia_kgm2: 0.5024,
+        }
     }
 }
 
