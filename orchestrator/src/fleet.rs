@@ -113,7 +113,7 @@ impl Fleet {
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         let pid = child.pid();
         member.child = Some(child);
-        member.usage = None;
+        member.usage = Some((monotonic_ns(), 0.0));
         member.last_pid = pid;
         self.lock.register(role, pid.cast_signed(), incarnation)?;
         Ok(pid)

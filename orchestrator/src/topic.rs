@@ -26,7 +26,11 @@ pub(crate) fn list() -> String {
             Topic::Heartbeat | Topic::Checkpoint => "all",
             _ => topic.writer().map_or("-", Role::name),
         };
-        let readers = if readers.is_empty() { "orchestrator".to_owned() } else { readers.join(", ") };
+        let readers = match topic {
+            Topic::Directive => "all".to_owned(),
+            _ if readers.is_empty() => "orchestrator".to_owned(),
+            _ => readers.join(", "),
+        };
         let _ = writeln!(
             text,
             "{:<10} {:>6}  {writer:<12}  {readers:<21}  {}",

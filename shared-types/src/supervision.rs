@@ -87,7 +87,7 @@ sample! {
         pub issued_ns: u64,
         /// Times round the loop; a process that hangs stops counting
         pub activations: u64,
-        /// Outputs published
+        /// Outputs published on the first topic of the role
         pub published: u64,
         /// Inputs used
         pub used: u64,

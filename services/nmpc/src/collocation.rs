@@ -5,6 +5,8 @@
 //! an interval is 0.45 s) die out; this is the production choice. Gauss has the higher order 2s but lets fast
 //! modes ring with factor (-1)^s per interval; two points of it are the scheme of the source.
 
+#![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
+
 use serde::{Deserialize, Serialize};
 
 /// The largest number of stages of any scheme.
@@ -213,7 +215,8 @@ mod tests {
         let collocation = Collocation::new(Scheme::Radau3);
         let root = 6.0f64.sqrt();
         let points = [(4.0 - root) / 10.0, (4.0 + root) / 10.0, 1.0];
-        let first = [(88.0 - 7.0 * root) / 360.0, (296.0 - 169.0 * root) / 1800.0, (-2.0 + 3.0 * root) / 225.0];
+        let first =
+            [(88.0 - 7.0 * root) / 360.0, (296.0 - 169.0 * root) / 1800.0, (-2.0 + 3.0 * root) / 225.0];
         let last = [(16.0 - root) / 36.0, (16.0 + root) / 36.0, 1.0 / 9.0];
         for stage in 0..3 {
             assert!((collocation.points[stage] - points[stage]).abs() < 1e-14);

@@ -133,7 +133,8 @@ pub(crate) fn add_second_order(
     let ellipses = problem.ellipses.len();
     for node in 1..=count {
         let before = node - 1;
-        let frame = Interval { parameters: &problem.parameters, collocation, length: problem.intervals[before] };
+        let frame =
+            Interval { parameters: &problem.parameters, collocation, length: problem.intervals[before] };
         let bend = curvature(
             &frame,
             &iterate.states[before],
@@ -238,13 +239,13 @@ fn add_controls(problem: &Problem, damping: f64, hessian: &mut [f64]) {
     let range = [bounds.velocity_max_mps - bounds.velocity_min_mps, 2.0 * bounds.steering_max_rad];
     let damping = range.map(|range| damping / (range * range).max(1e-12));
     for index in 0..count {
-        for component in 0..2 {
+        for (component, damping) in damping.iter().enumerate() {
             let position = 2 * index + component;
             let earlier = if index > 0 || problem.previous.is_some() { 1.0 } else { 0.0 };
             let later = if index + 1 < count { 1.0 } else { 0.0 };
-            hessian[position * width + position] +=
-                2.0 * weights.control[component] + 2.0 * weights.change[component] * (earlier + later)
-                    + damping[component];
+            hessian[position * width + position] += 2.0 * weights.control[component]
+                + 2.0 * weights.change[component] * (earlier + later)
+                + damping;
             if index > 0 {
                 hessian[position * width + position - 2] -= 2.0 * weights.change[component];
             }

@@ -8,7 +8,7 @@ use crate::problem::Weights;
 use crate::settings::SolverSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
-pub const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
+pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
 
 /// Where to land.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -8,6 +8,8 @@
 //! contracted end state by Z, the implicit part is zeta' Z'' = sum over stages of nu(j)' f''(j), where
 //! nu(j) = h sum over i of A(i, j) eta(i) and M' eta = zeta: one transposed solve, no third-order tensors.
 
+#![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
+
 use vehicle::Parameters;
 
 use crate::collocation::MAX_STAGES;
@@ -61,7 +63,8 @@ fn curvature_stages<const S: usize>(
             let factor = length * collocation.integrals[stage][other];
             course += factor * stages[other][1];
             let columns = &linearisation.stages[other][1];
-            for (slope, column) in slope.iter_mut().zip([columns[1], columns[2], 0.0, columns[3], columns[4]]) {
+            for (slope, column) in slope.iter_mut().zip([columns[1], columns[2], 0.0, columns[3], columns[4]])
+            {
                 *slope += factor * column;
             }
         }
@@ -172,8 +175,7 @@ fn slope_curvature(
 
     let sideslip_velocity = force_cos * (slip_sideslip_velocity * secant + slip_velocity * secant1);
     let sideslip_rate = force_cos * slip_rate * secant1;
-    let sideslip_steering =
-        force_sin * (slip_sideslip * secant + slip * secant1) - torque * sin * difference;
+    let sideslip_steering = force_sin * (slip_sideslip * secant + slip * secant1) - torque * sin * difference;
     let rate_velocity = force_cos * slip_rate_velocity * secant + torque * cos * spin * inverse;
     let rate_steering = force_sin * slip_rate * secant + torque * sin * spin;
     let velocity_steering = force_sin * slip_velocity * secant - torque * sin * yaw_rate * spin * inverse;

@@ -97,7 +97,7 @@ pub struct Guide {
 
 impl Guide {
     /// Makes this the line y = `line`, clear by definition.
-    pub fn set_line(&mut self, start_x: f64, line: f64, speed: f64) {
+    pub(crate) fn set_line(&mut self, start_x: f64, line: f64, speed: f64) {
         self.y.clear();
         self.sine.clear();
         self.y.push(line);
@@ -125,7 +125,7 @@ impl Guide {
     }
 
     /// Side on which the path passes the hazard: 1 left of it, -1 right of it, 0 when it does not get there.
-    pub fn side_of(&self, hazard: &Hazard) -> i8 {
+    pub(crate) fn side_of(&self, hazard: &Hazard) -> i8 {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
             let t = index as f64 * self.step / self.speed;

@@ -10,6 +10,8 @@
 //!
 //! States are ordered (sideslip, yaw, yaw rate, x, y), controls (velocity, steering).
 
+#![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
+
 use vehicle::{Control, Parameters, State};
 
 use crate::collocation::{Collocation, MAX_STAGES};

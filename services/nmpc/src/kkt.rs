@@ -58,7 +58,7 @@ pub(crate) fn residual(
     let ellipses = problem.ellipses.len();
     let weights = &problem.weights;
     let (state_lower, state_upper) = state_bounds(problem);
-    let mut largest = shooting.defect;
+    let mut largest = shooting.defect.max(shooting.last_step);
     let mut worse = |value: f64| {
         if value.abs() > largest || value.is_nan() {
             largest = value.abs();

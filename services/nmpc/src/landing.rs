@@ -11,7 +11,7 @@ use crate::config::Goal;
 
 /// What the position relative to the goal asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Approach {
+pub(crate) enum Approach {
     /// The goal is still ahead.
     Ahead,
     /// Stopping now ends within the tolerance, and later would be further away.
@@ -21,7 +21,13 @@ pub enum Approach {
 }
 
 /// What to do at `state`, where the command acts, with `speed` [m/s], until the next scan `period_s` later.
-pub fn approach(goal: &Goal, state: &State, speed: f64, period_s: f64, deceleration_mps2: f64) -> Approach {
+pub(crate) fn approach(
+    goal: &Goal,
+    state: &State,
+    speed: f64,
+    period_s: f64,
+    deceleration_mps2: f64,
+) -> Approach {
     let (sin, cos) = (state.yaw + state.sideslip).sin_cos();
     let (ahead_x, ahead_y) = (goal.x_m - state.x, goal.y_m - state.y);
     let along = ahead_x * cos + ahead_y * sin - speed * speed / (2.0 * deceleration_mps2);

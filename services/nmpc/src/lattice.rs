@@ -30,25 +30,25 @@ const OUTSIDE_M: f64 = 0.6;
 
 /// What a guide is searched for.
 #[derive(Debug, Clone, Copy)]
-pub struct Query<'a> {
+pub(crate) struct Query<'a> {
     /// State at the start of the plan.
-    pub start: State,
+    pub(crate) start: State,
     /// The line y = `line` that the path keeps to where it can [m].
-    pub line: f64,
+    pub(crate) line: f64,
     /// Position along the track where the path ends at the latest [m].
-    pub goal_x: f64,
+    pub(crate) goal_x: f64,
     /// Bounds of the lateral position, (7.46) [m].
-    pub y_range: [f64; 2],
+    pub(crate) y_range: [f64; 2],
     /// Largest curvature the robot can steer [1/m].
-    pub curvature: f64,
+    pub(crate) curvature: f64,
     /// Distance that is kept to the ellipses [m].
-    pub margin: f64,
+    pub(crate) margin: f64,
     /// Velocity along the path [m/s].
-    pub speed: f64,
+    pub(crate) speed: f64,
     /// The obstacles.
-    pub hazards: &'a [Hazard],
+    pub(crate) hazards: &'a [Hazard],
     /// Sides on which they were passed before.
-    pub sides: &'a Sides,
+    pub(crate) sides: &'a Sides,
 }
 
 /// The cheapest path that ends in one cell of a layer.
@@ -65,7 +65,7 @@ impl Cell {
 
 /// The search with its buffers.
 #[derive(Debug, Clone)]
-pub struct Search {
+pub(crate) struct Search {
     settings: GuideSettings,
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
@@ -75,7 +75,7 @@ pub struct Search {
 
 impl Search {
     /// A search with empty buffers.
-    pub fn new(settings: GuideSettings) -> Self {
+    pub(crate) fn new(settings: GuideSettings) -> Self {
         let empty = Vec::new;
         Self { settings, cells: Vec::new(), active: empty(), rises: Vec::new(), hurdles: Hurdles::default() }
     }
@@ -83,7 +83,7 @@ impl Search {
     /// Puts the cheapest path of `query` into `guide`.
     ///
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
-    pub fn find(&mut self, query: &Query, guide: &mut Guide) {
+    pub(crate) fn find(&mut self, query: &Query, guide: &mut Guide) {
         let settings = self.settings;
         let length = (query.goal_x - query.start.x).clamp(0.05, settings.range_m);
         let length = length.min(self.needed(query));

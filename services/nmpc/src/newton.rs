@@ -81,7 +81,8 @@ impl Newton {
     fn select(&mut self, qp: &Qp) {
         let solution = &self.solution;
         self.free.clear();
-        self.free.extend((0..qp.variables()).filter(|&index| solution.bound_states[index] == BoundState::Free));
+        self.free
+            .extend((0..qp.variables()).filter(|&index| solution.bound_states[index] == BoundState::Free));
         self.equations.clear();
         self.equations.extend(
             (0..qp.row_count())
@@ -253,8 +254,12 @@ impl Newton {
         for row in 0..qp.row_count() {
             let line = qp.row(row);
             let before = dot(line, &solution.step);
-            let change: f64 =
-                self.free.iter().zip(&self.right).map(|(&index, value)| line[index] * (value - solution.step[index])).sum();
+            let change: f64 = self
+                .free
+                .iter()
+                .zip(&self.right)
+                .map(|(&index, value)| line[index] * (value - solution.step[index]))
+                .sum();
             let (limit, state) = match solution.row_states[row] {
                 RowState::Inside if change > 0.0 => (qp.row_upper[row], RowState::AtUpper),
                 RowState::Inside => (qp.row_lower[row], RowState::AtLower),

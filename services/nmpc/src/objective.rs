@@ -119,7 +119,8 @@ pub(crate) fn smooth_slope(problem: &Problem, iterate: &Iterate, step: &Iterate)
     let weights = &problem.weights;
     let mut slope = 0.0;
     for node in 1..iterate.states.len() {
-        let (state, change, reference) = (&iterate.states[node], &step.states[node], reference(problem, node));
+        let (state, change, reference) =
+            (&iterate.states[node], &step.states[node], reference(problem, node));
         for (component, weight) in node_weights(problem, node).iter().enumerate() {
             slope += weight * (state[component] - reference[component]) * change[component];
         }
@@ -128,10 +129,12 @@ pub(crate) fn smooth_slope(problem: &Problem, iterate: &Iterate, step: &Iterate)
     let mut before = problem.previous.map(|control| ([control.velocity, control.steering], [0.0; 2]));
     for (control, change) in iterate.controls.iter().zip(&step.controls) {
         for component in 0..2 {
-            slope += weights.control[component] * (control[component] - centre[component]) * change[component];
+            slope +=
+                weights.control[component] * (control[component] - centre[component]) * change[component];
             if let Some((before, change_before)) = before {
                 let difference = control[component] - before[component];
-                slope += weights.change[component] * difference * (change[component] - change_before[component]);
+                slope +=
+                    weights.change[component] * difference * (change[component] - change_before[component]);
             }
         }
         before = Some((*control, *change));

@@ -118,7 +118,9 @@ impl Qp {
             }
         };
         gradient.clear();
-        gradient.extend(self.gradient.iter().zip(&solution.bound_multipliers).map(|(entry, bound)| entry + bound));
+        gradient.extend(
+            self.gradient.iter().zip(&solution.bound_multipliers).map(|(entry, bound)| entry + bound),
+        );
         for row in 0..self.row_count() {
             let (line, multiplier) = (self.row(row), solution.row_multipliers[row]);
             if multiplier != 0.0 {
@@ -130,8 +132,8 @@ impl Qp {
             let value = dot(line, &solution.step);
             worse(soft_residual(value, low, high, multiplier, self.slack_linear, self.slack_quadratic));
         }
-        for index in 0..count {
-            worse(gradient[index] + dot(&self.hessian[index * count..(index + 1) * count], &solution.step));
+        for (index, rest) in gradient.iter().enumerate() {
+            worse(rest + dot(&self.hessian[index * count..(index + 1) * count], &solution.step));
             let (value, multiplier) = (solution.step[index], solution.bound_multipliers[index]);
             // Not f64::clamp, which panics when the bounds are out of order.
             worse(value - (value + multiplier).max(self.lower[index]).min(self.upper[index]));
@@ -172,7 +174,14 @@ impl QpSolution {
 /// It is `value - prox(value + multiplier)` with prox of the penalty, which is zero exactly when the multiplier is a
 /// subgradient of the penalty: 0 inside, up to L1 at the limit, L1 + 2 L2 s beyond it.
 #[inline]
-pub(crate) fn soft_residual(value: f64, lower: f64, upper: f64, multiplier: f64, linear: f64, quadratic: f64) -> f64 {
+pub(crate) fn soft_residual(
+    value: f64,
+    lower: f64,
+    upper: f64,
+    multiplier: f64,
+    linear: f64,
+    quadratic: f64,
+) -> f64 {
     let moved = value + multiplier;
     let near = if moved > upper {
         upper + ((moved - upper - linear) / (1.0 + 2.0 * quadratic)).max(0.0)

@@ -12,20 +12,20 @@ use crate::guide::Guide;
 
 /// How the moving point is led.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pace {
+pub(crate) struct Pace {
     /// Velocity far from the goal [m/s].
-    pub cruise: f64,
+    pub(crate) cruise: f64,
     /// Smallest velocity [m/s].
-    pub slowest: f64,
+    pub(crate) slowest: f64,
     /// Position of the goal along the track [m].
-    pub goal_x: f64,
+    pub(crate) goal_x: f64,
     /// Time constant of the approach [s].
-    pub landing_time: f64,
+    pub(crate) landing_time: f64,
 }
 
 impl Pace {
     /// Velocity of the point at `x` [m/s].
-    pub fn velocity(&self, x: f64) -> f64 {
+    pub(crate) fn velocity(&self, x: f64) -> f64 {
         ((self.goal_x - x) / self.landing_time).clamp(self.slowest, self.cruise.max(self.slowest))
     }
 }
@@ -34,7 +34,7 @@ impl Pace {
 const STEPS: usize = 4;
 
 /// Fills `references` for nodes 1 to `intervals` and returns the reference of the controls.
-pub fn fill(
+pub(crate) fn fill(
     guide: &Guide,
     pace: &Pace,
     start_x: f64,

@@ -14,16 +14,16 @@ const SLOWEST_MPS: f64 = 0.02;
 
 /// A state at a time of the plan.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Sampled {
+pub(crate) struct Sampled {
     /// Time since the start of the plan [s].
-    pub t: f64,
+    pub(crate) t: f64,
     /// The state.
-    pub state: State,
+    pub(crate) state: State,
 }
 
 /// The state after `duration` seconds under a constant control.
 #[must_use]
-pub fn advance(parameters: &Parameters, state: &State, control: &Control, duration: f64) -> State {
+pub(crate) fn advance(parameters: &Parameters, state: &State, control: &Control, duration: f64) -> State {
     let longest = STEP_PER_VELOCITY * control.velocity.clamp(SLOWEST_MPS, 1.0);
     let steps = (duration / longest).ceil().clamp(1.0, 1e5);
     let step = duration / steps;
@@ -33,7 +33,7 @@ pub fn advance(parameters: &Parameters, state: &State, control: &Control, durati
 /// Fills `nodes` with the states at the ends of the intervals and `dense` with `pieces` samples per interval.
 ///
 /// Both start with the initial state. Intervals are `interval_s` long.
-pub fn simulate(
+pub(crate) fn simulate(
     parameters: &Parameters,
     initial: &State,
     controls: &[Control],

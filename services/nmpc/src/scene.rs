@@ -18,41 +18,41 @@ const LARGEST_M: f64 = 1e5;
 
 /// One ellipse and the box of the body inside it, at the start of the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hazard {
+pub(crate) struct Hazard {
     /// Identity of the ellipse.
-    pub id: u32,
+    pub(crate) id: u32,
     /// Centre of the ellipse at the start of the plan [m].
-    pub centre: [f64; 2],
+    pub(crate) centre: [f64; 2],
     /// Velocity of the body, zero when not significant [m/s].
-    pub velocity: [f64; 2],
+    pub(crate) velocity: [f64; 2],
     /// Semi-axis along the track, a of (7.34) [m].
-    pub a: f64,
+    pub(crate) a: f64,
     /// Semi-axis across the track, b of (7.35) [m].
-    pub b: f64,
+    pub(crate) b: f64,
     /// Box of the body at the start of the plan.
-    pub body: Rectangle,
+    pub(crate) body: Rectangle,
 }
 
 impl Hazard {
     /// Centre of the ellipse `t` seconds after the start of the plan [m].
-    pub fn centre_at(&self, t: f64) -> [f64; 2] {
+    pub(crate) fn centre_at(&self, t: f64) -> [f64; 2] {
         [self.centre[0] + self.velocity[0] * t, self.centre[1] + self.velocity[1] * t]
     }
 
     /// Right-hand side of (7.34) for a position `t` seconds after the start of the plan: 1 on the ellipse.
-    pub fn value(&self, t: f64, x: f64, y: f64) -> f64 {
+    pub(crate) fn value(&self, t: f64, x: f64, y: f64) -> f64 {
         let [centre_x, centre_y] = self.centre_at(t);
         ((x - centre_x) / self.a).powi(2) + ((y - centre_y) / self.b).powi(2)
     }
 
     /// Box of the body `t` seconds after the start of the plan.
-    pub fn body_at(&self, t: f64) -> Rectangle {
+    pub(crate) fn body_at(&self, t: f64) -> Rectangle {
         let travel = Vector2::new(self.velocity[0] * t, self.velocity[1] * t);
         Rectangle { centre: self.body.centre + travel, ..self.body }
     }
 
     /// Whether the body moves.
-    pub fn moves(&self) -> bool {
+    pub(crate) fn moves(&self) -> bool {
         self.velocity != [0.0, 0.0]
     }
 }
@@ -60,7 +60,7 @@ impl Hazard {
 /// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
 ///
 /// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
-pub fn read(obstacles: &Obstacles, lead_s: f64, hazards: &mut Vec<Hazard>) -> bool {
+pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, hazards: &mut Vec<Hazard>) -> bool {
     hazards.clear();
     for item in obstacles.list() {
         if !is_sound(item) {

@@ -58,7 +58,12 @@ impl Iterate {
     }
 }
 
-fn copy_moved<const C: usize>(target: &mut Vec<[f64; C]>, base: &[[f64; C]], step: &[[f64; C]], fraction: f64) {
+fn copy_moved<const C: usize>(
+    target: &mut Vec<[f64; C]>,
+    base: &[[f64; C]],
+    step: &[[f64; C]],
+    fraction: f64,
+) {
     target.clear();
     target.extend(base.iter().zip(step).map(|(base, step)| {
         let mut moved = *base;
@@ -78,7 +83,8 @@ fn settle(
 ) -> Option<(Linearisation, f64)> {
     /// Three are usual from afar, one near the solution.
     const NEWTON_STEPS: usize = 20;
-    /// The error that is left is of the order of the square of the last step.
+    /// The equations are nearly linear, and less than the square of the last step is left: rounding errors. With 1e-4
+    /// the noise of the merit, which penalties magnify, stops the search.
     const LAST_STEP: f64 = 1e-7;
     for _ in 0..NEWTON_STEPS {
         let linearisation = linearise(interval, start, control, stages);
@@ -90,7 +96,8 @@ fn settle(
             }
         }
         if largest <= LAST_STEP {
-            let finite = linearisation.end.iter().chain(&linearisation.correction).all(|value| value.is_finite());
+            let finite =
+                linearisation.end.iter().chain(&linearisation.correction).all(|value| value.is_finite());
             return finite.then_some((linearisation, largest));
         }
     }
@@ -104,8 +111,10 @@ pub(crate) struct Shooting {
     pub intervals: Vec<Linearisation>,
     /// End of each interval minus the next node's state; zero after a closing sweep.
     pub gaps: Vec<[f64; 5]>,
-    /// The largest gap or last Newton step of a stage: a bound of what is left of the model's equations.
+    /// The largest gap, or square of the last Newton step of a stage: what is left of the model's equations.
     pub defect: f64,
+    /// The largest change of a stage by the last Newton step, at which the sensitivities are behind.
+    pub last_step: f64,
 }
 
 /// What a sweep does with the node states.
@@ -133,21 +142,26 @@ impl Shooting {
         self.intervals.clear();
         self.gaps.clear();
         self.defect = 0.0;
+        self.last_step = 0.0;
         for (index, &length) in problem.intervals.iter().enumerate() {
             let interval = Interval { parameters: &problem.parameters, collocation, length };
             let (start, control) = (&iterate.states[index], &iterate.controls[index]);
-            let Some((linearisation, last)) = settle(&interval, start, control, &mut iterate.stages[index]) else {
+            let Some((linearisation, last)) = settle(&interval, start, control, &mut iterate.stages[index])
+            else {
                 return false;
             };
             let mut gap = [0.0; 5];
-            self.defect = self.defect.max(last);
-            for component in 0..5 {
-                let end = linearisation.end[component] + linearisation.correction[component];
+            self.last_step = self.last_step.max(last);
+            self.defect = self.defect.max(last * last);
+            let next = &mut iterate.states[index + 1];
+            let ends = linearisation.end.iter().zip(&linearisation.correction);
+            for ((gap, next), (end, correction)) in gap.iter_mut().zip(next).zip(ends) {
+                let end = end + correction;
                 match sweep {
-                    Sweep::Close => iterate.states[index + 1][component] = end,
-                    Sweep::Keep => gap[component] = end - iterate.states[index + 1][component],
+                    Sweep::Close => *next = end,
+                    Sweep::Keep => *gap = end - *next,
                 }
-                self.defect = self.defect.max(gap[component].abs());
+                self.defect = self.defect.max(gap.abs());
             }
             self.gaps.push(gap);
             self.intervals.push(linearisation);

@@ -11,7 +11,7 @@ use shared_types::{Described, Field, Kind};
 use crate::scene::Hazard;
 
 /// How many choices are remembered.
-pub const MAX_SIDES: usize = 16;
+pub(crate) const MAX_SIDES: usize = 16;
 /// Distance within which an ellipse with a new identity is taken for a known one [m].
 const SAME_PLACE_M: f64 = 0.5;
 
@@ -43,24 +43,24 @@ impl Described for Side {
 
 /// The choices of the last scan.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Sides {
+pub(crate) struct Sides {
     entries: [Side; MAX_SIDES],
 }
 
 impl Sides {
     /// The choices as they stand in a checkpoint.
-    pub fn entries(&self) -> &[Side; MAX_SIDES] {
+    pub(crate) fn entries(&self) -> &[Side; MAX_SIDES] {
         &self.entries
     }
 
     /// The choices of a checkpoint; entries without meaning are left out.
-    pub fn from_entries(entries: &[Side; MAX_SIDES]) -> Self {
+    pub(crate) fn from_entries(entries: &[Side; MAX_SIDES]) -> Self {
         let sound = |entry: &Side| entry.side.abs() == 1 && entry.x_m.is_finite() && entry.y_m.is_finite();
         Self { entries: entries.map(|entry| if sound(&entry) { entry } else { Side::default() }) }
     }
 
     /// The side held for the ellipse: 1 left, -1 right, 0 none.
-    pub fn held(&self, hazard: &Hazard) -> i8 {
+    pub(crate) fn held(&self, hazard: &Hazard) -> i8 {
         let used = || self.entries.iter().filter(|entry| entry.id != 0);
         let known = used().find(|entry| entry.id == hazard.id).or_else(|| {
             let distance = |entry: &Side| (entry.x_m - hazard.centre[0]).hypot(entry.y_m - hazard.centre[1]);
@@ -72,7 +72,7 @@ impl Sides {
     }
 
     /// Holds `side` for the ellipse; 0 lets go.
-    pub fn hold(&mut self, hazard: &Hazard, side: i8) {
+    pub(crate) fn hold(&mut self, hazard: &Hazard, side: i8) {
         let old = self.entries.iter().position(|entry| entry.id == hazard.id);
         let Some(index) = old.or_else(|| self.entries.iter().position(|entry| entry.id == 0)) else { return };
         self.entries[index] = match side {
@@ -82,7 +82,7 @@ impl Sides {
     }
 
     /// Replaces all choices by those that `choose` makes; 0 keeps what was held for the ellipse.
-    pub fn renew(&mut self, hazards: &[Hazard], choose: impl Fn(&Hazard) -> i8) {
+    pub(crate) fn renew(&mut self, hazards: &[Hazard], choose: impl Fn(&Hazard) -> i8) {
         let mut renewed = Self::default();
         for hazard in hazards.iter().filter(|hazard| hazard.id != 0) {
             let chosen = choose(hazard);

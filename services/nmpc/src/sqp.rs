@@ -64,6 +64,7 @@ pub struct Solver {
     costates: Vec<[f64; 5]>,
     buffer: Vec<f64>,
     fallbacks: u64,
+    /// Iterations in a row without a Newton step.
     refusals: u32,
 }
 
@@ -128,8 +129,13 @@ impl Solver {
         let mut damping = 0.0;
         self.refusals = 0;
         let (status, kkt_residual) = loop {
-            let residual =
-                kkt::residual(problem, &self.iterate, &self.shooting, &self.row_multipliers, &mut self.buffer);
+            let residual = kkt::residual(
+                problem,
+                &self.iterate,
+                &self.shooting,
+                &self.row_multipliers,
+                &mut self.buffer,
+            );
             if !residual.is_finite() {
                 break (SolveStatus::Failed, f64::INFINITY);
             }
@@ -146,9 +152,12 @@ impl Solver {
                 };
             }
             iterations += 1;
-            let advanced =
-                if self.is_closed() { self.advance(problem, &mut damping) } else { self.close_gaps(problem) };
-            if !advanced {
+            if self.is_closed() {
+                if !self.advance(problem, &mut damping) {
+                    // The iterate satisfies the model; it is only that no step improves it any more.
+                    break (SolveStatus::MaxIterations, residual);
+                }
+            } else if !self.close_gaps(problem) {
                 break (SolveStatus::Failed, residual);
             }
         };
@@ -280,7 +289,9 @@ impl Solver {
             &self.qp.rows,
             &mut self.newton.hessian,
         );
-        if !self.newton.solve(&self.qp, &self.answer, self.refusals % 2 == 1) {
+        // Every other time, so that the steps with and without the shift take turns and neither creeps alone.
+        let shift = self.refusals % 2 == 1;
+        if !self.newton.solve(&self.qp, &self.answer, shift) {
             return false;
         }
         self.expand(Step::Newton);
@@ -378,7 +389,12 @@ impl Solver {
         let to_control = |control: &[f64; 2]| Control { velocity: control[0], steering: control[1] };
         Solution {
             trajectory: Trajectory {
-                states: self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())).collect(),
+                states: self
+                    .iterate
+                    .states
+                    .iter()
+                    .map(|state| State::from_vector(&(*state).into()))
+                    .collect(),
                 controls: self.iterate.controls.iter().map(to_control).collect(),
             },
             status,

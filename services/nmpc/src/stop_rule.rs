@@ -28,7 +28,7 @@ const LAG_M: f64 = 0.03;
 const TURNS_M: [f64; 8] = [0.5, 0.9, 1.3, 1.7, 2.1, 2.5, 2.9, 9.0];
 
 /// Last centre distance at which full lock clears a centred obstacle with semi-axis `b` [m].
-pub fn latest_distance(b: f64) -> f64 {
+pub(crate) fn latest_distance(b: f64) -> f64 {
     let right = LATEST.iter().position(|&(table_b, _)| b < table_b).unwrap_or(LATEST.len() - 1).max(1);
     let ((b0, d0), (b1, d1)) = (LATEST[right - 1], LATEST[right]);
     d0 + (b - b0) * (d1 - d0) / (b1 - b0)
@@ -37,7 +37,7 @@ pub fn latest_distance(b: f64) -> f64 {
 /// Whether to stop: no continuation of the plan comes past the obstacles, and there is no time to wait.
 ///
 /// `way` is the verified plan as driven, `slack` the slack the solver needed, `largest_slack` what is still fine.
-pub fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_slack: f64) -> bool {
+pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_slack: f64) -> bool {
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
     let Some(end_x) = scene

@@ -15,7 +15,9 @@ pub(crate) fn problem() -> Problem {
         intervals: vec![interval; 6],
         initial: State { sideslip: 0.01, yaw: 0.1, yaw_rate: 0.05, x: 1.0, y: -0.1 },
         previous: Some(Control { velocity: 0.7, steering: 0.01 }),
-        references: (1..=6).map(|node| State { x: 1.0 + interval * f64::from(node), ..State::default() }).collect(),
+        references: (1..=6)
+            .map(|node| State { x: 1.0 + interval * f64::from(node), ..State::default() })
+            .collect(),
         control_reference: Control { velocity: 0.9, steering: 0.0 },
         weights: Weights {
             node: [0.1, 0.2, 0.1, 1.0, 2.0],
@@ -32,7 +34,10 @@ pub(crate) fn problem() -> Problem {
 /// Controls that differ in all intervals, without states.
 pub(crate) fn guess() -> Trajectory {
     let controls = (0..6)
-        .map(|index| Control { velocity: 0.5 + 0.07 * f64::from(index), steering: 0.03 - 0.012 * f64::from(index) })
+        .map(|index| Control {
+            velocity: 0.5 + 0.07 * f64::from(index),
+            steering: 0.03 - 0.012 * f64::from(index),
+        })
         .collect();
     Trajectory { states: Vec::new(), controls }
 }

@@ -18,9 +18,9 @@ use crate::scene::Hazard;
 /// Samples per interval: 5 cm apart at 1 m/s and N = 6.
 const PIECES: usize = 9;
 /// How much deeper than now an ellipse may be entered, in units of (7.34).
-pub const DEEPER: f64 = 0.01;
+pub(crate) const DEEPER: f64 = 0.01;
 /// How far a bound of the position may be exceeded [m].
-pub const OUTSIDE_M: f64 = 0.05;
+pub(crate) const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
 /// Tolerance of the hard bounds of the controls: solver accuracy, clamped before the command is sent.
@@ -30,34 +30,34 @@ const BEHIND_GOAL_M: f64 = 0.03;
 
 /// What a plan is held against.
 #[derive(Debug, Clone, Copy)]
-pub struct Scene<'a> {
+pub(crate) struct Scene<'a> {
     /// Parameters of the model.
-    pub parameters: &'a Parameters,
+    pub(crate) parameters: &'a Parameters,
     /// Hard bounds of the controls.
-    pub bounds: &'a Bounds,
+    pub(crate) bounds: &'a Bounds,
     /// State at the start of the plan.
-    pub initial: State,
+    pub(crate) initial: State,
     /// Length of an interval [s].
-    pub interval_s: f64,
+    pub(crate) interval_s: f64,
     /// Length and width of the body [m].
-    pub body: [f64; 2],
+    pub(crate) body: [f64; 2],
     /// Smallest distance of the body to an obstacle or a wall [m].
-    pub clearance: f64,
+    pub(crate) clearance: f64,
     /// Bounds along the track, (7.45) [m].
-    pub x_range: [f64; 2],
+    pub(crate) x_range: [f64; 2],
     /// Bounds across the track, (7.46) [m].
-    pub y_range: [f64; 2],
+    pub(crate) y_range: [f64; 2],
     /// Surfaces of the walls, where there are walls [m].
-    pub walls: Option<[f64; 2]>,
+    pub(crate) walls: Option<[f64; 2]>,
     /// Position of the goal along the track [m].
-    pub goal_x: f64,
+    pub(crate) goal_x: f64,
     /// The obstacles.
-    pub hazards: &'a [Hazard],
+    pub(crate) hazards: &'a [Hazard],
 }
 
 /// What is wrong at a place of the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Violation {
+pub(crate) enum Violation {
     /// A number is not finite, or there is no plan.
     NotFinite,
     /// A control is outside its hard bounds.
@@ -72,23 +72,23 @@ pub enum Violation {
 
 /// The result of a verification.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Verdict {
+pub(crate) struct Verdict {
     /// How many intervals may be driven.
-    pub intervals: usize,
+    pub(crate) intervals: usize,
     /// The first violation and its time, `None` when there is none up to the end or the goal.
-    pub violation: Option<(Violation, f64)>,
+    pub(crate) violation: Option<(Violation, f64)>,
 }
 
 impl Verdict {
     /// Whether the whole plan may be driven.
-    pub fn holds(&self) -> bool {
+    pub(crate) fn holds(&self) -> bool {
         self.violation.is_none() && self.intervals > 0
     }
 }
 
 impl Scene<'_> {
     /// Limits as they are at the start of the plan.
-    pub fn baseline(&self) -> Baseline {
+    pub(crate) fn baseline(&self) -> Baseline {
         let mut baseline = Baseline {
             values: [1.0; shared_types::MAX_OBSTACLES],
             gaps: [self.clearance; shared_types::MAX_OBSTACLES],
@@ -108,7 +108,7 @@ impl Scene<'_> {
     }
 
     /// The first thing wrong with the robot at `state`, `t` seconds after the start of the plan.
-    pub fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
+    pub(crate) fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
         if !state.is_finite() {
             return Some(Violation::NotFinite);
         }
@@ -137,7 +137,7 @@ impl Scene<'_> {
     }
 
     /// The body at a state.
-    pub fn body_at(&self, state: &State) -> Rectangle {
+    pub(crate) fn body_at(&self, state: &State) -> Rectangle {
         let centre = Vector2::new(state.x, state.y);
         Rectangle { centre, yaw: state.yaw, length: self.body[0], width: self.body[1] }
     }
@@ -153,7 +153,7 @@ impl Scene<'_> {
 
 /// What is already the case at the start of the plan, and so allowed along it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Baseline {
+pub(crate) struct Baseline {
     values: [f64; shared_types::MAX_OBSTACLES],
     gaps: [f64; shared_types::MAX_OBSTACLES],
     wall_gap: f64,
@@ -162,23 +162,23 @@ pub struct Baseline {
 
 /// A plan as it would be driven.
 #[derive(Debug, Clone, Default)]
-pub struct Driven {
+pub(crate) struct Driven {
     /// States at the ends of the intervals, the first is the start.
-    pub nodes: Vec<State>,
+    pub(crate) nodes: Vec<State>,
     /// States on the way.
-    pub way: Vec<Sampled>,
+    pub(crate) way: Vec<Sampled>,
 }
 
 impl Driven {
     /// Drives `controls` from the initial state, unchecked.
-    pub fn drive(&mut self, scene: &Scene, controls: &[Control]) {
+    pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
         let Scene { parameters, initial, interval_s, .. } = scene;
         simulate(parameters, initial, controls, *interval_s, PIECES, &mut self.nodes, &mut self.way);
     }
 }
 
 /// Drives `controls` into `driven` and says how far they may be driven.
-pub fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdict {
+pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdict {
     driven.nodes.clear();
     driven.way.clear();
     if !scene.initial.is_finite() || controls.is_empty() {

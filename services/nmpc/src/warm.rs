@@ -20,7 +20,7 @@ const COURSE_GAIN: f64 = 1.4;
 /// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
 ///
 /// An interval that contains a change of the control gets the mean over its time; the last control is held.
-pub fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mut Vec<Control>) {
+pub(crate) fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mut Vec<Control>) {
     shifted.clear();
     let Some(&last) = controls.last() else { return };
     let at = |index: usize| controls.get(index).copied().unwrap_or(last);
@@ -36,7 +36,13 @@ pub fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mu
 }
 
 /// Fills `controls` with steering that follows the guide at the pace of the reference.
-pub fn follow(scene: &Scene, guide: &Guide, pace: &Pace, intervals: usize, controls: &mut Vec<Control>) {
+pub(crate) fn follow(
+    scene: &Scene,
+    guide: &Guide,
+    pace: &Pace,
+    intervals: usize,
+    controls: &mut Vec<Control>,
+) {
     controls.clear();
     let gain = scene.parameters.yaw_rate_gain();
     let mut state = scene.initial;
@@ -55,12 +61,12 @@ pub fn follow(scene: &Scene, guide: &Guide, pace: &Pace, intervals: usize, contr
 }
 
 /// Forces `controls` into the hard bounds: solvers keep them to their accuracy only.
-pub fn clamp(bounds: &Bounds, controls: &mut [Control]) {
+pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
     controls.iter_mut().for_each(|control| *control = bounds.clamp(*control));
 }
 
 /// Whether two ways pass every hazard that both come past on the same side.
-pub fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
+pub(crate) fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
     scene.hazards.iter().all(|hazard| {
         let side = side_of(hazard, way);
         let planned = guide.side_of(hazard);

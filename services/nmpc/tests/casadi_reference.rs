@@ -88,7 +88,13 @@ fn compare(qp: QpChoice, tolerance: f64) {
         for (mine, other) in solution.trajectory.states[1..].iter().zip(list(&expected["states"], state)) {
             assert!((mine.to_vector() - other.to_vector()).amax() < 1e-5, "{name}");
         }
-        assert!((solution.objective - objective).abs() < 1e-6 * (1.0 + objective), "{name}");
+        // A limit may be exceeded by the tolerance, which the penalty multiplies.
+        let allowed = 1e-6 * (1.0 + objective) + 2.0 * tolerance * problem.weights.slack_linear;
+        assert!(
+            (solution.objective - objective).abs() < allowed,
+            "{name}: {} {objective}",
+            solution.objective
+        );
         let slack = number(expected, "slack");
         assert!((solution.slack - slack).abs() < 1e-5, "{name}: {} {slack}", solution.slack);
     }

@@ -130,8 +130,7 @@ impl ActiveSet {
                     RowState::BeyondUpper => (1.0, true),
                 };
                 let value = (sign * solution.row_multipliers[row]).max(0.0);
-                let multiplier =
-                    if beyond { value.max(qp.slack_linear) } else { value.min(qp.slack_linear) };
+                let multiplier = if beyond { value.max(qp.slack_linear) } else { value.min(qp.slack_linear) };
                 self.join(qp, Working { what: Constraint::Row(row), sign, multiplier, beyond });
             }
         }
@@ -284,7 +283,8 @@ impl ActiveSet {
             Constraint::Row(row) => qp.row_lower[row],
         };
         let shift = if working.beyond { qp.slack_linear / (2.0 * qp.slack_quadratic) } else { 0.0 };
-        working.sign * limit - shift + dot(&self.normals[position * count..(position + 1) * count], &self.offset)
+        working.sign * limit - shift
+            + dot(&self.normals[position * count..(position + 1) * count], &self.offset)
     }
 
     /// The maximiser on the working set, into `direction`.
@@ -297,7 +297,8 @@ impl ActiveSet {
         }
         for row in 0..size {
             let line = &self.gram[row * self.stride..][..=row];
-            self.direction[row] = (self.direction[row] - dot(&line[..row], &self.direction[..row])) / line[row];
+            self.direction[row] =
+                (self.direction[row] - dot(&line[..row], &self.direction[..row])) / line[row];
         }
         self.back_substitute(size);
     }
@@ -309,7 +310,8 @@ impl ActiveSet {
         self.direction.extend(line.iter().map(|entry| -entry));
         self.back_substitute(position);
         self.direction.push(1.0);
-        let slope: f64 = -(0..=position).map(|place| self.direction[place] * self.gap(qp, place)).sum::<f64>();
+        let slope: f64 =
+            -(0..=position).map(|place| self.direction[place] * self.gap(qp, place)).sum::<f64>();
         if slope < 0.0 {
             for direction in &mut self.direction {
                 *direction = -*direction;

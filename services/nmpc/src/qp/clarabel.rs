@@ -4,7 +4,9 @@
 //! admissible step can bring to their limits are left out: that is exact, and most bounds of the state are such.
 
 use clarabel::algebra::CscMatrix;
-use clarabel::solver::{DefaultSettings, DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
+use clarabel::solver::{
+    DefaultSettings, DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT,
+};
 
 use super::{BoundState, Qp, QpSolution, RowState};
 use crate::dense::dot;
@@ -17,9 +19,9 @@ pub(crate) fn solve(qp: &Qp, solution: &mut QpSolution) -> bool {
     let mut columns: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count + reachable.len()];
     let mut limits = Vec::new();
     let mut owners = Vec::new();
-    for index in 0..count {
+    for (index, column) in columns.iter_mut().enumerate().take(count) {
         for (sign, limit) in [(1.0, qp.upper[index]), (-1.0, qp.lower[index])] {
-            columns[index].push((limits.len(), sign));
+            column.push((limits.len(), sign));
             limits.push(sign * limit);
             owners.push((Owner::Bound(index), sign));
         }
@@ -91,19 +93,17 @@ fn classify(qp: &Qp, solution: &mut QpSolution) {
         let side = |distance: f64, multiplier: f64| {
             // The multiplier of `slack >= 0` is what the row's multiplier lacks of its largest value.
             let rest = qp.slack_linear + 2.0 * qp.slack_quadratic * (-distance).max(0.0) - multiplier;
-            if -distance > rest {
-                Some(true)
-            } else {
-                (multiplier > distance).then_some(false)
-            }
+            if -distance > rest { Some(true) } else { (multiplier > distance).then_some(false) }
         };
-        let state = match (side(qp.row_upper[row] - value, multiplier), side(value - qp.row_lower[row], -multiplier)) {
-            (Some(true), _) => RowState::BeyondUpper,
-            (Some(false), _) => RowState::AtUpper,
-            (None, Some(true)) => RowState::BeyondLower,
-            (None, Some(false)) => RowState::AtLower,
-            (None, None) => RowState::Inside,
-        };
+        let state =
+            match (side(qp.row_upper[row] - value, multiplier), side(value - qp.row_lower[row], -multiplier))
+            {
+                (Some(true), _) => RowState::BeyondUpper,
+                (Some(false), _) => RowState::AtUpper,
+                (None, Some(true)) => RowState::BeyondLower,
+                (None, Some(false)) => RowState::AtLower,
+                (None, None) => RowState::Inside,
+            };
         solution.row_states.push(state);
     }
 }

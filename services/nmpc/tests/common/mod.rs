@@ -12,7 +12,7 @@ use vehicle::integrate::integrate;
 use vehicle::{Control, Parameters, State};
 
 /// Period of the scans [s].
-pub const PERIOD_S: f64 = 0.1;
+pub(crate) const PERIOD_S: f64 = 0.1;
 const PLANT_STEPS: usize = 10;
 const RANGE_M: f64 = 5.4;
 const HALF_VIEW_RAD: f64 = std::f64::consts::FRAC_PI_3;
@@ -20,22 +20,22 @@ const DECELERATION_MPS2: f64 = 5.0;
 
 /// A box in the scene.
 #[derive(Debug, Clone, Copy)]
-pub struct Body {
-    pub x: f64,
-    pub y: f64,
-    pub length: f64,
-    pub width: f64,
-    pub velocity: [f64; 2],
+pub(crate) struct Body {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) length: f64,
+    pub(crate) width: f64,
+    pub(crate) velocity: [f64; 2],
     /// Time from which it is there [s].
-    pub appears_s: f64,
+    pub(crate) appears_s: f64,
     /// Time until which it is there [s].
-    pub disappears_s: f64,
+    pub(crate) disappears_s: f64,
     /// Distance of the robot's front to its surface at which it appears [m].
-    pub appears_ahead_m: f64,
+    pub(crate) appears_ahead_m: f64,
 }
 
 /// A standing box that is always there.
-pub fn body(x: f64, y: f64, length: f64, width: f64) -> Body {
+pub(crate) fn body(x: f64, y: f64, length: f64, width: f64) -> Body {
     Body {
         x,
         y,
@@ -50,44 +50,44 @@ pub fn body(x: f64, y: f64, length: f64, width: f64) -> Body {
 
 /// What happened in a run.
 #[derive(Debug, Clone)]
-pub struct Outcome {
-    pub landed: bool,
-    pub stopped: Option<StopReason>,
-    pub contact: bool,
-    pub final_distance: f64,
-    pub min_clearance: f64,
-    pub largest_y: f64,
-    pub scans: usize,
-    pub seconds: f64,
-    pub levels: [usize; 4],
-    pub iterations: u32,
-    pub stops: usize,
-    pub commands: Vec<Command>,
-    pub trajectory: Vec<State>,
-    pub step_us: Vec<f64>,
+pub(crate) struct Outcome {
+    pub(crate) landed: bool,
+    pub(crate) stopped: Option<StopReason>,
+    pub(crate) contact: bool,
+    pub(crate) final_distance: f64,
+    pub(crate) min_clearance: f64,
+    pub(crate) largest_y: f64,
+    pub(crate) scans: usize,
+    pub(crate) seconds: f64,
+    pub(crate) levels: [usize; 4],
+    pub(crate) iterations: u32,
+    pub(crate) stops: usize,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) trajectory: Vec<State>,
+    pub(crate) step_us: Vec<f64>,
 }
 
 impl Outcome {
     /// Landed within the tolerance without contact.
-    pub fn reached(&self, config: &Config) -> bool {
+    pub(crate) fn reached(&self, config: &Config) -> bool {
         self.landed && self.final_distance <= config.goal.tolerance_m && !self.contact
     }
 }
 
 /// Noise of the loop, as standard deviations.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Noise {
-    pub position_m: f64,
-    pub yaw_rad: f64,
-    pub obstacle_m: f64,
-    pub seed: u64,
+pub(crate) struct Noise {
+    pub(crate) position_m: f64,
+    pub(crate) yaw_rad: f64,
+    pub(crate) obstacle_m: f64,
+    pub(crate) seed: u64,
 }
 
 /// Drives `config` among `bodies` until it landed, stood for 5 s, or 60 s passed.
-pub fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outcome {
+pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outcome {
     let parameters = Parameters::default();
     let mut random = Pcg64Mcg::seed_from_u64(noise.seed);
-    let mut controller = Controller::new(config.clone()).unwrap();
+    let mut controller = Controller::new(config.clone()).expect("a valid configuration");
     let mut outcome = Outcome {
         landed: false,
         stopped: None,
@@ -177,7 +177,7 @@ pub fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outc
         outcome.step_us.push(begin.elapsed().as_secs_f64() * 1e6);
 
         assert_eq!(command.header.scan_id, scan);
-        let kind = CommandKind::try_from(command.kind).unwrap();
+        let kind = CommandKind::try_from(command.kind).expect("a known kind");
         outcome.levels[command.level as usize] += 1;
         outcome.iterations = outcome.iterations.max(command.iterations);
         outcome.commands.push(command);
@@ -210,7 +210,10 @@ pub fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outc
             .then_some(Control { velocity: command.velocity_mps, steering: command.steering_rad });
         if kind == CommandKind::Drive {
             assert_eq!(command.verified, 1, "an unverified drive");
-            assert!(config.bounds.contains(control.unwrap(), 0.0), "outside of the hard bounds: {control:?}");
+            assert!(
+                control.is_some_and(|control| config.bounds.contains(control, 0.0)),
+                "outside of the hard bounds: {control:?}"
+            );
         }
         if was_driving && kind == CommandKind::Stop {
             outcome.stops += 1;
@@ -225,7 +228,8 @@ pub fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) -> Outc
         standing_since = if standing { standing_since.or(Some(t)) } else { None };
         outcome.landed = kind == CommandKind::Land;
         if (outcome.landed && speed == 0.0) || standing_since.is_some_and(|since| t - since > 5.0) {
-            outcome.stopped = (!outcome.landed).then(|| StopReason::try_from(command.reason).unwrap());
+            outcome.stopped =
+                (!outcome.landed).then(|| StopReason::try_from(command.reason).expect("a known reason"));
             break;
         }
     }
@@ -268,7 +272,7 @@ fn normal(random: &mut Pcg64Mcg) -> f64 {
 }
 
 /// The figures of a run on one line.
-pub fn print(name: &str, config: &Config, outcome: &Outcome) {
+pub(crate) fn print(name: &str, config: &Config, outcome: &Outcome) {
     let mut step = outcome.step_us.clone();
     step.sort_by(f64::total_cmp);
     let [stop, converged, best, last] = outcome.levels;
@@ -295,7 +299,7 @@ pub fn print(name: &str, config: &Config, outcome: &Outcome) {
 }
 
 /// The head of the table.
-pub fn print_head() {
+pub(crate) fn print_head() {
     println!(
         "{:<18} {:<22} {:>6} {:>7} {:>6} {:>6} | stp conv bst lst |  it st | step us p50, max",
         "course", "outcome", "final", "clear", "|y|", "time"

@@ -1,0 +1,193 @@
+//! Single decisions of the controller, seen from outside: inputs that mean nothing, landing, stops, resuming.
+
+use nmpc::{Budget, Config, Controller, ControllerState};
+use proptest::prelude::*;
+use shared_types::{Command, CommandKind, Level, Obstacle, Obstacles, Pose, SolveStatus, StopReason};
+use vehicle::Control;
+
+const BUDGET: Budget = Budget::Iterations(60);
+
+fn controller() -> Controller {
+    Controller::new(Config::default()).expect("the defaults are allowed")
+}
+
+/// A robot at (x, y) that looks along the track, at scan `scan`.
+fn pose(scan: u64, x: f64, y: f64) -> Pose {
+    let mut pose = Pose { predicted_x_m: x, predicted_y_m: y, ..Pose::default() };
+    pose.header.scan_id = scan;
+    pose.header.acquired_ns = scan * 100_000_000;
+    pose.predicted_ns = pose.header.acquired_ns + 33_000_000;
+    pose
+}
+
+fn obstacles(scan: u64, items: &[Obstacle]) -> Obstacles {
+    let mut obstacles = Obstacles { count: items.len() as u32, ..Obstacles::default() };
+    obstacles.header.scan_id = scan;
+    obstacles.items[..items.len()].copy_from_slice(items);
+    obstacles
+}
+
+fn obstacle(x: f64, y: f64, width: f64) -> Obstacle {
+    let b = width + 0.4;
+    Obstacle {
+        id: 1,
+        x_m: x,
+        y_m: y,
+        a_m: 1.2_f64.max(1.15 * b),
+        b_m: b,
+        box_x_m: x,
+        box_y_m: y,
+        box_length_m: 0.1,
+        box_width_m: width,
+        ..Obstacle::default()
+    }
+}
+
+fn is_stop(command: &Command, reason: StopReason) -> bool {
+    command.kind == CommandKind::Stop.wire() && command.reason == reason.wire() && command.verified == 0
+}
+
+#[test]
+fn a_free_way_is_driven_with_a_converged_and_verified_plan() {
+    let command = controller().step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Drive.wire());
+    assert_eq!((command.level, command.verified), (Level::Converged.wire(), 1));
+    assert_eq!(command.status, SolveStatus::Converged.wire());
+    assert!(command.velocity_mps > 0.8 && command.steering_rad.abs() < 1e-3);
+    assert_eq!((command.plan_length, command.header.scan_id), (7, 1));
+    assert_eq!(command.plan_start_ns, 133_000_000);
+}
+
+#[test]
+fn inputs_without_meaning_stop_the_robot() {
+    let free = obstacles(1, &[]);
+    let nan = Pose { predicted_y_m: f64::NAN, ..pose(1, 0.0, 0.0) };
+    assert!(is_stop(&controller().step(&nan, &free, &BUDGET), StopReason::BadInput));
+    let fast = Pose { predicted_speed_mps: f64::INFINITY, ..pose(1, 0.0, 0.0) };
+    assert!(is_stop(&controller().step(&fast, &free, &BUDGET), StopReason::BadInput));
+    let outside = pose(1, 0.0, 4.0);
+    assert!(is_stop(&controller().step(&outside, &free, &BUDGET), StopReason::BadInput));
+    let other_scan = obstacles(2, &[]);
+    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &other_scan, &BUDGET), StopReason::BadInput));
+    let lost = obstacles(1, &[Obstacle { b_m: f64::NAN, ..obstacle(5.0, 0.0, 0.4) }]);
+    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &lost, &BUDGET), StopReason::BadInput));
+    let inside = obstacles(1, &[obstacle(0.0, 0.0, 0.4)]);
+    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &inside, &BUDGET), StopReason::BadInput));
+}
+
+#[test]
+fn a_landing_is_kept_and_a_passed_goal_is_no_landing() {
+    let mut landing = controller();
+    let near = Pose { predicted_speed_mps: 0.2, ..pose(1, 9.99, 0.02) };
+    let command = landing.step(&near, &obstacles(1, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Land.wire());
+    let command = landing.step(&pose(2, 9.8, 0.0), &obstacles(2, &[]), &BUDGET);
+    assert_eq!((command.kind, command.reason), (CommandKind::Land.wire(), StopReason::Landed.wire()));
+
+    let mut passing = controller();
+    let command = passing.step(&pose(1, 10.0, 0.3), &obstacles(1, &[]), &BUDGET);
+    assert!(is_stop(&command, StopReason::GoalPassed));
+    let command = passing.step(&pose(2, 9.98, 0.3), &obstacles(2, &[]), &BUDGET);
+    assert!(is_stop(&command, StopReason::GoalPassed), "noise does not start the robot again");
+}
+
+#[test]
+fn a_stop_in_front_of_a_blocked_path_is_held_although_the_body_vanishes_for_a_scan() {
+    let mut controller = controller();
+    let closed = [obstacle(2.0, 0.0, 1.6)];
+    assert!(is_stop(
+        &controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &closed), &BUDGET),
+        StopReason::Blocked
+    ));
+    let stops = (2..30)
+        .take_while(|&scan| {
+            is_stop(
+                &controller.step(&pose(scan, 0.0, 0.0), &obstacles(scan, &[]), &BUDGET),
+                StopReason::Blocked,
+            )
+        })
+        .count();
+    // Five scans held in all, the first of them above; the fifth clear scan drives.
+    assert_eq!(stops, 4);
+}
+
+#[test]
+fn without_a_budget_the_guide_is_driven_verified() {
+    let command = controller().step(
+        &pose(1, 0.0, 0.0),
+        &obstacles(1, &[obstacle(5.0, 0.1, 0.4)]),
+        &Budget::Iterations(0),
+    );
+    assert_eq!((command.kind, command.verified), (CommandKind::Drive.wire(), 1));
+    assert_eq!(command.level, Level::BestIterate.wire());
+}
+
+#[test]
+fn a_resumed_controller_gives_the_same_bits() {
+    let mut first = controller();
+    let mut second = controller();
+    let way = |scan: u64| 0.1 * (scan - 1) as f64;
+    for scan in 1..20 {
+        let (pose, obstacles) = (pose(scan, way(scan), 0.0), obstacles(scan, &[obstacle(5.0, 0.0, 0.4)]));
+        let command = first.step(&pose, &obstacles, &BUDGET);
+        if scan > 1 {
+            assert_eq!(second.step(&pose, &obstacles, &BUDGET), command, "scan {scan}");
+        }
+        second = controller();
+        second.resume(&first.state());
+    }
+}
+
+#[test]
+fn a_checkpoint_full_of_nonsense_does_no_harm() {
+    let mut state =
+        ControllerState { plan_length: 900, plan_interval_s: f64::NAN, ..ControllerState::default() };
+    (state.velocity_mps, state.steering_rad) = (f64::NAN, f64::INFINITY);
+    state.plan[0].velocity_mps = f64::NAN;
+    let mut controller = controller();
+    controller.resume(&state);
+    let command = controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+    assert_eq!((command.kind, command.verified), (CommandKind::Drive.wire(), 1));
+}
+
+fn any_number() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        60 => -3.0..3.0f64,
+        1 => prop_oneof![Just(f64::NAN), Just(f64::INFINITY), Just(-1e300), Just(1e-300), Just(1e9)],
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+    #[test]
+    fn no_input_makes_it_panic_or_drive_unverified(
+        numbers in proptest::collection::vec(any_number(), 24), lead in 0u64..3_000_000_000,
+    ) {
+        let mut pose = pose(1, numbers[0], numbers[1] * 0.5);
+        pose.predicted_ns = pose.header.acquired_ns + lead / 10;
+        pose.predicted_yaw_rad = numbers[2] * 0.3;
+        pose.predicted_yaw_rate_radps = numbers[3] * 0.1;
+        pose.predicted_sideslip_rad = numbers[4] * 0.05;
+        pose.predicted_speed_mps = numbers[5].abs() * 0.3;
+        let items: Vec<Obstacle> = numbers[6..].chunks(6).enumerate().map(|(index, n)| Obstacle {
+            id: index as u32 + 1,
+            velocity_x_mps: n[2] * 0.3,
+            velocity_y_mps: n[3] * 0.3,
+            box_length_m: n[4].abs(),
+            box_yaw_rad: n[5],
+            ..obstacle(n[0] * 2.0 + 4.0, n[1], n[5].abs() * 0.2)
+        }).collect();
+        let mut controller = controller();
+        for scan in 1..4 {
+            (pose.header.scan_id, pose.predicted_ns) = (scan, pose.predicted_ns + 100_000_000);
+            pose.header.acquired_ns += 100_000_000;
+            let command = controller.step(&pose, &obstacles(scan, &items), &Budget::Iterations(20));
+            if command.kind == CommandKind::Drive.wire() {
+                prop_assert_eq!(command.verified, 1);
+                let control = Control { velocity: command.velocity_mps, steering: command.steering_rad };
+                prop_assert!(controller.config().bounds.contains(control, 0.0));
+            }
+            prop_assert!(command.kkt_residual.is_finite() && command.objective.is_finite());
+        }
+    }
+}
