@@ -47,6 +47,15 @@ pub enum Command {
     /// close ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`,
     /// `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
+    /// Show where the time from scan to actuation goes, live from the samples of a running system.
+    Latency {
+        /// Stop after that many seconds.
+        #[arg(long, value_name = "S", default_value_t = 5.0)]
+        duration: f64,
+        /// Print the figures of the whole time as JSON to standard output.
+        #[arg(long)]
+        json: bool,
+    },
     /// Look at the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),

@@ -12,6 +12,7 @@ pub mod figures;
 mod fleet;
 pub mod latency;
 pub mod ledger;
+mod live_latency;
 mod lock;
 pub mod picture;
 pub mod progress;
@@ -58,6 +59,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Check(arguments) => check::check(arguments),
         Command::Status { json } => remote::status(&domain()?, *json),
         Command::Stop => remote::stop(&domain()?),
+        Command::Latency { duration, json } => live_latency::watch(&domain()?, *duration, *json),
         Command::Restart { role } => remote::restart(&domain()?, role),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {

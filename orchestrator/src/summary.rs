@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::figures::Figures;
-use crate::report::{DriveReport, NO_OBSTACLE_M, Report, ScanReport};
+use crate::report::{DriveReport, LatencyReport, NO_OBSTACLE_M, Report, ScanReport};
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {
@@ -33,7 +33,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         line(&mut text, format_args!("{name:<15} {value}"));
     }
     line(&mut text, format_args!(""));
-    latencies(&mut text, report);
+    latencies(&mut text, &report.latency_us);
     if let Some(folder) = folder {
         line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
     }
@@ -82,12 +82,18 @@ fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
 }
 
-fn latencies(text: &mut String, report: &Report) {
-    if report.latency_us.simulated {
+/// The table of latencies alone.
+pub fn latency_table(latency: &LatencyReport) -> String {
+    let mut text = String::new();
+    latencies(&mut text, latency);
+    text
+}
+
+fn latencies(text: &mut String, latency: &LatencyReport) {
+    if latency.simulated {
         line(text, format_args!("{:<15} not measured: time was simulated", "latency"));
         return;
     }
-    let latency = &report.latency_us;
     let stages = &latency.stages;
     line(text, format_args!("{:<20} {:>9} {:>9} {:>9} {:>9}", "latency [ms]", "p50", "p90", "p99", "max"));
     let rows: [(&str, &Figures); 7] = [

@@ -149,6 +149,11 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
     assert_eq!(lines.len(), 2);
     assert!(lines[0]["header"]["scan_id"].as_u64() < lines[1]["header"]["scan_id"].as_u64());
 
+    let latency: serde_json::Value =
+        serde_json::from_slice(&system.run(&["latency", "--duration", "0.5", "--json"]).stdout).unwrap();
+    assert!(latency["scan_to_actuation"]["count"].as_u64() > Some(0));
+    assert_eq!(latency["incomplete_chains"], 0);
+
     assert_eq!(system.run(&["restart", "pilot"]).status.code(), Some(2));
     assert_eq!(system.run(&["restart", "robot"]).status.code(), Some(2));
     let before = system.pid(Role::Controller);

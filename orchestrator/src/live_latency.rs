@@ -1,0 +1,51 @@
+//! `scanloop latency`: the way of each scan, read from the headers of the actuations on the bus.
+
+use runtime::{Bus, Domain, Observer, Shutdown, monotonic_ns, wait_for};
+use shared_types::Actuation;
+
+use crate::control::{Reply, Request, ask};
+use crate::exit::Exit;
+use crate::latency::Latencies;
+use crate::summary::latency_table;
+
+/// Longest sleep between two looks: a buffer of 16 samples lasts this long at 500 Hz.
+const LOOK_NS: u64 = 20_000_000;
+/// Time between two tables.
+const TABLE_NS: u64 = 1_000_000_000;
+
+/// Prints the latencies of each second, and those of the whole time at the end.
+///
+/// # Errors
+/// A system that is not running (exit code 2), and errors of the bus.
+pub(crate) fn watch(domain: &Domain, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
+    let Reply::Status(status) = ask(domain, &Request::Status)? else {
+        anyhow::bail!("the orchestrator did not answer with a status");
+    };
+    let shutdown = Shutdown::on_signals()?;
+    let bus = Bus::open(domain, "observer")?;
+    let actuations = Observer::<Actuation>::new(&bus)?;
+    let (mut all, mut second) = (Latencies::new(false), Latencies::new(false));
+    let started = monotonic_ns();
+    let end = started.saturating_add((duration_s.max(0.0) * 1e9) as u64);
+    let mut next = started + TABLE_NS;
+    while monotonic_ns() < end && !shutdown.requested() {
+        wait_for(&[shutdown.descriptor()], LOOK_NS);
+        actuations.poll(|actuation| {
+            if actuation.answers == 1 {
+                all.record(&actuation.header);
+                second.record(&actuation.header);
+            }
+        })?;
+        if monotonic_ns() >= next {
+            next += TABLE_NS;
+            eprintln!("{}", latency_table(&second.report()));
+            second = Latencies::new(false);
+        }
+    }
+    eprintln!("system {}, {}, whole time:", status.system_id, status.scenario);
+    eprint!("{}", latency_table(&all.report()));
+    if json {
+        println!("{}", serde_json::to_string_pretty(&all.report())?);
+    }
+    Ok(Exit::Done)
+}
