@@ -76,10 +76,12 @@ impl Plan {
             })?;
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
-        Ok(Self {
-            scenario: Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?,
-            system: System::from_table(system, &system_file)?,
-        })
+        let scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
+        let system = System::from_table(system, &system_file)?;
+        // What the stages take from the scenario may be allowed there and too much for them.
+        let together = system.tuning().for_scenario(&scenario).validate();
+        together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
+        Ok(Self { scenario, system })
     }
 }
 

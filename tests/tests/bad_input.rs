@@ -75,6 +75,7 @@ fn systems_and_options_are_checked() {
     refused(&system, &["run", "--set", "controller.horizon=1"], &["controller.horizon", "unknown"]);
     refused(&system, &["run", "--set", "robot.width_m=wide"], &["robot.width_m", "wide"]);
     refused(&system, &["run", "--set", "actuator.calibration=best"], &["actuator.calibration", "best"]);
+    refused(&system, &["check", "--set", "goal.tolerance_m=0.001"], &["goal.tolerance_m", "0.001"]);
     refused(&system, &["run", "--set", "seed"], &["KEY=VALUE"]);
     refused(&system, &["run", "--duration", "-1"], &["--duration"]);
     refused(&system, &["run", "--duration", "nan"], &["--duration"]);

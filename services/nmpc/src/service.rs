@@ -24,8 +24,7 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
-    // A fifth of the period leaves four for everything else, and 20 ms are enough for any problem of ours.
-    let budget_ns = ((config.budget_ms * 1e6) as u64).min(process.period_ns() / 5);
+    let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
     while process.wait(None)? {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
             let simulated = process.clock().is_simulated();
