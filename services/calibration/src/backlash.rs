@@ -1,0 +1,238 @@
+//! Play of the steering from sine runs.
+//!
+//! While the shaft goes from one stop of the sine to the other the wheels stay behind it by half the play. The
+//! reported yaw tells which angle the wheels had: the sent angles go through a map (a polynomial of third degree
+//! whose coefficients are fitted along), through the play, and through the lateral model (7.27), (7.29) at the
+//! reported speed; what comes out is compared with the reported yaw. So the lag of the robot, which looks much like
+//! play, is accounted for.
+//!
+//! Where the wheels were at the beginning is not known; a run counts from its first turning point on, where the
+//! shaft has taken the wheels along. Assumptions: the sine is wide against the play (three times at least), and
+//! each sent angle acts from its row on.
+
+use nalgebra::{Matrix2, SMatrix, Vector2};
+use vehicle::frame::wrap_angle;
+use vehicle::model::lateral_jacobians;
+use vehicle::{Control, Parameters};
+
+use crate::least_squares::solve;
+use crate::record::SineRow;
+use crate::{Estimate, Refusal};
+
+/// Fewest rows behind the first turning points.
+const MIN_ROWS: usize = 50;
+
+/// Most steps of the fit; from the starting values it takes three to five.
+const MAX_STEPS: usize = 25;
+
+/// Coefficients of the map, 1 to 3, a constant, and half the play.
+const SHARED: usize = 5;
+const PLAY: usize = 4;
+
+/// The sent angle that stands for 1 in the polynomial [rad].
+const SCALE_RAD: f64 = 0.1;
+
+/// What the fit is off on a noiseless odometer, because the lateral model is linear in the angle here [rad]: 2e-6 on
+/// the emulated robot at twice the intended speed; five times that is counted as an error.
+const MODEL_ERROR_RAD: f64 = 1e-5;
+
+/// The part of a run behind its first turning point.
+struct Course {
+    /// Angle in force from a row on [rad].
+    sent: Vec<f64>,
+    /// Reported yaw without jumps [rad].
+    yaw: Vec<f64>,
+    /// What one interval does to (sideslip, yaw rate, yaw).
+    passages: Vec<Passage>,
+    /// Whether the shaft moved to the left up to the first row.
+    from_below: bool,
+}
+
+/// Exact solution of the lateral model over one interval under a constant wheel angle.
+#[derive(Clone, Copy)]
+struct Passage {
+    /// By sideslip, yaw rate, yaw and angle, to the first three.
+    matrix: SMatrix<f64, 4, 4>,
+}
+
+/// Half the play with its standard error; `None` when sent angles are not recorded, or turn round too rarely.
+///
+/// # Errors
+/// [`Refusal::Implausible`] when no play and no map explain the reported yaw.
+pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, Refusal> {
+    let Some(courses) = runs.iter().map(|run| Course::of(run)).collect::<Option<Vec<Course>>>() else {
+        return Ok(None);
+    };
+    let rows: usize = courses.iter().map(|course| course.yaw.len()).sum();
+    if rows < MIN_ROWS {
+        return Ok(None);
+    }
+    let mut parameters = vec![0.0; SHARED + courses.len()];
+    (parameters[0], parameters[PLAY]) = (1.0, 0.003);
+    for (index, course) in courses.iter().enumerate() {
+        parameters[SHARED + index] = course.yaw[0];
+    }
+    for _ in 0..MAX_STEPS {
+        let missed = residuals(&courses, &parameters);
+        let slopes = slopes(&courses, &parameters, &missed);
+        let Some(solution) = solve(&slopes, &missed) else { return Ok(None) };
+        for (parameter, step) in parameters.iter_mut().zip(&solution.coefficients) {
+            *parameter += step;
+        }
+        parameters[PLAY] = parameters[PLAY].max(0.0);
+        // A micrometre of play at the rim of a wheel is beyond any use.
+        if solution.coefficients.iter().take(SHARED).all(|step| step.abs() < 1e-7) {
+            return judge(
+                parameters[PLAY],
+                solution.standard_errors[PLAY],
+                solution.deviation,
+                solution.freedom,
+            );
+        }
+    }
+    let missed = residuals(&courses, &parameters);
+    let solution = solve(&slopes(&courses, &parameters, &missed), &missed);
+    // Where the play is zero its step points below zero for ever: the last value holds.
+    match solution {
+        Some(last) => judge(parameters[PLAY], last.standard_errors[PLAY], last.deviation, last.freedom),
+        None => Ok(None),
+    }
+}
+
+fn judge(play: f64, error: f64, deviation: f64, freedom: usize) -> Result<Option<Estimate>, Refusal> {
+    // A tenth of a radian of yaw is ten times the noise of a good odometer.
+    if deviation > 0.1 || play > 0.05 {
+        return Err(Refusal::implausible(format!(
+            "reported yaw is {deviation:.3} rad off what the sent angles give with a play of {play:.4} rad"
+        )));
+    }
+    Ok(Some(Estimate::new(play, error.hypot(MODEL_ERROR_RAD), freedom)))
+}
+
+impl Course {
+    fn of(run: &[SineRow]) -> Option<Self> {
+        let sent: Vec<f64> = run.iter().map(|row| row.sent_steering_rad).collect::<Option<_>>()?;
+        let (turning, from_below) = first_turning(&sent)?;
+        let rows = &run[turning..];
+        let mut yaw = vec![rows[0].reported_yaw_rad];
+        for pair in rows.windows(2) {
+            yaw.push(yaw[yaw.len() - 1] + wrap_angle(pair[1].reported_yaw_rad - pair[0].reported_yaw_rad));
+        }
+        let mut passages: Vec<Passage> = Vec::with_capacity(rows.len());
+        let mut last = None;
+        for pair in rows.windows(2) {
+            let key = (pair[0].speed_mps, pair[1].time_s - pair[0].time_s);
+            let passage = match (last, passages.last()) {
+                (Some(before), Some(passage)) if before == key => *passage,
+                _ => Passage::new(key.0, key.1),
+            };
+            last = Some(key);
+            passages.push(passage);
+        }
+        Some(Self { from_below, sent: sent[turning..].to_vec(), yaw, passages })
+    }
+
+    /// The yaw at each row for a map, a play and a yaw at the first row.
+    fn predict(&self, shared: &[f64], first_yaw: f64, out: &mut Vec<f64>) {
+        let shaft = |sent: f64| {
+            let share = sent / SCALE_RAD;
+            SCALE_RAD * share * (shared[0] + share * (shared[1] + share * shared[2])) + shared[3]
+        };
+        let play = shared[PLAY].max(0.0);
+        let start = shaft(self.sent[0]);
+        let mut wheels = if self.from_below { start - play } else { start + play };
+        // In the quasi-steady turn: at a turning point the angle hardly changes.
+        let mut state = self.passages.first().map_or([0.0; 2], |passage| passage.steady(wheels));
+        let mut yaw = first_yaw;
+        out.push(yaw);
+        for (sent, passage) in self.sent.iter().zip(&self.passages) {
+            let shaft = shaft(*sent);
+            wheels = wheels.clamp(shaft - play, shaft + play);
+            let row = |index: usize| {
+                let matrix = &passage.matrix;
+                matrix[(index, 0)] * state[0] + matrix[(index, 1)] * state[1] + matrix[(index, 3)] * wheels
+            };
+            let (sideslip, rate, turn) = (row(0), row(1), row(2));
+            state = [sideslip, rate];
+            yaw += turn;
+            out.push(yaw);
+        }
+    }
+}
+
+/// The first row at which the sent angle is about to turn round, and whether it rose until there.
+fn first_turning(sent: &[f64]) -> Option<(usize, bool)> {
+    let mut rising = None;
+    for (index, pair) in sent.windows(2).enumerate() {
+        if pair[1] == pair[0] {
+            continue;
+        }
+        let rises = pair[1] > pair[0];
+        if rising.is_some_and(|before| before != rises) {
+            return Some((index, !rises));
+        }
+        rising = Some(rises);
+    }
+    None
+}
+
+impl Passage {
+    fn new(speed: f64, duration: f64) -> Self {
+        let control = Control { velocity: speed.max(0.05), steering: 0.0 };
+        let (by_state, by_control) = lateral_jacobians(&Parameters::default(), 0.0, 0.0, &control);
+        let rates = SMatrix::<f64, 4, 4>::new(
+            by_state[0][0],
+            by_state[0][1],
+            0.0,
+            by_control[0][1],
+            by_state[1][0],
+            by_state[1][1],
+            0.0,
+            by_control[1][1],
+            0.0,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        );
+        Self { matrix: (rates * duration).exp() }
+    }
+
+    /// Sideslip and yaw rate that the interval does not change.
+    fn steady(&self, wheels: f64) -> [f64; 2] {
+        let matrix = self.matrix;
+        let own = Matrix2::new(1.0 - matrix[(0, 0)], -matrix[(0, 1)], -matrix[(1, 0)], 1.0 - matrix[(1, 1)]);
+        let forced = Vector2::new(matrix[(0, 3)], matrix[(1, 3)]) * wheels;
+        own.lu().solve(&forced).map_or([0.0; 2], |state| [state[0], state[1]])
+    }
+}
+
+fn predictions(courses: &[Course], parameters: &[f64]) -> Vec<f64> {
+    let mut out = Vec::new();
+    for (index, course) in courses.iter().enumerate() {
+        course.predict(&parameters[..SHARED], parameters[SHARED + index], &mut out);
+    }
+    out
+}
+
+fn residuals(courses: &[Course], parameters: &[f64]) -> Vec<f64> {
+    let reported = courses.iter().flat_map(|course| &course.yaw);
+    reported.zip(predictions(courses, parameters)).map(|(yaw, predicted)| yaw - predicted).collect()
+}
+
+/// Derivatives of the predicted yaw by forward differences, one row per sample.
+fn slopes(courses: &[Course], parameters: &[f64], missed: &[f64]) -> Vec<Vec<f64>> {
+    const STEP: f64 = 1e-6;
+    let mut slopes = vec![vec![0.0; parameters.len()]; missed.len()];
+    for column in 0..parameters.len() {
+        let mut moved = parameters.to_vec();
+        moved[column] += STEP;
+        for ((slope, before), after) in slopes.iter_mut().zip(missed).zip(residuals(courses, &moved)) {
+            slope[column] = (before - after) / STEP;
+        }
+    }
+    slopes
+}

@@ -1,0 +1,16 @@
+//! What a picture of a fit shows.
+
+/// Points and a line over two axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chart {
+    /// What it shows.
+    pub title: String,
+    /// Name and unit of the horizontal axis.
+    pub across: &'static str,
+    /// Name and unit of the vertical axis.
+    pub up: &'static str,
+    /// Measured points.
+    pub points: Vec<[f64; 2]>,
+    /// The fit; empty where there is none to show.
+    pub line: Vec<[f64; 2]>,
+}

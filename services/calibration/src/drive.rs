@@ -1,0 +1,245 @@
+//! Collects calibration runs from the emulated robot.
+//!
+//! The robot drives open loop on an endless empty floor. Of what it really does only that is recorded which a person
+//! would get with a tape measure, chalk and a stopwatch, with their errors; the rest is its own odometry. Its true
+//! parameters are never looked at.
+
+use emulator::Emulator;
+use emulator::noise::{Purpose, Stream};
+use emulator::scenario::{Scenario, Start, Track};
+use nalgebra::Vector2;
+use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use vehicle::frame::to_robot;
+
+use crate::record::{CircleRun, Side, SineRow, StraightRun};
+use crate::velocity::TAPE_ERROR_M;
+
+/// Standard deviation of a time between two passages by stopwatch [s]: two hands of 35 ms.
+pub const STOPWATCH_S: f64 = 0.05;
+
+/// Standard deviation of each coordinate of a chalk mark [m].
+pub const MARK_M: f64 = 0.003;
+
+/// Standard deviation of the direction in which the robot is put down for a sine run [rad].
+pub const PLACE_RAD: f64 = 0.002;
+
+/// Time between two actuations [ns]: well within the dead-man of the robot.
+const PERIOD_NS: u64 = 100_000_000;
+
+/// Two fixed points, so far apart [m].
+const DISTANCE_M: f64 = 6.0;
+
+/// Velocities sent in straight runs [m/s]; each is driven twice.
+const STRAIGHT_MPS: [f64; 8] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2];
+
+/// Velocity sent in circle runs [m/s]: slow, so that the turn is nearly kinematic.
+const CIRCLE_MPS: f64 = 0.6;
+
+/// Largest angle sent in circle runs [rad], and the number of steps to either side.
+const CIRCLE_RAD: f64 = 0.085;
+const CIRCLE_STEPS: i32 = 20;
+
+/// The angle is approached from this much further out [rad], so that play up to a third of it is taken up.
+const OVERSHOOT_RAD: f64 = 0.034;
+
+/// Way of a circle run [m].
+const ARC_M: f64 = 4.0;
+
+/// Sine runs: how many, velocity sent [m/s], amplitude [rad], period [s], duration [s], time between marks [s].
+const SINE_RUNS: u32 = 4;
+const SINE_MPS: f64 = 1.0;
+const SINE_RAD: f64 = 0.06;
+const SINE_PERIOD_S: f64 = 5.0;
+const SINE_S: f64 = 60.0;
+const SINE_MARK_S: f64 = 1.0;
+
+/// Longest that a run is waited for [s]: a robot that hardly moves ends it.
+const PATIENCE_S: f64 = 600.0;
+
+/// Straight runs with a flying start, timed between two fixed points.
+pub fn straight_runs(robot: &Scenario, seed: u64) -> Vec<StraightRun> {
+    let mut hand = Stream::new(seed, Purpose::Course, 1001);
+    // The points are measured once and stay where they are.
+    let distance_m = round(DISTANCE_M + TAPE_ERROR_M * hand.normal(), 1e-3);
+    let mut runs = Vec::new();
+    for sent_velocity_mps in STRAIGHT_MPS.into_iter().flat_map(|sent| [sent, sent]) {
+        let mut drive = Drive::new(robot, seed);
+        drive.send(sent_velocity_mps, 0.0);
+        let Some(first) = drive.until(|place| place.x >= 1.0) else { continue };
+        let Some(second) = drive.until(|place| place.x >= 1.0 + DISTANCE_M) else { continue };
+        let time_s = round(second - first + STOPWATCH_S * hand.normal(), 0.01);
+        runs.push(StraightRun { sent_velocity_mps, distance_m, time_s, place: "--drive".to_owned() });
+    }
+    runs
+}
+
+/// Steady circle runs to both sides, each angle approached from below and from above.
+pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
+    let mut hand = Stream::new(seed, Purpose::Course, 1002);
+    let mut runs = Vec::new();
+    for step in -CIRCLE_STEPS..=CIRCLE_STEPS {
+        let sent = CIRCLE_RAD * f64::from(step) / f64::from(CIRCLE_STEPS);
+        for side in [Side::Below, Side::Above] {
+            let beyond = if side == Side::Below { -OVERSHOOT_RAD } else { OVERSHOOT_RAD };
+            let mut drive = Drive::new(robot, seed);
+            drive.send(CIRCLE_MPS, sent + beyond);
+            drive.pass(0.3);
+            drive.send(CIRCLE_MPS, sent);
+            drive.pass(0.5);
+            let Some(places) = drive.way(ARC_M) else { continue };
+            let mut chalk = |place: Vector2<f64>| place + Vector2::new(hand.normal(), hand.normal()) * MARK_M;
+            let [start, middle, end] =
+                [places[0], places[places.len() / 2], places[places.len() - 1]].map(&mut chalk);
+            let chord = end - start;
+            let offset = to_robot(chord.y.atan2(chord.x), middle.x - start.x, middle.y - start.y);
+            runs.push(CircleRun {
+                sent_steering_rad: round(sent, 1e-6),
+                approached_from: Some(side),
+                chord_m: round(chord.norm(), 1e-4),
+                // The arc of a left turn lies to the right of its chord.
+                height_m: round(-offset.y, 1e-4),
+                place: "--drive".to_owned(),
+            });
+        }
+    }
+    runs
+}
+
+/// Sine runs with a chalk mark every second.
+pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
+    let mut hand = Stream::new(seed, Purpose::Course, 1003);
+    let mut rows = Vec::new();
+    for run in 1..=SINE_RUNS {
+        // The robot takes its place for the origin; the tape measure finds it a little shifted and turned.
+        let (sin, cos) = (PLACE_RAD * hand.normal()).sin_cos();
+        let shift = Vector2::new(hand.normal(), hand.normal()) * MARK_M;
+        let mut drive = Drive::new(robot, seed.wrapping_mul(16).wrapping_add(u64::from(run)));
+        let samples = (SINE_S * 1e9) as u64 / PERIOD_NS;
+        for sample in 0..=samples {
+            let time_s = sample as f64 * PERIOD_NS as f64 * 1e-9;
+            let phase = std::f64::consts::TAU * time_s / SINE_PERIOD_S;
+            let sent = round(SINE_RAD * phase.sin(), 1e-6);
+            let place = drive.place();
+            drive.send(SINE_MPS, sent);
+            let odometry = drive.odometry(sample);
+            let marked = sample % ((SINE_MARK_S * 1e9) as u64 / PERIOD_NS) == 0;
+            let mut chalk = |value: f64, shift: f64| round(value + shift + MARK_M * hand.normal(), 1e-3);
+            let measured = marked.then(|| {
+                let turned = Vector2::new(cos * place.x - sin * place.y, sin * place.x + cos * place.y);
+                [chalk(turned.x, shift.x), chalk(turned.y, shift.y)]
+            });
+            rows.push(SineRow {
+                run,
+                time_s: round(time_s, 1e-3),
+                sent_steering_rad: Some(sent),
+                reported_x_m: odometry.x_m,
+                reported_y_m: odometry.y_m,
+                reported_yaw_rad: odometry.yaw_rad,
+                speed_mps: odometry.speed_mps,
+                measured_x_m: measured.map(|place| place[0]),
+                measured_y_m: measured.map(|place| place[1]),
+                place: "--drive".to_owned(),
+            });
+        }
+    }
+    rows
+}
+
+/// One open-loop drive from the origin on an endless empty floor.
+struct Drive {
+    emulator: Emulator,
+    sent: (f64, f64),
+    sent_ns: u64,
+    scan: Box<Scan>,
+}
+
+impl Drive {
+    fn new(robot: &Scenario, seed: u64) -> Self {
+        let floor = Scenario {
+            seed,
+            track: Track { x_m: [-1e4, 1e4], y_m: [-1e3, 1e3], walls: false },
+            start: Start::default(),
+            obstacles: Vec::new(),
+            endless: None,
+            ..robot.clone()
+        };
+        Self {
+            emulator: Emulator::new(&floor, PERIOD_NS),
+            sent: (0.0, 0.0),
+            sent_ns: 0,
+            scan: Box::default(),
+        }
+    }
+
+    fn send(&mut self, velocity: f64, steering: f64) {
+        (self.sent, self.sent_ns) = ((velocity, steering), self.emulator.now_ns());
+        self.emulator.actuate(&Actuation {
+            kind: ActuationKind::Drive.wire(),
+            sent_velocity_mps: velocity,
+            sent_steering_rad: steering,
+            ..Actuation::default()
+        });
+    }
+
+    fn place(&self) -> Vector2<f64> {
+        let state = self.emulator.plant().state();
+        Vector2::new(state.x, state.y)
+    }
+
+    /// One millisecond; the actuation is repeated before the robot's dead-man bites.
+    fn tick(&mut self) {
+        if self.emulator.now_ns() >= self.sent_ns + PERIOD_NS {
+            self.send(self.sent.0, self.sent.1);
+        }
+        self.emulator.advance_to(self.emulator.now_ns() + 1_000_000);
+    }
+
+    fn pass(&mut self, seconds: f64) {
+        (0..(seconds * 1e3) as u64).for_each(|_| self.tick());
+    }
+
+    /// Time at which a place is reached, between two milliseconds the later one [s].
+    fn until(&mut self, reached: impl Fn(Vector2<f64>) -> bool) -> Option<f64> {
+        let end_ns = self.emulator.now_ns() + (PATIENCE_S * 1e9) as u64;
+        while !reached(self.place()) {
+            if self.emulator.now_ns() > end_ns {
+                return None;
+            }
+            self.tick();
+        }
+        Some(self.emulator.now_ns() as f64 * 1e-9)
+    }
+
+    /// Places, a millisecond apart, until that much way is driven.
+    fn way(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
+        let (mut places, mut way) = (vec![self.place()], 0.0);
+        while way < length {
+            if places.len() as f64 > PATIENCE_S * 1e3 {
+                return None;
+            }
+            self.tick();
+            let place = self.place();
+            way += (place - places[places.len() - 1]).norm();
+            places.push(place);
+        }
+        Some(places)
+    }
+
+    /// The sample of now, `scan_id` periods after the start; passes one period.
+    fn odometry(&mut self, scan_id: u64) -> Odometry {
+        let (mut odometry, mut truth) = (Odometry::default(), Truth::default());
+        self.emulator.advance_to(self.emulator.scan_ready_ns(scan_id));
+        self.emulator.measure(scan_id, &mut self.scan, &mut odometry, &mut truth);
+        self.emulator.advance_to(self.emulator.acquired_ns(scan_id + 1));
+        odometry
+    }
+}
+
+/// What a person writes down.
+fn round(value: f64, unit: f64) -> f64 {
+    let per_unit = (1.0 / unit).round();
+    (value * per_unit).round() / per_unit
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,67 @@
+//! Why runs cannot be calibrated with.
+
+use std::ops::RangeInclusive;
+
+/// Runs that are refused, and the reason.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// A table is not what it should be.
+    #[error("{place}: {message}")]
+    Unreadable {
+        /// File and line.
+        place: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// There are too few runs or points.
+    #[error("{found} {what} are too few: at least {needed} are needed")]
+    TooFew {
+        /// What is counted.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many it takes.
+        needed: usize,
+    },
+    /// A value is outside its range.
+    #[error("{place}: {column} = {value} is not allowed: {allowed}")]
+    OutsideRange {
+        /// File and line.
+        place: String,
+        /// The column.
+        column: &'static str,
+        /// The value.
+        value: f64,
+        /// What is allowed, in words.
+        allowed: String,
+    },
+    /// The runs do not say what is asked of them, or contradict the model.
+    #[error("the fit is refused: {0}")]
+    Implausible(String),
+}
+
+impl Refusal {
+    /// A fit that is refused for a reason.
+    pub(crate) fn implausible(reason: impl Into<String>) -> Self {
+        Self::Implausible(reason.into())
+    }
+}
+
+/// Passes when the value of a column is finite and within its range.
+pub(crate) fn within(
+    place: &str,
+    column: &'static str,
+    value: f64,
+    range: RangeInclusive<f64>,
+) -> Result<(), Refusal> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    let allowed = format!("{} to {}", range.start(), range.end());
+    Err(Refusal::OutsideRange { place: place.to_owned(), column, value, allowed })
+}
+
+/// Passes when there are enough of something.
+pub(crate) fn enough(what: &'static str, found: usize, needed: usize) -> Result<(), Refusal> {
+    if found >= needed { Ok(()) } else { Err(Refusal::TooFew { what, found, needed }) }
+}

@@ -1,0 +1,269 @@
+//! The steering map from steady circle runs, and its inverse.
+//!
+//! Chord s and height h of a driven arc give its radius, R = s^2 / (8 h) + h / 2; the geometry of axles that steer by
+//! the same angle in opposite directions gives the realised angle, tan(u2) = (lh + lv) / (2 R). A network of six
+//! hidden neurons is fitted to the pairs of sent and realised angles. It is smooth, so the scatter of single runs
+//! averages out; its inverse, a second network, is fitted to the first one and corrects the commands.
+//!
+//! Play between shaft and wheels splits the map in two: the wheels stay behind by the play, to the side that the
+//! shaft came from. Angles that were approached from both sides tell the play as half of the difference; the map is
+//! that of the shaft, in the middle.
+//!
+//! The model (7.29) is the small-angle form of this geometry; the third of the cube of the angle by which they differ
+//! (0.07 mrad at 0.06 rad) is counted as an error.
+//!
+//! Assumptions: the turn is steady, and slow enough for the kinematic geometry (0.15 % of the angle at 1 m/s, less
+//! below). The arc is at most half a circle. Outside of the angles driven the map is unknown, so desired angles
+//! that no run realised are refused.
+
+mod network_error;
+mod play;
+
+use vehicle::Parameters;
+use vehicle::network::{MIN_SAMPLES, SteeringNetwork, train};
+
+use crate::least_squares::{outlier, root_mean_square};
+use crate::record::{CircleRun, Side};
+use crate::refusal::{enough, within};
+use crate::{Chart, Estimate, Refusal};
+
+use network_error::NetworkError;
+
+/// Desired angles that the correction has to realise, to either side, (7.42) [rad].
+pub const DESIRED_MAX_RAD: f64 = 0.06;
+
+/// Largest step between neighbouring sent angles [rad]; the map may bend within a larger one unseen.
+pub const LARGEST_STEP_RAD: f64 = 0.012;
+
+/// Larger scatter about a smooth map than this is no error of a tape measure [rad].
+const LARGEST_SCATTER_RAD: f64 = 0.005;
+
+/// Residuals below this are no reason to doubt a single run [rad].
+const DOUBTFUL_RAD: f64 = 0.004;
+
+/// Largest error of the inverse network against the map it was fitted to [rad].
+const LARGEST_INVERSION_RAD: f64 = 1e-3;
+
+/// A map that rises by less, realised per sent, cannot be undone.
+const SMALLEST_SLOPE: f64 = 0.2;
+
+/// Realised angles up to this are fitted by the inverse [rad]: a little more than desired, so that its ends are good.
+const INVERTED_MAX_RAD: f64 = 0.068;
+
+/// What circle runs tell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SteeringFit {
+    /// Realised angle for the angle sent.
+    pub map: SteeringNetwork,
+    /// Angle to send for the angle desired: what corrects commands.
+    pub inverse: SteeringNetwork,
+    /// Half the play between shaft and wheels [rad]; `None` when no angle was approached from both sides.
+    pub play: Option<Estimate>,
+    /// Realised angle over the desired range, with its error.
+    pub points: Vec<MapPoint>,
+    /// Largest error over the third of the runs that the map was not fitted to [rad].
+    pub held_out_rad: f64,
+    /// Root of the mean square of what single runs miss [rad].
+    pub residual_rad: f64,
+    /// Sent angles that were driven, the smallest and the largest [rad].
+    pub sent_range_rad: [f64; 2],
+    /// How many runs.
+    pub runs: usize,
+    /// Angles and what the map misses.
+    pub charts: Vec<Chart>,
+}
+
+/// One angle of the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapPoint {
+    /// Desired angle [rad].
+    pub desired_rad: f64,
+    /// Angle to send for it [rad].
+    pub sent_rad: f64,
+    /// Angle that is realised then; about the desired one [rad].
+    pub realised_rad: Estimate,
+}
+
+/// Radius of the arc with a chord and a height, R = s^2 / (8 h) + h / 2 [m].
+pub fn radius(chord_m: f64, height_m: f64) -> f64 {
+    chord_m * chord_m / (8.0 * height_m) + height_m / 2.0
+}
+
+/// Steering angle that drives the arc with a chord and a height, tan(u2) = (lh + lv) / (2 R) [rad].
+///
+/// The curvature 1 / R = 8 h / (s^2 + 4 h^2) stays finite for a straight line.
+pub fn realised_angle(chord_m: f64, height_m: f64) -> f64 {
+    let Parameters { rear_m, front_m, .. } = Parameters::default();
+    let curvature = 8.0 * height_m / (chord_m * chord_m + 4.0 * height_m * height_m);
+    ((rear_m + front_m) * curvature / 2.0).atan()
+}
+
+/// Map, inverse and play with their errors.
+///
+/// # Errors
+/// [`Refusal`] when runs are too few, out of range, do not cover the desired angles, or are not on one smooth
+/// rising curve.
+pub fn fit(runs: &[CircleRun]) -> Result<SteeringFit, Refusal> {
+    check(runs)?;
+    let realised: Vec<f64> = runs.iter().map(|run| realised_angle(run.chord_m, run.height_m)).collect();
+    check_directions(runs, &realised)?;
+    let play = play::estimate(runs, &realised);
+    let half_play = play.map_or(0.0, |play| play.value);
+    let shaft = |(run, wheels): (&CircleRun, &f64)| match run.approached_from {
+        Some(Side::Below) => wheels + half_play,
+        Some(Side::Above) => wheels - half_play,
+        None => *wheels,
+    };
+    let samples: Vec<(f64, f64)> =
+        runs.iter().zip(&realised).map(|pair| (pair.0.sent_steering_rad, shaft(pair))).collect();
+
+    let trained = train(&samples).map_err(|error| Refusal::implausible(error.to_string()))?;
+    let map = trained.network;
+    let residuals: Vec<f64> = samples.iter().map(|(sent, angle)| angle - map.eval(*sent)).collect();
+    require_smooth(runs, &residuals)?;
+    let sent_range_rad = range(samples.iter().map(|sample| sample.0));
+    let inverse = invert(&map, sent_range_rad)?;
+    let error = NetworkError::of(&map, &samples)
+        .ok_or_else(|| Refusal::implausible("the runs do not determine a steering map"))?;
+    let points = (-6..=6)
+        .map(|step| {
+            let desired_rad = DESIRED_MAX_RAD * f64::from(step) / 6.0;
+            let sent_rad = inverse.eval(desired_rad);
+            MapPoint { desired_rad, sent_rad, realised_rad: error.at(sent_rad) }
+        })
+        .collect();
+    Ok(SteeringFit {
+        map,
+        inverse,
+        play,
+        points,
+        held_out_rad: trained.held_out_error,
+        residual_rad: root_mean_square(&residuals),
+        sent_range_rad,
+        runs: runs.len(),
+        charts: charts(&samples, &residuals, &map, sent_range_rad),
+    })
+}
+
+fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
+    for CircleRun { sent_steering_rad, chord_m, height_m, place, .. } in runs {
+        within(place, "sent_steering_rad", *sent_steering_rad, -0.12..=0.12)?;
+        within(place, "chord_m", *chord_m, 0.3..=100.0)?;
+        // Half a circle: a higher arc has the same chord as a flatter one.
+        within(place, "height_m", *height_m, -chord_m / 2.0..=chord_m / 2.0)?;
+    }
+    enough("circle runs", runs.len(), MIN_SAMPLES)?;
+    let mut sent: Vec<f64> = runs.iter().map(|run| run.sent_steering_rad).collect();
+    sent.sort_by(f64::total_cmp);
+    if let Some(pair) = sent.windows(2).find(|pair| pair[1] - pair[0] > LARGEST_STEP_RAD) {
+        return Err(Refusal::implausible(format!(
+            "no run between sent angles of {:.4} and {:.4} rad; neighbours may be {LARGEST_STEP_RAD} rad apart",
+            pair[0], pair[1]
+        )));
+    }
+    Ok(())
+}
+
+/// Refuses a run that turns to the other side than told; most often the sign of the height was forgotten.
+fn check_directions(runs: &[CircleRun], realised: &[f64]) -> Result<(), Refusal> {
+    let wrong = runs
+        .iter()
+        .zip(realised)
+        .find(|(run, angle)| run.sent_steering_rad.abs() > 0.03 && run.sent_steering_rad * **angle < 0.0);
+    match wrong {
+        None => Ok(()),
+        Some((run, _)) => Err(Refusal::OutsideRange {
+            place: run.place.clone(),
+            column: "height_m",
+            value: run.height_m,
+            allowed: "the sign of the angle sent: positive for a left turn".to_owned(),
+        }),
+    }
+}
+
+fn require_smooth(runs: &[CircleRun], residuals: &[f64]) -> Result<(), Refusal> {
+    let scatter = root_mean_square(residuals);
+    if let Some(index) = outlier(residuals, DOUBTFUL_RAD) {
+        return Err(Refusal::implausible(format!(
+            "{}: the run is {:.4} rad off the map through all others; a wrong value, or play that was not taken up on the way to the angle",
+            runs[index].place, residuals[index]
+        )));
+    }
+    if scatter > LARGEST_SCATTER_RAD {
+        return Err(Refusal::implausible(format!(
+            "runs scatter by {scatter:.4} rad about a smooth map, more than {LARGEST_SCATTER_RAD}; was approached_from left out for a steering with play?"
+        )));
+    }
+    Ok(())
+}
+
+/// The network that gives back the sent angle of a realised one.
+///
+/// It is fitted where the map rises without a break from the middle outwards: the last angles driven have neighbours
+/// on one side only, and what the map does there is its own invention.
+fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwork, Refusal> {
+    const GRID: usize = 240;
+    let sent = |index: usize| low + (high - low) * index as f64 / GRID as f64;
+    let middle = (0..=GRID)
+        .min_by(|one, other| map.eval(sent(*one)).abs().total_cmp(&map.eval(sent(*other)).abs()))
+        .unwrap_or_default();
+    let usable = |index: &usize| {
+        map.derivative(sent(*index)) >= SMALLEST_SLOPE && map.eval(sent(*index)).abs() <= INVERTED_MAX_RAD
+    };
+    let below = (0..=middle).rev().take_while(usable);
+    let above = (middle..=GRID).skip(1).take_while(usable);
+    let mut samples: Vec<(f64, f64)> =
+        below.chain(above).map(|index| (map.eval(sent(index)), sent(index))).collect();
+    samples.sort_by(|one, other| one.0.total_cmp(&other.0));
+    let [least, most] = range(samples.iter().map(|sample| sample.0));
+    let [first, last] = range(samples.iter().map(|sample| sample.1));
+    if !(least <= -DESIRED_MAX_RAD && most >= DESIRED_MAX_RAD) {
+        return Err(Refusal::implausible(format!(
+            "the map rises from sent angles of {first:.4} to {last:.4} rad only, of {low:.4} to {high:.4} rad driven, and realises {least:.4} to {most:.4} rad there; -{DESIRED_MAX_RAD} to {DESIRED_MAX_RAD} rad have to be covered"
+        )));
+    }
+    let inverse = train(&samples).map_err(|error| Refusal::implausible(error.to_string()))?.network;
+    let desired = |index: usize| DESIRED_MAX_RAD * (2.0 * index as f64 / GRID as f64 - 1.0);
+    let worst = (0..=GRID)
+        .map(|index| (map.eval(inverse.eval(desired(index))) - desired(index)).abs())
+        .fold(0.0, f64::max);
+    let rises = (0..=GRID).all(|index| inverse.derivative(desired(index)) > 0.0);
+    if worst > LARGEST_INVERSION_RAD || !rises {
+        return Err(Refusal::implausible(format!(
+            "the inverse network is {worst:.5} rad off the map, more than {LARGEST_INVERSION_RAD}, or does not rise: the map is too wavy; more runs, or longer arcs, make it smooth"
+        )));
+    }
+    Ok(inverse)
+}
+
+fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
+}
+
+fn charts(
+    samples: &[(f64, f64)],
+    residuals: &[f64],
+    map: &SteeringNetwork,
+    [low, high]: [f64; 2],
+) -> Vec<Chart> {
+    let line = (0..=100).map(|step| low + (high - low) * f64::from(step) / 100.0);
+    vec![
+        Chart {
+            title: "circle runs, play taken out".to_owned(),
+            across: "angle sent [rad]",
+            up: "angle realised [rad]",
+            points: samples.iter().map(|(sent, angle)| [*sent, *angle]).collect(),
+            line: line.map(|sent| [sent, map.eval(sent)]).collect(),
+        },
+        Chart {
+            title: "what the map misses".to_owned(),
+            across: "angle sent [rad]",
+            up: "residual [mrad]",
+            points: samples.iter().zip(residuals).map(|((sent, _), missed)| [*sent, 1e3 * missed]).collect(),
+            line: Vec::new(),
+        },
+    ]
+}
+
+#[cfg(test)]
+mod tests;

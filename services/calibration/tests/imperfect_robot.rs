@@ -1,0 +1,82 @@
+//! What the calibration of `--drive` makes of scenario `imperfect-robot`.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use calibration::file::{DriftPart, Origin, SteeringPart, VelocityPart};
+use calibration::{CalibrationFile, drift, drive, steering, velocity};
+use emulator::{Outcome, Scenario};
+use pipeline::Settings;
+use vehicle::correction::Calibration;
+
+fn imperfect() -> Scenario {
+    Scenario::parse(Scenario::shipped("imperfect-robot").unwrap(), "imperfect-robot").unwrap()
+}
+
+fn calibrated(scenario: &Scenario) -> CalibrationFile {
+    let origin = Origin::default();
+    let straight = velocity::fit(&drive::straight_runs(scenario, 1)).unwrap();
+    let circles = steering::fit(&drive::circle_runs(scenario, 1)).unwrap();
+    let sines = drift::fit(&drive::sine_runs(scenario, 1)).unwrap();
+    CalibrationFile {
+        velocity: Some(VelocityPart::of(&straight, origin.clone())),
+        steering: Some(SteeringPart::of(&circles, origin.clone())),
+        drift: Some(DriftPart::of(&sines, origin)),
+        ..CalibrationFile::default()
+    }
+}
+
+/// How a drive ended, and the root mean squares of what velocity [m/s] and steering angle [rad] were off.
+fn tracking(settings: &Settings) -> (Outcome, f64, f64) {
+    let (mut desired, mut squares, mut count) = (None, [0.0, 0.0], 0.0);
+    let drive = pipeline::drive(settings, |step| {
+        // The actuation of a scan is in force when the next scan is taken.
+        if let Some((velocity, angle)) = desired.take()
+            && step.truth.blocked == 0
+        {
+            let [by_velocity, by_angle]: [f64; 2] =
+                [step.truth.speed_mps - velocity, step.truth.steering_rad - angle];
+            squares = [squares[0] + by_velocity * by_velocity, squares[1] + by_angle * by_angle];
+            count += 1.0;
+        }
+        desired = step
+            .actuation
+            .filter(|actuation| actuation.kind == shared_types::ActuationKind::Drive.wire())
+            .map(|actuation| (actuation.desired_velocity_mps, actuation.desired_steering_rad));
+    })
+    .unwrap();
+    (drive.outcome, f64::sqrt(squares[0] / count), f64::sqrt(squares[1] / count))
+}
+
+/// Without and with calibration; the robot's play is what it is, or none.
+fn compare(play: Option<f64>) -> [(Outcome, f64, f64); 2] {
+    let mut scenario = imperfect();
+    scenario.robot.steering_backlash_rad = play.unwrap_or(scenario.robot.steering_backlash_rad);
+    let file = calibrated(&scenario);
+    let mut without = Settings::of(scenario);
+    without.tuning.actuator.calibration = Calibration::Identity;
+    let mut with = without.clone();
+    with.tuning.actuator.calibration =
+        Calibration::Custom(file.correction(&Calibration::Identity.correction()));
+    with.tuning.estimator.odometry_longitudinal = file.drift.as_ref().map(|part| part.longitudinal.value);
+    with.tuning.estimator.odometry_lateral_rate =
+        file.drift.as_ref().map(|part| part.lateral_rate_per_s.value);
+    let results = [tracking(&without), tracking(&with)];
+    for (name, (outcome, velocity, angle)) in ["without", "with"].iter().zip(&results) {
+        eprintln!("play {play:?} {name}: {outcome}, velocity {velocity:.5} m/s, steering {angle:.5} rad");
+    }
+    results
+}
+
+#[test]
+fn the_imperfect_robot_reaches_its_goal_and_tracks_its_velocity_five_times_better() {
+    let [without, with] = compare(None);
+    assert_eq!(with.0, Outcome::Reached);
+    assert!(5.0 * with.1 < without.1, "velocity {} m/s, {} without", with.1, without.1);
+    assert!(with.2 < without.2, "steering {} rad, {} without", with.2, without.2);
+}
+
+#[test]
+fn without_play_the_steering_is_tracked_five_times_better_too() {
+    let [without, with] = compare(Some(0.0));
+    assert_eq!(with.0, Outcome::Reached);
+    assert!(5.0 * with.1 < without.1 && 5.0 * with.2 < without.2, "{with:?} {without:?}");
+}
