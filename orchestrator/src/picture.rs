@@ -5,10 +5,12 @@
 //! the drawing library would pull points outside the axes to the border. The library knows whole pixels only,
 //! so the picture is drawn [`FINE`] times larger and declared that much smaller.
 
+pub mod chart;
 mod clip;
 mod curves;
 mod legend;
 mod map;
+pub mod panels;
 
 use plotters::prelude::{DrawingArea, IntoDrawingArea, RGBColor, SVGBackend, WHITE};
 

@@ -7,12 +7,12 @@
 use vehicle::{Control, Parameters, State};
 
 use crate::collocation::{Collocation, Scheme};
-use crate::interval::propagate;
+use crate::interval::{Propagation, propagate};
 
 /// First element after a jump of the control, in time constants of the fast modes.
-const FIRST: f64 = 0.4;
+const FIRST: f64 = 0.25;
 /// Growth of the elements: share of the time since the jump.
-const GROWTH: f64 = 0.5;
+const GROWTH: f64 = 0.35;
 /// Longest element [s].
 const LONGEST_S: f64 = 0.15;
 /// Decay of the fast modes times the velocity: -34 1/s at 1 m/s, -350 1/s at 0.1 m/s [m/s^2].
@@ -38,8 +38,41 @@ impl Exact {
         since: f64,
         length: f64,
     ) -> Option<State> {
+        let mut state = *start;
+        self.elements(control, since, length, |element| {
+            state = propagate(parameters, &self.collocation, element, &state, control)?.end;
+            Some(())
+        })?;
+        Some(state)
+    }
+
+    /// The state `length` [s] after `start` and its derivatives by the start and by the control, which jumps there.
+    pub(crate) fn sensitivity(
+        &self,
+        parameters: &Parameters,
+        start: &State,
+        control: &Control,
+        length: f64,
+    ) -> Option<Propagation> {
+        let mut whole = Propagation { end: *start, by_state: IDENTITY, by_control: [[0.0; 2]; 5] };
+        self.elements(control, 0.0, length, |element| {
+            let part = propagate(parameters, &self.collocation, element, &whole.end, control)?;
+            whole = chain(&whole, &part);
+            Some(())
+        })?;
+        Some(whole)
+    }
+
+    /// Calls `advance` with the length of each element.
+    fn elements(
+        &self,
+        control: &Control,
+        since: f64,
+        length: f64,
+        mut advance: impl FnMut(f64) -> Option<()>,
+    ) -> Option<()> {
         let first = FIRST * control.velocity / DECAY;
-        let (mut state, mut time) = (*start, 0.0);
+        let mut time = 0.0;
         while time < length {
             let element = (first + GROWTH * (since + time)).min(LONGEST_S);
             // Two halves instead of a whole and a crumb.
@@ -51,11 +84,37 @@ impl Exact {
             } else {
                 element
             };
-            state = propagate(parameters, &self.collocation, element, &state, control)?.end;
+            advance(element)?;
             time = if element >= rest { length } else { time + element };
         }
-        Some(state)
+        Some(())
     }
+}
+
+const IDENTITY: [[f64; 5]; 5] = {
+    let mut matrix = [[0.0; 5]; 5];
+    let mut index = 0;
+    while index < 5 {
+        matrix[index][index] = 1.0;
+        index += 1;
+    }
+    matrix
+};
+
+/// Two motions under the same control, one after the other.
+pub(crate) fn chain(first: &Propagation, second: &Propagation) -> Propagation {
+    let mut whole = Propagation { end: second.end, by_state: [[0.0; 5]; 5], by_control: second.by_control };
+    for row in 0..5 {
+        for (inner, factor) in second.by_state[row].iter().enumerate() {
+            for column in 0..5 {
+                whole.by_state[row][column] += factor * first.by_state[inner][column];
+            }
+            for column in 0..2 {
+                whole.by_control[row][column] += factor * first.by_control[inner][column];
+            }
+        }
+    }
+    whole
 }
 
 #[cfg(test)]

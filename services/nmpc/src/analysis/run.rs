@@ -11,7 +11,7 @@ use crate::collocation::{Collocation, MAX_STAGES, Scheme};
 use crate::interval::{Interval, linearise};
 
 /// Points inside an interval at which the dense measure looks, its end included.
-const DENSE: usize = 16;
+const DENSE: usize = 10;
 /// Newton steps of an interval at most; three to five are usual.
 const NEWTON_STEPS: usize = 30;
 /// Rounding level of values of order one, with room for h times the stiff Jacobian.
@@ -22,6 +22,8 @@ const NEWTON_TOLERANCE: f64 = 1e-13;
 pub(crate) struct Node {
     approximate: State,
     exact: State,
+    /// The last control and how long it has been held [s].
+    held: Option<(Control, f64)>,
     /// Largest error so far; infinite where collocation has no solution.
     pub error: f64,
 }
@@ -56,23 +58,28 @@ impl Runner {
             return None;
         }
         let (approximate, inside) = self.collocate(&node.approximate, length, control)?;
+        let since = node.held.filter(|(held, _)| held == control).map_or(0.0, |(_, since)| since);
         let mut error = node.error;
         let mut exact = node.exact;
         if self.measure == ErrorMeasure::PositionDense {
             for (index, position) in inside.iter().enumerate() {
                 let part = length / DENSE as f64;
-                exact = self.exact.advance(&self.parameters, &exact, control, index as f64 * part, part)?;
-                error = error.max((position[0] - exact.x).hypot(position[1] - exact.y));
+                let since = since + index as f64 * part;
+                exact = self.exact.advance(&self.parameters, &exact, control, since, part)?;
+                error = error.max((position[0] - exact.x).abs()).max((position[1] - exact.y).abs());
             }
         } else {
-            exact = self.exact.advance(&self.parameters, &exact, control, 0.0, length)?;
+            exact = self.exact.advance(&self.parameters, &exact, control, since, length)?;
         }
         let difference = approximate.to_vector() - exact.to_vector();
         let at_end = match self.measure {
             ErrorMeasure::AllStatesEnds => difference.amax(),
-            ErrorMeasure::PositionEnds | ErrorMeasure::PositionDense => difference[3].hypot(difference[4]),
+            ErrorMeasure::PositionEnds | ErrorMeasure::PositionDense => {
+                difference[3].abs().max(difference[4].abs())
+            }
         };
-        Some(Node { approximate, exact, error: error.max(at_end) })
+        let held = Some((*control, since + length));
+        Some(Node { approximate, exact, held, error: error.max(at_end) })
     }
 
     /// The end of an interval, and positions at equal fractions of it on the collocation polynomial.
@@ -122,8 +129,8 @@ impl Runner {
         }
         let mut knots = [0.0; MAX_STAGES + 1];
         let mut values = [[start[3], start[4]]; MAX_STAGES + 1];
+        knots[1..].copy_from_slice(points);
         for stage in 0..*count {
-            knots[stage + 1] = points[stage];
             values[stage + 1][0] += summed(stage, &slopes[0]);
             values[stage + 1][1] += summed(stage, &slopes[1]);
         }
@@ -156,7 +163,8 @@ mod tests {
             let runner = Runner::new(Parameters::default(), scheme, ErrorMeasure::PositionDense);
             let (end, inside) = runner.collocate(&start, 0.4533, &control).unwrap();
             let oracle =
-                propagate(&Parameters::default(), &Collocation::new(scheme), 0.4533, &start, &control).unwrap();
+                propagate(&Parameters::default(), &Collocation::new(scheme), 0.4533, &start, &control)
+                    .unwrap();
             assert_eq!(end, oracle.end);
             // The polynomial ends there too.
             let last = inside[DENSE - 1];
@@ -179,6 +187,8 @@ mod tests {
         let error = |measure| {
             Runner::new(Parameters::default(), Scheme::Gauss2, measure).error(&[2.72 / 6.0; 6], &controls)
         };
-        assert!(error(ErrorMeasure::PositionDense) >= error(ErrorMeasure::PositionEnds));
+        // Other elements of the exact motion leave 1e-9 between the two.
+        assert!(error(ErrorMeasure::PositionDense) >= error(ErrorMeasure::PositionEnds) - 1e-9);
+        assert!(error(ErrorMeasure::AllStatesEnds) >= error(ErrorMeasure::PositionEnds));
     }
 }

@@ -1,0 +1,180 @@
+//! Options of `scanloop analyse`.
+
+use std::path::PathBuf;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
+use estimator::Measured;
+use nmpc::Scheme;
+use nmpc::analysis::intervals::{ErrorMeasure, Family, Grid};
+
+/// The design analyses.
+#[derive(Debug, Subcommand)]
+pub enum AnalyseCommand {
+    /// Whether what is measured determines yaw, x and y: the rank of (7.2).
+    ///
+    /// Exit code 1 when it does not. JSON keys: `rank`, `observable`, `open`, `reason`, `singular_values`, ...
+    Observability(ObservabilityArguments),
+    /// Whether velocity and steering act in different directions, so that BFGS is admissible.
+    ///
+    /// Exit code 1 when an angle is below 10 degrees. JSON keys: `angle_deg`, `min_angle_deg`, `box_min_angle_deg`,
+    /// `bfgs_admissible`, `intervals`, ...
+    Correlation(CorrelationArguments),
+    /// How many intervals a horizon needs; with `--n`, how long a horizon N intervals carry.
+    ///
+    /// The defaults are the definition that gives the source's N = 6. Exit code 1 when the tolerance is not kept. JSON
+    /// keys: `n`, `max_error`, `errors` (for N = 1, 2, ...), `worst_controls`, `lengths_s`, `max_tf_s` (with `--n`),
+    /// `other_definitions`, `other_schemes`, ...
+    Intervals(IntervalsArguments),
+}
+
+/// Where an answer goes.
+#[derive(Debug, Args)]
+pub struct OutputArguments {
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Where the picture is written.
+    #[arg(long, value_name = "DIR", default_value = "out/analyse")]
+    pub out: PathBuf,
+}
+
+/// Options of `analyse observability`.
+#[derive(Debug, Args)]
+pub struct ObservabilityArguments {
+    /// What is measured, separated by commas.
+    #[arg(long, value_name = "STATES", value_delimiter = ',', default_value = "yaw,x,y", value_parser = measured())]
+    pub measure: Vec<Measured>,
+    /// While the robot moves (the default).
+    #[arg(long, conflicts_with = "standing")]
+    pub moving: bool,
+    /// While the robot stands.
+    #[arg(long)]
+    pub standing: bool,
+    /// Velocity of the moving robot [m/s], 0.1 to 1.
+    #[arg(long, value_name = "V", default_value_t = 1.0, allow_negative_numbers = true)]
+    pub velocity: f64,
+    /// Steering angle of the moving robot [rad], -0.06 to 0.06.
+    #[arg(long, value_name = "ANGLE", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub steering: f64,
+    /// Where the answer goes.
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// Options of `analyse correlation`.
+#[derive(Debug, Args)]
+pub struct CorrelationArguments {
+    /// Velocity at the operating point, u1 [m/s], 0.1 to 1.
+    #[arg(long, value_name = "V", default_value_t = 0.5, allow_negative_numbers = true)]
+    pub velocity: f64,
+    /// Steering angle at the operating point, u2 [rad], -0.06 to 0.06; by default where the source's angle is.
+    #[arg(long, value_name = "ANGLE", default_value_t = -0.0074, allow_negative_numbers = true)]
+    pub steering: f64,
+    /// Length of the horizon [s], 0.05 to 60.
+    #[arg(long, value_name = "S", default_value_t = 2.72, allow_negative_numbers = true)]
+    pub tf: f64,
+    /// Number of intervals, 1 to 100.
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    pub n: usize,
+    /// Scheme whose own angles are told beside those of the model.
+    #[arg(long, value_name = "SCHEME", default_value = "radau-3", value_parser = scheme())]
+    pub scheme: Scheme,
+    /// Where the answer goes.
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// Options of `analyse intervals`.
+#[derive(Debug, Args)]
+pub struct IntervalsArguments {
+    /// Length of the horizon [s], 0.05 to 60.
+    #[arg(long, value_name = "S", default_value_t = 2.72, allow_negative_numbers = true)]
+    pub tf: f64,
+    /// Largest error allowed, 1e-9 to 1.
+    #[arg(long, value_name = "ERROR", default_value_t = 2.5e-4, allow_negative_numbers = true)]
+    pub tol: f64,
+    /// Scheme of collocation.
+    #[arg(long, value_name = "SCHEME", default_value = "gauss-2", value_parser = scheme())]
+    pub scheme: Scheme,
+    /// What the error is of: position or all states at interval ends, or position inside intervals too.
+    #[arg(long, value_name = "ERROR", default_value = "position-ends", value_parser = error())]
+    pub error: ErrorMeasure,
+    /// Admissible controls: one held over the horizon, or one per interval.
+    #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = controls())]
+    pub controls: Family,
+    /// Number of intervals, 1 to 40 (10 if piecewise or free): ask for the longest horizon instead.
+    #[arg(long, value_name = "N")]
+    pub n: Option<usize>,
+    /// Equal intervals, or lengths that keep the error small.
+    #[arg(long, value_name = "GRID", default_value = "uniform", value_parser = grid())]
+    pub grid: Grid,
+    /// Most intervals that are tried, 1 to 40 (10 if piecewise or free); default 24 (10).
+    #[arg(long, value_name = "N", conflicts_with = "n")]
+    pub limit: Option<usize>,
+    /// Where the answer goes.
+    #[command(flatten)]
+    pub output: OutputArguments,
+}
+
+/// Names of schemes.
+pub(super) const SCHEMES: [(&str, Scheme); 8] = [
+    ("radau-1", Scheme::Radau1),
+    ("radau-2", Scheme::Radau2),
+    ("radau-3", Scheme::Radau3),
+    ("radau-4", Scheme::Radau4),
+    ("gauss-1", Scheme::Gauss1),
+    ("gauss-2", Scheme::Gauss2),
+    ("gauss-3", Scheme::Gauss3),
+    ("gauss-4", Scheme::Gauss4),
+];
+
+/// Names of error measures.
+pub(super) const ERRORS: [(&str, ErrorMeasure); 3] = [
+    ("position-ends", ErrorMeasure::PositionEnds),
+    ("all-states-ends", ErrorMeasure::AllStatesEnds),
+    ("position-dense", ErrorMeasure::PositionDense),
+];
+
+/// Names of families of controls.
+pub(super) const FAMILIES: [(&str, Family); 2] =
+    [("constant", Family::Constant), ("piecewise", Family::Piecewise)];
+
+/// Names of grids.
+pub(super) const GRIDS: [(&str, Grid); 2] = [("uniform", Grid::Uniform), ("free", Grid::Free)];
+
+const STATES: [(&str, Measured); 3] = [("yaw", Measured::Yaw), ("x", Measured::X), ("y", Measured::Y)];
+
+/// The name of a value in one of the lists above.
+pub(super) fn name_of<T: PartialEq>(names: &[(&'static str, T)], value: T) -> &'static str {
+    names.iter().find(|(_, other)| *other == value).map_or("", |(name, _)| name)
+}
+
+/// A parser that knows the names of a list and says so when it meets another.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    names: &'static [(&'static str, T)],
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(names.iter().map(|(name, _)| *name)).try_map(move |text| {
+        names.iter().find(|(name, _)| *name == text).map(|(_, value)| *value).ok_or("not a name of the list")
+    })
+}
+
+fn measured() -> impl TypedValueParser<Value = Measured> {
+    one_of(&STATES)
+}
+
+fn scheme() -> impl TypedValueParser<Value = Scheme> {
+    one_of(&SCHEMES)
+}
+
+fn error() -> impl TypedValueParser<Value = ErrorMeasure> {
+    one_of(&ERRORS)
+}
+
+fn controls() -> impl TypedValueParser<Value = Family> {
+    one_of(&FAMILIES)
+}
+
+fn grid() -> impl TypedValueParser<Value = Grid> {
+    one_of(&GRIDS)
+}

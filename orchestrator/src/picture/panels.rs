@@ -1,0 +1,124 @@
+//! Several small pairs of axes, one below the other: what a fit shows and what it misses.
+
+use calibration::Chart;
+use plotters::prelude::*;
+
+use super::{Area, EDGE, FINE, GRID, INK, PictureError, WIDTH, fine, font};
+
+/// Height of one pair of axes [pixels].
+const HEIGHT: u32 = 300;
+/// Radius of a point [pixels].
+const POINT: u32 = 3;
+/// Colour of measured points.
+const MEASURED: RGBColor = RGBColor(0, 92, 158);
+/// Colour of the fit.
+const FITTED: RGBColor = RGBColor(240, 110, 0);
+
+/// Draws charts as the text of an SVG file.
+///
+/// # Errors
+/// [`PictureError`] when the drawing library refuses.
+pub fn draw(charts: &[Chart]) -> Result<String, PictureError> {
+    let height = HEIGHT * charts.len().max(1) as u32;
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
+        root.fill(&WHITE).map_err(PictureError::of)?;
+        for (area, chart) in root.split_evenly((charts.len().max(1), 1)).iter().zip(charts) {
+            panel(area, chart)?;
+        }
+        root.present().map_err(PictureError::of)?;
+    }
+    let drawn = format!("width=\"{}\" height=\"{}\"", WIDTH * FINE, height * FINE);
+    Ok(svg.replacen(&drawn, &format!("width=\"{WIDTH}\" height=\"{height}\""), 1))
+}
+
+fn panel(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
+    let finite = |points: &[[f64; 2]]| -> Vec<(f64, f64)> {
+        let pairs = points.iter().map(|[x, y]| (*x, *y));
+        pairs.filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
+    };
+    let (points, line) = (finite(&chart.points), finite(&chart.line));
+    let all = || points.iter().chain(&line);
+    let (left, right) = range(all().map(|point| point.0));
+    // The zero line belongs to every picture of errors.
+    let (low, high) = range(all().map(|point| point.1).chain([0.0]));
+    let mut axes = ChartBuilder::on(area)
+        .caption(&chart.title, font(15).into_font().color(&INK))
+        .margin(fine(EDGE))
+        .margin_right(fine(28))
+        .x_label_area_size(fine(42))
+        .y_label_area_size(fine(84 - EDGE))
+        .build_cartesian_2d(left..right, low..high)
+        .map_err(PictureError::of)?;
+    let decimals = |span: f64| (1.0 - span.log10().floor()).clamp(0.0, 6.0) as usize;
+    let (across, up) = (decimals(right - left), decimals(high - low));
+    axes.configure_mesh()
+        .max_light_lines(0)
+        .bold_line_style(GRID.stroke_width(fine(1) as u32))
+        .axis_style(INK.stroke_width(fine(1) as u32))
+        .x_labels(10)
+        .y_labels(5)
+        .x_label_formatter(&|value| format!("{value:.across$}"))
+        .y_label_formatter(&|value| format!("{value:.up$}"))
+        .label_style(font(12).into_font().color(&INK))
+        .axis_desc_style(font(13).into_font().color(&INK))
+        .x_desc(chart.across)
+        .y_desc(chart.up)
+        .set_all_tick_mark_size(fine(4))
+        .draw()
+        .map_err(PictureError::of)?;
+    let thin = fine(1) as u32;
+    axes.draw_series(LineSeries::new([(left, 0.0), (right, 0.0)], INK.stroke_width(thin)))
+        .map_err(PictureError::of)?;
+    axes.draw_series(LineSeries::new(line, FITTED.stroke_width(2 * thin))).map_err(PictureError::of)?;
+    let dot = |point: &(f64, f64)| Circle::new(*point, fine(POINT), MEASURED.filled());
+    axes.draw_series(points.iter().map(dot)).map_err(PictureError::of)?;
+    Ok(())
+}
+
+/// The range of values with a little space, never empty.
+fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (low, high) = values
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    if low > high {
+        return (0.0, 1.0);
+    }
+    let space = (0.06 * (high - low)).max(1e-9 * (1.0 + low.abs() + high.abs()));
+    (low - space, high + space)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chart(points: Vec<[f64; 2]>) -> Chart {
+        Chart {
+            title: "what the map misses".to_owned(),
+            across: "angle [rad]",
+            up: "residual [mrad]",
+            points,
+            line: vec![[0.0, 0.0], [1.0, 2.0]],
+        }
+    }
+
+    #[test]
+    fn every_point_is_drawn_with_title_and_axes() {
+        let svg = draw(&[chart(vec![[0.0, 1.0], [0.5, 2.0]]), chart(vec![[0.1, 0.2]])]).unwrap();
+        assert!(svg.starts_with("<svg width=\"1200\" height=\"600\""));
+        assert_eq!(svg.matches("<circle").count(), 3);
+        assert!(
+            svg.contains("what the map misses")
+                && svg.contains("residual [mrad]")
+                && svg.contains("angle [rad]")
+        );
+    }
+
+    #[test]
+    fn nothing_nonsense_and_a_single_value_are_drawn_too() {
+        draw(&[]).unwrap();
+        draw(&[chart(vec![[f64::NAN, 1.0], [1.0, f64::INFINITY]])]).unwrap();
+        draw(&[Chart { line: Vec::new(), ..chart(vec![[2.0, 0.0]]) }]).unwrap();
+        draw(&[Chart { line: Vec::new(), ..chart(Vec::new()) }]).unwrap();
+    }
+}
