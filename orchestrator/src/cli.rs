@@ -4,6 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::analyse::AnalyseCommand;
+use crate::bench::BenchCommand;
+use crate::calibrate::CalibrateArguments;
+
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]
 #[command(name = "scanloop", version, max_term_width = 100)]
@@ -36,6 +40,14 @@ pub enum Command {
         /// robot, estimator, obstacles, controller or actuator.
         role: String,
     },
+    /// Exchange one process of a running system for another, without losing a scan.
+    ///
+    /// The new process computes beside the old one until it has agreed with it for some scans, takes over at a scan
+    /// that both know beforehand, and is rolled back when it fails while the old one still stands by. Exit code 1
+    /// when it was refused or rolled back. JSON keys: `role`, `from`, `to`, `shadow_scans`, `last_scan_old`,
+    /// `first_scan_new`, `missed_scans`, `duplicate_scans`, `command_jump_rad`, `command_jump_mps`, `outcome`
+    /// (`swapped`, `refused`, `rolled_back`), `reason`.
+    Swap(SwapArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
         /// emulator, ekf, ellipses, nmpc or actuation.
@@ -47,6 +59,9 @@ pub enum Command {
     /// close ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`,
     /// `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
+    /// Measure parts of the loop.
+    #[command(subcommand)]
+    Bench(BenchCommand),
     /// Show where the time from scan to actuation goes, live from the samples of a running system.
     Latency {
         /// Stop after that many seconds.
@@ -56,6 +71,14 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Answer a question of the design: observability, correlation of the controls, number of intervals.
+    #[command(subcommand)]
+    Analyse(AnalyseCommand),
+    /// Find what is wrong with a robot from recorded or driven runs, for `run --calibration`.
+    ///
+    /// The result is merged into a calibration file with standard errors and 95 % intervals; a picture shows what the
+    /// fit misses. Runs that are too few, out of range, or not plausible are refused with the reason.
+    Calibrate(CalibrateArguments),
     /// Look at the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
@@ -73,6 +96,9 @@ pub struct Choice {
     /// The process table, a TOML file; without it the built-in one.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
+    /// A calibration file from `scanloop calibrate`; what it has replaces the system's calibration.
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
     /// Seed of all random numbers of the scenario.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
@@ -102,6 +128,32 @@ pub struct RunArguments {
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// Arguments of `swap`.
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("successor").required(true))]
+pub struct SwapArguments {
+    /// estimator, obstacles, controller or actuator.
+    pub role: String,
+    /// A built-in implementation: ekf, ellipses, nmpc or actuation.
+    #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
+    pub to: Option<String>,
+    /// Scans in a row on which the new process must agree with the old one.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub shadow_scans: u64,
+    /// Scans after the change during which the old process stands by.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub standby_scans: u64,
+    /// Factor on the bounds of agreement, for one that drives differently on purpose.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub tolerance: f64,
+    /// Print the certificate as JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Any program that fills the role, with its arguments.
+    #[arg(last = true, value_name = "COMMAND", group = "successor")]
+    pub command: Vec<String>,
 }
 
 /// Arguments of `check`.

@@ -10,13 +10,15 @@ use anyhow::Context;
 use runtime::{Domain, RuntimeError};
 use serde::{Deserialize, Serialize};
 
+use crate::swap::Certificate;
+
 /// A client that does not finish its line within this time is dropped; the loop does not depend on it.
 const PATIENCE: Duration = Duration::from_millis(200);
 /// How long a command waits for its answer.
 const ANSWER_PATIENCE: Duration = Duration::from_secs(10);
 
 /// What can be asked of a running orchestrator.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Request {
     /// The state of all processes.
@@ -28,6 +30,30 @@ pub enum Request {
         /// Name of the role.
         role: String,
     },
+    /// Exchange one process for another.
+    Swap(SwapRequest),
+    /// What became of an exchange.
+    SwapResult {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
+}
+
+/// An exchange that is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SwapRequest {
+    /// Name of the role.
+    pub role: String,
+    /// Built-in implementation; exactly one of this and `command`.
+    pub implementation: Option<String>,
+    /// Program and arguments.
+    pub command: Option<Vec<String>>,
+    /// Scans in a row on which the new process must agree before it takes over.
+    pub shadow_scans: u64,
+    /// Scans after that during which the old process stands by.
+    pub standby_scans: u64,
+    /// Factor on the bounds of agreement.
+    pub tolerance: f64,
 }
 
 /// What it answers.
@@ -38,6 +64,12 @@ pub enum Reply {
     Done,
     /// The state of all processes.
     Status(Box<Status>),
+    /// An exchange has begun; ask for its result by this number.
+    Accepted(u64),
+    /// The exchange goes on.
+    Pending,
+    /// What became of an exchange.
+    Certificate(Box<Certificate>),
     /// The request is refused, with the reason.
     Refused(String),
 }

@@ -24,6 +24,9 @@ const LAST_WORDS: usize = 10;
 pub(crate) struct Fleet {
     domain: Domain,
     members: BTreeMap<Role, Member>,
+    candidate: Option<Candidate>,
+    leaving: Vec<Leaving>,
+    left: bool,
     // Dropped last: what it removes must not be in use any more.
     lock: SystemLock,
 }
@@ -38,6 +41,21 @@ struct Member {
     last_words: Vec<String>,
     usage: Option<(u64, f64)>,
     last_pid: u32,
+}
+
+/// A process that is to take the place of another.
+struct Candidate {
+    role: Role,
+    entry: ProcessEntry,
+    child: Child,
+    incarnation: u32,
+    usage: Option<(u64, f64)>,
+}
+
+/// A process that no role needs any more, and when it is killed if it has not ended [ns].
+struct Leaving {
+    child: Child,
+    kill_ns: u64,
 }
 
 /// What the processor and the memory know of a process.
@@ -73,7 +91,7 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        Ok(Self { domain, members, lock })
+        Ok(Self { domain, members, candidate: None, leaving: Vec::new(), left: false, lock })
     }
 
     /// Starts the process of a role; `checkpoint` is the newest state of the one before it.
@@ -90,8 +108,30 @@ impl Fleet {
         incarnation: u32,
         checkpoint: Option<&Checkpoint>,
     ) -> anyhow::Result<u32> {
+        let member = self.members.get(&role).context("no process of this role")?;
+        let (entry, restart) = (member.entry.clone(), member.starts > 0);
+        let child = self.launch(role, &entry, incarnation, restart, checkpoint)?;
+        let pid = child.pid();
         let member = self.members.get_mut(&role).context("no process of this role")?;
-        let command = match (&member.entry.command, &member.entry.implementation) {
+        member.starts += 1;
+        member.incarnation = incarnation;
+        member.child = Some(child);
+        member.usage = Some((monotonic_ns(), 0.0));
+        member.last_pid = pid;
+        Ok(pid)
+    }
+
+    /// Starts a process, written down and with its log.
+    fn launch(
+        &mut self,
+        role: Role,
+        entry: &ProcessEntry,
+        incarnation: u32,
+        restart: bool,
+        checkpoint: Option<&Checkpoint>,
+    ) -> anyhow::Result<Child> {
+        let member = self.members.get(&role).context("no process of this role")?;
+        let command = match (&entry.command, &entry.implementation) {
             (Some(command), _) => command.iter().map(OsString::from).collect(),
             (None, implementation) => {
                 let this = std::env::current_exe().context("path of this executable")?;
@@ -100,23 +140,75 @@ impl Fleet {
             }
         };
         write_handover(&self.domain, role, checkpoint)?;
-        let restart = member.starts > 0;
         let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
         let environment = vec![
             variable(SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
             variable(INCARNATION_VARIABLE, incarnation.to_string()),
             variable(RESTART_VARIABLE, u8::from(restart).to_string()),
         ];
-        member.log.begin(&format!("{role} incarnation {incarnation}: {}", member.entry.label()))?;
-        member.starts += 1;
-        member.incarnation = incarnation;
+        member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
+        self.lock.register(role, child.pid().cast_signed(), incarnation)?;
+        Ok(child)
+    }
+
+    /// What a role would be filled with: the entry of the process that fills it, with another implementation.
+    pub(crate) fn entry_with(
+        &self,
+        role: Role,
+        implementation: Option<String>,
+        command: Option<Vec<String>>,
+    ) -> Option<ProcessEntry> {
+        let member = self.members.get(&role)?;
+        Some(ProcessEntry { implementation, command, ..member.entry.clone() })
+    }
+
+    /// Starts a process beside the one that fills the role; it goes on from `checkpoint`.
+    pub(crate) fn spawn_candidate(
+        &mut self,
+        role: Role,
+        entry: ProcessEntry,
+        incarnation: u32,
+        checkpoint: Option<&Checkpoint>,
+    ) -> anyhow::Result<()> {
+        let child = self.launch(role, &entry, incarnation, true, checkpoint)?;
+        let usage = Some((monotonic_ns(), 0.0));
+        self.candidate = Some(Candidate { role, entry, child, incarnation, usage });
+        Ok(())
+    }
+
+    /// The candidate fills its role from now on; the process before it is asked to end. Returns its id.
+    pub(crate) fn promote(&mut self) -> Option<u32> {
+        let Candidate { role, entry, child, incarnation, usage } = self.candidate.take()?;
+        let member = self.members.get_mut(&role)?;
         let pid = child.pid();
-        member.child = Some(child);
-        member.usage = Some((monotonic_ns(), 0.0));
-        member.last_pid = pid;
-        self.lock.register(role, pid.cast_signed(), incarnation)?;
-        Ok(pid)
+        if let Some(old) = member.child.replace(child) {
+            let _ = old.terminate();
+            let kill_ns = monotonic_ns() + member.entry.grace_ms * 1_000_000;
+            self.leaving.push(Leaving { child: old, kill_ns });
+        }
+        (member.entry, member.incarnation, member.usage, member.last_pid) = (entry, incarnation, usage, pid);
+        member.last_words.clear();
+        Some(pid)
+    }
+
+    /// Kills the candidate, if there is one.
+    pub(crate) fn dismiss(&mut self) {
+        if let Some(Candidate { child, .. }) = self.candidate.take() {
+            let _ = child.kill();
+            self.leaving.push(Leaving { child, kill_ns: monotonic_ns() });
+        }
+    }
+
+    /// Process id, implementation and load of the candidate.
+    pub(crate) fn candidate(&mut self) -> Option<(u32, String, Load)> {
+        let Candidate { entry, child, usage, .. } = self.candidate.as_mut()?;
+        Some((child.pid(), entry.label(), load_of(child, usage)))
+    }
+
+    /// Whether a process that no role needs any more has ended since the last call.
+    pub(crate) fn have_left(&mut self) -> bool {
+        std::mem::take(&mut self.left)
     }
 
     /// Asks a process to end, or kills it.
@@ -139,7 +231,29 @@ impl Fleet {
                 ended.push((*role, member.incarnation, exit));
             }
         }
+        if let Some(Candidate { role, child, incarnation, .. }) = &mut self.candidate
+            && let Ok(Some(exit)) = child.try_wait()
+        {
+            ended.push((*role, *incarnation, exit));
+            self.candidate = None;
+            self.left = true;
+        }
+        let now = monotonic_ns();
+        let before = self.leaving.len();
+        self.leaving.retain_mut(|leaving| {
+            if now >= leaving.kill_ns {
+                let _ = leaving.child.kill();
+            }
+            !matches!(leaving.child.try_wait(), Ok(Some(_)))
+        });
+        self.left |= self.leaving.len() < before;
         ended
+    }
+
+    /// Last lines that were written for a role.
+    pub(crate) fn newest_words(&self, role: Role) -> Vec<String> {
+        let member = self.members.get(&role);
+        member.and_then(|member| member.log.last_lines(LAST_WORDS).ok()).unwrap_or_default()
     }
 
     /// Keeps the logs within their size.
@@ -151,7 +265,9 @@ impl Fleet {
 
     /// Descriptors that become readable when a process ends.
     pub(crate) fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
-        self.members.values().filter_map(|member| member.child.as_ref().map(AsFd::as_fd))
+        let members = self.members.values().filter_map(|member| member.child.as_ref());
+        let beside = self.candidate.iter().map(|candidate| &candidate.child);
+        members.chain(beside).chain(self.leaving.iter().map(|leaving| &leaving.child)).map(AsFd::as_fd)
     }
 
     /// Last lines of the process of a role before it ended.
@@ -172,13 +288,17 @@ impl Fleet {
     /// Processor share since the last call, and memory, of the process of a role.
     pub(crate) fn load(&mut self, role: Role) -> Load {
         let Some(member) = self.members.get_mut(&role) else { return Load::default() };
-        let Some(usage) = member.child.as_ref().and_then(Child::usage) else { return Load::default() };
-        let now = monotonic_ns();
-        let before = member.usage.replace((now, usage.cpu_s));
-        let cpu_percent = before.map_or(0.0, |(then, cpu_s)| {
-            let elapsed_s = now.saturating_sub(then).max(1) as f64 * 1e-9;
-            100.0 * (usage.cpu_s - cpu_s).max(0.0) / elapsed_s
-        });
-        Load { cpu_percent, memory_kib: usage.memory_kib }
+        member.child.as_ref().map_or_else(Load::default, |child| load_of(child, &mut member.usage))
     }
+}
+
+/// Processor share since `before`, which is brought up to date, and memory.
+fn load_of(child: &Child, before: &mut Option<(u64, f64)>) -> Load {
+    let Some(usage) = child.usage() else { return Load::default() };
+    let now = monotonic_ns();
+    let cpu_percent = before.replace((now, usage.cpu_s)).map_or(0.0, |(then, cpu_s)| {
+        let elapsed_s = now.saturating_sub(then).max(1) as f64 * 1e-9;
+        100.0 * (usage.cpu_s - cpu_s).max(0.0) / elapsed_s
+    });
+    Load { cpu_percent, memory_kib: usage.memory_kib }
 }

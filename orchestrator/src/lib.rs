@@ -1,5 +1,8 @@
 //! Starts, supervises and measures the processes of a system: the library behind the executable `scanloop`.
 
+pub mod analyse;
+pub mod bench;
+pub mod calibrate;
 mod campaign;
 mod check;
 pub mod child;
@@ -25,6 +28,7 @@ mod service;
 mod session;
 pub mod summary;
 pub mod supervisor;
+pub mod swap;
 mod system;
 mod table;
 mod topic;
@@ -55,12 +59,16 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             runtime::start_logging();
             run::run(&cli.system_id, arguments)
         }
+        Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),
+        Command::Bench(command) => bench::bench(command),
         Command::Check(arguments) => check::check(arguments),
+        Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => remote::status(&domain()?, *json),
         Command::Stop => remote::stop(&domain()?),
         Command::Latency { duration, json } => live_latency::watch(&domain()?, *duration, *json),
         Command::Restart { role } => remote::restart(&domain()?, role),
+        Command::Swap(arguments) => remote::swap(&domain()?, arguments),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {
             print!("{}", topic::list());

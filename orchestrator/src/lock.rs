@@ -74,7 +74,10 @@ impl SystemLock {
     /// Errors of the file system.
     pub(crate) fn register(&mut self, role: Role, pid: i32, incarnation: u32) -> anyhow::Result<()> {
         let Some(start_time) = start_ticks(pid.cast_unsigned()) else { return Ok(()) };
-        self.registered.retain(|process| process.role != role.name());
+        // Two processes of one role live while one takes over from the other.
+        let lives =
+            |process: &Registered| start_ticks(process.pid.cast_unsigned()) == Some(process.start_time);
+        self.registered.retain(|process| process.role != role.name() || lives(process));
         self.registered.push(Registered { role: role.name().to_owned(), pid, start_time, incarnation });
         let path = self.processes_file();
         let temporary = path.with_extension("tmp");

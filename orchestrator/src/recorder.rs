@@ -20,6 +20,7 @@ use crate::ledger::Ledger;
 use crate::picture::{Drive, Ellipse, Moment};
 use crate::progress::View;
 use crate::report::{DriveReport, Outcome, ProcessReport, Report, SCHEMA};
+use crate::swap::Certificate;
 
 pub use self::rows::MAX_ROWS;
 
@@ -53,6 +54,8 @@ pub struct Ending {
     pub reason: String,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
+    /// Exchanges of processes.
+    pub swaps: Vec<Certificate>,
 }
 
 /// Everything that is remembered of one run.
@@ -236,6 +239,7 @@ impl Recorder {
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
             processes: ending.processes.clone(),
+            swaps: ending.swaps.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),

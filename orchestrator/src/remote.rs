@@ -1,15 +1,20 @@
-//! Commands to a running system: `status`, `stop`, `restart`.
+//! Commands to a running system: `status`, `stop`, `restart`, `swap`.
 
 use std::fmt::Write as _;
 
 use runtime::{Domain, monotonic_ns};
 use shared_types::Role;
 
-use crate::control::{Reply, Request, Status, ask};
+use crate::cli::SwapArguments;
+use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::exit::{Exit, Failure};
+use crate::swap::SwapOutcome;
 
 /// A system that was told to stop has this long to end [ns].
 const STOP_PATIENCE_NS: u64 = 15_000_000_000;
+
+/// Time between two looks at an exchange: a fifth of a scan period.
+const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
 
 /// Prints the state of the system.
 ///
@@ -57,6 +62,55 @@ pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
             Ok(Exit::Done)
         }
     }
+}
+
+/// Exchanges one process and prints what became of it.
+///
+/// # Errors
+/// An unknown role or implementation, a system that is not running or already exchanges one; exit code 2.
+pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result<Exit> {
+    let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
+    let request = SwapRequest {
+        role: role.name().to_owned(),
+        implementation: arguments.to.clone(),
+        command: (!arguments.command.is_empty()).then(|| from_here(&arguments.command)),
+        shadow_scans: arguments.shadow_scans,
+        standby_scans: arguments.standby_scans,
+        tolerance: arguments.tolerance,
+    };
+    let number = match ask(domain, &Request::Swap(request))? {
+        Reply::Accepted(number) => number,
+        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
+        _ => anyhow::bail!("the orchestrator did not answer the request"),
+    };
+    let certificate = loop {
+        match ask(domain, &Request::SwapResult { number }) {
+            Ok(Reply::Certificate(certificate)) => break certificate,
+            Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
+            Ok(_) => std::thread::sleep(SWAP_LOOK),
+            Err(error) => {
+                eprintln!("the system ended before the exchange did: {error:#}");
+                return Ok(Exit::NotReached);
+            }
+        }
+    };
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&certificate)?);
+    }
+    eprintln!("{certificate}");
+    Ok(if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached })
+}
+
+/// A command as the orchestrator has to start it, whose working folder is another one.
+fn from_here(command: &[String]) -> Vec<String> {
+    let mut command = command.to_vec();
+    if let Some(program) = command.first_mut()
+        && program.contains('/')
+        && let Ok(path) = std::path::absolute(&*program)
+    {
+        *program = path.to_string_lossy().into_owned();
+    }
+    command
 }
 
 fn table(status: &Status) -> String {

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
 use crate::figures::Figures;
+use crate::swap::Certificate;
 
 pub use self::write::write_atomically;
 
@@ -52,6 +53,8 @@ pub struct Report {
     pub stop_reasons: BTreeMap<String, u64>,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
+    /// Exchanges of processes, in the order in which they ended.
+    pub swaps: Vec<Certificate>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
     /// Rows that were left out at the beginning of `trajectory` because the run was too long to keep them.

@@ -11,6 +11,7 @@ use shared_types::Directive;
 use toml::{Table, Value};
 use vehicle::frame::to_track;
 
+use crate::calibrate;
 use crate::cli::{Choice, RunArguments};
 use crate::control::ControlSocket;
 use crate::digest::Digests;
@@ -22,7 +23,7 @@ use crate::progress::Progress;
 use crate::recorder::{Recorder, RunInfo};
 use crate::report::{Report, write_atomically};
 use crate::samples::Samples;
-use crate::session::{End, Session};
+use crate::session::{End, Session, Swaps};
 use crate::summary;
 use crate::supervisor::Supervisor;
 use crate::system::System;
@@ -64,6 +65,9 @@ impl Plan {
     pub(crate) fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
         let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
         let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
+        if let Some(file) = &choice.calibration {
+            calibrate::apply(file, &mut system)?;
+        }
         for text in &choice.overrides {
             let (key, value) = table::parse_override(text)?;
             let first = key.split('.').next().unwrap_or_default();
@@ -167,6 +171,7 @@ fn prepare(domain: &Domain, plan: &Plan, arguments: &RunArguments, out: &Path) -
         lockstep: arguments.lockstep,
         duration_s: arguments.duration,
         directive: Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() },
+        swaps: Swaps::default(),
         end: End::NotYet,
         dirty: true,
         said_ns: 0,

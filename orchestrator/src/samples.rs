@@ -12,28 +12,50 @@ use shared_types::{Actuation, Command, Directive, Obstacles, Pose, Sample, Truth
 /// A scan without an answer is given up when this many newer scans have been published.
 const PATIENCE_SCANS: u64 = 3;
 
+/// Samples kept of the other process of an exchange; more than processes keep, because looks here are rarer.
+const ASIDE: usize = 16;
+
 /// Samples of one topic that wait for their scan.
 struct Queue<S: Sample> {
     observer: Observer<S>,
     waiting: VecDeque<S>,
+    aside: VecDeque<S>,
+    last: (u32, u64),
 }
 
 impl<S: Sample> Queue<S> {
     fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { observer: Observer::new(bus)?, waiting: VecDeque::with_capacity(64) })
+        Ok(Self {
+            observer: Observer::new(bus)?,
+            waiting: VecDeque::with_capacity(64),
+            aside: VecDeque::with_capacity(ASIDE),
+            last: (0, 0),
+        })
     }
 
     fn poll(&mut self, directive: &Directive) -> Result<u64, RuntimeError> {
-        let waiting = &mut self.waiting;
-        self.observer.poll(|sample| {
-            let header = sample.header();
-            let counts = S::TOPIC
-                .writer()
-                .is_none_or(|writer| directive.accepts(writer, header.incarnation, header.scan_id));
-            if counts {
-                waiting.push_back(*sample);
+        let Self { observer, waiting, aside, last } = self;
+        // As the processes do: what was kept aside may count now, unless its scan was answered meanwhile.
+        let kept = std::mem::take(aside);
+        let mut put = |sample: &S, was_aside: bool| {
+            let (incarnation, scan_id) = (sample.header().incarnation, sample.header().scan_id);
+            if let Some(writer) = S::TOPIC.writer() {
+                if directive.stands_by(writer, incarnation, scan_id) {
+                    if aside.len() == ASIDE {
+                        aside.pop_front();
+                    }
+                    return aside.push_back(*sample);
+                }
+                let other = was_aside || directive.is_exchanged(writer) && incarnation != last.0;
+                if !directive.accepts(writer, incarnation, scan_id) || (other && scan_id <= last.1) {
+                    return;
+                }
             }
-        })
+            *last = (incarnation, last.1.max(scan_id));
+            waiting.push_back(*sample);
+        };
+        kept.iter().for_each(|sample| put(sample, true));
+        observer.poll(|sample| put(sample, false))
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {

@@ -4,11 +4,13 @@
 //! reap processes, answer commands, let the supervisor and the referee decide, speak to the processes.
 //! Nothing of the driving depends on it: the processes talk to each other, and go on when it hangs or dies.
 
+mod swapping;
+
 use std::time::Instant;
 
 use emulator::{Referee, Scenario};
 use runtime::{Bus, Domain, Shutdown, Voice, monotonic_ns, wait_for};
-use shared_types::{Directive, Phase, Role};
+use shared_types::{Authority, Directive, Phase, Role};
 
 use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
 use crate::digest::Digests;
@@ -20,6 +22,8 @@ use crate::report::{Outcome, ProcessReport};
 use crate::samples::{Samples, ScanRecord};
 use crate::supervisor::{Action, Event, Severity, Supervisor};
 use crate::vitals::Vitals;
+
+pub(crate) use swapping::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
@@ -50,6 +54,7 @@ pub(crate) struct Session {
     pub(crate) vitals: Vitals,
     pub(crate) voice: Voice<Directive>,
     pub(crate) directive: Directive,
+    pub(crate) swaps: Swaps,
     pub(crate) end: End,
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,
@@ -83,17 +88,19 @@ impl Session {
         while !self.supervisor.is_finished() {
             self.sleep();
             self.samples.poll(&self.directive)?;
+            self.observe_swap()?;
             self.take_heartbeats()?;
             self.reap()?;
             self.serve()?;
-            self.record(false);
+            self.record(false)?;
             self.advance_end()?;
+            self.advance_swap()?;
             self.handle(Event::Tick)?;
             self.speak()?;
             self.show();
         }
         self.samples.poll(&self.directive)?;
-        self.record(true);
+        self.record(true)?;
         self.progress.finish();
         Ok(self.ending())
     }
@@ -105,8 +112,12 @@ impl Session {
     }
 
     fn sleep(&self) {
-        let longest_ns =
-            if self.lockstep { 500_000 } else { (4 * self.period_ns).clamp(1_000_000, 20_000_000) };
+        let longest_ns = match (self.lockstep, self.swaps.is_busy()) {
+            (true, _) => 500_000,
+            // A new process that hangs is replaced at 1.2 periods, not a look later.
+            (false, true) => (self.period_ns / 20).clamp(500_000, 5_000_000),
+            (false, false) => (4 * self.period_ns).clamp(1_000_000, 20_000_000),
+        };
         let mut descriptors = vec![self.shutdown.descriptor(), self.control.descriptor()];
         descriptors.extend(self.fleet.descriptors());
         wait_for(&descriptors, longest_ns);
@@ -114,12 +125,21 @@ impl Session {
 
     fn take_heartbeats(&mut self) -> anyhow::Result<()> {
         let mut events = Vec::new();
-        self.vitals.poll(|event| events.push(event))?;
-        events.into_iter().try_for_each(|event| self.handle(event))
+        self.vitals.poll(self.swaps.beside(), |event| events.push(event))?;
+        for event in events {
+            if let Event::StateReported { incarnation, state, .. } = event {
+                self.swap_heard(incarnation, state);
+            }
+            self.handle(event)?;
+        }
+        Ok(())
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {
         for (role, incarnation, exit) in self.fleet.reap() {
+            if self.swap_ended(role, incarnation, exit)? {
+                continue;
+            }
             if self.end == End::NotYet {
                 self.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.progress.note(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
@@ -133,11 +153,20 @@ impl Session {
     }
 
     fn serve(&mut self) -> anyhow::Result<()> {
+        if !wait_for(&[self.control.descriptor()], 0) {
+            return Ok(());
+        }
         let mut requests = Vec::new();
         let status = Reply::Status(Box::new(self.status()));
-        self.control.serve(|request| match request {
+        let Self { control, swaps, fleet, supervisor, .. } = self;
+        control.serve(|request| match request {
             Request::Status => status.clone(),
+            Request::Swap(request) => swaps.ask(request, fleet, supervisor),
+            Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } => match role.parse::<Role>() {
+                Ok(role) if swaps.concerns(role) => {
+                    Reply::Refused(format!("{role} is not restarted: it is being exchanged"))
+                }
                 Ok(Role::Robot) => {
                     Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
                 }
@@ -162,7 +191,7 @@ impl Session {
     }
 
     /// Hands complete scans to the recorder and the referee, in order.
-    fn record(&mut self, flush: bool) {
+    fn record(&mut self, flush: bool) -> anyhow::Result<()> {
         while self.is_recorded()
             && let Some(scan) = self.samples.next(flush)
         {
@@ -176,11 +205,13 @@ impl Session {
             if self.end == End::NotYet {
                 self.judge(&scan.truth);
             }
-            if self.lockstep {
-                self.directive.granted_scan = scan.truth.header.scan_id + GRANT_AHEAD;
-                self.dirty = true;
-            }
+            let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
+            let desired = answers.clone().next_back().map_or([0.0; 2], |actuation| {
+                [actuation.desired_steering_rad, actuation.desired_velocity_mps]
+            });
+            self.swap_recorded(scan.truth.header.scan_id, answers.count() as u64, desired)?;
         }
+        Ok(())
     }
 
     /// In lock-step nothing after the scan that decided the outcome belongs to the run.
@@ -278,7 +309,7 @@ impl Session {
     fn carry_out(&mut self, action: Action) -> anyhow::Result<Option<Event>> {
         match action {
             Action::Grant { role, incarnation } => {
-                self.directive.authority[role.index()].incarnation = incarnation;
+                self.directive.authority[role.index()] = Authority { incarnation, ..Authority::default() };
                 self.dirty = true;
                 self.speak()?;
             }
@@ -350,7 +381,7 @@ impl Session {
     fn status(&mut self) -> Status {
         let views: Vec<_> = self.supervisor.processes().collect();
         let processes = views.into_iter().map(|view| {
-            let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(view.role);
+            let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(view.incarnation);
             let load = self.fleet.load(view.role);
             ProcessStatus {
                 role: view.role.name().to_owned(),
@@ -367,6 +398,7 @@ impl Session {
         });
         let mut processes: Vec<_> = processes.collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
+        self.show_swap(&mut processes);
         Status {
             system_id: self.domain.system_id().to_owned(),
             state: Phase::try_from(self.directive.phase).map_or("starting", Phase::name).to_owned(),
@@ -399,6 +431,6 @@ impl Session {
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        Ending { outcome, reason, processes }
+        Ending { outcome, reason, processes, swaps: self.swaps.certificates().to_vec() }
     }
 }

@@ -13,6 +13,8 @@
 //!   the run, and so does any death of the robot, or of anyone in lock-step, where a gap would change the result.
 //! * **Hang.** A connected process that makes no progress while driving is killed, then treated as dead. In the
 //!   other phases processes wait for each other, and only the start time-out counts.
+//! * **Exchange.** A swap starts its process itself, under a number of [`Supervisor::next_incarnation`], and tells of
+//!   it when it has taken over ([`Event::Replaced`]); until then the supervisor knows the old one only.
 //! * **Stop.** Three waves: controller, obstacles and estimator; when they are gone the actuator, which blocks
 //!   the wheels as its last word; then the robot, which hears it. In each wave TERM, grace, KILL.
 //!
@@ -143,9 +145,18 @@ impl Supervisor {
             Event::Tick => self.tick(now_ns, &mut actions),
             Event::StopRequested => self.stop(now_ns, &mut actions),
             Event::RestartRequested { role } => self.restart_requested(now_ns, role, &mut actions),
+            Event::Replaced { role, pid, incarnation } => {
+                self.replaced(now_ns, role, pid, incarnation, &mut actions);
+            }
             Event::CleanedUp { role } => self.cleaned_up(now_ns, role, &mut actions),
         }
         actions
+    }
+
+    /// A number for a process that the caller starts itself, to be told of with [`Event::Replaced`].
+    pub fn next_incarnation(&mut self) -> u32 {
+        self.last_incarnation += 1;
+        self.last_incarnation
     }
 
     fn start(&mut self, actions: &mut Vec<Action>) {
@@ -238,6 +249,29 @@ impl Supervisor {
             actions.push(Action::Announce(Phase::Driving));
             self.refresh_progress(now_ns);
         }
+    }
+
+    /// Whatever the one before was doing, and whether it lives, does not matter any more; nor do its deaths.
+    fn replaced(&mut self, now_ns: u64, role: Role, pid: u32, incarnation: u32, actions: &mut Vec<Action>) {
+        let finished = self.all_stopped;
+        let Some(slot) = self.slot(role) else { return };
+        if finished || incarnation <= slot.incarnation {
+            actions.push(warn(format!("{role} is not replaced by incarnation {incarnation}")));
+            return;
+        }
+        slot.incarnation = incarnation;
+        (slot.streak, slot.failed_starts, slot.last_exit) = (0, 0, None);
+        slot.life = Life::Alive(Alive {
+            pid,
+            reached: Some(ProcessState::Ready),
+            ready_ns: Some(now_ns),
+            start_deadline_ns: None,
+            progress_ns: now_ns,
+            ending: None,
+            kill_ns: None,
+        });
+        actions.push(info(format!("{role} is filled by process {pid}, incarnation {incarnation}")));
+        self.continue_stop(now_ns, actions);
     }
 
     fn restart_requested(&mut self, now_ns: u64, role: Role, actions: &mut Vec<Action>) {

@@ -194,7 +194,8 @@ impl ProcessEntry {
         }
     }
 
-    fn validate(&self) -> Result<(), Invalid> {
+    /// Checks every value.
+    pub(crate) fn validate(&self) -> Result<(), Invalid> {
         let role: Role = self.role.parse().map_err(|_| {
             Invalid::new("role", &self.role, "one of robot, estimator, obstacles, controller, actuator")
         })?;

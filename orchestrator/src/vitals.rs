@@ -10,17 +10,20 @@ use crate::supervisor::Event;
 /// Rates are averages over this time [ns].
 const RATE_WINDOW_NS: u64 = 2_000_000_000;
 
+/// A process whose last heartbeat is older than this is forgotten when another begins [ns].
+const FORGET_NS: u64 = 10_000_000_000;
+
 /// Heartbeats and checkpoints of all processes.
 pub(crate) struct Vitals {
     heartbeats: Observer<Heartbeat>,
     checkpoints: Observer<Checkpoint>,
     newest: BTreeMap<Role, Checkpoint>,
-    pulses: BTreeMap<Role, Pulse>,
+    pulses: BTreeMap<u32, Pulse>,
 }
 
 #[derive(Default)]
 struct Pulse {
-    incarnation: u32,
+    beat_ns: u64,
     activations: u64,
     published: VecDeque<(u64, u64)>,
     newest_output_ns: u64,
@@ -38,10 +41,14 @@ impl Vitals {
     }
 
     /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`.
-    pub(crate) fn poll(&mut self, mut each: impl FnMut(Event)) -> Result<(), RuntimeError> {
+    ///
+    /// The state of the incarnation `beside` is nobody's to go on from: it does not count, or not any more.
+    pub(crate) fn poll(&mut self, beside: Option<u32>, mut each: impl FnMut(Event)) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
         self.checkpoints.poll(|checkpoint| {
-            if let Ok(role) = Role::try_from(checkpoint.role) {
+            if let Ok(role) = Role::try_from(checkpoint.role)
+                && beside != Some(checkpoint.header.incarnation)
+            {
                 newest.insert(role, *checkpoint);
             }
         })?;
@@ -53,13 +60,10 @@ impl Vitals {
                 return;
             };
             let incarnation = heartbeat.header.incarnation;
-            let pulse = pulses.entry(role).or_default();
-            if pulse.incarnation > incarnation {
-                return;
+            if !pulses.contains_key(&incarnation) {
+                pulses.retain(|_, pulse| heartbeat.issued_ns.saturating_sub(pulse.beat_ns) < FORGET_NS);
             }
-            if pulse.incarnation != incarnation {
-                *pulse = Pulse { incarnation, ..Pulse::default() };
-            }
+            let pulse = pulses.entry(incarnation).or_default();
             each(Event::StateReported { role, incarnation, state });
             if heartbeat.activations != pulse.activations {
                 pulse.activations = heartbeat.activations;
@@ -75,9 +79,9 @@ impl Vitals {
         self.newest.get(&role)
     }
 
-    /// Outputs per second of a role, and the age of its newest output [ms].
-    pub(crate) fn rate_and_age(&self, role: Role) -> (f64, f64) {
-        let Some(pulse) = self.pulses.get(&role) else { return (0.0, 0.0) };
+    /// Outputs per second of an incarnation, and the age of its newest output [ms].
+    pub(crate) fn rate_and_age(&self, incarnation: u32) -> (f64, f64) {
+        let Some(pulse) = self.pulses.get(&incarnation) else { return (0.0, 0.0) };
         let age_ms = if pulse.newest_output_ns == 0 {
             0.0
         } else {
@@ -98,6 +102,7 @@ impl Pulse {
         if self.published.back().is_none_or(|(_, before)| published > *before) {
             self.newest_output_ns = now;
         }
+        self.beat_ns = now;
         self.published.push_back((now, published));
         while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {
             self.published.pop_front();

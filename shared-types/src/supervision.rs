@@ -70,6 +70,21 @@ impl Directive {
         let counts = if scan_id >= authority.from_scan { authority.incarnation } else { authority.previous };
         counts != 0 && counts == incarnation
     }
+
+    /// Whether `incarnation` is the other one of an exchange: it counts for scans before or after this one, so its
+    /// sample is worth keeping until it is certain which of the two answers `scan_id`.
+    pub fn stands_by(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
+        let authority = &self.authority[role.index()];
+        self.is_exchanged(role)
+            && [authority.incarnation, authority.previous].contains(&incarnation)
+            && !self.accepts(role, incarnation, scan_id)
+    }
+
+    /// Whether one process of `role` is just taking over from another.
+    pub fn is_exchanged(&self, role: Role) -> bool {
+        let authority = &self.authority[role.index()];
+        authority.incarnation != 0 && authority.previous != 0 && authority.incarnation != authority.previous
+    }
 }
 
 sample! {
@@ -137,5 +152,20 @@ mod tests {
         assert!(!directive.accepts(Role::Controller, 4, 100));
         assert!(directive.accepts(Role::Controller, 9, 100));
         assert!(!directive.accepts(Role::Actuator, 0, 1), "incarnation 0 never counts");
+    }
+
+    #[test]
+    fn in_an_exchange_one_counts_and_the_other_stands_by() {
+        let mut directive = Directive::default();
+        directive.authority[3] = Authority { incarnation: 9, previous: 4, from_scan: 100 };
+        for (incarnation, scan_id) in [(4, 99), (9, 100)] {
+            assert!(!directive.stands_by(Role::Controller, incarnation, scan_id), "it counts");
+        }
+        assert!(
+            directive.stands_by(Role::Controller, 9, 99) && directive.stands_by(Role::Controller, 4, 100)
+        );
+        assert!(!directive.stands_by(Role::Controller, 5, 100), "it has no part in it");
+        directive.authority[3].previous = 0;
+        assert!(!directive.stands_by(Role::Controller, 9, 99), "the exchange is over");
     }
 }

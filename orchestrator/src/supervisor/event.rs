@@ -59,6 +59,15 @@ pub enum Event {
         /// Its role.
         role: Role,
     },
+    /// Another process fills a role from now on; it is ready and counts. The one before is no concern any more.
+    Replaced {
+        /// The role.
+        role: Role,
+        /// Its process id.
+        pid: u32,
+        /// Its incarnation, from `Supervisor::next_incarnation`.
+        incarnation: u32,
+    },
     /// The remains asked for by [`Action::CleanUp`] are gone from the bus.
     CleanedUp {
         /// Role of the dead process.

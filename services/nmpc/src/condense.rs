@@ -10,6 +10,7 @@
 
 use crate::collocation::Collocation;
 use crate::curvature::{Curvature, curvature};
+use crate::hessian::Block;
 use crate::interval::Interval;
 use crate::objective::{control_gradient, ellipse_excess, node_weights, reference, state_bounds};
 use crate::problem::Problem;
@@ -159,6 +160,23 @@ pub(crate) fn add_second_order(
     mirror(hessian, width);
 }
 
+/// Fills `hessian` with the condensed `blocks` of nodes 0 to N, with the `rows` that [`condense`] has filled.
+pub(crate) fn condense_blocks(
+    problem: &Problem,
+    blocks: &[Block],
+    damping: f64,
+    rows: &[f64],
+    hessian: &mut Vec<f64>,
+) {
+    let width = 2 * problem.intervals.len();
+    resize(hessian, width * width);
+    for (node, block) in blocks.iter().enumerate() {
+        add_block(block, width, node, rows, hessian);
+    }
+    add_changes(problem, damping, hessian);
+    mirror(hessian, width);
+}
+
 /// Adds `weight * row row'` to the lower triangle.
 #[inline]
 fn add_square(weight: f64, row: &[f64], width: usize, hessian: &mut [f64]) {
@@ -230,22 +248,68 @@ fn add_curvature(bend: &Curvature, width: usize, node: usize, rows: &[f64], hess
     hessian[(used + 1) * width + used + 1] += bend[4][4];
 }
 
+/// Adds a block of the Hessian, in the rows of G at its node and the controls of its interval, to the lower triangle.
+fn add_block(block: &Block, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
+    let used = 2 * node;
+    let states: [&[f64]; 5] = if node > 0 {
+        [0, 1, 2, 3, 4].map(|component| &rows[bound_row(node, component) * width..][..used])
+    } else {
+        [&[]; 5]
+    };
+    for position in 0..used {
+        let mut mixed = [0.0; 7];
+        for (state, line) in states.iter().zip(block) {
+            for (mixed, entry) in mixed.iter_mut().zip(line) {
+                *mixed += state[position] * entry;
+            }
+        }
+        for (state, factor) in states.iter().zip(mixed) {
+            let line = &mut hessian[position * width..=position * width + position];
+            for (target, entry) in line.iter_mut().zip(*state) {
+                *target += factor * entry;
+            }
+        }
+        if used < width {
+            hessian[used * width + position] += mixed[5];
+            hessian[(used + 1) * width + position] += mixed[6];
+        }
+    }
+    if used < width {
+        hessian[used * width + used] += block[5][5];
+        hessian[(used + 1) * width + used] += block[6][5];
+        hessian[(used + 1) * width + used + 1] += block[6][6];
+    }
+}
+
 /// Adds the controls' own part and the damping to the lower triangle.
 fn add_controls(problem: &Problem, damping: f64, hessian: &mut [f64]) {
+    let width = 2 * problem.intervals.len();
+    for position in 0..width {
+        hessian[position * width + position] += 2.0 * problem.weights.control[position % 2];
+    }
+    add_changes(problem, damping, hessian);
+}
+
+/// Damping on the diagonal of the two controls of an interval: in units of the objective per square of their range.
+pub(crate) fn control_damping(problem: &Problem, damping: f64) -> [f64; 2] {
+    let bounds = &problem.bounds;
+    let range = [bounds.velocity_max_mps - bounds.velocity_min_mps, 2.0 * bounds.steering_max_rad];
+    range.map(|range| damping / (range * range).max(1e-12))
+}
+
+/// Adds the part of the control differences and the damping to the lower triangle.
+fn add_changes(problem: &Problem, damping: f64, hessian: &mut [f64]) {
     let count = problem.intervals.len();
     let width = 2 * count;
     let weights = &problem.weights;
-    let bounds = &problem.bounds;
-    let range = [bounds.velocity_max_mps - bounds.velocity_min_mps, 2.0 * bounds.steering_max_rad];
-    let damping = range.map(|range| damping / (range * range).max(1e-12));
+    let damping = control_damping(problem, damping);
     for index in 0..count {
         for (component, damping) in damping.iter().enumerate() {
             let position = 2 * index + component;
             let earlier = if index > 0 || problem.previous.is_some() { 1.0 } else { 0.0 };
             let later = if index + 1 < count { 1.0 } else { 0.0 };
-            hessian[position * width + position] += 2.0 * weights.control[component]
-                + 2.0 * weights.change[component] * (earlier + later)
-                + damping;
+            hessian[position * width + position] +=
+                2.0 * weights.change[component] * (earlier + later) + damping;
             if index > 0 {
                 hessian[position * width + position - 2] -= 2.0 * weights.change[component];
             }
@@ -286,7 +350,7 @@ mod tests {
     use crate::collocation::Scheme;
     use crate::objective::smooth;
     use crate::shooting::Sweep;
-    use crate::{kkt, testing};
+    use crate::{hessian, kkt, testing};
 
     /// The iterate under the guess's controls, one of them moved.
     fn swept(problem: &Problem, moved: usize, by: f64) -> (Iterate, Shooting) {
@@ -365,6 +429,31 @@ mod tests {
                 assert!(error < 1e-4 * (1.0 + difference.abs()), "{row} {column}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn blocks_condense_to_the_same_hessians() {
+        let problem = testing::problem();
+        let collocation = Collocation::new(Scheme::Radau3);
+        let (iterate, shooting) = swept(&problem, 0, 0.0);
+        let mut qp = Qp::default();
+        condense(&problem, &iterate, &shooting, 0.3, &mut qp);
+        let rows = multipliers(&qp);
+        let mut costates = Vec::new();
+        kkt::costates(&problem, &iterate, &shooting, &rows, &mut costates);
+        let multipliers = Multipliers { costates: &costates, rows: &rows };
+        let weights = qp.hessian.clone();
+        let mut whole = qp.hessian.clone();
+        add_second_order(&problem, &collocation, &iterate, &shooting, multipliers, &qp.rows, &mut whole);
+        let mut blocks = Vec::new();
+        hessian::gauss_newton(&problem, &mut blocks);
+        condense_blocks(&problem, &blocks, 0.3, &qp.rows, &mut qp.hessian);
+        // Entries reach some hundred.
+        let near = |left: &[f64], right: &[f64]| left.iter().zip(right).all(|(a, b)| (a - b).abs() < 1e-10);
+        assert!(near(&qp.hessian, &weights));
+        hessian::exact(&problem, &collocation, &iterate, &shooting, multipliers, &mut blocks);
+        condense_blocks(&problem, &blocks, 0.3, &qp.rows, &mut qp.hessian);
+        assert!(near(&qp.hessian, &whole));
     }
 
     #[test]

@@ -36,6 +36,7 @@ impl Newton {
         /// How many constraints may join; with more the quadratic program has too little to do with the step.
         const JOINING: usize = 4;
         self.solution.copy_from(answer);
+        self.reserve(qp.variables());
         for round in 0..=JOINING {
             self.select(qp);
             if !self.solve_selected(qp, shift) {
@@ -52,6 +53,21 @@ impl Newton {
         }
         self.report(qp);
         self.solution.step.iter().all(|value| value.is_finite())
+    }
+
+    /// Makes room for as many equations as there are variables, so that later calls allocate nothing.
+    fn reserve(&mut self, variables: usize) {
+        let Self { matrix, factor, columns, schur, schur_factor, right, multipliers, .. } = self;
+        for buffer in [matrix, factor, columns, schur, schur_factor] {
+            buffer.clear();
+            buffer.reserve(variables * variables);
+        }
+        for buffer in [right, multipliers] {
+            buffer.clear();
+            buffer.reserve(variables);
+        }
+        self.equations.clear();
+        self.equations.reserve(2 * variables);
     }
 
     /// Solves for the free variables with the selected rows as equations; false where that has no unique minimum.

@@ -97,6 +97,7 @@ pub(crate) struct Planner {
     solver: Solver,
     problem: Problem,
     guess: Trajectory,
+    solution: Solution,
     /// Controls of the plan.
     pub(crate) controls: Vec<Control>,
     /// Where they lead.
@@ -123,6 +124,7 @@ impl Planner {
             solver: Solver::new(config.solver),
             problem,
             guess: Trajectory::default(),
+            solution: Solution::default(),
             controls: Vec::with_capacity(config.intervals),
             driven: Driven::default(),
         }
@@ -225,9 +227,10 @@ impl Planner {
                 Budget::Deadline { deadline_ns: *deadline_ns, now_ns: *now_ns }
             }
         };
-        let solution = self.solver.solve(&self.problem, &self.guess, &rest);
+        self.solver.solve_into(&self.problem, &self.guess, &rest, &mut self.solution);
+        let solution = &self.solution;
         *used = used.saturating_add(solution.iterations.max(1));
-        report(&solution, *used, command);
+        report(solution, *used, command);
         self.controls.clone_from(&solution.trajectory.controls);
         let usable = matches!(
             solution.status,

@@ -88,6 +88,22 @@ pub struct Solution {
     pub active_constraints: u32,
 }
 
+impl Default for Solution {
+    /// Nothing, after a solve that failed.
+    fn default() -> Self {
+        Self {
+            trajectory: Trajectory::default(),
+            status: SolveStatus::Failed,
+            iterations: 0,
+            kkt_residual: f64::INFINITY,
+            largest_violation: f64::INFINITY,
+            slack: f64::INFINITY,
+            objective: f64::INFINITY,
+            active_constraints: 0,
+        }
+    }
+}
+
 /// How long a solve may take.
 pub enum Budget<'a> {
     /// Until the clock, in nanoseconds, has passed the deadline.

@@ -154,11 +154,15 @@ impl QpSolution {
 
     /// Zero, with nothing active.
     pub(crate) fn reset(&mut self, variables: usize, rows: usize) {
-        for (values, length) in [
-            (&mut self.step, variables),
-            (&mut self.bound_multipliers, variables),
-            (&mut self.row_multipliers, rows),
-        ] {
+        self.step.clear();
+        self.step.resize(variables, 0.0);
+        self.release(variables, rows);
+    }
+
+    /// Nothing active; the step stays.
+    pub(crate) fn release(&mut self, variables: usize, rows: usize) {
+        for (values, length) in [(&mut self.bound_multipliers, variables), (&mut self.row_multipliers, rows)]
+        {
             values.clear();
             values.resize(length, 0.0);
         }

@@ -21,8 +21,11 @@
 use shared_types::SolveStatus;
 use vehicle::{Control, State};
 
+use crate::chain::Chain;
 use crate::collocation::Collocation;
-use crate::condense::{Multipliers, add_second_order, condense, row_excess};
+use crate::condense::{Multipliers, add_second_order, condense, condense_blocks, row_excess};
+use crate::dense::cholesky;
+use crate::hessian::{self, Block, Hessian, Point};
 use crate::kkt;
 use crate::newton::Newton;
 use crate::objective::{linearised_penalties, penalties, smooth, smooth_slope};
@@ -57,11 +60,18 @@ pub struct Solver {
     shooting: Shooting,
     trial_shooting: Shooting,
     qp: Qp,
+    chain: Chain,
+    /// Whether the chain takes the place of the condensed program.
+    is_long: bool,
     active_set: ActiveSet,
     answer: QpSolution,
     newton: Newton,
     row_multipliers: Vec<f64>,
     costates: Vec<[f64; 5]>,
+    /// The BFGS matrices of the nodes.
+    blocks: Vec<Block>,
+    /// Exact second derivatives of the nodes.
+    exact: Vec<Block>,
     buffer: Vec<f64>,
     fallbacks: u64,
     /// Iterations in a row without a Newton step.
@@ -72,9 +82,18 @@ pub struct Solver {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
     /// That of the quadratic program.
-    GaussNewton,
+    Program,
     /// Newton's on its active set.
     Newton,
+}
+
+/// Where multipliers come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Source {
+    /// The last accepted step.
+    Iterate,
+    /// The quadratic program.
+    Program,
 }
 
 impl Solver {
@@ -89,11 +108,15 @@ impl Solver {
             shooting: Shooting::default(),
             trial_shooting: Shooting::default(),
             qp: Qp::default(),
+            chain: Chain::default(),
+            is_long: false,
             active_set: ActiveSet::default(),
             answer: QpSolution::default(),
             newton: Newton::default(),
             row_multipliers: Vec::new(),
             costates: Vec::new(),
+            blocks: Vec::new(),
+            exact: Vec::new(),
             buffer: Vec::new(),
             fallbacks: 0,
             refusals: 0,
@@ -122,9 +145,31 @@ impl Solver {
     /// [`SolveStatus::Failed`] and the guess itself. A solve that ends early gives its best iterate, which satisfies
     /// the model and the bounds of the controls as soon as one iteration was made.
     pub fn solve(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> Solution {
-        if !is_usable(problem, guess) || !self.start(problem, guess) {
-            return refused(guess);
+        let mut solution = Solution::default();
+        self.solve_into(problem, guess, budget, &mut solution);
+        solution
+    }
+
+    /// As [`Solver::solve`], into a solution whose memory is used again.
+    ///
+    /// From the second solve of a size on nothing is allocated, unless the interior-point method is called.
+    pub fn solve_into(
+        &mut self,
+        problem: &Problem,
+        guess: &Trajectory,
+        budget: &Budget,
+        solution: &mut Solution,
+    ) {
+        if is_usable(problem, guess) && self.start(problem, guess) {
+            let (status, iterations, kkt_residual) = self.iterate(problem, budget);
+            self.report(problem, status, iterations, kkt_residual, solution);
+        } else {
+            refuse(guess, solution);
         }
+    }
+
+    /// Iterates to the end: how it ended, after how many iterations, and the scaled KKT residual.
+    fn iterate(&mut self, problem: &Problem, budget: &Budget) -> (SolveStatus, u32, f64) {
         let mut iterations = 0;
         let mut damping = 0.0;
         self.refusals = 0;
@@ -161,11 +206,14 @@ impl Solver {
                 break (SolveStatus::Failed, residual);
             }
         };
-        self.report(problem, status, iterations, kkt_residual)
+        (status, iterations, kkt_residual)
     }
 
     /// Takes over the guess; false where its collocation equations have no solution.
     fn start(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
+        self.is_long = problem.intervals.len() > self.settings.condense_up_to
+            && self.settings.qp == QpChoice::ActiveSet
+            && problem.weights.slack_quadratic > 0.0;
         let sweep = self.iterate.start(problem, guess);
         if !self.shooting.sweep(problem, &self.collocation, &mut self.iterate, sweep) {
             return false;
@@ -173,6 +221,9 @@ impl Solver {
         let row_count = (5 + problem.ellipses.len()) * problem.intervals.len();
         refill(&mut self.row_multipliers, row_count, 0.0);
         self.answer.reset(2 * problem.intervals.len(), row_count);
+        if self.settings.hessian == Hessian::Bfgs {
+            hessian::start_bfgs(problem, &mut self.blocks);
+        }
         // Controls of the guess at a bound are the first guess of the active set.
         let bounds = &problem.bounds;
         for (states, control) in self.answer.bound_states.chunks_exact_mut(2).zip(&self.iterate.controls) {
@@ -198,9 +249,9 @@ impl Solver {
 
     /// The iteration from an iterate with gaps: its full step, or the roll-out of its controls where that is better.
     fn close_gaps(&mut self, problem: &Problem) -> bool {
-        condense(problem, &self.iterate, &self.shooting, 0.0, &mut self.qp);
-        let stepped = self.solve_program().then(|| {
-            self.expand(Step::GaussNewton);
+        self.pose(problem, 0.0);
+        let stepped = self.solve_program(problem, 0.0).then(|| {
+            self.expand(Step::Program);
             self.try_fraction(problem, 1.0)
         });
         let stepped = stepped.flatten();
@@ -210,7 +261,7 @@ impl Solver {
             .then(|| merit(problem, &self.iterate));
         match (stepped, rolled) {
             (Some(stepped), rolled) if rolled.is_none_or(|rolled| stepped <= rolled) => {
-                self.accept(Step::GaussNewton);
+                self.accept(problem, Step::Program);
                 true
             }
             (_, rolled) => rolled.is_some(),
@@ -222,9 +273,9 @@ impl Solver {
         let relieved = penalties(problem, &self.iterate).0;
         let present = smooth(problem, &self.iterate) + relieved;
         loop {
-            condense(problem, &self.iterate, &self.shooting, *damping, &mut self.qp);
-            if self.solve_program() {
-                if self.try_newton(problem, present, relieved) {
+            self.pose(problem, *damping);
+            if self.solve_program(problem, *damping) {
+                if self.try_newton(problem, *damping, present, relieved) {
                     self.refusals = 0;
                     *damping = relaxed(*damping);
                     return true;
@@ -246,8 +297,105 @@ impl Solver {
         }
     }
 
+    /// Fills the quadratic program at the iterate.
+    fn pose(&mut self, problem: &Problem, damping: f64) {
+        if self.is_long {
+            self.chain.pose(problem, &self.iterate, damping, &mut self.buffer);
+            match self.settings.hessian {
+                Hessian::GaussNewton => hessian::gauss_newton(problem, &mut self.blocks),
+                Hessian::Bfgs => {}
+                Hessian::Exact => {
+                    self.find_exact(problem, Source::Iterate);
+                    hessian::convexify(&mut self.exact);
+                }
+            }
+            return;
+        }
+        condense(problem, &self.iterate, &self.shooting, damping, &mut self.qp);
+        if self.settings.hessian == Hessian::Exact {
+            self.find_exact(problem, Source::Iterate);
+            let Qp { rows, hessian, gradient, .. } = &mut self.qp;
+            condense_blocks(problem, &self.exact, damping, rows, hessian);
+            if !cholesky(hessian, gradient.len(), &mut self.buffer) {
+                hessian::convexify(&mut self.exact);
+                condense_blocks(problem, &self.exact, damping, rows, hessian);
+            }
+        } else if self.settings.hessian == Hessian::Bfgs {
+            condense_blocks(problem, &self.blocks, damping, &self.qp.rows, &mut self.qp.hessian);
+        }
+    }
+
+    /// Newton's step of the chain, into the solution of `newton`.
+    fn refine_chain(&mut self, problem: &Problem, shift: bool) -> bool {
+        self.newton.solution.copy_from(&self.answer);
+        if !self.settings.refine {
+            return true;
+        }
+        self.find_exact(problem, Source::Program);
+        if self.chain.refine(&self.shooting, &self.exact, &mut self.newton.solution) {
+            return true;
+        }
+        if !shift {
+            return false;
+        }
+        hessian::convexify(&mut self.exact);
+        self.newton.solution.copy_from(&self.answer);
+        self.chain.refine(&self.shooting, &self.exact, &mut self.newton.solution)
+    }
+
+    /// Fills the Hessian of Newton's step.
+    fn pose_newton(&mut self, problem: &Problem, damping: f64) {
+        if !self.settings.refine {
+            self.newton.hessian.clone_from(&self.qp.hessian);
+        } else if self.settings.hessian == Hessian::GaussNewton {
+            // Only the difference to the Hessian of the program has to be added.
+            let rows = &self.answer.row_multipliers;
+            kkt::costates(problem, &self.iterate, &self.shooting, rows, &mut self.costates);
+            self.newton.hessian.clone_from(&self.qp.hessian);
+            add_second_order(
+                problem,
+                &self.collocation,
+                &self.iterate,
+                &self.shooting,
+                Multipliers { costates: &self.costates, rows },
+                &self.qp.rows,
+                &mut self.newton.hessian,
+            );
+        } else {
+            self.find_exact(problem, Source::Program);
+            condense_blocks(problem, &self.exact, damping, &self.qp.rows, &mut self.newton.hessian);
+        }
+    }
+
+    /// Fills the blocks of the exact Hessian.
+    fn find_exact(&mut self, problem: &Problem, source: Source) {
+        let rows = match source {
+            Source::Iterate => &self.row_multipliers,
+            Source::Program => &self.answer.row_multipliers,
+        };
+        kkt::costates(problem, &self.iterate, &self.shooting, rows, &mut self.costates);
+        hessian::exact(
+            problem,
+            &self.collocation,
+            &self.iterate,
+            &self.shooting,
+            Multipliers { costates: &self.costates, rows },
+            &mut self.exact,
+        );
+    }
+
     /// Solves the quadratic program; false where neither method does.
-    fn solve_program(&mut self) -> bool {
+    fn solve_program(&mut self, problem: &Problem, damping: f64) -> bool {
+        if self.is_long {
+            let exact = self.settings.hessian == Hessian::Exact;
+            let blocks = if exact { &self.exact } else { &self.blocks };
+            if self.chain.solve(&self.shooting, blocks, &mut self.answer) {
+                return true;
+            }
+            self.fallbacks += 1;
+            condense(problem, &self.iterate, &self.shooting, damping, &mut self.qp);
+            return clarabel::solve(&self.qp, &mut self.answer);
+        }
         if self.settings.qp == QpChoice::ActiveSet {
             let size = self.qp.gradient.iter().fold(1.0, |largest: f64, entry| largest.max(entry.abs()));
             if self.active_set.solve(&self.qp, &mut self.answer)
@@ -276,22 +424,18 @@ impl Solver {
     }
 
     /// Newton's step on the active set of the quadratic program; false where there is none that is accepted in full.
-    fn try_newton(&mut self, problem: &Problem, present: f64, relieved: f64) -> bool {
-        let rows = &self.answer.row_multipliers;
-        kkt::costates(problem, &self.iterate, &self.shooting, rows, &mut self.costates);
-        self.newton.hessian.clone_from(&self.qp.hessian);
-        add_second_order(
-            problem,
-            &self.collocation,
-            &self.iterate,
-            &self.shooting,
-            Multipliers { costates: &self.costates, rows },
-            &self.qp.rows,
-            &mut self.newton.hessian,
-        );
+    ///
+    /// Without refinement it is the step of the quadratic program, with its second-order correction.
+    fn try_newton(&mut self, problem: &Problem, damping: f64, present: f64, relieved: f64) -> bool {
         // Every other time, so that the steps with and without the shift take turns and neither creeps alone.
         let shift = self.refusals % 2 == 1;
-        if !self.newton.solve(&self.qp, &self.answer, shift) {
+        let found = if self.is_long {
+            self.refine_chain(problem, shift)
+        } else {
+            self.pose_newton(problem, damping);
+            self.newton.solve(&self.qp, &self.answer, shift)
+        };
+        if !found {
             return false;
         }
         self.expand(Step::Newton);
@@ -306,7 +450,7 @@ impl Solver {
             accepted = self.try_fraction(problem, 1.0).is_some_and(|merit| merit <= wanted);
         }
         if accepted {
-            self.accept(Step::Newton);
+            self.accept(problem, Step::Newton);
         }
         accepted
     }
@@ -314,25 +458,29 @@ impl Solver {
     /// The second-order correction of Newton's step from what its trial has left of the held rows.
     fn correct(&mut self, problem: &Problem) -> bool {
         let (states, trial) = (&self.newton.solution.row_states, &self.trial);
+        let held = if self.is_long { self.chain.equations() } else { self.newton.equations() };
         self.buffer.clear();
         self.buffer.extend(
-            self.newton
-                .equations()
-                .iter()
-                .map(|&row| row_excess(problem, trial, row, states[row] == RowState::AtUpper)),
+            held.iter().map(|&row| row_excess(problem, trial, row, states[row] == RowState::AtUpper)),
         );
-        !self.buffer.is_empty() && self.newton.correct(&self.qp, &self.buffer)
+        if self.buffer.is_empty() {
+            false
+        } else if self.is_long {
+            self.chain.correct(&self.buffer, &mut self.newton.solution)
+        } else {
+            self.newton.correct(&self.qp, &self.buffer)
+        }
     }
 
     /// Searches along the step of the quadratic program; the accepted fraction of it.
     fn search(&mut self, problem: &Problem, present: f64, relieved: f64) -> Option<f64> {
-        self.expand(Step::GaussNewton);
+        self.expand(Step::Program);
         let predicted = self.predict(problem, relieved).min(0.0);
         let mut fraction = 1.0;
         for _ in 0..ATTEMPTS {
             let merit = self.try_fraction(problem, fraction);
             if merit.is_some_and(|merit| merit <= wanted(present, fraction * predicted)) {
-                self.accept(Step::GaussNewton);
+                self.accept(problem, Step::Program);
                 return Some(fraction);
             }
             fraction *= 0.5;
@@ -343,7 +491,7 @@ impl Solver {
     /// Fills the step with the states that follow from its controls on the linearised model.
     fn expand(&mut self, step: Step) {
         let controls = match step {
-            Step::GaussNewton => &self.answer.step,
+            Step::Program => &self.answer.step,
             Step::Newton => &self.newton.solution.step,
         };
         self.step.controls.clear();
@@ -372,39 +520,51 @@ impl Solver {
     }
 
     /// Makes the trial the iterate.
-    fn accept(&mut self, step: Step) {
+    fn accept(&mut self, problem: &Problem, step: Step) {
         std::mem::swap(&mut self.iterate, &mut self.trial);
         std::mem::swap(&mut self.shooting, &mut self.trial_shooting);
         let solution = match step {
-            Step::GaussNewton => &self.answer,
+            Step::Program => &self.answer,
             Step::Newton => &self.newton.solution,
         };
         self.row_multipliers.clone_from(&solution.row_multipliers);
+        if self.settings.hessian == Hessian::Bfgs {
+            let rows = &self.row_multipliers;
+            kkt::costates(problem, &self.iterate, &self.shooting, rows, &mut self.costates);
+            hessian::update_bfgs(
+                problem,
+                Point { iterate: &self.trial, shooting: &self.trial_shooting },
+                Point { iterate: &self.iterate, shooting: &self.shooting },
+                Multipliers { costates: &self.costates, rows },
+                &mut self.blocks,
+            );
+        }
     }
 
-    fn report(&self, problem: &Problem, status: SolveStatus, iterations: u32, kkt_residual: f64) -> Solution {
+    fn report(
+        &self,
+        problem: &Problem,
+        status: SolveStatus,
+        iterations: u32,
+        kkt_residual: f64,
+        solution: &mut Solution,
+    ) {
         let (penalty, slack) = penalties(problem, &self.iterate);
         let bounds = self.answer.bound_states.iter().filter(|state| **state != BoundState::Free);
         let rows = self.answer.row_states.iter().filter(|state| **state != RowState::Inside);
-        let to_control = |control: &[f64; 2]| Control { velocity: control[0], steering: control[1] };
-        Solution {
-            trajectory: Trajectory {
-                states: self
-                    .iterate
-                    .states
-                    .iter()
-                    .map(|state| State::from_vector(&(*state).into()))
-                    .collect(),
-                controls: self.iterate.controls.iter().map(to_control).collect(),
-            },
-            status,
-            iterations,
-            kkt_residual,
-            largest_violation: self.shooting.defect,
-            slack,
-            objective: smooth(problem, &self.iterate) + penalty,
-            active_constraints: (bounds.count() + rows.count()) as u32,
-        }
+        let Trajectory { states, controls } = &mut solution.trajectory;
+        states.clear();
+        states.extend(self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())));
+        controls.clear();
+        controls
+            .extend(self.iterate.controls.iter().map(|&[velocity, steering]| Control { velocity, steering }));
+        solution.status = status;
+        solution.iterations = iterations;
+        solution.kkt_residual = kkt_residual;
+        solution.largest_violation = self.shooting.defect;
+        solution.slack = slack;
+        solution.objective = smooth(problem, &self.iterate) + penalty;
+        solution.active_constraints = (bounds.count() + rows.count()) as u32;
     }
 }
 
@@ -432,15 +592,7 @@ fn refill(values: &mut Vec<f64>, length: usize, value: f64) {
     values.resize(length, value);
 }
 
-fn refused(guess: &Trajectory) -> Solution {
-    Solution {
-        trajectory: guess.clone(),
-        status: SolveStatus::Failed,
-        iterations: 0,
-        kkt_residual: f64::INFINITY,
-        largest_violation: f64::INFINITY,
-        slack: f64::INFINITY,
-        objective: f64::INFINITY,
-        active_constraints: 0,
-    }
+fn refuse(guess: &Trajectory, solution: &mut Solution) {
+    solution.trajectory.clone_from(guess);
+    *solution = Solution { trajectory: std::mem::take(&mut solution.trajectory), ..Solution::default() };
 }

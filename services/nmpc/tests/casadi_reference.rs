@@ -2,7 +2,7 @@
 //!
 //! The oracle has its own transcription of the same program and the exact Hessian; both start from the same controls.
 
-use nmpc::{Budget, EllipsePath, Problem, QpChoice, Solver, SolverSettings, Trajectory, Weights};
+use nmpc::{Budget, EllipsePath, Hessian, Problem, QpChoice, Solver, SolverSettings, Trajectory, Weights};
 use serde_json::Value;
 use shared_types::SolveStatus;
 use vehicle::{Bounds, Control, Parameters, State};
@@ -61,16 +61,18 @@ fn problem(instance: &Value, interval: f64) -> Problem {
     }
 }
 
-fn compare(qp: QpChoice, tolerance: f64) {
+fn compare(settings: SolverSettings) {
+    /// The pure Gauss-Newton method and BFGS creep where an ellipse presses.
+    const ITERATIONS: u32 = 300;
     let document: Value = serde_json::from_str(REFERENCE).expect("valid JSON");
     let instances = document["instances"].as_array().expect("a list");
     assert!(instances.len() >= 20);
-    let mut solver = Solver::new(SolverSettings { qp, tolerance, ..SolverSettings::default() });
+    let mut solver = Solver::new(SolverSettings { max_iterations: ITERATIONS, ..settings });
     for instance in instances {
         let name = instance["name"].as_str().expect("a name");
         let problem = problem(instance, number(&document, "interval_s"));
         let guess = Trajectory { states: Vec::new(), controls: list(&instance["guess_controls"], control) };
-        let solution = solver.solve(&problem, &guess, &Budget::Iterations(60));
+        let solution = solver.solve(&problem, &guess, &Budget::Iterations(ITERATIONS));
         assert_eq!(solution.status, SolveStatus::Converged, "{name}: {:.1e}", solution.kkt_residual);
         let expected = &instance["solution"];
         let objective = number(expected, "objective");
@@ -89,7 +91,7 @@ fn compare(qp: QpChoice, tolerance: f64) {
             assert!((mine.to_vector() - other.to_vector()).amax() < 1e-5, "{name}");
         }
         // A limit may be exceeded by the tolerance, which the penalty multiplies.
-        let allowed = 1e-6 * (1.0 + objective) + 2.0 * tolerance * problem.weights.slack_linear;
+        let allowed = 1e-6 * (1.0 + objective) + 2.0 * settings.tolerance * problem.weights.slack_linear;
         assert!(
             (solution.objective - objective).abs() < allowed,
             "{name}: {} {objective}",
@@ -102,11 +104,30 @@ fn compare(qp: QpChoice, tolerance: f64) {
 
 #[test]
 fn the_active_set_finds_the_solutions_of_ipopt() {
-    compare(QpChoice::ActiveSet, 1e-8);
+    compare(SolverSettings { tolerance: 1e-8, ..SolverSettings::default() });
 }
 
 #[test]
 fn clarabel_finds_the_solutions_of_ipopt() {
     // The interior point leaves 1e-9 of the objective.
-    compare(QpChoice::Clarabel, 1e-7);
+    compare(SolverSettings { qp: QpChoice::Clarabel, tolerance: 1e-7, ..SolverSettings::default() });
+}
+
+#[test]
+fn bfgs_finds_the_solutions_of_ipopt() {
+    let settings = SolverSettings { hessian: Hessian::Bfgs, tolerance: 1e-8, ..SolverSettings::default() };
+    compare(settings);
+    compare(SolverSettings { refine: false, ..settings });
+}
+
+#[test]
+fn the_exact_hessian_finds_the_solutions_of_ipopt() {
+    let settings = SolverSettings { hessian: Hessian::Exact, tolerance: 1e-8, ..SolverSettings::default() };
+    compare(settings);
+    compare(SolverSettings { refine: false, ..settings });
+}
+
+#[test]
+fn gauss_newton_without_refinement_finds_the_solutions_of_ipopt() {
+    compare(SolverSettings { refine: false, tolerance: 1e-8, ..SolverSettings::default() });
 }

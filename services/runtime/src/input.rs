@@ -20,6 +20,9 @@ use crate::{Bus, RuntimeError};
 
 /// Samples kept until the process takes them; below the number that may be borrowed.
 const KEPT: usize = 4;
+/// Samples of the other process of an exchange that are kept in case it has to answer after all: it takes over
+/// at 1.2 periods, so its answers to two scans wait by then; one more for an orchestrator that is held up.
+const ASIDE: usize = 3;
 
 /// A sample in shared memory, read in place and returned to its producer when dropped.
 pub struct Taken<S: Sample>(BusSample<ipc::Service, Wire<S>, ()>);
@@ -36,6 +39,10 @@ impl<S: Sample> Deref for Taken<S> {
 ///
 /// What never comes out: a sample of another layout or with bad content, of a producer without authority, a
 /// duplicate, a reordered one, one that is too old. Each is counted by its kind in the heartbeat.
+///
+/// While one process takes over from another, the newest samples of the one that does not count are kept aside.
+/// When the directive gives their scans back to it they come out as if they had just arrived; and no scan that
+/// was answered by one of the two is answered by the other again.
 #[derive(Clone)]
 pub struct Input<S: Sample>(Rc<Reader<S>>);
 
@@ -44,7 +51,16 @@ struct Reader<S: Sample> {
     listener: Listener<ipc::Service>,
     shared: Rc<Shared>,
     kept: RefCell<VecDeque<Taken<S>>>,
-    last: Cell<(u32, u64)>,
+    aside: RefCell<VecDeque<Taken<S>>>,
+    last: Cell<Last>,
+}
+
+/// Of the sample accepted last.
+#[derive(Clone, Copy, Default)]
+struct Last {
+    incarnation: u32,
+    sequence: u64,
+    scan_id: u64,
 }
 
 impl<S: Sample> Input<S> {
@@ -54,7 +70,8 @@ impl<S: Sample> Input<S> {
             listener: bus.listener(S::TOPIC)?,
             shared,
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
-            last: Cell::new((0, 0)),
+            aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
+            last: Cell::default(),
         })))
     }
 
@@ -118,6 +135,8 @@ pub(crate) trait Drain {
     fn descriptor(&self) -> RawFd;
     /// Clears notifications, takes all samples from the bus and keeps the good ones.
     fn drain(&self) -> Result<(), RuntimeError>;
+    /// Looks again at what was kept aside, now that the directive has changed.
+    fn review(&self);
 }
 
 impl<S: Sample> Drain for Input<S> {
@@ -130,46 +149,62 @@ impl<S: Sample> Drain for Input<S> {
         clear(&reader.listener);
         let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
         while let Some(sample) = reader.subscriber.receive().map_err(error)? {
-            let sample = Taken(sample);
-            if !reader.accepts(&sample) {
-                continue;
-            }
-            let mut kept = reader.kept.borrow_mut();
-            if kept.len() == KEPT {
-                kept.pop_front();
-                count(&reader.shared.counters.replaced, 1);
-            }
-            kept.push_back(sample);
+            reader.offer(Taken(sample), false);
         }
         Ok(())
+    }
+
+    fn review(&self) {
+        let waiting = std::mem::take(&mut *self.0.aside.borrow_mut());
+        waiting.into_iter().for_each(|sample| self.0.offer(sample, true));
     }
 }
 
 impl<S: Sample> Reader<S> {
-    /// Whether a sample may be used; counts why not.
-    fn accepts(&self, sample: &S) -> bool {
+    /// Keeps a sample that counts, keeps one aside that may count later, drops and counts any other.
+    fn offer(&self, sample: Taken<S>, was_aside: bool) {
         let counters = &self.shared.counters;
         if let Err(fault) = sample.check() {
             count(&counters.invalid, 1);
             tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
-            return false;
+            return;
         }
         let header = sample.header();
-        if let Some(writer) = S::TOPIC.writer()
-            && !self.shared.directive.borrow().accepts(writer, header.incarnation, header.scan_id)
-        {
-            count(&counters.foreign, 1);
-            return false;
+        if let Some(writer) = S::TOPIC.writer() {
+            let directive = self.shared.directive.borrow();
+            if directive.stands_by(writer, header.incarnation, header.scan_id) {
+                return push(&self.aside, sample, ASIDE, &counters.foreign);
+            }
+            if !directive.accepts(writer, header.incarnation, header.scan_id) {
+                return count(&counters.foreign, 1);
+            }
+            let last = self.last.get();
+            // Outside of exchanges an actuator that was restarted blocks the wheels under an older scan.
+            let other = was_aside || directive.is_exchanged(writer) && header.incarnation != last.incarnation;
+            if other && header.scan_id <= last.scan_id {
+                return count(&counters.duplicate, 1);
+            }
         }
-        let (incarnation, sequence) = self.last.get();
-        if header.incarnation == incarnation {
-            if header.sequence <= sequence {
-                count(if header.sequence == sequence { &counters.duplicate } else { &counters.reordered }, 1);
+        if self.is_news(&sample) {
+            push(&self.kept, sample, KEPT, &counters.replaced);
+        }
+    }
+
+    /// Whether a sample of the producer in charge is neither repeated nor reordered nor old; counts why not.
+    fn is_news(&self, sample: &S) -> bool {
+        let counters = &self.shared.counters;
+        let (header, last) = (sample.header(), self.last.get());
+        if header.incarnation == last.incarnation {
+            if header.sequence <= last.sequence {
+                let repeated = header.sequence == last.sequence;
+                count(if repeated { &counters.duplicate } else { &counters.reordered }, 1);
                 return false;
             }
-            count(&counters.missing, header.sequence - sequence - 1);
+            count(&counters.missing, header.sequence - last.sequence - 1);
         }
-        self.last.set((header.incarnation, header.sequence));
+        let (incarnation, sequence) = (header.incarnation, header.sequence);
+        let scan_id = header.scan_id.max(last.scan_id);
+        self.last.set(Last { incarnation, sequence, scan_id });
         if !self.shared.clock.is_simulated() && S::TOPIC.writer().is_some() {
             let age = self.shared.clock.now_ns().saturating_sub(header.acquired_ns);
             if header.acquired_ns > 0 && age > self.shared.max_age_ns {
@@ -179,4 +214,14 @@ impl<S: Sample> Reader<S> {
         }
         true
     }
+}
+
+/// Puts a sample at the end; the oldest gives way and is counted when there are `most` already.
+fn push<S: Sample>(queue: &RefCell<VecDeque<Taken<S>>>, sample: Taken<S>, most: usize, dropped: &Cell<u64>) {
+    let mut queue = queue.borrow_mut();
+    if queue.len() == most {
+        queue.pop_front();
+        count(dropped, 1);
+    }
+    queue.push_back(sample);
 }

@@ -24,6 +24,7 @@
 //! What the process never has to do: wait without a time-out, check layouts, drop samples of a producer that
 //! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
 
+mod allocations;
 mod bus;
 mod clock;
 mod counters;
@@ -44,6 +45,7 @@ mod tests;
 mod wake;
 mod wire;
 
+pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
 pub use domain::Domain;

@@ -278,6 +278,8 @@ impl Process {
         if let Some(directive) = self.directive.take_newest() {
             *self.shared.directive.borrow_mut() = *directive;
             self.directive_seen_ns = monotonic_ns();
+            // Before anything newer is taken: what was kept aside comes first.
+            self.inputs.iter().for_each(|input| input.review());
         }
         for input in &self.inputs {
             input.drain()?;

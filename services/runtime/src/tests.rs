@@ -164,3 +164,86 @@ fn a_wait_ends_by_its_time_out_when_nothing_happens() {
     let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
     assert!(!wait_for(&[crate::wake::borrow(input.descriptor())], 2_000_000));
 }
+
+/// Changes who counts as estimator, as a new directive does.
+fn authorise(reader: &Rc<Shared>, input: &Input<Pose>, incarnation: u32, previous: u32, from_scan: u64) {
+    reader.directive.borrow_mut().authority[Role::Estimator.index()] =
+        Authority { incarnation, previous, from_scan };
+    input.review();
+}
+
+/// The scans that come out, each with the incarnation that answers it.
+fn taken(input: &Input<Pose>) -> Vec<(u64, u32)> {
+    input.drain().unwrap();
+    std::iter::from_fn(|| input.take()).map(|pose| (pose.header.scan_id, pose.header.incarnation)).collect()
+}
+
+#[test]
+fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    input.drain().unwrap();
+    old.publish(&mut pose(8, 0.0)).unwrap();
+    new.publish(&mut pose(8, 0.0)).unwrap();
+    assert_eq!(taken(&input), [(8, 7)], "a shadow is not heard");
+    authorise(&controller, &input, 11, 7, 10);
+    for scan_id in 9..=11 {
+        new.publish(&mut pose(scan_id, 0.0)).unwrap();
+        old.publish(&mut pose(scan_id, 0.0)).unwrap();
+    }
+    assert_eq!(taken(&input), [(9, 7), (10, 11), (11, 11)]);
+    authorise(&controller, &input, 11, 0, 0);
+    old.publish(&mut pose(12, 0.0)).unwrap();
+    assert_eq!(taken(&input), [], "the exchange is over");
+    authorise(&controller, &input, 7, 11, 11);
+    assert_eq!(taken(&input), [], "what stood by is dropped at its end");
+    let counters = &controller.counters;
+    assert_eq!((counters.duplicate.get(), counters.reordered.get()), (1, 0), "the new one's 9 was answered");
+}
+
+#[test]
+fn scans_that_the_new_one_left_open_are_answered_by_the_one_that_stood_by() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    input.drain().unwrap();
+    authorise(&controller, &input, 11, 7, 10);
+    for scan_id in 9..=13 {
+        old.publish(&mut pose(scan_id, 0.0)).unwrap();
+        if scan_id <= 11 {
+            new.publish(&mut pose(scan_id, 0.0)).unwrap();
+        }
+    }
+    assert_eq!(taken(&input), [(9, 7), (10, 11), (11, 11)]);
+    // The orchestrator has not seen the answer to 11 when it gives the scans back.
+    authorise(&controller, &input, 7, 11, 11);
+    old.publish(&mut pose(14, 0.0)).unwrap();
+    assert_eq!(taken(&input), [(12, 7), (13, 7), (14, 7)], "none is missing and none comes twice");
+    assert_eq!(controller.counters.duplicate.get(), 1);
+    new.publish(&mut pose(15, 0.0)).unwrap();
+    old.publish(&mut pose(15, 0.0)).unwrap();
+    assert_eq!(taken(&input), [(15, 7)]);
+}
+
+#[test]
+fn the_new_one_answers_for_an_old_one_that_died_before_its_time() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    input.drain().unwrap();
+    authorise(&controller, &input, 11, 7, 10);
+    old.publish(&mut pose(8, 0.0)).unwrap();
+    for scan_id in 8..=9 {
+        new.publish(&mut pose(scan_id, 0.0)).unwrap();
+    }
+    assert_eq!(taken(&input), [(8, 7)]);
+    authorise(&controller, &input, 11, 7, 9);
+    assert_eq!(taken(&input), [(9, 11)]);
+}

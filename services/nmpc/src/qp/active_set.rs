@@ -103,7 +103,12 @@ impl ActiveSet {
         self.working.clear();
         self.normals.clear();
         self.fresh = 0;
-        self.stride = count + 8;
+        self.stride = 2 * count + 8;
+        // Working sets beyond this size are rare, and may allocate.
+        self.working.reserve(self.stride);
+        self.normals.reserve(self.stride * count);
+        self.gram.resize(self.stride * self.stride, 0.0);
+        self.direction.reserve(self.stride);
         self.in_bounds.clear();
         self.in_bounds.resize(count, false);
         self.in_rows.clear();
@@ -379,9 +384,7 @@ impl ActiveSet {
     }
 
     fn report(&self, qp: &Qp, solution: &mut QpSolution) {
-        let step = std::mem::take(&mut solution.step);
-        solution.reset(qp.variables(), qp.row_count());
-        solution.step = step;
+        solution.release(qp.variables(), qp.row_count());
         for working in &self.working {
             let upper = working.sign > 0.0;
             match working.what {

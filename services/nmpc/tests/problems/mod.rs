@@ -1,5 +1,7 @@
 //! Problems like those of the closed loop, for the tests of the solver.
 
+#![allow(dead_code, reason = "each test file uses its part")]
+
 use nmpc::{Collocation, EllipsePath, Problem, Scheme, Trajectory, Weights, roll_out};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

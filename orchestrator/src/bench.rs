@@ -1,0 +1,59 @@
+//! `scanloop bench`: figures of the parts, each on inputs that are shipped or named, to be repeated by anybody.
+
+pub mod solver;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use crate::exit::Exit;
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// What one solve of the optimal control problem costs, on recorded initial states.
+    ///
+    /// Reports median, 99 % and largest of microseconds per SQP step, feedback phase and converged solve, iterations,
+    /// failures and heap allocations per solve, for each Hessian, each QP solver and each number of intervals. The
+    /// weights are those of the published comparison, not those of a run. The feedback phase has a count of 0 as long as
+    /// the solver does not separate it from the preparation.
+    ///
+    /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
+    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null where they are not
+    /// counted); `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
+    /// `ratio_p99`, `same`, `others`; `skipped`.
+    Solver(SolverArguments),
+}
+
+/// Arguments of `bench solver`.
+#[derive(Debug, Args)]
+pub struct SolverArguments {
+    /// Initial states, a CSV file with a header; without it the shipped ones.
+    ///
+    /// Columns are found by name: `x1` to `x5` are sideslip, yaw, yaw rate, x and y. Columns `goal_x_m`, `goal_y_m`,
+    /// `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` may be there (default: goal (10, 0), ellipse at
+    /// (5, 0.1) with semi-axes 1.2 and 0.8), others are ignored. Following rows of the same `lap` are 0.1 s apart and
+    /// start from the solution before; rows without it start straight on.
+    #[arg(long, value_name = "CSV")]
+    pub cases: Option<PathBuf>,
+    /// Solve the same cases with CasADi as well, in turns, and print ratios (`benches/peers/setup.sh` installs it).
+    #[arg(long)]
+    pub peer: bool,
+    /// Numbers of intervals N; peers are compared with 6.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [6, 12, 24, 48, 96],
+          value_parser = clap::value_parser!(u8).range(1..=200))]
+    pub intervals: Vec<u8>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs one benchmark.
+///
+/// # Errors
+/// Bad files and options, and what the benchmark itself could not do.
+pub(crate) fn bench(command: &BenchCommand) -> anyhow::Result<Exit> {
+    match command {
+        BenchCommand::Solver(arguments) => solver::solver(arguments),
+    }
+}

@@ -1,0 +1,591 @@
+//! Exchanges one process of a running system for another: a state machine that decides and does nothing.
+//!
+//! Idea: the new process is started beside the old one and computes from the same samples, but nobody listens to
+//! it. When it has proved itself for a number of scans, authority goes to it from a scan on that is not published
+//! yet, and the old one goes on computing. When that too goes well the old one is ended; when it does not,
+//! authority goes back from the first scan that has no answer yet, whose answer of the old one is already there.
+//!
+//! ```text
+//! Starting --output--> Shadowing --agrees--> Standby --agrees--> Settling --recorded--> over
+//!     |                    |                    |                    ^
+//!     +------refused-------+                    +----rolled back-----+
+//! ```
+//!
+//! * **Starting** until its first output, for [`FIRST_OUTPUT_NS`] at most.
+//! * **Shadowing**: a scan is good when the output of the new one is there, valid, in time, and agrees with that
+//!   of the old one ([`agreement`]). So many good scans in a row, and it takes over. An invalid output refuses it
+//!   at once; so does a disagreement after the first [`WARM_UP`] outputs, and the third output that is late.
+//! * **Standby**: the new one counts from `from_scan` on. It is rolled back when it ends, gives an invalid output or
+//!   one that disagrees, or has none 1.2 periods after its last one when the old one has. That is before the
+//!   actuator, which waits for 1.5 periods, blocks the wheels.
+//! * **Settling**: the decision is carried out; the scans that the certificate tells of are still being recorded.
+//!
+//! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does); one that
+//! forges them is late unnoticed until it has to answer. The old one is the measure: a mistake that both make is
+//! agreement. When neither has an output the cause lies before both, so nobody is judged.
+//!
+//! In lock-step stamps say nothing of this machine: lateness is not judged, and who does not answer within
+//! [`LOCKSTEP_PATIENCE_NS`] of its clock hangs. The session lets the loop wait meanwhile.
+
+pub mod agreement;
+mod certificate;
+#[cfg(test)]
+mod tests;
+pub(crate) mod watch;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use shared_types::{Authority, Role};
+
+pub use agreement::{Disagreement, Gist};
+pub use certificate::{Certificate, SwapOutcome};
+
+/// A process that has no output by then will not have one [ns].
+pub const FIRST_OUTPUT_NS: u64 = 3_000_000_000;
+/// Outputs of the new one that may disagree: its state is some scans old when it begins.
+pub const WARM_UP: u32 = 5;
+/// Late outputs that are forgiven: the machine was busy; three times is a property.
+pub const FORGIVEN_LATE: u32 = 2;
+/// In lock-step, how long an output is waited for [ns].
+pub const LOCKSTEP_PATIENCE_NS: u64 = 500_000_000;
+/// Scans before and after the change between which commands are compared.
+const JUMP_SCANS: [u64; 2] = [2, 3];
+/// Scans between the newest one and the first of the new process: the directive is everywhere by then.
+const NOTICE_SCANS: u64 = 2;
+/// Recorded scans are waited for this long after the decision [ns].
+const SETTLE_NS: u64 = 2_000_000_000;
+/// Scans whose outputs are kept for comparison.
+const PAIRS: usize = 32;
+/// Answers kept to look back from the change.
+const ANSWERS: usize = 8;
+
+/// What is to be exchanged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// The role.
+    pub role: Role,
+    /// Implementation or command of the old process.
+    pub from: String,
+    /// Implementation or command of the new process.
+    pub to: String,
+    /// Incarnation of the old process.
+    pub old: u32,
+    /// Incarnation of the new process.
+    pub new: u32,
+    /// Good scans in a row before the change.
+    pub shadow_scans: u64,
+    /// Good scans after the change.
+    pub standby_scans: u64,
+    /// Factor on the bounds of agreement.
+    pub tolerance: f64,
+    /// Scan period [ns].
+    pub period_ns: u64,
+    /// Whether time is simulated.
+    pub lockstep: bool,
+}
+
+/// One of the two processes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Party {
+    /// The one that was there before.
+    Old,
+    /// The one that is to take its place.
+    New,
+}
+
+/// One output of one of the two.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Output {
+    /// The scan it answers.
+    pub scan: u64,
+    /// When that scan was published [ns]; 0 when unknown.
+    pub scan_published_ns: u64,
+    /// When the output was published [ns].
+    pub published_ns: u64,
+    /// What it says, or what is wrong with it.
+    pub content: Result<Gist, String>,
+}
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// The newest scan published, and the newest answered, as far as known; before all other news of a turn.
+    Scans {
+        /// Newest scan published.
+        newest: u64,
+        /// Newest scan answered by the actuator.
+        answered: u64,
+    },
+    /// An output was seen.
+    Output(Party, Output),
+    /// A process ended, in words.
+    Exited(Party, String),
+    /// A scan was recorded with so many answers; the last one's desired steering angle [rad] and velocity [m/s].
+    Recorded {
+        /// The scan; they come in order.
+        scan: u64,
+        /// Answers of the actuator.
+        answers: u64,
+        /// Desired steering angle and velocity of the last answer [rad, m/s].
+        desired: [f64; 2],
+    },
+    /// All news of this turn were told; time has passed.
+    Tick,
+    /// The end of the run was decided.
+    RunEnds,
+}
+
+/// Something to be done, in the order given.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// Tell everyone whose samples count.
+    Authorise(Authority),
+    /// Kill the new process.
+    KillNew,
+    /// The new process is the process of the role from now on; ask the old one to end.
+    Commit,
+    /// The exchange is over.
+    Finish(Box<Certificate>),
+}
+
+/// Where an exchange stands, in the words of `scanloop status`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// The new process has no output yet.
+    Starting,
+    /// It computes beside the old one.
+    Shadowing,
+    /// It is in charge, or about to be; the old one stands by.
+    Standby,
+    /// All is decided.
+    Settling,
+    /// The certificate was given.
+    Over,
+}
+
+/// One exchange from the start of the new process to its certificate.
+#[derive(Debug, Clone)]
+pub struct Swap {
+    plan: Plan,
+    stage: Stage,
+    since_ns: u64,
+    newest: u64,
+    answered: u64,
+    from_scan: u64,
+    settled_at: u64,
+    pairs: BTreeMap<u64, Pair>,
+    broken: Option<String>,
+    first_new: Option<u64>,
+    outputs: u32,
+    late: u32,
+    streak: u64,
+    last_good: u64,
+    last_output_ns: u64,
+    standby_good: u64,
+    answers: VecDeque<(u64, [f64; 2])>,
+    changes: Vec<u64>,
+    certificate: Certificate,
+}
+
+/// The outputs of both for one scan.
+#[derive(Debug, Clone, Default)]
+struct Pair {
+    old: Option<Output>,
+    new: Option<Output>,
+    seen_ns: u64,
+    judged: bool,
+}
+
+impl Swap {
+    /// An exchange whose new process was just started.
+    pub fn new(now_ns: u64, plan: Plan) -> Self {
+        let certificate = Certificate {
+            role: plan.role.name().to_owned(),
+            from: plan.from.clone(),
+            to: plan.to.clone(),
+            ..Certificate::default()
+        };
+        Self {
+            plan,
+            stage: Stage::Starting,
+            since_ns: now_ns,
+            newest: 0,
+            answered: 0,
+            from_scan: 0,
+            settled_at: 0,
+            pairs: BTreeMap::new(),
+            broken: None,
+            first_new: None,
+            outputs: 0,
+            late: 0,
+            streak: 0,
+            last_good: 0,
+            last_output_ns: 0,
+            standby_good: 0,
+            answers: VecDeque::with_capacity(ANSWERS + 1),
+            changes: Vec::with_capacity(2),
+            certificate,
+        }
+    }
+
+    /// What is exchanged.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Where it stands.
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// The incarnation that is not to be listened to.
+    pub fn beside(&self) -> u32 {
+        let new_is_in_charge = match self.stage {
+            Stage::Standby => self.newest >= self.from_scan,
+            Stage::Settling | Stage::Over => self.certificate.outcome == SwapOutcome::Swapped,
+            Stage::Starting | Stage::Shadowing => false,
+        };
+        if new_is_in_charge { self.plan.old } else { self.plan.new }
+    }
+
+    /// Whether both have answered a scan; in lock-step the loop waits for that.
+    pub fn both_answered(&self, scan: u64) -> bool {
+        self.pairs.get(&scan).is_some_and(|pair| pair.old.is_some() && pair.new.is_some())
+    }
+
+    /// What is to be done, in this order, now that `event` has happened at `now_ns`.
+    pub fn handle(&mut self, now_ns: u64, event: Event) -> Vec<Action> {
+        let mut actions = Vec::new();
+        if self.stage == Stage::Over {
+            return actions;
+        }
+        match event {
+            Event::Scans { newest, answered } => {
+                self.newest = self.newest.max(newest);
+                self.answered = self.answered.max(answered);
+            }
+            Event::Output(party, output) => self.keep(now_ns, party, output),
+            Event::Exited(Party::New, how) => match self.stage {
+                Stage::Settling | Stage::Over => {}
+                _ => self.give_up(now_ns, format!("the new process ended: {how}"), &mut actions),
+            },
+            Event::Exited(Party::Old, how) => match self.stage {
+                Stage::Starting | Stage::Shadowing => {
+                    self.refuse(format!("the old process ended: {how}"), &mut actions);
+                }
+                // The one that stood by is gone, so there is nothing to go back to.
+                Stage::Standby => {
+                    let from_scan = self.from_scan.min(self.answered + 1);
+                    self.commit(now_ns, from_scan, format!("the old process ended: {how}"), &mut actions);
+                }
+                Stage::Settling | Stage::Over => {}
+            },
+            Event::Recorded { scan, answers, desired } => self.recorded(scan, answers, desired),
+            Event::Tick => self.tick(now_ns, &mut actions),
+            Event::RunEnds => self.run_ends(now_ns, &mut actions),
+        }
+        actions
+    }
+
+    fn keep(&mut self, now_ns: u64, party: Party, output: Output) {
+        let scan = output.scan;
+        if party == Party::New {
+            let fault = match &output.content {
+                Err(fault) => Some(fault.clone()),
+                Ok(_) if scan > self.newest + PAIRS as u64 => Some("there is no such scan".to_owned()),
+                Ok(_) => None,
+            };
+            if let Some(fault) = fault {
+                self.broken.get_or_insert(format!("invalid output for scan {scan}: {fault}"));
+                return;
+            }
+            self.last_output_ns = self.last_output_ns.max(output.published_ns.min(now_ns));
+        } else if output.content.is_ok() {
+            self.newest = self.newest.max(scan);
+        }
+        if party == Party::New && self.first_new.is_none() {
+            self.first_new = Some(scan);
+            if self.stage == Stage::Starting {
+                self.stage = Stage::Shadowing;
+            }
+        }
+        let pair = self.pairs.entry(scan).or_insert(Pair { seen_ns: now_ns, ..Pair::default() });
+        let place = if party == Party::Old { &mut pair.old } else { &mut pair.new };
+        place.get_or_insert(output);
+        while self.pairs.len() > PAIRS {
+            self.pairs.pop_first();
+        }
+    }
+
+    fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if self.stage != Stage::Settling
+            && let Some(reason) = self.broken.take()
+        {
+            return self.give_up(now_ns, reason, actions);
+        }
+        match self.stage {
+            Stage::Starting => {
+                if now_ns.saturating_sub(self.since_ns) >= FIRST_OUTPUT_NS {
+                    let limit_s = FIRST_OUTPUT_NS / 1_000_000_000;
+                    self.refuse(format!("no output within {limit_s} s"), actions);
+                }
+            }
+            Stage::Shadowing | Stage::Standby => self.judge(now_ns, actions),
+            Stage::Settling => {
+                if self.settled_at == 0 || now_ns.saturating_sub(self.since_ns) >= SETTLE_NS {
+                    self.finish(actions);
+                }
+            }
+            Stage::Over => {}
+        }
+    }
+
+    /// Looks at all scans that can be judged by now, the oldest first.
+    fn judge(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let first_new = self.first_new.unwrap_or(u64::MAX);
+        let open: Vec<u64> = self.pairs.iter().filter(|(_, pair)| !pair.judged).map(|(scan, _)| *scan).collect();
+        for scan in open {
+            let in_charge = self.stage == Stage::Standby && scan >= self.from_scan;
+            if scan < first_new {
+                continue;
+            }
+            let verdict = self.verdict(now_ns, scan, in_charge);
+            let Some(pair) = self.pairs.get_mut(&scan) else { continue };
+            pair.judged = verdict != Verdict::Open;
+            self.outputs += u32::from(pair.judged && pair.new.is_some());
+            match verdict {
+                Verdict::Open | Verdict::Nothing => {}
+                Verdict::Good if in_charge => self.standby_good += 1,
+                Verdict::Good => {
+                    self.streak = if self.last_good + 1 == scan { self.streak + 1 } else { 1 };
+                    self.last_good = scan;
+                }
+                Verdict::Late(reason) => {
+                    self.late += 1;
+                    self.streak = 0;
+                    if self.late > FORGIVEN_LATE {
+                        return self.give_up(now_ns, reason, actions);
+                    }
+                }
+                Verdict::Apart(_) if !in_charge && self.outputs <= WARM_UP => self.streak = 0,
+                Verdict::Apart(reason) | Verdict::Bad(reason) => return self.give_up(now_ns, reason, actions),
+            }
+        }
+        if self.stage == Stage::Shadowing && self.streak >= self.plan.shadow_scans {
+            self.take_over(actions);
+        }
+        if self.stage == Stage::Standby && self.standby_good >= self.plan.standby_scans {
+            self.commit(now_ns, 0, String::new(), actions);
+        }
+    }
+
+    fn verdict(&self, now_ns: u64, scan: u64, in_charge: bool) -> Verdict {
+        let Some(Pair { old, new, seen_ns, .. }) = self.pairs.get(&scan) else { return Verdict::Open };
+        let period_ns = self.plan.period_ns;
+        let passed = |since_ns: u64, tenths: u64| now_ns.saturating_sub(since_ns) >= period_ns / 10 * tenths;
+        match (old, new) {
+            (None, None) => Verdict::Open,
+            (Some(_), None) if self.plan.lockstep => {
+                if now_ns.saturating_sub(*seen_ns) < LOCKSTEP_PATIENCE_NS {
+                    return Verdict::Open;
+                }
+                let patience_s = LOCKSTEP_PATIENCE_NS as f64 * 1e-9;
+                Verdict::Bad(format!("hangs: no output for scan {scan} within {patience_s} s"))
+            }
+            (Some(old), None) => {
+                let since_ns = if old.scan_published_ns == 0 { *seen_ns } else { old.scan_published_ns };
+                if in_charge && passed(self.last_output_ns, 12) && passed(since_ns, 2) {
+                    Verdict::Bad(format!("hangs: no output for scan {scan}, 1.2 periods after the last one"))
+                } else if !in_charge && passed(since_ns, 10) {
+                    Verdict::Late(format!("late: no output for scan {scan} within a period"))
+                } else {
+                    Verdict::Open
+                }
+            }
+            // An old one that has stopped to answer is no reason to keep it.
+            (None, Some(_)) => {
+                let patience_ns = if self.plan.lockstep { LOCKSTEP_PATIENCE_NS } else { 2 * period_ns };
+                match now_ns.saturating_sub(*seen_ns) >= patience_ns {
+                    true if in_charge => Verdict::Good,
+                    true => Verdict::Nothing,
+                    false => Verdict::Open,
+                }
+            }
+            (Some(old), Some(new)) => self.compare(scan, old, new, in_charge),
+        }
+    }
+
+    fn compare(&self, scan: u64, old: &Output, new: &Output, in_charge: bool) -> Verdict {
+        let (Ok(expected), Ok(found)) = (&old.content, &new.content) else {
+            // Only the old one's output is invalid: nothing to compare with.
+            return if in_charge { Verdict::Good } else { Verdict::Nothing };
+        };
+        let limit_ns = self.plan.period_ns / 2;
+        let taken_ns = |output: &Output| output.published_ns.saturating_sub(output.scan_published_ns);
+        let judges_time = !self.plan.lockstep && !in_charge && new.scan_published_ns > 0;
+        if judges_time && taken_ns(new) > limit_ns && taken_ns(old) <= limit_ns {
+            let [taken_ms, limit_ms] = [taken_ns(new), limit_ns].map(|time| time as f64 * 1e-6);
+            return Verdict::Late(format!(
+                "late: output for scan {scan} {taken_ms:.1} ms after the scan, allowed are {limit_ms:.1} ms"
+            ));
+        }
+        match agreement::disagreement(expected, found, self.plan.tolerance) {
+            None => Verdict::Good,
+            Some(found) => Verdict::Apart(format!("disagreement at scan {scan}: {found}")),
+        }
+    }
+
+    /// Authority goes to the new one, from a scan on that nobody works on yet.
+    fn take_over(&mut self, actions: &mut Vec<Action>) {
+        self.stage = Stage::Standby;
+        self.from_scan = self.newest + NOTICE_SCANS;
+        self.certificate.shadow_scans = self.streak;
+        self.certificate.last_scan_old = Some(self.from_scan - 1);
+        self.certificate.first_scan_new = Some(self.from_scan);
+        self.changed_at(self.from_scan);
+        let (incarnation, previous) = (self.plan.new, self.plan.old);
+        actions.push(Action::Authorise(Authority { incarnation, previous, from_scan: self.from_scan }));
+    }
+
+    /// The new one has not stood the test: it is refused, or rolled back when it was in charge of a scan.
+    fn give_up(&mut self, now_ns: u64, reason: String, actions: &mut Vec<Action>) {
+        if self.stage != Stage::Standby || self.newest < self.from_scan {
+            return self.refuse(reason, actions);
+        }
+        let from_scan = (self.answered + 1).max(self.from_scan);
+        let (incarnation, previous) = (self.plan.old, self.plan.new);
+        actions.push(Action::Authorise(Authority { incarnation, previous, from_scan }));
+        actions.push(Action::KillNew);
+        self.changed_at(from_scan);
+        self.settle(now_ns, from_scan, SwapOutcome::RolledBack, reason);
+    }
+
+    fn refuse(&mut self, reason: String, actions: &mut Vec<Action>) {
+        if self.stage == Stage::Standby {
+            actions.push(Action::Authorise(alone(self.plan.old)));
+        }
+        actions.push(Action::KillNew);
+        self.certificate.shadow_scans = self.streak;
+        self.certificate.last_scan_old = None;
+        self.certificate.first_scan_new = None;
+        self.certificate.outcome = SwapOutcome::Refused;
+        self.certificate.reason = reason;
+        self.over(actions);
+    }
+
+    /// The new one stays. `from_scan` is 0, or the first scan that it has to answer instead of one that ended early.
+    fn commit(&mut self, now_ns: u64, from_scan: u64, reason: String, actions: &mut Vec<Action>) {
+        let authority = if from_scan == 0 {
+            alone(self.plan.new)
+        } else {
+            Authority { incarnation: self.plan.new, previous: self.plan.old, from_scan }
+        };
+        if from_scan != 0 && from_scan < self.from_scan {
+            self.from_scan = from_scan;
+            self.certificate.last_scan_old = Some(from_scan - 1);
+            self.certificate.first_scan_new = Some(from_scan);
+        }
+        actions.push(Action::Authorise(authority));
+        actions.push(Action::Commit);
+        self.settle(now_ns, self.from_scan, SwapOutcome::Swapped, reason);
+    }
+
+    fn settle(&mut self, now_ns: u64, from_scan: u64, outcome: SwapOutcome, reason: String) {
+        self.stage = Stage::Settling;
+        self.since_ns = now_ns;
+        self.settled_at = from_scan + JUMP_SCANS[1];
+        if self.answers.back().is_some_and(|(scan, _)| *scan >= self.settled_at) {
+            self.settled_at = 0;
+        }
+        self.certificate.outcome = outcome;
+        self.certificate.reason = reason;
+    }
+
+    fn finish(&mut self, actions: &mut Vec<Action>) {
+        let swapped = self.certificate.outcome == SwapOutcome::Swapped;
+        actions.push(Action::Authorise(alone(if swapped { self.plan.new } else { self.plan.old })));
+        self.over(actions);
+    }
+
+    fn over(&mut self, actions: &mut Vec<Action>) {
+        self.stage = Stage::Over;
+        actions.push(Action::Finish(Box::new(self.certificate.clone())));
+    }
+
+    fn run_ends(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        let reason = || "the run ended".to_owned();
+        match self.stage {
+            // Whoever is in charge has the last word of the run.
+            Stage::Standby if self.newest >= self.from_scan => {
+                self.commit(now_ns, 0, reason(), actions);
+                self.over(actions);
+            }
+            Stage::Starting | Stage::Shadowing | Stage::Standby => self.refuse(reason(), actions),
+            Stage::Settling => self.finish(actions),
+            Stage::Over => {}
+        }
+    }
+
+    fn recorded(&mut self, scan: u64, answers: u64, desired: [f64; 2]) {
+        self.certificate.missed_scans += u64::from(answers == 0);
+        self.certificate.duplicate_scans += answers.saturating_sub(1);
+        if answers > 0 {
+            if let Some(&(before, last)) = self.answers.back()
+                && self.changes.iter().any(|change| is_near(*change, before, scan))
+            {
+                self.jumped(last, desired);
+            }
+            self.answers.push_back((scan, desired));
+            if self.answers.len() > ANSWERS {
+                self.answers.pop_front();
+            }
+        }
+        if self.stage == Stage::Settling && scan >= self.settled_at {
+            self.settled_at = 0;
+        }
+    }
+
+    /// Compares the answers around a change as far as they are recorded; the others follow as they come.
+    fn changed_at(&mut self, change: u64) {
+        self.changes.push(change);
+        for index in 1..self.answers.len() {
+            let ((before, last), (scan, desired)) = (self.answers[index - 1], self.answers[index]);
+            if is_near(change, before, scan) {
+                self.jumped(last, desired);
+            }
+        }
+    }
+
+    fn jumped(&mut self, last: [f64; 2], desired: [f64; 2]) {
+        let Certificate { command_jump_rad, command_jump_mps, .. } = &mut self.certificate;
+        *command_jump_rad = command_jump_rad.max((desired[0] - last[0]).abs());
+        *command_jump_mps = command_jump_mps.max((desired[1] - last[1]).abs());
+    }
+}
+
+/// What is to be said of one scan.
+#[derive(Debug, Clone, PartialEq)]
+enum Verdict {
+    /// It cannot be judged yet.
+    Open,
+    /// There is nothing to compare with.
+    Nothing,
+    /// All is as it should be.
+    Good,
+    /// Not in time.
+    Late(String),
+    /// In time, and different.
+    Apart(String),
+    /// Not to be used.
+    Bad(String),
+}
+
+/// Two answers that both lie between two scans before and three after a change.
+fn is_near(change: u64, before: u64, scan: u64) -> bool {
+    before + JUMP_SCANS[0] >= change && scan <= change + JUMP_SCANS[1]
+}
+
+/// One process counts for all scans.
+fn alone(incarnation: u32) -> Authority {
+    Authority { incarnation, ..Authority::default() }
+}

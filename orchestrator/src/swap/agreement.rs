@@ -1,0 +1,243 @@
+//! What of a sample is compared, and how far two processes of one role may differ.
+//!
+//! The bounds are what the rest of the loop does not notice. They are meant for another build or another
+//! implementation of the same task; for one that drives differently on purpose they are widened by a factor.
+
+use std::fmt;
+
+use shared_types::{Actuation, ActuationKind, Command, CommandKind, Obstacles, Pose};
+use vehicle::frame::wrap_angle;
+
+/// Half of what the estimate may be wrong by: the obstacle distance kept in reserve is twenty times as much [m].
+pub const POSITION_M: f64 = 0.05;
+/// At the end of the 2.5 m that the controller looks ahead this is 0.05 m again [rad].
+pub const YAW_RAD: f64 = 0.02;
+/// A body's box and the same box half a scan later or without one of its corners; two bodies are further apart [m].
+pub const BODY_M: f64 = 0.3;
+/// A body counts as seen from this many scans on: one that enters the view may be seen a scan later by the other.
+pub const SIGHTINGS: u64 = 3;
+/// A tenth of the highest velocity, about what the cruising velocity changes by in a scan [m/s].
+pub const VELOCITY_MPS: f64 = 0.1;
+/// Least bound of the steering angle, a twentieth of its limit: two solvers that stop at different iterates [rad].
+pub const STEERING_RAD: f64 = 0.003;
+/// Beyond that, this share of the angle.
+pub const STEERING_SHARE: f64 = 0.15;
+/// Limits of what is sent are twice those of what is desired, (7.41), and so are the bounds.
+pub const SENT_SCALE: f64 = 2.0;
+
+/// What of a sample is compared.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Gist {
+    /// Of a pose: yaw, x, y.
+    Pose([f64; 3]),
+    /// Of obstacles: the centres of all bodies, and whether this scan showed each.
+    Obstacles(Vec<Body>),
+    /// Of a command: kind, velocity, steering angle.
+    Command(u32, f64, f64),
+    /// Of an actuation: kind, sent velocity, sent steering angle.
+    Actuation(u32, f64, f64),
+}
+
+/// One body of a description.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Body {
+    /// Centre of its box [m].
+    pub centre_m: [f64; 2],
+    /// Whether the scan showed it, and enough scans before.
+    pub seen: bool,
+}
+
+/// How much the new one differs from the old one, and what was allowed.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Disagreement {
+    /// A number is further off than allowed.
+    Beyond {
+        /// What it is.
+        what: &'static str,
+        /// How far it is off.
+        difference: f64,
+        /// How far it may be off.
+        bound: f64,
+        /// Unit of both.
+        unit: &'static str,
+    },
+    /// One wants to drive and the other does not, or for another reason.
+    Kind(String, String),
+    /// A body is there for one only; its centre [m].
+    Body(&'static str, [f64; 2]),
+    /// The samples are of different types.
+    Type,
+}
+
+impl fmt::Display for Disagreement {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Beyond { what, difference, bound, unit } => {
+                write!(formatter, "{what} differs by {difference:.4} {unit}, allowed are {bound:.4} {unit}")
+            }
+            Self::Kind(old, new) => write!(formatter, "the old one says {old}, the new one {new}"),
+            Self::Body(who, [x_m, y_m]) => {
+                write!(formatter, "only the {who} one has a body within {BODY_M} m of ({x_m:.2}, {y_m:.2}) m")
+            }
+            Self::Type => write!(formatter, "the samples are of different types"),
+        }
+    }
+}
+
+impl From<&Pose> for Gist {
+    fn from(pose: &Pose) -> Self {
+        Self::Pose([pose.yaw_rad, pose.x_m, pose.y_m])
+    }
+}
+
+impl From<&Obstacles> for Gist {
+    fn from(obstacles: &Obstacles) -> Self {
+        let mut known = Vec::new();
+        let mut bodies = Vec::new();
+        for item in obstacles.list() {
+            if !known.contains(&item.body) {
+                known.push(item.body);
+                let seen = item.unseen_s <= 0.0 && item.sightings >= SIGHTINGS;
+                bodies.push(Body { centre_m: [item.box_x_m, item.box_y_m], seen });
+            }
+        }
+        Self::Obstacles(bodies)
+    }
+}
+
+impl From<&Command> for Gist {
+    fn from(command: &Command) -> Self {
+        Self::Command(command.kind, command.velocity_mps, command.steering_rad)
+    }
+}
+
+impl From<&Actuation> for Gist {
+    fn from(actuation: &Actuation) -> Self {
+        Self::Actuation(actuation.kind, actuation.sent_velocity_mps, actuation.sent_steering_rad)
+    }
+}
+
+/// What the new one does differently, beyond bounds widened by `tolerance`; nothing when they agree.
+pub fn disagreement(old: &Gist, new: &Gist, tolerance: f64) -> Option<Disagreement> {
+    match (old, new) {
+        (Gist::Pose(old), Gist::Pose(new)) => {
+            let distance = (old[1] - new[1]).hypot(old[2] - new[2]);
+            beyond("position", distance, POSITION_M * tolerance, "m")
+                .or_else(|| beyond("yaw", wrap_angle(old[0] - new[0]).abs(), YAW_RAD * tolerance, "rad"))
+        }
+        (Gist::Obstacles(old), Gist::Obstacles(new)) => {
+            let limit = BODY_M * tolerance;
+            lacking(old, new, limit)
+                .map(|centre| Disagreement::Body("old", centre))
+                .or_else(|| lacking(new, old, limit).map(|centre| Disagreement::Body("new", centre)))
+        }
+        (Gist::Command(kind, ..), Gist::Command(other, ..)) if kind != other => {
+            Some(Disagreement::Kind(command_name(*kind), command_name(*other)))
+        }
+        (Gist::Actuation(kind, ..), Gist::Actuation(other, ..)) if kind != other => {
+            Some(Disagreement::Kind(actuation_name(*kind), actuation_name(*other)))
+        }
+        (Gist::Command(kind, v_old, s_old), Gist::Command(_, v_new, s_new)) => {
+            let drives = *kind == CommandKind::Drive.wire();
+            drives.then(|| control([*v_old, *s_old], [*v_new, *s_new], 1.0, tolerance)).flatten()
+        }
+        (Gist::Actuation(_, v_old, s_old), Gist::Actuation(_, v_new, s_new)) => {
+            control([*v_old, *s_old], [*v_new, *s_new], SENT_SCALE, tolerance)
+        }
+        _ => Some(Disagreement::Type),
+    }
+}
+
+/// Velocity and steering angle; `scale` is that of the limits of both.
+fn control(old: [f64; 2], new: [f64; 2], scale: f64, tolerance: f64) -> Option<Disagreement> {
+    let steering = tolerance * (STEERING_RAD * scale).max(STEERING_SHARE * old[1].abs());
+    beyond("velocity", (old[0] - new[0]).abs(), tolerance * VELOCITY_MPS * scale, "m/s")
+        .or_else(|| beyond("steering angle", (old[1] - new[1]).abs(), steering, "rad"))
+}
+
+fn beyond(what: &'static str, difference: f64, bound: f64, unit: &'static str) -> Option<Disagreement> {
+    // A comparison with NaN fails, so it stands on the side that refuses.
+    let within = difference <= bound;
+    (!within).then_some(Disagreement::Beyond { what, difference, bound, unit })
+}
+
+/// The first body of `these` that the scan showed and that `those` have not got.
+fn lacking(these: &[Body], those: &[Body], limit_m: f64) -> Option<[f64; 2]> {
+    let near = |one: &Body, other: &Body| {
+        (one.centre_m[0] - other.centre_m[0]).hypot(one.centre_m[1] - other.centre_m[1]) <= limit_m
+    };
+    these
+        .iter()
+        .find(|body| body.seen && !those.iter().any(|other| near(body, other)))
+        .map(|body| body.centre_m)
+}
+
+fn command_name(kind: u32) -> String {
+    CommandKind::try_from(kind).map_or_else(|_| kind.to_string(), |kind| kind.name().to_owned())
+}
+
+fn actuation_name(kind: u32) -> String {
+    ActuationKind::try_from(kind).map_or_else(|_| kind.to_string(), |kind| kind.name().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_types::{CommandKind, Obstacle};
+
+    fn command(velocity_mps: f64, steering_rad: f64) -> Gist {
+        let kind = CommandKind::Drive.wire();
+        Gist::from(&Command { kind, velocity_mps, steering_rad, ..Command::default() })
+    }
+
+    fn said(old: &Gist, new: &Gist) -> String {
+        disagreement(old, new, 1.0).map_or_else(String::new, |found| found.to_string())
+    }
+
+    #[test]
+    fn a_fifth_more_steering_is_too_much_and_a_tenth_is_not() {
+        assert_eq!(said(&command(1.0, 0.04), &command(1.05, 0.044)), "");
+        assert_eq!(
+            said(&command(1.0, 0.04), &command(1.0, 0.048)),
+            "steering angle differs by 0.0080 rad, allowed are 0.0060 rad"
+        );
+        assert_eq!(said(&command(1.0, 0.0), &command(1.0, 0.0029)), "", "close to straight on");
+        assert!(said(&command(1.0, 0.0), &command(0.89, 0.0)).starts_with("velocity differs by 0.1100 m/s"));
+        assert!(disagreement(&command(1.0, 0.04), &command(1.0, 0.048), 2.0).is_none());
+    }
+
+    #[test]
+    fn one_that_drives_and_one_that_stops_disagree() {
+        let stop = Gist::from(&Command::default());
+        assert_eq!(said(&command(0.5, 0.0), &stop), "the old one says drive, the new one stop");
+        let odd = Gist::from(&Command { steering_rad: 0.06, ..Command::default() });
+        assert_eq!(said(&stop, &odd), "", "the angle of a stop is not driven");
+    }
+
+    #[test]
+    fn poses_are_compared_across_the_turn_of_the_angle() {
+        let pose = |yaw_rad, x_m| Gist::from(&Pose { yaw_rad, x_m, ..Pose::default() });
+        assert_eq!(said(&pose(3.14, 1.0), &pose(-3.14, 1.04)), "");
+        assert_eq!(said(&pose(0.0, 1.0), &pose(0.0, 1.06)), "position differs by 0.0600 m, allowed are 0.0500 m");
+        assert!(said(&pose(0.0, 1.0), &pose(0.021, 1.0)).starts_with("yaw differs by 0.0210 rad"));
+        assert!(said(&pose(0.0, 1.0), &pose(f64::NAN, 1.0)).starts_with("yaw differs by NaN rad"));
+    }
+
+    #[test]
+    fn bodies_are_matched_by_place_whatever_their_numbers() {
+        let described = |bodies: &[(u32, f64, u64)]| {
+            let mut obstacles = Obstacles { count: bodies.len() as u32, ..Obstacles::default() };
+            for (item, (body, box_x_m, sightings)) in obstacles.items.iter_mut().zip(bodies) {
+                *item =
+                    Obstacle { body: *body, box_x_m: *box_x_m, sightings: *sightings, ..Obstacle::default() };
+            }
+            Gist::from(&obstacles)
+        };
+        // Two ellipses of one body count once, and the numbers of bodies may differ.
+        let old = described(&[(1, 5.0, 9), (1, 5.0, 9), (2, 8.0, 9)]);
+        assert_eq!(said(&old, &described(&[(7, 7.8, 9), (4, 5.2, 9)])), "");
+        assert_eq!(said(&old, &described(&[(1, 5.0, 9)])), "only the old one has a body within 0.3 m of (8.00, 0.00) m");
+        assert!(said(&described(&[(1, 5.0, 9)]), &old).starts_with("only the new one"));
+        assert_eq!(said(&old, &described(&[(1, 5.0, 9), (2, 8.0, 9), (3, 9.5, 1)])), "", "just come into view");
+    }
+}

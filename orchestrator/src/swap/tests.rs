@@ -1,0 +1,426 @@
+//! Exchanges told by hand, at 10 Hz: scan k is published at k * 100 ms.
+
+use shared_types::{Authority, Command, CommandKind, Role};
+
+use super::{Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Stage, Swap, SwapOutcome};
+
+const PERIOD_NS: u64 = 100_000_000;
+const OLD: u32 = 4;
+const NEW: u32 = 9;
+
+/// An exchange of the controller with both processes at hand, which behave well unless told otherwise.
+struct Trial {
+    swap: Swap,
+    now_ns: u64,
+    scan: u64,
+    actions: Vec<Action>,
+}
+
+impl Trial {
+    /// A trial of five good scans before the change and five after, that begins after scan 10.
+    fn new() -> Self {
+        Self::with(|_| {})
+    }
+
+    fn with(change: impl FnOnce(&mut Plan)) -> Self {
+        let mut plan = Plan {
+            role: Role::Controller,
+            from: "nmpc".to_owned(),
+            to: "other".to_owned(),
+            old: OLD,
+            new: NEW,
+            shadow_scans: 5,
+            standby_scans: 5,
+            tolerance: 1.0,
+            period_ns: PERIOD_NS,
+            lockstep: false,
+        };
+        change(&mut plan);
+        let now_ns = 10 * PERIOD_NS;
+        Self { swap: Swap::new(now_ns, plan), now_ns, scan: 10, actions: Vec::new() }
+    }
+
+    fn send(&mut self, event: Event) {
+        let now_ns = self.now_ns;
+        self.actions.extend(self.swap.handle(now_ns, event));
+    }
+
+    /// The next scan is published; nothing is answered yet.
+    fn publish(&mut self) {
+        self.scan += 1;
+        self.now_ns = self.scan * PERIOD_NS;
+        self.send(Event::Scans { newest: self.scan, answered: self.scan - 1 });
+    }
+
+    /// An output for the newest scan, so long after it.
+    fn output(&mut self, party: Party, after_ms: u64, content: Result<Gist, String>) {
+        self.now_ns = self.now_ns.max(self.scan * PERIOD_NS + after_ms * 1_000_000);
+        let output = Output {
+            scan: self.scan,
+            scan_published_ns: self.scan * PERIOD_NS,
+            published_ns: self.scan * PERIOD_NS + after_ms * 1_000_000,
+            content,
+        };
+        self.send(Event::Output(party, output));
+    }
+
+    fn tick_at(&mut self, after_ms: u64) {
+        self.now_ns = self.scan * PERIOD_NS + after_ms * 1_000_000;
+        self.send(Event::Tick);
+    }
+
+    /// The newest scan is answered and recorded.
+    fn record(&mut self) {
+        let scan = self.scan;
+        self.send(Event::Scans { newest: scan, answered: scan });
+        self.send(Event::Recorded { scan, answers: 1, desired: [0.04, 1.0] });
+    }
+
+    /// A scan on which both say the same in time.
+    fn good_scan(&mut self) {
+        self.scan_with(command(0.04));
+    }
+
+    /// A scan on which the new one says this.
+    fn scan_with(&mut self, gist: Gist) {
+        self.publish();
+        self.output(Party::Old, 2, Ok(command(0.04)));
+        self.output(Party::New, 3, Ok(gist));
+        self.tick_at(5);
+        self.record();
+    }
+
+    fn good_scans(&mut self, count: u64) {
+        (0..count).for_each(|_| self.good_scan());
+    }
+
+    /// Until the new one is in charge of the newest scan.
+    fn in_charge(&mut self) {
+        self.good_scans(7);
+        assert_eq!(self.swap.stage(), Stage::Standby);
+        assert_eq!(self.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+        assert_eq!((self.scan, self.swap.beside()), (17, OLD));
+        self.actions.clear();
+    }
+
+    fn certificate(&self) -> &Certificate {
+        match self.actions.last() {
+            Some(Action::Finish(certificate)) => certificate,
+            other => panic!("no certificate but {other:?}"),
+        }
+    }
+
+    fn refused(&self) -> &str {
+        assert_eq!(self.actions[0], Action::KillNew);
+        let certificate = self.certificate();
+        assert_eq!((certificate.outcome, self.swap.stage()), (SwapOutcome::Refused, Stage::Over));
+        assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (None, None));
+        &certificate.reason
+    }
+
+    /// That authority went back from `from_scan` on, at once.
+    fn rolled_back(&mut self, from_scan: u64) -> Certificate {
+        assert_eq!(self.actions, [Action::Authorise(exchange(OLD, NEW, from_scan)), Action::KillNew]);
+        assert_eq!(self.swap.beside(), NEW);
+        while self.swap.stage() == Stage::Settling {
+            self.publish();
+            self.output(Party::Old, 2, Ok(command(0.04)));
+            self.record();
+            self.send(Event::Tick);
+        }
+        assert_eq!(self.actions[2], Action::Authorise(exchange(OLD, 0, 0)));
+        let certificate = self.certificate().clone();
+        assert_eq!(certificate.outcome, SwapOutcome::RolledBack);
+        certificate
+    }
+}
+
+fn command(steering_rad: f64) -> Gist {
+    let kind = CommandKind::Drive.wire();
+    Gist::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
+}
+
+fn exchange(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
+    Authority { incarnation, previous, from_scan }
+}
+
+#[test]
+fn a_good_process_takes_over_and_the_old_one_ends_after_its_standby() {
+    let mut trial = Trial::new();
+    trial.good_scan();
+    assert_eq!((trial.swap.stage(), trial.swap.beside()), (Stage::Shadowing, NEW));
+    trial.good_scans(4);
+    // Five good scans from 11 to 15, so 17 is the first scan that is not published soon.
+    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+    trial.good_scans(6);
+    assert_eq!(trial.actions[1..], [Action::Authorise(exchange(NEW, 0, 0)), Action::Commit]);
+    trial.good_scan();
+    let expected = Certificate {
+        role: "controller".to_owned(),
+        from: "nmpc".to_owned(),
+        to: "other".to_owned(),
+        shadow_scans: 5,
+        last_scan_old: Some(16),
+        first_scan_new: Some(17),
+        outcome: SwapOutcome::Swapped,
+        ..Certificate::default()
+    };
+    assert_eq!(trial.certificate(), &expected);
+    let text = expected.to_string();
+    assert_eq!(
+        text,
+        "controller: other has taken over from nmpc at scan 17; 0 scans missed, 0 answered twice"
+    );
+}
+
+#[test]
+fn a_default_exchange_has_its_certificate_within_three_seconds() {
+    let mut trial = Trial::with(|plan| (plan.shadow_scans, plan.standby_scans) = (10, 10));
+    // Half a second for the start of the process.
+    for _ in 0..5 {
+        trial.publish();
+        trial.output(Party::Old, 2, Ok(command(0.04)));
+        trial.record();
+    }
+    while trial.swap.stage() != Stage::Over {
+        trial.good_scan();
+    }
+    assert!(trial.scan - 10 <= 28, "{} scans", trial.scan - 10);
+}
+
+#[test]
+fn a_process_without_output_is_refused_after_three_seconds() {
+    let mut trial = Trial::new();
+    trial.now_ns += FIRST_OUTPUT_NS - 1;
+    trial.send(Event::Tick);
+    assert!(trial.actions.is_empty());
+    trial.now_ns += 1;
+    trial.send(Event::Tick);
+    assert_eq!(trial.refused(), "no output within 3 s");
+}
+
+#[test]
+fn a_process_that_ends_is_refused_with_its_last_words() {
+    let mut trial = Trial::new();
+    trial.good_scans(2);
+    trial.send(Event::Exited(Party::New, "exit code 101: panicked".to_owned()));
+    assert_eq!(trial.refused(), "the new process ended: exit code 101: panicked");
+    let mut trial = Trial::new();
+    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
+    assert_eq!(trial.refused(), "the old process ended: exit code 1");
+}
+
+#[test]
+fn an_invalid_output_is_refused_at_once() {
+    let mut trial = Trial::new();
+    trial.publish();
+    trial.output(Party::New, 3, Err("command is not finite".to_owned()));
+    trial.send(Event::Tick);
+    assert_eq!(trial.refused(), "invalid output for scan 11: command is not finite");
+    let mut trial = Trial::new();
+    trial.publish();
+    trial.scan = u64::MAX;
+    let output =
+        Output { scan: u64::MAX, scan_published_ns: 0, published_ns: 0, content: Ok(command(0.04)) };
+    trial.send(Event::Output(Party::New, output));
+    trial.send(Event::Tick);
+    assert!(trial.refused().ends_with("there is no such scan"), "{}", trial.refused());
+}
+
+#[test]
+fn a_disagreement_is_forgiven_while_the_process_warms_up_and_not_later() {
+    let mut trial = Trial::new();
+    for _ in 0..5 {
+        trial.scan_with(command(0.048));
+    }
+    trial.good_scans(4);
+    assert_eq!(trial.swap.stage(), Stage::Shadowing, "the good scans count from the last bad one on");
+    assert!(trial.actions.is_empty());
+    trial.scan_with(command(0.048));
+    assert_eq!(
+        trial.refused(),
+        "disagreement at scan 20: steering angle differs by 0.0080 rad, allowed are 0.0060 rad"
+    );
+    let mut trial = Trial::with(|plan| plan.tolerance = 2.0);
+    (0..7).for_each(|_| trial.scan_with(command(0.048)));
+    assert_eq!(trial.swap.stage(), Stage::Standby, "twice the bounds");
+}
+
+#[test]
+fn two_late_outputs_are_forgiven_and_the_third_is_not() {
+    let mut trial = Trial::new();
+    trial.good_scan();
+    for _ in 0..3 {
+        assert!(trial.actions.is_empty());
+        trial.publish();
+        trial.output(Party::Old, 2, Ok(command(0.04)));
+        trial.output(Party::New, 51, Ok(command(0.04)));
+        trial.tick_at(52);
+    }
+    assert_eq!(trial.refused(), "late: output for scan 14 51.0 ms after the scan, allowed are 50.0 ms");
+    let mut trial = Trial::new();
+    trial.good_scan();
+    for _ in 0..3 {
+        assert!(trial.actions.is_empty());
+        trial.publish();
+        trial.output(Party::Old, 2, Ok(command(0.04)));
+        trial.tick_at(100);
+    }
+    assert_eq!(trial.refused(), "late: no output for scan 14 within a period");
+}
+
+#[test]
+fn nobody_is_judged_when_the_cause_lies_before_both() {
+    let mut trial = Trial::new();
+    trial.good_scan();
+    for _ in 0..5 {
+        // Both late, or none of them there: the estimator is slow or gone.
+        trial.publish();
+        trial.output(Party::Old, 60, Ok(command(0.04)));
+        trial.output(Party::New, 61, Ok(command(0.04)));
+        trial.tick_at(62);
+        trial.publish();
+        trial.tick_at(99);
+    }
+    assert!(trial.actions.is_empty());
+    assert_eq!(trial.swap.stage(), Stage::Shadowing);
+}
+
+#[test]
+fn a_death_in_charge_is_rolled_back_from_the_first_open_scan_on() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.publish();
+    trial.send(Event::Exited(Party::New, "killed by signal 9 (SIGKILL)".to_owned()));
+    // Scan 17 was answered, 18 was just published.
+    let certificate = trial.rolled_back(18);
+    assert_eq!(certificate.reason, "the new process ended: killed by signal 9 (SIGKILL)");
+    assert_eq!((certificate.missed_scans, certificate.first_scan_new), (0, Some(17)));
+}
+
+#[test]
+fn a_process_that_hangs_in_charge_is_rolled_back_before_the_actuator_blocks() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.publish();
+    trial.output(Party::Old, 2, Ok(command(0.04)));
+    // The last output was 3 ms after the scan before.
+    trial.tick_at(22);
+    assert!(trial.actions.is_empty());
+    trial.tick_at(23);
+    let certificate = trial.rolled_back(18);
+    assert_eq!(certificate.reason, "hangs: no output for scan 18, 1.2 periods after the last one");
+}
+
+#[test]
+fn an_invalid_or_different_output_in_charge_is_rolled_back() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.publish();
+    trial.output(Party::New, 3, Err("command is not finite".to_owned()));
+    trial.tick_at(4);
+    assert_eq!(trial.rolled_back(18).reason, "invalid output for scan 18: command is not finite");
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.publish();
+    trial.output(Party::Old, 2, Ok(command(0.04)));
+    trial.output(Party::New, 3, Ok(command(0.048)));
+    trial.tick_at(5);
+    assert!(trial.rolled_back(18).reason.starts_with("disagreement at scan 18"));
+}
+
+#[test]
+fn one_that_fails_before_its_first_scan_is_refused() {
+    let mut trial = Trial::new();
+    trial.good_scans(5);
+    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+    trial.send(Event::Exited(Party::New, "exit code 1".to_owned()));
+    assert_eq!(trial.actions[1..3], [Action::Authorise(exchange(OLD, 0, 0)), Action::KillNew]);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Refused);
+}
+
+#[test]
+fn the_new_one_stays_when_the_old_one_ends_during_its_standby() {
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
+    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17)), Action::Commit]);
+    trial.good_scans(3);
+    trial.send(Event::Tick);
+    assert_eq!(trial.actions[2], Action::Authorise(exchange(NEW, 0, 0)));
+    let certificate = trial.certificate();
+    assert_eq!((certificate.outcome, certificate.first_scan_new), (SwapOutcome::Swapped, Some(17)));
+}
+
+#[test]
+fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
+    let mut trial = Trial::new();
+    trial.good_scans(5);
+    trial.actions.clear();
+    trial.publish();
+    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
+    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 16)), Action::Commit]);
+    assert_eq!(trial.swap.beside(), OLD);
+}
+
+#[test]
+fn in_lock_step_stamps_do_not_matter_and_a_hang_is_one_of_the_machines_time() {
+    let mut trial = Trial::with(|plan| plan.lockstep = true);
+    for _ in 0..7 {
+        trial.publish();
+        trial.output(Party::Old, 2, Ok(command(0.04)));
+        trial.output(Party::New, 90, Ok(command(0.04)));
+        assert!(trial.swap.both_answered(trial.scan));
+        trial.tick_at(90);
+        trial.record();
+    }
+    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+    trial.actions.clear();
+    trial.publish();
+    trial.output(Party::Old, 2, Ok(command(0.04)));
+    assert!(!trial.swap.both_answered(trial.scan));
+    trial.tick_at(501);
+    assert!(trial.actions.is_empty());
+    trial.tick_at(502);
+    assert_eq!(trial.rolled_back(18).reason, "hangs: no output for scan 18 within 0.5 s");
+}
+
+#[test]
+fn the_end_of_the_run_ends_an_exchange_in_favour_of_who_is_in_charge() {
+    let mut trial = Trial::new();
+    trial.good_scans(2);
+    trial.send(Event::RunEnds);
+    assert_eq!(trial.refused(), "the run ended");
+    let mut trial = Trial::new();
+    trial.in_charge();
+    trial.send(Event::RunEnds);
+    assert_eq!(trial.actions[..2], [Action::Authorise(exchange(NEW, 0, 0)), Action::Commit]);
+    assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
+    trial.send(Event::RunEnds);
+    assert_eq!(trial.actions.len(), 3, "once");
+}
+
+#[test]
+fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only() {
+    let mut trial = Trial::new();
+    // Scans 11 to 15, the change at 17; then 0.01 rad and 0.2 m/s between 16 and 17, and 0.5 rad far from it.
+    let desired = |scan: u64| match scan {
+        11 => [0.5, 1.0],
+        12..=16 => [0.0, 1.0],
+        17..=21 => [0.01, 1.2],
+        _ => [0.5, 1.2],
+    };
+    while trial.swap.stage() != Stage::Over {
+        trial.publish();
+        trial.output(Party::Old, 2, Ok(command(0.04)));
+        trial.output(Party::New, 3, Ok(command(0.04)));
+        trial.tick_at(5);
+        let scan = trial.scan;
+        let answers = [(13, 0), (19, 2)].iter().find(|(at, _)| *at == scan).map_or(1, |(_, count)| *count);
+        trial.send(Event::Recorded { scan, answers, desired: desired(scan) });
+    }
+    let certificate = trial.certificate();
+    assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (1, 1));
+    assert!((certificate.command_jump_rad - 0.01).abs() < 1e-12);
+    assert!((certificate.command_jump_mps - 0.2).abs() < 1e-12);
+}

@@ -1,0 +1,85 @@
+//! The controller with a fault, for tests of exchanges.
+//!
+//! `odd-controller none | nan | steer | late | hang-after N | exit-after N`
+
+use runtime::{Handover, Process, RuntimeError, join, wait_for};
+use shared_types::{Command, Obstacles, Pose, Role};
+
+/// How long the late one waits before it answers: more than half a period of 100 ms, less than a whole one [ns].
+const LATE_NS: u64 = 70_000_000;
+
+/// What is wrong with it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    NotANumber,
+    SteersMore,
+    Late,
+    HangsAfter(u64),
+    ExitsAfter(u64),
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let fault = fault(&arguments).ok_or("usage: odd-controller none|nan|steer|late|hang-after N|exit-after N")?;
+    run(fault)
+}
+
+fn fault(arguments: &[String]) -> Option<Fault> {
+    let number = || arguments.get(1)?.parse().ok();
+    Some(match arguments.first()?.as_str() {
+        "none" => Fault::None,
+        "nan" => Fault::NotANumber,
+        "steer" => Fault::SteersMore,
+        "late" => Fault::Late,
+        "hang-after" => Fault::HangsAfter(number()?),
+        "exit-after" => Fault::ExitsAfter(number()?),
+        _ => return None,
+    })
+}
+
+fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
+    let mut process = Process::attach(Role::Controller)?;
+    let config = process.settings::<nmpc::Config>("controller")?;
+    let budget = nmpc::Budget::Iterations(config.budget_iterations);
+    let mut controller = nmpc::Controller::new(config)?;
+    let poses = process.input::<Pose>()?;
+    let obstacles = process.input::<Obstacles>()?;
+    let commands = process.output::<Command>()?;
+    if let Handover::State(state) = process.resume()? {
+        controller.resume(&state);
+    }
+    if !process.start()? {
+        return Ok(());
+    }
+    let mut count = 0;
+    while process.wait(None)? {
+        while let Some((pose, obstacles)) = join(&poses, &obstacles) {
+            let mut command = controller.step(&pose, &obstacles, &budget);
+            count += 1;
+            match fault {
+                Fault::NotANumber => command.steering_rad = f64::NAN,
+                Fault::SteersMore => command.steering_rad *= 1.2,
+                Fault::Late => {
+                    wait_for(&[], LATE_NS);
+                }
+                Fault::HangsAfter(limit) if count > limit => hang(),
+                Fault::ExitsAfter(limit) if count > limit => return Err(gone().into()),
+                Fault::None | Fault::HangsAfter(_) | Fault::ExitsAfter(_) => {}
+            }
+            commands.publish(&mut command)?;
+        }
+    }
+    Ok(())
+}
+
+/// Deaf to everything but a kill.
+fn hang() -> ! {
+    loop {
+        wait_for(&[], 100_000_000);
+    }
+}
+
+fn gone() -> RuntimeError {
+    RuntimeError::NotRunning("this one".to_owned())
+}
