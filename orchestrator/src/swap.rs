@@ -343,7 +343,8 @@ impl Swap {
     /// Looks at all scans that can be judged by now, the oldest first.
     fn judge(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let first_new = self.first_new.unwrap_or(u64::MAX);
-        let open: Vec<u64> = self.pairs.iter().filter(|(_, pair)| !pair.judged).map(|(scan, _)| *scan).collect();
+        let open: Vec<u64> =
+            self.pairs.iter().filter(|(_, pair)| !pair.judged).map(|(scan, _)| *scan).collect();
         for scan in open {
             let in_charge = self.stage == Stage::Standby && scan >= self.from_scan;
             if scan < first_new {
@@ -368,7 +369,9 @@ impl Swap {
                     }
                 }
                 Verdict::Apart(_) if !in_charge && self.outputs <= WARM_UP => self.streak = 0,
-                Verdict::Apart(reason) | Verdict::Bad(reason) => return self.give_up(now_ns, reason, actions),
+                Verdict::Apart(reason) | Verdict::Bad(reason) => {
+                    return self.give_up(now_ns, reason, actions);
+                }
             }
         }
         if self.stage == Stage::Shadowing && self.streak >= self.plan.shadow_scans {

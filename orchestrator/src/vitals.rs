@@ -43,7 +43,11 @@ impl Vitals {
     /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`.
     ///
     /// The state of the incarnation `beside` is nobody's to go on from: it does not count, or not any more.
-    pub(crate) fn poll(&mut self, beside: Option<u32>, mut each: impl FnMut(Event)) -> Result<(), RuntimeError> {
+    pub(crate) fn poll(
+        &mut self,
+        beside: Option<u32>,
+        mut each: impl FnMut(Event),
+    ) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
         self.checkpoints.poll(|checkpoint| {
             if let Ok(role) = Role::try_from(checkpoint.role)

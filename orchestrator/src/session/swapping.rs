@@ -97,14 +97,15 @@ impl Swaps {
     ) -> Result<(Role, ProcessEntry), String> {
         let role = request.role.parse::<Role>().map_err(|unknown| unknown.to_string())?;
         if role == Role::Robot {
-            return Err("the robot is not exchanged: its wheels and its place cannot be handed over".to_owned());
+            return Err(
+                "the robot is not exchanged: its wheels and its place cannot be handed over".to_owned()
+            );
         }
         let entry = fleet
             .entry_with(role, request.implementation.clone(), request.command.clone())
             .ok_or_else(|| format!("no process of role {role}"))?;
         entry.validate().map_err(|invalid| invalid.to_string())?;
-        for (key, scans) in
-            [("shadow-scans", request.shadow_scans), ("standby-scans", request.standby_scans)]
+        for (key, scans) in [("shadow-scans", request.shadow_scans), ("standby-scans", request.standby_scans)]
         {
             if !(1..=MOST_SCANS).contains(&scans) {
                 return Err(format!("--{key} {scans} is not allowed: 1 to {MOST_SCANS}"));
@@ -218,7 +219,9 @@ impl Session {
         let Some(Exchange { swap, .. }) = &self.swaps.current else { return };
         let Some((pid, implementation, load)) = self.fleet.candidate() else { return };
         let (plan, stage) = (swap.plan(), swap.stage());
-        let Some(index) = processes.iter().position(|process| process.role == plan.role.name()) else { return };
+        let Some(index) = processes.iter().position(|process| process.role == plan.role.name()) else {
+            return;
+        };
         let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(plan.new);
         let state = match stage {
             Stage::Starting => VisibleState::Starting,
@@ -282,7 +285,8 @@ impl Session {
             return Ok(());
         }
         self.progress.note(&format!("{role}: {} starts beside {}", plan.to, plan.from));
-        self.swaps.current = Some(Exchange { swap: Swap::new(monotonic_ns(), plan), watch, connected_at: None });
+        self.swaps.current =
+            Some(Exchange { swap: Swap::new(monotonic_ns(), plan), watch, connected_at: None });
         Ok(())
     }
 
@@ -295,7 +299,9 @@ impl Session {
     }
 
     fn carry_out_swap(&mut self, action: Action) -> anyhow::Result<()> {
-        let Some(plan) = self.swaps.current.as_ref().map(|exchange| exchange.swap.plan()) else { return Ok(()) };
+        let Some(plan) = self.swaps.current.as_ref().map(|exchange| exchange.swap.plan()) else {
+            return Ok(());
+        };
         let (role, old, new) = (plan.role, plan.old, plan.new);
         match action {
             Action::Authorise(authority) => {

@@ -218,7 +218,10 @@ mod tests {
     fn poses_are_compared_across_the_turn_of_the_angle() {
         let pose = |yaw_rad, x_m| Gist::from(&Pose { yaw_rad, x_m, ..Pose::default() });
         assert_eq!(said(&pose(3.14, 1.0), &pose(-3.14, 1.04)), "");
-        assert_eq!(said(&pose(0.0, 1.0), &pose(0.0, 1.06)), "position differs by 0.0600 m, allowed are 0.0500 m");
+        assert_eq!(
+            said(&pose(0.0, 1.0), &pose(0.0, 1.06)),
+            "position differs by 0.0600 m, allowed are 0.0500 m"
+        );
         assert!(said(&pose(0.0, 1.0), &pose(0.021, 1.0)).starts_with("yaw differs by 0.0210 rad"));
         assert!(said(&pose(0.0, 1.0), &pose(f64::NAN, 1.0)).starts_with("yaw differs by NaN rad"));
     }
@@ -236,8 +239,15 @@ mod tests {
         // Two ellipses of one body count once, and the numbers of bodies may differ.
         let old = described(&[(1, 5.0, 9), (1, 5.0, 9), (2, 8.0, 9)]);
         assert_eq!(said(&old, &described(&[(7, 7.8, 9), (4, 5.2, 9)])), "");
-        assert_eq!(said(&old, &described(&[(1, 5.0, 9)])), "only the old one has a body within 0.3 m of (8.00, 0.00) m");
+        assert_eq!(
+            said(&old, &described(&[(1, 5.0, 9)])),
+            "only the old one has a body within 0.3 m of (8.00, 0.00) m"
+        );
         assert!(said(&described(&[(1, 5.0, 9)]), &old).starts_with("only the new one"));
-        assert_eq!(said(&old, &described(&[(1, 5.0, 9), (2, 8.0, 9), (3, 9.5, 1)])), "", "just come into view");
+        assert_eq!(
+            said(&old, &described(&[(1, 5.0, 9), (2, 8.0, 9), (3, 9.5, 1)])),
+            "",
+            "just come into view"
+        );
     }
 }

@@ -25,7 +25,9 @@ impl fmt::Display for Certificate {
             (SwapOutcome::Swapped, Some(first)) => {
                 write!(formatter, "{role}: {to} has taken over from {from} at scan {first}{because}")?;
             }
-            (SwapOutcome::RolledBack, _) => write!(formatter, "{role}: {to} was rolled back to {from}{because}")?,
+            (SwapOutcome::RolledBack, _) => {
+                write!(formatter, "{role}: {to} was rolled back to {from}{because}")?
+            }
             _ => return write!(formatter, "{role}: {to} was refused, {from} goes on{because}"),
         }
         write!(formatter, "; {missed_scans} scans missed, {duplicate_scans} answered twice")

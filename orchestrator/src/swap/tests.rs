@@ -2,7 +2,9 @@
 
 use shared_types::{Authority, Command, CommandKind, Role};
 
-use super::{Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Stage, Swap, SwapOutcome};
+use super::{
+    Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Stage, Swap, SwapOutcome,
+};
 
 const PERIOD_NS: u64 = 100_000_000;
 const OLD: u32 = 4;
@@ -220,8 +222,7 @@ fn an_invalid_output_is_refused_at_once() {
     let mut trial = Trial::new();
     trial.publish();
     trial.scan = u64::MAX;
-    let output =
-        Output { scan: u64::MAX, scan_published_ns: 0, published_ns: 0, content: Ok(command(0.04)) };
+    let output = Output { scan: u64::MAX, scan_published_ns: 0, published_ns: 0, content: Ok(command(0.04)) };
     trial.send(Event::Output(Party::New, output));
     trial.send(Event::Tick);
     assert!(trial.refused().ends_with("there is no such scan"), "{}", trial.refused());

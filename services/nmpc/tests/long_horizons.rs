@@ -77,7 +77,7 @@ fn both_ways_find_the_same_solutions() {
 }
 
 #[test]
-fn the_work_per_iteration_does_not_grow_with_the_length() {
+fn the_number_of_iterations_does_not_depend_on_the_length() {
     // Newton's method in function space: the number of iterations must not depend on the mesh.
     let mut solver = Solver::new(SolverSettings::default());
     let mut medians = Vec::new();

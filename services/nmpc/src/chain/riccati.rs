@@ -317,7 +317,8 @@ fn invert(matrix: &[[f64; 2]; 2], free: [bool; 2], least: f64) -> Option<[[f64; 
     match free {
         [true, true] => {
             let determinant = matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0];
-            if !(matrix[0][0] > least && determinant > least * matrix[0][0]) {
+            let safe = matrix[0][0] > least && determinant > least * matrix[0][0];
+            if !safe {
                 return None;
             }
             inverse[0] = [matrix[1][1] / determinant, -matrix[0][1] / determinant];
@@ -326,10 +327,11 @@ fn invert(matrix: &[[f64; 2]; 2], free: [bool; 2], least: f64) -> Option<[[f64; 
         [false, false] => {}
         _ => {
             let place = usize::from(free[1]);
-            if !(matrix[place][place] > least) {
+            let curvature = matrix[place][place];
+            if curvature <= least || curvature.is_nan() {
                 return None;
             }
-            inverse[place][place] = 1.0 / matrix[place][place];
+            inverse[place][place] = 1.0 / curvature;
         }
     }
     Some(inverse)

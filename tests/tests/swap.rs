@@ -1,0 +1,342 @@
+//! Processes exchanged while the robot drives: without a missed scan, or not at all.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::{Child, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use emulator::Outcome;
+use orchestrator::swap::{Certificate, SwapOutcome};
+use rustix::process::Signal;
+use scanloop_tests::System;
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
+
+/// Built-in implementations of the roles that can be exchanged.
+const BUILT_IN: [(Role, &str); 4] = [
+    (Role::Estimator, "ekf"),
+    (Role::Obstacles, "ellipses"),
+    (Role::Actuator, "actuation"),
+    (Role::Controller, "nmpc"),
+];
+
+/// Exchanges one process; the exit code must be that of the outcome.
+fn swap(system: &System, arguments: &[&str]) -> Certificate {
+    certificate(&system.run(&with_json(arguments)))
+}
+
+/// Begins an exchange and does not wait for its end.
+fn begin(system: &System, arguments: &[&str]) -> Child {
+    let mut command = system.command(&with_json(arguments));
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+fn with_json<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
+    [&["swap", "--json"], arguments].concat()
+}
+
+fn certificate(output: &Output) -> Certificate {
+    let certificate: Certificate = serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+    let swapped = certificate.outcome == SwapOutcome::Swapped;
+    assert_eq!(output.status.code(), Some(i32::from(!swapped)), "{certificate:?}");
+    certificate
+}
+
+/// That nobody but the one who asked has noticed the exchange.
+fn assert_seamless(certificate: &Certificate) {
+    assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (0, 0), "{certificate:?}");
+    if let (Some(last), Some(first)) = (certificate.last_scan_old, certificate.first_scan_new) {
+        assert_eq!(first, last + 1);
+    }
+}
+
+/// That the run reached its goal, answered every scan once and knows of its exchanges.
+fn assert_reached(mut system: System, certificates: &[Certificate]) {
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Reached);
+    let scans = &report.scans;
+    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    assert_eq!(report.swaps, certificates);
+    assert!(report.processes.iter().all(|process| process.restarts == 0), "{:?}", report.processes);
+    system.assert_nothing_left();
+}
+
+/// Rows of `status` of one role: process id and state, who is in charge first.
+fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
+    let processes = system.status().map(|status| status.processes).unwrap_or_default();
+    processes
+        .into_iter()
+        .filter(|process| process.role == role.name())
+        .map(|process| (process.pid, process.state))
+        .collect()
+}
+
+/// Begins an exchange with a long standby and waits until the new process is in charge; returns both ids.
+fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
+    let all = [&[role.name(), "--standby-scans", "40"], arguments].concat();
+    let child = begin(system, &all);
+    system.wait_until("the old one stands by", |system| {
+        rows(system, role).get(1).is_some_and(|(_, state)| state == "standby")
+    });
+    let rows = rows(system, role);
+    // Three more scans: it is not only named but has answered.
+    let scan = system.status().unwrap().scan;
+    system.wait_until("the new one answers", |system| {
+        system.status().is_some_and(|status| status.scan > scan + 3)
+    });
+    (child, rows[0].0, rows[1].0)
+}
+
+#[test]
+fn the_controller_is_exchanged_within_three_seconds_and_no_scan_is_missed() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let old = system.pid(Role::Controller);
+    let started = Instant::now();
+    let certificate = swap(&system, &["controller", "--to", "nmpc"]);
+    assert!(started.elapsed() < Duration::from_secs(3), "{:?}", started.elapsed());
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    assert_eq!((certificate.from.as_str(), certificate.to.as_str()), ("nmpc", "nmpc"));
+    assert_eq!(certificate.shadow_scans, 10);
+    assert_seamless(&certificate);
+    // What the controller itself may change in a scan.
+    assert!(certificate.command_jump_rad < 0.03 && certificate.command_jump_mps < 0.3, "{certificate:?}");
+    assert_ne!(system.pid(Role::Controller), old);
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn estimator_obstacles_and_actuator_are_exchanged_one_after_the_other() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let mut certificates = Vec::new();
+    for (role, implementation) in &BUILT_IN[..3] {
+        let certificate = swap(&system, &[role.name(), "--to", implementation]);
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+        assert_seamless(&certificate);
+        certificates.push(certificate);
+    }
+    assert_reached(system, &certificates);
+}
+
+#[test]
+fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let mut certificates = Vec::new();
+    for (command, reason) in [
+        (vec!["scanloop-no-such-command"], "command `scanloop-no-such-command` was not found"),
+        (vec!["false"], "the new process ended: exit code 1"),
+        (vec!["sleep", "60"], "no output within 3 s"),
+        (vec![ODD, "steer"], "steering angle differs by"),
+        (vec![ODD, "nan"], "command is not finite"),
+        (vec![ODD, "late"], "ms after the scan, allowed are 50.0 ms"),
+        (vec![ODD, "exit-after", "3"], "the new process ended: exit code 1"),
+        (vec![ODD, "hang-after", "3"], "late: no output for scan"),
+    ] {
+        let certificate = swap(&system, &[vec!["controller", "--"], command].concat());
+        assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+        assert!(certificate.reason.contains(reason), "{}", certificate.reason);
+        assert_seamless(&certificate);
+        certificates.push(certificate);
+    }
+    assert_reached(system, &certificates);
+}
+
+#[test]
+fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let certificate = swap(&system, &["controller", "--tolerance", "10", "--", ODD, "steer"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    assert_seamless(&certificate);
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
+    for (role, implementation) in BUILT_IN {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["corridor"]);
+        let (child, new, old) = standby(&system, role, &["--to", implementation]);
+        system.signal(new, Signal::KILL);
+        let certificate = certificate(&child.wait_with_output().unwrap());
+        assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
+        assert!(certificate.reason.contains("killed by signal 9"), "{}", certificate.reason);
+        assert_seamless(&certificate);
+        assert_eq!(rows(&system, role), [(old, "ready".to_owned())]);
+        assert_reached(system, &[certificate]);
+    }
+}
+
+#[test]
+fn one_that_hangs_in_charge_is_rolled_back_before_the_wheels_are_blocked() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let arguments = ["controller", "--standby-scans", "40", "--", ODD, "hang-after", "30"];
+    let certificate = swap(&system, &arguments);
+    assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
+    assert!(certificate.reason.starts_with("hangs: no output for scan"), "{}", certificate.reason);
+    assert_seamless(&certificate);
+    assert!(certificate.command_jump_mps < 0.3, "the wheels were blocked: {certificate:?}");
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn the_new_one_stays_when_the_old_one_is_killed_while_it_stands_by() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let (child, new, old) = standby(&system, Role::Controller, &["--to", "nmpc"]);
+    system.signal(old, Signal::KILL);
+    let certificate = certificate(&child.wait_with_output().unwrap());
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
+    assert_eq!(certificate.reason, "the old process ended: killed by signal 9 (SIGKILL)");
+    assert_seamless(&certificate);
+    assert_eq!(rows(&system, Role::Controller), [(new, "ready".to_owned())]);
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn one_that_took_over_is_supervised_like_the_one_before() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let certificate = swap(&system, &["controller", "--", ODD, "none"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    let pid = system.pid(Role::Controller);
+    system.signal(pid, Signal::KILL);
+    system.wait_until("it is started again", |system| {
+        rows(system, Role::Controller).first().is_some_and(|(new, state)| state == "ready" && *new != pid)
+    });
+    let status = system.status().unwrap();
+    let process = status.processes.iter().find(|process| process.role == "controller").unwrap();
+    assert!(process.implementation.ends_with("odd-controller none"), "{}", process.implementation);
+    assert_eq!(process.restarts, 1);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    system.assert_nothing_left();
+}
+
+#[test]
+fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
+    let mut system = System::new(EXECUTABLE);
+    let exit = |system: &System, arguments: &[&str]| {
+        let output = system.run(&[&["swap"], arguments].concat());
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, message) = exit(&system, &["controller", "--to", "nmpc"]);
+    assert_eq!(code, Some(2));
+    assert!(message.contains("is not running"), "{message}");
+    system.start(&["corridor"]);
+    for (arguments, message) in [
+        (vec!["pilot", "--to", "nmpc"], "unknown role `pilot`"),
+        (vec!["robot", "--to", "emulator"], "the robot is not exchanged"),
+        (vec!["controller", "--to", "ekf"], "one of nmpc for role controller"),
+        (vec!["controller"], "required"),
+        (vec!["controller", "--to", "nmpc", "--", "sleep", "1"], "cannot be used with"),
+        (vec!["controller", "--to", "nmpc", "--shadow-scans", "0"], "shadow-scans"),
+        (vec!["controller", "--to", "nmpc", "--tolerance", "nan"], "--tolerance NaN is not allowed"),
+    ] {
+        let (code, said) = exit(&system, &arguments);
+        assert_eq!(code, Some(2), "{said}");
+        assert!(said.contains(message), "{said}");
+    }
+    let first = begin(&system, &["controller", "--to", "nmpc"]);
+    system.wait_until("a shadow", |system| {
+        rows(system, Role::Controller).get(1).is_some_and(|(_, state)| state == "shadow")
+    });
+    let (code, message) = exit(&system, &["estimator", "--to", "ekf"]);
+    assert_eq!(code, Some(2));
+    assert!(message.contains("another exchange is going on"), "{message}");
+    assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(2));
+    let certificate = certificate(&first.wait_with_output().unwrap());
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn a_run_that_ends_takes_the_new_process_with_it() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let shadow = begin(&system, &["controller", "--to", "nmpc", "--shadow-scans", "1000"]);
+    system.wait_until("a shadow", |system| rows(system, Role::Controller).len() == 2);
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    let certificate = certificate(&shadow.wait_with_output().unwrap());
+    assert_eq!((certificate.outcome, certificate.reason.as_str()), (SwapOutcome::Refused, "the run ended"));
+    system.wait();
+    system.assert_nothing_left();
+    // In charge, it has the last word.
+    system.start(&["corridor"]);
+    let (child, ..) = standby(&system, Role::Actuator, &["--to", "actuation"]);
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(self::certificate(&child.wait_with_output().unwrap()).outcome, SwapOutcome::Swapped);
+    system.wait();
+    assert_eq!(system.report().drive.final_speed_mps, 0.0, "the robot stands at the end");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn forty_exchanges_in_lock_step_miss_no_scan_and_answer_none_twice() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--lockstep", "--duration", "9000"]);
+    let mut certificates = Vec::new();
+    for _ in 0..10 {
+        for (role, implementation) in BUILT_IN {
+            let certificate = swap(&system, &[role.name(), "--to", implementation]);
+            assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+            assert_seamless(&certificate);
+            certificates.push(certificate);
+        }
+    }
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let report = system.report();
+    let scans = &report.scans;
+    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    assert_eq!(report.swaps, certificates);
+    system.assert_nothing_left();
+}
+
+/// The new process begins with the state after the last scan before it, so it says what the old one says.
+#[test]
+fn an_exchange_in_lock_step_changes_no_bit_of_the_drive() {
+    let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "600"]);
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--lockstep", "--duration", "600"]);
+    let mut certificates = Vec::new();
+    for (role, implementation) in &BUILT_IN[1..] {
+        certificates.push(swap(&system, &[role.name(), "--to", implementation]));
+    }
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let report = system.report();
+    assert!(certificates.iter().all(|certificate| certificate.outcome == SwapOutcome::Swapped));
+    let count = report.trajectory.len();
+    assert!(count as u64 > certificates[2].first_scan_new.unwrap(), "it drove on after the last exchange");
+    assert_eq!(report.trajectory, undisturbed.trajectory[..count]);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn bad_processes_are_refused_or_rolled_back_in_lock_step_too() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--lockstep", "--duration", "9000"]);
+    for (command, outcome) in [
+        (vec!["false"], SwapOutcome::Refused),
+        (vec![ODD, "nan"], SwapOutcome::Refused),
+        (vec![ODD, "hang-after", "20"], SwapOutcome::RolledBack),
+        (vec![ODD, "exit-after", "20"], SwapOutcome::RolledBack),
+    ] {
+        let standby = ["controller", "--standby-scans", "40", "--"];
+        let certificate = swap(&system, &[standby.to_vec(), command].concat());
+        assert_eq!(certificate.outcome, outcome, "{certificate:?}");
+        assert_seamless(&certificate);
+    }
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let scans = system.report().scans;
+    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    system.assert_nothing_left();
+}
