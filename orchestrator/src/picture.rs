@@ -3,7 +3,7 @@
 //! The map has the same scale in both directions. It shows the part of the track that was driven; a long drive is
 //! folded into several strips, one above the other. Everything is clipped to the strip it is drawn in, because
 //! the drawing library would pull points outside the axes to the border. The library knows whole pixels only,
-//! so the picture is drawn [`FINE`] times larger and declared that much smaller.
+//! so the picture is drawn `FINE` times larger and declared that much smaller.
 
 pub mod chart;
 mod clip;

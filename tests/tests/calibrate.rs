@@ -1,5 +1,4 @@
 //! A robot is calibrated from its own runs and then reaches its goal; what cannot be calibrated is refused.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use scanloop_tests::System;
 

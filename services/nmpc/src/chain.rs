@@ -82,6 +82,8 @@ pub(crate) struct Chain {
     /// B and q with what the solver adds to them.
     blocks: Vec<Block>,
     sums: Vec<[f64; 7]>,
+    /// Derivatives of the objective at the point of the interior-point method.
+    base: Vec<[f64; 7]>,
     held: Vec<f64>,
     equations: Vec<usize>,
     violations: Vec<f64>,

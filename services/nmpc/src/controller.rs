@@ -247,9 +247,6 @@ impl Controller {
                     sides: &self.sides,
                 };
                 self.search.find(&query, &mut self.guide);
-                if std::env::var_os("DBG").is_some() && !self.guide.clear {
-                    eprintln!("unclear {query:?}\n {:?}", self.guide);
-                }
                 if self.guide.clear || !moving {
                     break;
                 }

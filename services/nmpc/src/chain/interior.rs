@@ -30,47 +30,44 @@ pub(super) struct Side {
     relief: f64,
     /// Targets of the two products, less their second-order terms.
     targets: [f64; 2],
+    /// Changes of slack and multiplier without a change of the value.
+    still: [f64; 2],
     /// Changes of distance, multiplier, slack and relief.
     changes: [f64; 4],
+    /// 1 / (relief + 2 L2 slack) of a soft side, and the reciprocal of what is left of the distance after the slack.
+    inner: f64,
+    outer: f64,
 }
 
 impl Side {
-    /// The weight of the square of the value in the eliminated system.
-    fn weight(&self, bend: f64) -> f64 {
-        self.multiplier / (self.distance + self.multiplier * self.softness(bend))
-    }
-
-    /// Change of the slack per change of the multiplier.
-    fn softness(&self, bend: f64) -> f64 {
-        match self.owner {
+    /// Fills the factors of the elimination at the present values.
+    fn prepare(&mut self, bend: f64) {
+        self.inner = match self.owner {
             Owner::Control(_) => 0.0,
-            Owner::Row(_) => self.slack / (self.relief + bend * self.slack),
-        }
-    }
-
-    /// What the slack and the multiplier would change by if the value stayed.
-    fn still(&self, bend: f64) -> [f64; 2] {
-        let slack = match self.owner {
-            Owner::Control(_) => 0.0,
-            Owner::Row(_) => (self.targets[1] - self.slack * self.relief) / (self.relief + bend * self.slack),
+            Owner::Row(_) => 1.0 / (self.relief + bend * self.slack),
         };
-        let short = self.targets[0] - self.distance * self.multiplier;
-        let multiplier =
-            (short - self.multiplier * slack) / (self.distance + self.multiplier * self.softness(bend));
-        [slack, multiplier]
+        self.outer = 1.0 / (self.distance + self.multiplier * self.slack * self.inner);
     }
 
-    /// Linear term of the change of the value in the eliminated system.
-    fn slope(&self, bend: f64) -> f64 {
-        self.sign * (self.multiplier + self.still(bend)[1])
+    /// The weight of the square of the value in the eliminated system.
+    fn weight(&self) -> f64 {
+        self.multiplier * self.outer
+    }
+
+    /// Linear term of the change of the value in the eliminated system; keeps what the slack and the multiplier would
+    /// change by if the value stayed.
+    fn slope(&mut self) -> f64 {
+        let slack = (self.targets[1] - self.slack * self.relief) * self.inner;
+        let short = self.targets[0] - self.distance * self.multiplier;
+        self.still = [slack, (short - self.multiplier * slack) * self.outer];
+        self.sign * (self.multiplier + self.still[1])
     }
 
     /// Fills the changes for a change of the value.
     fn change(&mut self, bend: f64, change: f64) {
         let moved = self.sign * change;
-        let [slack, multiplier] = self.still(bend);
-        let multiplier = multiplier + self.weight(bend) * moved;
-        let slack = slack + self.softness(bend) * multiplier;
+        let multiplier = self.still[1] + self.weight() * moved;
+        let slack = self.still[0] + self.slack * self.inner * multiplier;
         self.changes = [slack - moved, multiplier, slack, bend * slack - multiplier];
     }
 
@@ -125,6 +122,7 @@ impl Chain {
                 break;
             }
             self.weigh(blocks);
+            self.find_slopes(blocks);
             let intervals = &shooting.intervals;
             let states = &solution.bound_states;
             if !self.riccati.factorise(intervals, &self.blocks, &self.change, self.tied, states) {
@@ -134,14 +132,14 @@ impl Chain {
             for side in &mut self.sides {
                 side.targets = [0.0; 2];
             }
-            self.direct(shooting, blocks, bend);
+            self.direct(shooting, bend);
             let affine = self.centre(self.reach().min(1.0));
             let target = centre * (affine / centre).powi(3);
             for side in &mut self.sides {
                 let [distance, multiplier, slack, relief] = side.changes;
                 side.targets = [target - distance * multiplier, target - slack * relief];
             }
-            self.direct(shooting, blocks, bend);
+            self.direct(shooting, bend);
             let step = (SHARE * self.reach()).min(1.0);
             for side in &mut self.sides {
                 let [distance, multiplier, slack, relief] = side.changes;
@@ -176,6 +174,9 @@ impl Chain {
         const PRODUCT: f64 = 1.0;
         /// Controls start this share of their range inside.
         const INSIDE: f64 = 0.1;
+        /// Limits this far away, in m and rad, are left out: no useful step reaches them. The search that follows sees
+        /// them again.
+        const FAR: f64 = 2.0;
         solution.reset(self.lower.len(), self.rows.len());
         self.held.clear();
         self.held.resize(self.lower.len(), 0.0);
@@ -191,7 +192,10 @@ impl Chain {
             slack: 0.0,
             relief: 0.0,
             targets: [0.0; 2],
+            still: [0.0; 2],
             changes: [0.0; 4],
+            inner: 0.0,
+            outer: 0.0,
         };
         for (place, (&lower, &upper)) in self.lower.iter().zip(&self.upper).enumerate() {
             let room = upper - lower;
@@ -211,10 +215,10 @@ impl Chain {
         for (index, row) in self.rows.iter().enumerate() {
             let value = row.value(&self.point.states);
             for (sign, limit) in [(1.0, row.upper), (-1.0, row.lower)] {
-                if limit.is_infinite() {
+                let excess = sign * (value - limit);
+                if excess < -FAR {
                     continue;
                 }
-                let excess = sign * (value - limit);
                 let slack = excess.max(0.0) + PRODUCT / self.slack_linear.max(1.0);
                 let distance = slack - excess;
                 let most = self.slack_linear + 2.0 * self.slack_quadratic * slack;
@@ -235,8 +239,9 @@ impl Chain {
             block[5][5] += self.damping[0];
             block[6][6] += self.damping[1];
         }
-        for side in &self.sides {
-            let weight = side.weight(bend);
+        for side in &mut self.sides {
+            side.prepare(bend);
+            let weight = side.weight();
             match side.owner {
                 Owner::Control(place) => {
                     self.blocks[place / 2][5 + place % 2][5 + place % 2] += weight;
@@ -249,10 +254,10 @@ impl Chain {
     /// Solves for the step, into the path, and fills the changes of the sides.
     ///
     /// The step and not the new point is solved for, because weights of 1e10 times a value would drown the rest.
-    fn direct(&mut self, shooting: &Shooting, blocks: &[Block], bend: f64) {
-        self.find_slopes(blocks);
-        for side in &self.sides {
-            let slope = side.slope(bend);
+    fn direct(&mut self, shooting: &Shooting, bend: f64) {
+        self.sums.clone_from(&self.base);
+        for side in &mut self.sides {
+            let slope = side.slope();
             match side.owner {
                 Owner::Control(place) => self.sums[place / 2][5 + place % 2] += slope,
                 Owner::Row(row) => self.rows[row].add_to(slope, &mut self.sums),
@@ -270,9 +275,9 @@ impl Chain {
 
     /// Derivatives of the objective at the point, node by node.
     fn find_slopes(&mut self, blocks: &[Block]) {
-        self.sums.clone_from(&self.slopes);
+        self.base.clone_from(&self.slopes);
         let Path { states, controls, .. } = &self.point;
-        for (node, (sums, block)) in self.sums.iter_mut().zip(blocks).enumerate() {
+        for (node, (sums, block)) in self.base.iter_mut().zip(blocks).enumerate() {
             let control = controls.get(node).copied().unwrap_or_default();
             let values = states[node].iter().chain(&control);
             for (value, column) in values.zip(block) {
@@ -285,12 +290,12 @@ impl Chain {
         for (index, control) in controls.iter().enumerate() {
             let before = if index > 0 { controls[index - 1] } else { [0.0; 2] };
             for component in 0..2 {
-                self.sums[index][5 + component] += self.damping[component] * control[component];
+                self.base[index][5 + component] += self.damping[component] * control[component];
                 if index > 0 || self.tied {
                     let pull = self.change[component] * (control[component] - before[component]);
-                    self.sums[index][5 + component] += pull;
+                    self.base[index][5 + component] += pull;
                     if index > 0 {
-                        self.sums[index - 1][5 + component] -= pull;
+                        self.base[index - 1][5 + component] -= pull;
                     }
                 }
             }
