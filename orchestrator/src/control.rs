@@ -39,6 +39,9 @@ pub enum Request {
     },
 }
 
+/// Largest factor on the bounds of agreement: anything goes.
+pub const MOST_TOLERANCE: f64 = 1e6;
+
 /// An exchange that is asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SwapRequest {

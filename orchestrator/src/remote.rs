@@ -6,7 +6,7 @@ use runtime::{Domain, monotonic_ns};
 use shared_types::Role;
 
 use crate::cli::SwapArguments;
-use crate::control::{Reply, Request, Status, SwapRequest, ask};
+use crate::control::{MOST_TOLERANCE, Reply, Request, Status, SwapRequest, ask};
 use crate::exit::{Exit, Failure};
 use crate::swap::SwapOutcome;
 
@@ -70,13 +70,20 @@ pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
 /// An unknown role or implementation, a system that is not running or already exchanges one; exit code 2.
 pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result<Exit> {
     let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
+    let tolerance = arguments.tolerance;
+    // JSON has no word for NaN, so the orchestrator could not say what is wrong with it.
+    if !(0.0..=MOST_TOLERANCE).contains(&tolerance) {
+        return Err(Failure::bad_input(format!(
+            "--tolerance {tolerance} is not allowed: 0 to {MOST_TOLERANCE}"
+        )));
+    }
     let request = SwapRequest {
         role: role.name().to_owned(),
         implementation: arguments.to.clone(),
         command: (!arguments.command.is_empty()).then(|| from_here(&arguments.command)),
         shadow_scans: arguments.shadow_scans,
         standby_scans: arguments.standby_scans,
-        tolerance: arguments.tolerance,
+        tolerance,
     };
     let number = match ask(domain, &Request::Swap(request))? {
         Reply::Accepted(number) => number,

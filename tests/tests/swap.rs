@@ -133,13 +133,13 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
         (vec!["sleep", "60"], "no output within 3 s"),
         (vec![ODD, "steer"], "steering angle differs by"),
         (vec![ODD, "nan"], "command is not finite"),
-        (vec![ODD, "late"], "ms after the scan, allowed are 50.0 ms"),
+        (vec![ODD, "late"], "late: "),
         (vec![ODD, "exit-after", "3"], "the new process ended: exit code 1"),
         (vec![ODD, "hang-after", "3"], "late: no output for scan"),
     ] {
         let certificate = swap(&system, &[vec!["controller", "--"], command].concat());
         assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
-        assert!(certificate.reason.contains(reason), "{}", certificate.reason);
+        assert!(certificate.reason.contains(reason), "{certificate:?}");
         assert_seamless(&certificate);
         certificates.push(certificate);
     }
@@ -159,9 +159,10 @@ fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
 
 #[test]
 fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let mut certificates = Vec::new();
     for (role, implementation) in BUILT_IN {
-        let mut system = System::new(EXECUTABLE);
-        system.start(&["corridor"]);
         let (child, new, old) = standby(&system, role, &["--to", implementation]);
         system.signal(new, Signal::KILL);
         let certificate = certificate(&child.wait_with_output().unwrap());
@@ -169,8 +170,9 @@ fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
         assert!(certificate.reason.contains("killed by signal 9"), "{}", certificate.reason);
         assert_seamless(&certificate);
         assert_eq!(rows(&system, role), [(old, "ready".to_owned())]);
-        assert_reached(system, &[certificate]);
+        certificates.push(certificate);
     }
+    assert_reached(system, &certificates);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use runtime::{Bus, monotonic_ns};
 use shared_types::{Phase, ProcessState, Role};
 
 use super::{End, Session};
-use crate::control::{ProcessStatus, Reply, SwapRequest};
+use crate::control::{MOST_TOLERANCE, ProcessStatus, Reply, SwapRequest};
 use crate::fleet::Fleet;
 use crate::supervisor::{self, Exit, Supervisor, VisibleState};
 use crate::swap::watch::Watch;
@@ -111,8 +111,8 @@ impl Swaps {
                 return Err(format!("--{key} {scans} is not allowed: 1 to {MOST_SCANS}"));
             }
         }
-        if !(0.0..=1e6).contains(&request.tolerance) {
-            return Err(format!("--tolerance {} is not allowed: 0 to 1000000", request.tolerance));
+        if !(0.0..=MOST_TOLERANCE).contains(&request.tolerance) {
+            return Err(format!("--tolerance {} is not allowed: 0 to {MOST_TOLERANCE}", request.tolerance));
         }
         if self.is_busy() {
             return Err("another exchange is going on".to_owned());

@@ -449,3 +449,67 @@ fn a_process_that_appears_after_the_stop_is_ended_in_its_wave() {
     world.bring_down(true);
     assert_eq!(terminated(&world).last(), Some(&Role::Robot));
 }
+
+/// Another process fills the controller's role, as after a swap.
+fn replace(world: &mut World) -> u32 {
+    let incarnation = world.supervisor.next_incarnation();
+    world.send(Event::Replaced { role: Role::Controller, pid: 77, incarnation });
+    incarnation
+}
+
+#[test]
+fn a_process_that_was_replaced_is_forgotten_with_its_deaths() {
+    for lockstep in [false, true] {
+        let mut world = World::new(policies(), lockstep);
+        world.send(Event::Start);
+        world.bring_up();
+        let (role, old) = (Role::Controller, world.incarnation(Role::Controller));
+        assert_eq!(replace(&mut world), 6, "one number per process, whoever starts it");
+        world.send(Event::Exited { role, incarnation: old, exit: KILLED });
+        let view = world.supervisor.process(role).unwrap();
+        assert_eq!(
+            (view.state, view.incarnation, view.pid, view.restarts),
+            (VisibleState::Ready, 6, Some(77), 0)
+        );
+        assert_eq!((view.last_exit, world.failure), (None, None));
+    }
+}
+
+#[test]
+fn a_replacement_is_watched_and_started_again_under_a_later_number() {
+    let mut world = World::driving();
+    let (role, incarnation) = (Role::Controller, replace(&mut world));
+    world.advance(300);
+    Role::ALL.iter().filter(|other| **other != role).for_each(|other| world.progress(*other));
+    world.send(Event::Tick);
+    assert_eq!(world.actions, [Action::Kill { role }]);
+    let actions = world.supervisor.handle(world.now_ns, Event::Exited { role, incarnation, exit: KILLED });
+    assert!(actions.contains(&Action::CleanUp { role }), "{actions:?}");
+    let actions = world.supervisor.handle(world.now_ns, Event::CleanedUp { role });
+    assert!(actions.contains(&Action::Spawn { role, incarnation: incarnation + 1 }), "{actions:?}");
+}
+
+#[test]
+fn a_role_whose_process_died_is_filled_by_its_replacement_and_nobody_else() {
+    let mut world = World::driving();
+    world.die(Role::Controller, KILLED);
+    replace(&mut world);
+    world.clean(Role::Controller);
+    assert_eq!(world.place(Role::Controller).pending, None, "the clean-up starts nobody");
+    assert_eq!(state(&world, Role::Controller), VisibleState::Ready);
+}
+
+#[test]
+fn a_replacement_that_comes_after_the_stop_is_ended_with_its_wave() {
+    let mut world = World::driving();
+    world.send(Event::StopRequested);
+    let before = terminated(&world).len();
+    let incarnation = world.supervisor.next_incarnation();
+    let replaced = Event::Replaced { role: Role::Controller, pid: 77, incarnation };
+    let actions = world.supervisor.handle(world.now_ns, replaced);
+    assert_eq!(before, 3);
+    assert!(actions.contains(&Action::Terminate { role: Role::Controller }), "{actions:?}");
+    let stale = Event::Replaced { role: Role::Controller, pid: 78, incarnation };
+    world.supervisor.handle(world.now_ns, stale);
+    assert_eq!(world.supervisor.process(Role::Controller).unwrap().pid, Some(77));
+}

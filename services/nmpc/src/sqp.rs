@@ -1,7 +1,8 @@
 //! Sequential quadratic programming on the multiple-shooting program of one scan.
 //!
-//! One iteration: linearise the intervals, condense, solve the convex quadratic program with the Gauss-Newton Hessian;
-//! then try Newton's step on the active set it found, and where that is refused the program's own step, searched along.
+//! One iteration: linearise the intervals, condense, solve the convex quadratic program with the chosen Hessian
+//! (Gauss-Newton unless the settings say otherwise); then, unless `refine` is off, try Newton's step on the active set it
+//! found, and where that is refused the program's own step, searched along.
 //! A trial gets its node states by a forward sweep, so every iterate after the first satisfies the model and the exact
 //! penalty function `objective + penalties` alone decides. A guess whose node states leave gaps is linearised as it is
 //! (that is what multiple shooting is for), and its step competes with the roll-out of the guess's controls.
@@ -10,6 +11,9 @@
 //! quadratic, where the Gauss-Newton step alone needs tens of iterations with an active ellipse or swings for ever; its
 //! second-order correction keeps it from being refused because of the large penalty (Maratos effect); the damping bounds
 //! steps where limits are so nearly dependent that the linearisation does not hold up to where they cross.
+//!
+//! Horizons of more than `condense_up_to` intervals are not condensed but solved stage by stage ([`crate::chain`]), by the
+//! same two steps and in time linear in their number.
 //!
 //! Limits: the solution is a local one, and the guess decides the side on which an obstacle is passed. A guess in the
 //! very centre of an ellipse has no direction to leave it. A reference far beyond what the horizon can reach makes the

@@ -104,6 +104,30 @@ impl Chain {
         blocks: &[Block],
         solution: &mut QpSolution,
     ) -> bool {
+        /// Bounds of the state this far away, in m and rad, are left out at first: hardly a step reaches them.
+        const FAR: f64 = 2.0;
+        self.approach(shooting, blocks, FAR, solution)
+            && (self.keeps_all(solution) || self.approach(shooting, blocks, f64::INFINITY, solution))
+    }
+
+    /// Whether no row that is inside its limits by its state is outside of them in fact.
+    fn keeps_all(&self, solution: &QpSolution) -> bool {
+        /// More than the interior point leaves of any row that it knows.
+        const TOLERANCE: f64 = 1e-4;
+        self.rows.iter().zip(&solution.row_states).all(|(row, state)| {
+            let value = row.value(&self.point.states);
+            *state != RowState::Inside || (value - row.upper).max(row.lower - value) <= TOLERANCE
+        })
+    }
+
+    /// Solves without the bounds of the state that are farther away than `far`.
+    fn approach(
+        &mut self,
+        shooting: &Shooting,
+        blocks: &[Block],
+        far: f64,
+        solution: &mut QpSolution,
+    ) -> bool {
         /// Ten to fifteen are usual.
         const ITERATIONS: u32 = 60;
         /// Complementarity and share of the first residual that are left at the end.
@@ -113,7 +137,7 @@ impl Chain {
         const SHORT: f64 = 0.1;
         /// Share of the way to the nearest end of a range.
         const SHARE: f64 = 0.995;
-        self.start_interior(shooting, solution);
+        self.start_interior(shooting, far, solution);
         let bend = 2.0 * self.slack_quadratic;
         let mut left = 1.0;
         for _ in 0..ITERATIONS {
@@ -169,14 +193,11 @@ impl Chain {
     }
 
     /// Fills the sides; controls without room are held.
-    fn start_interior(&mut self, shooting: &Shooting, solution: &mut QpSolution) {
+    fn start_interior(&mut self, shooting: &Shooting, far: f64, solution: &mut QpSolution) {
         /// First product of a distance and its multiplier.
         const PRODUCT: f64 = 1.0;
         /// Controls start this share of their range inside.
         const INSIDE: f64 = 0.1;
-        /// Limits this far away, in m and rad, are left out: no useful step reaches them. The search that follows sees
-        /// them again.
-        const FAR: f64 = 2.0;
         solution.reset(self.lower.len(), self.rows.len());
         self.held.clear();
         self.held.resize(self.lower.len(), 0.0);
@@ -212,11 +233,13 @@ impl Chain {
             }
         }
         self.point.follow(&shooting.intervals, &shooting.gaps);
+        // Distances to ellipses are no lengths: those rows are all kept.
+        let bounds = 5 * (self.lower.len() / 2);
         for (index, row) in self.rows.iter().enumerate() {
             let value = row.value(&self.point.states);
             for (sign, limit) in [(1.0, row.upper), (-1.0, row.lower)] {
                 let excess = sign * (value - limit);
-                if excess < -FAR {
+                if limit.is_infinite() || (index < bounds && excess < -far) {
                     continue;
                 }
                 let slack = excess.max(0.0) + PRODUCT / self.slack_linear.max(1.0);
