@@ -15,8 +15,8 @@ pub enum BenchCommand {
     ///
     /// Reports median, 99 % and largest of microseconds per SQP step, feedback phase and converged solve, iterations,
     /// failures and heap allocations per solve, for each Hessian, each QP solver and each number of intervals. The
-    /// weights are those of the published comparison, not those of a run. The feedback phase has a count of 0 as long as
-    /// the solver does not separate it from the preparation.
+    /// weights are those of the published comparison, not those of a run. The feedback phase is what is left to do once the
+    /// measured state is there: moving the linearised model to it, condensing, one quadratic program.
     ///
     /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
     /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null where they are not

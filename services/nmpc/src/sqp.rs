@@ -22,6 +22,8 @@
 //! [`Solver::solve`] is a function of its arguments: buffers are kept between calls, values are not. A solver that was
 //! just made gives the same bits as one that has run for hours.
 
+mod feedback;
+
 use shared_types::SolveStatus;
 use vehicle::{Control, State};
 

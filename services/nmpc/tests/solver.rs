@@ -336,3 +336,30 @@ fn absurd_but_finite_input_ends_without_panic() {
         assert_eq!(solution.trajectory.controls.len() % 6, 0);
     }
 }
+
+#[test]
+fn feedback_follows_a_small_error_of_the_prediction_to_first_order() {
+    let start = State { x: 0.5, y: 0.02, ..State::default() };
+    let predicted = problem(start, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
+    let planned = converged(&predicted, &cold_guess(&predicted)).trajectory;
+    let mut solver = Solver::new(SolverSettings::default());
+    assert_eq!(solver.feedback(&predicted, &predicted.initial), None, "not prepared yet");
+
+    assert!(solver.prepare(&predicted, &planned));
+    let same = solver.feedback(&predicted, &predicted.initial).unwrap();
+    assert!((same.steering - planned.controls[0].steering).abs() < 1e-5);
+    assert!((same.velocity - planned.controls[0].velocity).abs() < 1e-5);
+
+    let measured = State { y: predicted.initial.y + 4e-3, yaw: 2e-3, ..predicted.initial };
+    let exact =
+        converged(&Problem { initial: measured, ..predicted.clone() }, &planned).trajectory.controls[0];
+    assert!(solver.prepare(&predicted, &planned));
+    let answer = solver.feedback(&predicted, &measured).unwrap();
+    let moved = (exact.steering - planned.controls[0].steering).abs();
+    // The Gauss-Newton Hessian leaves out the curvature of model and ellipse: a share of the change.
+    assert!(
+        moved > 1e-4 && (answer.steering - exact.steering).abs() < 0.3 * moved,
+        "{answer:?} {exact:?} {moved}"
+    );
+    assert_eq!(solver.feedback(&predicted, &State { y: f64::NAN, ..measured }), None);
+}

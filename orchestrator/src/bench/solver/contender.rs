@@ -115,6 +115,7 @@ impl Contender {
         self.step.record(step_ns);
         let (solve_ns, allocations) = self.timed(problem, guess, &Budget::Iterations(u32::MAX));
         self.allocations = self.allocations.max(allocations);
+        self.measure_feedback(problem, guess);
         let converged = self.solution.status == SolveStatus::Converged;
         if converged {
             self.converged += 1;
@@ -123,6 +124,31 @@ impl Contender {
         }
         self.spent += started.elapsed();
         converged.then_some(&self.solution)
+    }
+
+    /// The median time of the feedback phase, prepared at a state that was predicted a millimetre off.
+    fn measure_feedback(&mut self, problem: &Problem, guess: &Trajectory) {
+        let mut predicted = problem.clone();
+        predicted.initial.y += 1e-3;
+        let mut times = [0; REPEATS];
+        for time in &mut times {
+            if !self.solver.prepare(&predicted, guess) {
+                return;
+            }
+            let started = Instant::now();
+            let control = self.solver.feedback(&predicted, &problem.initial);
+            let elapsed = started.elapsed();
+            if std::hint::black_box(control).is_none() {
+                return;
+            }
+            *time = nanoseconds(elapsed);
+            if elapsed > SLOW {
+                self.feedback.record(nanoseconds(elapsed));
+                return;
+            }
+        }
+        times.sort_unstable();
+        self.feedback.record(times[REPEATS / 2]);
     }
 
     /// Nanoseconds of a solve, and how many allocations the last one made.
