@@ -14,7 +14,7 @@
 //! * **Starting** until its first output, for [`FIRST_OUTPUT_NS`] at most.
 //! * **Shadowing**: a scan is good when the output of the new one is there, valid, in time, and agrees with that
 //!   of the old one ([`agreement`]). So many good scans in a row, and it takes over. An invalid output refuses it
-//!   at once; so does a disagreement after the first [`WARM_UP`] outputs, and the third output that is late.
+//!   at once; after the first [`WARM_UP`] scans so does a disagreement, and the third output that is late.
 //! * **Standby**: the new one counts from `from_scan` on. It is rolled back when it ends, gives an invalid output or
 //!   one that disagrees, or has none 1.2 periods after its last one when the old one has. That is before the
 //!   actuator, which waits for 1.5 periods, blocks the wheels.
@@ -42,9 +42,10 @@ pub use certificate::{Certificate, SwapOutcome};
 
 /// A process that has no output by then will not have one [ns].
 pub const FIRST_OUTPUT_NS: u64 = 3_000_000_000;
-/// Outputs of the new one that may disagree: its state is some scans old when it begins.
+/// Scans from its first output on at which the new one may be late or disagree: it touches its memory for the first
+/// time, and its state is some scans old.
 pub const WARM_UP: u32 = 5;
-/// Late outputs that are forgiven: the machine was busy; three times is a property.
+/// Late outputs after that which are forgiven: the machine was busy; three times is a property.
 pub const FORGIVEN_LATE: u32 = 2;
 /// In lock-step, how long an output is waited for [ns].
 pub const LOCKSTEP_PATIENCE_NS: u64 = 500_000_000;
@@ -176,7 +177,7 @@ pub struct Swap {
     pairs: BTreeMap<u64, Pair>,
     broken: Option<String>,
     first_new: Option<u64>,
-    outputs: u32,
+    judged: u32,
     late: u32,
     streak: u64,
     last_good: u64,
@@ -216,7 +217,7 @@ impl Swap {
             pairs: BTreeMap::new(),
             broken: None,
             first_new: None,
-            outputs: 0,
+            judged: 0,
             late: 0,
             streak: 0,
             last_good: 0,
@@ -353,7 +354,8 @@ impl Swap {
             let verdict = self.verdict(now_ns, scan, in_charge);
             let Some(pair) = self.pairs.get_mut(&scan) else { continue };
             pair.judged = verdict != Verdict::Open;
-            self.outputs += u32::from(pair.judged && pair.new.is_some());
+            self.judged += u32::from(pair.judged);
+            let is_warm = in_charge || self.judged > WARM_UP;
             match verdict {
                 Verdict::Open | Verdict::Nothing => {}
                 Verdict::Good if in_charge => self.standby_good += 1,
@@ -361,6 +363,7 @@ impl Swap {
                     self.streak = if self.last_good + 1 == scan { self.streak + 1 } else { 1 };
                     self.last_good = scan;
                 }
+                Verdict::Late(_) | Verdict::Apart(_) if !is_warm => self.streak = 0,
                 Verdict::Late(reason) => {
                     self.late += 1;
                     self.streak = 0;
@@ -368,7 +371,6 @@ impl Swap {
                         return self.give_up(now_ns, reason, actions);
                     }
                 }
-                Verdict::Apart(_) if !in_charge && self.outputs <= WARM_UP => self.streak = 0,
                 Verdict::Apart(reason) | Verdict::Bad(reason) => {
                     return self.give_up(now_ns, reason, actions);
                 }

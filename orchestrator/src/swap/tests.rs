@@ -249,8 +249,12 @@ fn a_disagreement_is_forgiven_while_the_process_warms_up_and_not_later() {
 
 #[test]
 fn two_late_outputs_are_forgiven_and_the_third_is_not() {
-    let mut trial = Trial::new();
-    trial.good_scan();
+    let warm = || {
+        let mut trial = Trial::with(|plan| plan.shadow_scans = 10);
+        trial.good_scans(5);
+        trial
+    };
+    let mut trial = warm();
     for _ in 0..3 {
         assert!(trial.actions.is_empty());
         trial.publish();
@@ -258,16 +262,15 @@ fn two_late_outputs_are_forgiven_and_the_third_is_not() {
         trial.output(Party::New, 51, Ok(command(0.04)));
         trial.tick_at(52);
     }
-    assert_eq!(trial.refused(), "late: output for scan 14 51.0 ms after the scan, allowed are 50.0 ms");
-    let mut trial = Trial::new();
-    trial.good_scan();
+    assert_eq!(trial.refused(), "late: output for scan 18 51.0 ms after the scan, allowed are 50.0 ms");
+    let mut trial = warm();
     for _ in 0..3 {
         assert!(trial.actions.is_empty());
         trial.publish();
         trial.output(Party::Old, 2, Ok(command(0.04)));
         trial.tick_at(100);
     }
-    assert_eq!(trial.refused(), "late: no output for scan 14 within a period");
+    assert_eq!(trial.refused(), "late: no output for scan 18 within a period");
 }
 
 #[test]

@@ -7,10 +7,10 @@ pub const SYSTEM_ID_VARIABLE: &str = "SCANLOOP_SYSTEM_ID";
 /// Gives the process its incarnation, one number per started process.
 pub const INCARNATION_VARIABLE: &str = "SCANLOOP_INCARNATION";
 
-/// Is `1` for a process that takes the place of one that died.
+/// Is `1` for a process that takes the place of another: one that died, or one that it is exchanged for.
 pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";
 
-/// Whether this process takes the place of one that died.
+/// Whether this process takes the place of another.
 pub(crate) fn is_restart() -> bool {
     std::env::var(RESTART_VARIABLE).is_ok_and(|value| value == "1")
 }

@@ -1,4 +1,4 @@
-//! State handed to a process that takes the place of one that died: a file, written before it is started.
+//! State handed to a process that takes the place of another: a file, written before it is started.
 //!
 //! The checkpoints themselves travel on the bus. Their publisher's memory dies with it, so the orchestrator
 //! keeps the newest of each role and hands it over here.

@@ -20,8 +20,8 @@ use crate::{Bus, RuntimeError};
 
 /// Samples kept until the process takes them; below the number that may be borrowed.
 const KEPT: usize = 4;
-/// Samples of the other process of an exchange that are kept in case it has to answer after all: it takes over
-/// at 1.2 periods, so its answers to two scans wait by then; one more for an orchestrator that is held up.
+/// Samples of the other process of an exchange that are kept in case it has to answer after all: one scan is open
+/// when it takes over at 1.2 periods; two more for an orchestrator that is held up.
 const ASIDE: usize = 3;
 
 /// A sample in shared memory, read in place and returned to its producer when dropped.
