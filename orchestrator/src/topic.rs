@@ -48,43 +48,29 @@ pub(crate) fn markdown() -> String {
     for topic in TOPICS {
         let _ = writeln!(
             text,
-            "\n## {topic}\n\n`{}`, {} bytes, published {}.\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|",
+            "\n## {topic}\n\n`{}`, {} bytes, published {}.",
             topic.type_name(),
             topic.size(),
             topic.published()
         );
-        for field in topic.fields() {
-            let _ = writeln!(
-                text,
-                "| {} | `{}` | {} | {} |",
-                field.offset,
-                field.name,
-                kind_name(&field.kind),
-                field.doc
-            );
-        }
+        field_table(&mut text, topic.fields());
     }
     let mut structs: Vec<(&str, &[Field])> = Vec::new();
     for topic in TOPICS {
         topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
     }
     for (name, fields) in structs {
-        let _ = writeln!(
-            text,
-            "\n## struct {name}\n\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|"
-        );
-        for field in fields {
-            let _ = writeln!(
-                text,
-                "| {} | `{}` | {} | {} |",
-                field.offset,
-                field.name,
-                kind_name(&field.kind),
-                field.doc
-            );
-        }
+        let _ = writeln!(text, "\n## struct {name}");
+        field_table(&mut text, fields);
     }
     text
+}
+
+fn field_table(text: &mut String, fields: &[Field]) {
+    let _ = writeln!(text, "\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
+    for Field { name, doc, offset, kind } in fields {
+        let _ = writeln!(text, "| {offset} | `{name}` | {} | {doc} |", kind_name(kind));
+    }
 }
 
 /// Counts the samples of a topic and prints its rate once a second.
