@@ -9,6 +9,7 @@
 //! rates below 0.05 m/s are too large; a blocked robot spends 10 ms there.
 
 use nalgebra::SVector;
+use vehicle::integrate::runge_kutta;
 use vehicle::model::lateral;
 use vehicle::{Control, Parameters, State};
 
@@ -126,18 +127,11 @@ impl Plant {
 /// One Runge-Kutta step of the model, with the velocity of the lateral part held above [`SLOWEST_MPS`].
 fn rk4(parameters: &Parameters, state: &State, speed: f64, steering: f64, step: f64) -> State {
     let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
-    let slope = |vector: SVector<f64, 5>| {
-        let state = State::from_vector(&vector);
+    runge_kutta(state, step, |state| {
         let [sideslip_rate, yaw_acceleration] = lateral(parameters, state.sideslip, state.yaw_rate, &control);
         let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
         SVector::from([sideslip_rate, state.yaw_rate, yaw_acceleration, speed * cos, speed * sin])
-    };
-    let start = state.to_vector();
-    let k1 = slope(start);
-    let k2 = slope(start + k1 * (step / 2.0));
-    let k3 = slope(start + k2 * (step / 2.0));
-    let k4 = slope(start + k3 * step);
-    State::from_vector(&(start + (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (step / 6.0)))
+    })
 }
 
 #[cfg(test)]

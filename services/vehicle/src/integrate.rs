@@ -1,5 +1,7 @@
 //! Explicit integration of the model with steps small enough for its stiff part.
 
+use nalgebra::SVector;
+
 use crate::model::derivative;
 use crate::{Control, Parameters, State};
 
@@ -17,11 +19,17 @@ pub fn integrate(parameters: &Parameters, state: &State, control: &Control, dura
     (0..steps as usize).fold(*state, |state, _| rk4(parameters, &state, control, step))
 }
 
-/// One step of the classical Runge-Kutta method.
+/// One step of the classical Runge-Kutta method on the model.
 #[must_use]
 pub fn rk4(parameters: &Parameters, state: &State, control: &Control, step: f64) -> State {
+    runge_kutta(state, step, |state| derivative(parameters, state, control))
+}
+
+/// One step of the classical Runge-Kutta method for any time derivative of the state.
+#[must_use]
+pub fn runge_kutta(state: &State, step: f64, derivative: impl Fn(&State) -> SVector<f64, 5>) -> State {
     let start = state.to_vector();
-    let slope = |vector| derivative(parameters, &State::from_vector(&vector), control);
+    let slope = |vector| derivative(&State::from_vector(&vector));
     let k1 = slope(start);
     let k2 = slope(start + k1 * (step / 2.0));
     let k3 = slope(start + k2 * (step / 2.0));
