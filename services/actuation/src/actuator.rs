@@ -14,7 +14,7 @@
 //! are blocked for silence, where it jumps back commands seem to come from the future and are refused.
 
 use shared_types::{Actuation, ActuationKind, BlockReason, Command, Header, StopReason};
-use vehicle::correction::CommandCorrection;
+use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
 use crate::verdict::{Wish, judge};
@@ -188,13 +188,15 @@ impl Actuator {
     }
 
     fn drive(&mut self, desired: Control, stop_reason: u32) -> Actuation {
-        let (velocity, steering) = self.correction.correct(desired);
+        let linkage = Linkage { shaft: self.state.shaft_rad, wheels: self.state.wheels_rad };
+        let Correction { velocity, steering, linkage } = self.correction.correct(desired, linkage);
         let sendable = velocity.is_finite() && steering.is_finite();
         if self.is_stopped() || !sendable {
             return self.block(BlockReason::InvalidCommand, 1, stop_reason);
         }
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
+        (self.state.shaft_rad, self.state.wheels_rad) = (linkage.shaft, linkage.wheels);
         Actuation {
             header: self.state.header,
             kind: ActuationKind::Drive.wire(),

@@ -46,6 +46,10 @@ plain_state! {
         pub steering_rad: f64,
         /// Last steering angle sent while driving [rad]
         pub sent_steering_rad: f64,
+        /// Angle that the wheels would have without play [rad]
+        pub shaft_rad: f64,
+        /// Angle that the wheels have, by what was sent [rad]
+        pub wheels_rad: f64,
         /// Valid commands in a row
         pub streak: u32,
         /// 1 after silence, until enough valid commands came in a row
@@ -67,9 +71,12 @@ impl ActuatorState {
     /// # Errors
     /// [`Fault`] when a held steering angle is not finite or beyond what may be sent.
     pub fn check(&self) -> Result<(), Fault> {
-        for (field, value) in
-            [("steering_rad", self.steering_rad), ("sent_steering_rad", self.sent_steering_rad)]
-        {
+        for (field, value) in [
+            ("steering_rad", self.steering_rad),
+            ("sent_steering_rad", self.sent_steering_rad),
+            ("shaft_rad", self.shaft_rad),
+            ("wheels_rad", self.wheels_rad),
+        ] {
             if !value.is_finite() {
                 return Err(Fault::NotFinite { field });
             }

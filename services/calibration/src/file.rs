@@ -176,7 +176,20 @@ impl CalibrationFile {
                 .steering
                 .as_ref()
                 .map_or(base.steering, |part| SteeringCorrection::Network(part.inverse)),
+            play_rad: self.play().map_or(base.play_rad, |play| play.value.max(0.0)),
         }
+    }
+}
+
+impl CalibrationFile {
+    /// Half the play between shaft and wheels: of circles and sines the one with the smaller standard error.
+    fn play(&self) -> Option<Estimate> {
+        let circles = self.steering.as_ref().and_then(|part| part.play_rad);
+        let sines = self.drift.as_ref().and_then(|part| part.play_rad);
+        circles
+            .into_iter()
+            .chain(sines)
+            .min_by(|one, other| one.standard_error.total_cmp(&other.standard_error))
     }
 }
 

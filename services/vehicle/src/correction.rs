@@ -1,8 +1,11 @@
 //! Corrections of steering angle and velocity: what has to be sent so that the robot does what is desired.
 //!
 //! Pre-commissioning found that the robot drives slower than it is told by a constant factor, and steers by an
-//! angle that is a curve of the angle sent. Sent values undo both. The backlash of the steering has no correction
-//! here: its sign is not known from the command.
+//! angle that is a curve of the angle sent. Sent values undo both. Play between shaft and wheels is undone by its right
+//! inverse: the shaft goes as far beyond the desired angle as the play is wide, to the side that it moves to, so that
+//! it arrives with the wheels in contact. That needs to know where the wheels stand ([`Linkage`]), which follows from
+//! what was sent before; only at the very start they may be anywhere within the play, until the first movement that is
+//! larger. A play that is assumed too wide or too narrow leaves the difference as an error.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,9 +27,36 @@ pub const VELOCITY_FACTOR: f64 = 1.4;
 pub struct CommandCorrection {
     /// Velocity sent per velocity desired, kv.
     pub velocity_factor: f64,
-    /// Steering angle sent for the angle desired.
+    /// Steering angle of the shaft sent for the angle desired.
     pub steering: SteeringCorrection,
+    /// Half the play between shaft and wheels [rad].
+    #[serde(default)]
+    pub play_rad: f64,
 }
+
+/// Where shaft and wheels stand, both as steering angles of the wheels [rad].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Linkage {
+    /// Angle that the wheels would have without play.
+    pub shaft: f64,
+    /// Angle that the wheels have.
+    pub wheels: f64,
+}
+
+/// What is sent for a desired control.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Correction {
+    /// Velocity to send [m/s].
+    pub velocity: f64,
+    /// Steering angle to send [rad].
+    pub steering: f64,
+    /// Where shaft and wheels stand then.
+    pub linkage: Linkage,
+}
+
+/// Wheels within this of the desired angle are left where they are [rad]: the shaft would have to cross the whole play
+/// for it, forth and back for every bit of noise in the command. At full lock 1 mrad is 5 cm of the turning radius.
+pub const PLAY_TOLERANCE_RAD: f64 = 0.0005;
 
 /// Steering angle sent for the angle desired.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -58,10 +88,13 @@ impl Calibration {
             Self::Default => CommandCorrection {
                 velocity_factor: VELOCITY_FACTOR,
                 steering: SteeringCorrection::Network(SHIPPED_NETWORK),
+                play_rad: 0.0,
             },
-            Self::Identity => {
-                CommandCorrection { velocity_factor: 1.0, steering: SteeringCorrection::Identity }
-            }
+            Self::Identity => CommandCorrection {
+                velocity_factor: 1.0,
+                steering: SteeringCorrection::Identity,
+                play_rad: 0.0,
+            },
             Self::Custom(correction) => *correction,
         }
     }
@@ -76,20 +109,22 @@ impl Calibration {
 }
 
 impl CommandCorrection {
-    /// Velocity [m/s] and steering angle [rad] to send for a desired control that is within its limits (7.41).
+    /// What to send for a desired control that is within its limits (7.41), when shaft and wheels stand at `linkage`.
     ///
-    /// Both are limited to what may be sent at all, so that no network, however it was fitted, can exceed it.
+    /// Both values are limited to what may be sent at all, so that no network, however it was fitted, can exceed it.
     /// NaN comes out only where NaN went in.
-    pub fn correct(&self, desired: Control) -> (f64, f64) {
+    pub fn correct(&self, desired: Control, linkage: Linkage) -> Correction {
+        let linkage = linkage.towards(desired.steering, self.play_rad);
         let steering = match &self.steering {
-            SteeringCorrection::Identity => desired.steering,
-            SteeringCorrection::Network(network) => network.eval(desired.steering),
+            SteeringCorrection::Identity => linkage.shaft,
+            SteeringCorrection::Network(network) => network.eval(linkage.shaft),
         };
         let velocity = self.velocity_factor * desired.velocity;
-        (
-            velocity.clamp(-SENT_VELOCITY_MAX_MPS, SENT_VELOCITY_MAX_MPS),
-            steering.clamp(-SENT_STEERING_MAX_RAD, SENT_STEERING_MAX_RAD),
-        )
+        Correction {
+            velocity: velocity.clamp(-SENT_VELOCITY_MAX_MPS, SENT_VELOCITY_MAX_MPS),
+            steering: steering.clamp(-SENT_STEERING_MAX_RAD, SENT_STEERING_MAX_RAD),
+            linkage,
+        }
     }
 
     /// Passes when factor and network can be used.
@@ -98,11 +133,24 @@ impl CommandCorrection {
     /// [`Invalid`] with the key, the value and what is allowed.
     pub fn validate(&self) -> Result<(), Invalid> {
         require("velocity_factor", self.velocity_factor, 0.2..=5.0)?;
+        require("play_rad", self.play_rad, 0.0..=0.05)?;
         match &self.steering {
             SteeringCorrection::Network(network) if !network.is_usable() => {
                 Err(Invalid::new("steering", "a network", "weights within 1e6, scales from 1e-6 to 10 rad"))
             }
             _ => Ok(()),
+        }
+    }
+}
+
+impl Linkage {
+    /// The linkage with the wheels at `desired`, after the shaft has crossed the play where it has to.
+    fn towards(self, desired: f64, play: f64) -> Self {
+        let moved = desired - self.wheels;
+        match play > 0.0 {
+            false => Self { shaft: desired, wheels: desired },
+            true if moved.abs() <= PLAY_TOLERANCE_RAD => self,
+            true => Self { shaft: desired + play.copysign(moved), wheels: desired },
         }
     }
 }
@@ -147,8 +195,9 @@ mod tests {
 
     #[test]
     fn the_default_calibration_sends_1_4_times_the_velocity_and_less_steering_than_desired() {
-        let (velocity, steering) =
-            Calibration::Default.correction().correct(Control { velocity: 0.5, steering: 0.03 });
+        let desired = Control { velocity: 0.5, steering: 0.03 };
+        let Correction { velocity, steering, .. } =
+            Calibration::Default.correction().correct(desired, Linkage::default());
         assert!((velocity - 0.7).abs() < 1e-12);
         // The map realises about 1.2 times the angle sent: 0.0248 * (1.2 - 0.3 * 0.0427 + 0.05 * 0.2067) = 0.0297.
         assert!((steering - 0.0251).abs() < 3e-4, "{steering}");
@@ -157,7 +206,26 @@ mod tests {
     #[test]
     fn the_identity_sends_what_is_desired() {
         let desired = Control { velocity: 0.37, steering: -0.041 };
-        assert_eq!(Calibration::Identity.correction().correct(desired), (0.37, -0.041));
+        let sent = Calibration::Identity.correction().correct(desired, Linkage::default());
+        assert_eq!((sent.velocity, sent.steering), (0.37, -0.041));
+    }
+
+    #[test]
+    fn the_shaft_crosses_the_play_where_the_wheels_are_to_turn_back() {
+        let correction = CommandCorrection { play_rad: 0.006, ..Calibration::Identity.correction() };
+        let mut linkage = Linkage::default();
+        // The emulated robot's play: the wheels stay where they are until the shaft has used it up.
+        let mut wheels: f64 = 0.0;
+        for (desired, shaft) in
+            [(0.01, 0.016), (0.02, 0.026), (0.0197, 0.026), (0.015, 0.009), (-0.02, -0.026), (-0.01, -0.004)]
+        {
+            let sent = correction.correct(Control { velocity: 0.5, steering: desired }, linkage);
+            linkage = sent.linkage;
+            wheels = wheels.clamp(sent.steering - 0.006, sent.steering + 0.006);
+            assert!((sent.steering - shaft).abs() < 1e-15, "{desired}: {}", sent.steering);
+            assert!((wheels - desired).abs() <= PLAY_TOLERANCE_RAD, "{desired}: {wheels}");
+            assert!((wheels - linkage.wheels).abs() < 1e-15);
+        }
     }
 
     #[test]
@@ -166,9 +234,14 @@ mod tests {
         correction.velocity_factor = f64::NAN;
         assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "velocity_factor");
         let network = SteeringNetwork { output_bias: f64::INFINITY, ..SHIPPED_NETWORK };
-        let correction =
-            CommandCorrection { velocity_factor: 1.0, steering: SteeringCorrection::Network(network) };
+        let correction = CommandCorrection {
+            velocity_factor: 1.0,
+            steering: SteeringCorrection::Network(network),
+            play_rad: 0.0,
+        };
         assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "steering");
+        let correction = CommandCorrection { play_rad: 0.06, ..Calibration::Default.correction() };
+        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "play_rad");
         assert_eq!(Calibration::Default.validate(), Ok(()));
     }
 
@@ -176,13 +249,16 @@ mod tests {
         #[test]
         fn sent_values_stay_within_what_may_be_sent(
             velocity in -1e6..1e6f64, steering in -1e6..1e6f64, factor in 0.2..5.0f64, weight in -1e3..1e3f64,
+            play_rad in 0.0..0.05f64, wheels in -0.06..0.06f64,
         ) {
             let network = SteeringNetwork { output_weights: [weight; 6], ..SHIPPED_NETWORK };
             for steering_correction in [SteeringCorrection::Identity, SteeringCorrection::Network(network)] {
-                let correction = CommandCorrection { velocity_factor: factor, steering: steering_correction };
-                let (sent_velocity, sent_steering) = correction.correct(Control { velocity, steering });
-                prop_assert!(sent_velocity.abs() <= SENT_VELOCITY_MAX_MPS);
-                prop_assert!(sent_steering.abs() <= SENT_STEERING_MAX_RAD);
+                let correction =
+                    CommandCorrection { velocity_factor: factor, steering: steering_correction, play_rad };
+                let linkage = Linkage { shaft: wheels, wheels };
+                let sent = correction.correct(Control { velocity, steering }, linkage);
+                prop_assert!(sent.velocity.abs() <= SENT_VELOCITY_MAX_MPS);
+                prop_assert!(sent.steering.abs() <= SENT_STEERING_MAX_RAD);
             }
         }
     }
