@@ -123,6 +123,7 @@ impl Recorder {
     /// The estimate for a scan.
     pub fn pose(&mut self, pose: &Pose) {
         self.acquired(pose.header.acquired_ns);
+        self.tally.pose(pose);
         self.rows.put_estimate(pose.header.scan_id, [pose.x_m, pose.y_m]);
         self.pose = Some(*pose);
     }
@@ -238,6 +239,7 @@ impl Recorder {
             drive: self.drive_report(),
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
+            self_check: self.tally.self_check(),
             processes: ending.processes.clone(),
             swaps: ending.swaps.clone(),
             digests: BTreeMap::new(),

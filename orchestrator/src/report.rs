@@ -51,6 +51,8 @@ pub struct Report {
     pub controller: ControllerReport,
     /// How often each reason blocked the wheels, commands and the actuator's own blocks by name.
     pub stop_reasons: BTreeMap<String, u64>,
+    /// What the watch over the calibration noticed.
+    pub self_check: SelfCheckReport,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
     /// Exchanges of processes, in the order in which they ended.
@@ -61,6 +63,22 @@ pub struct Report {
     pub trajectory_rows_dropped: u64,
     /// True time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].
     pub trajectory: Vec<[f64; 4]>,
+}
+
+/// What the estimator's watch over the calibration noticed.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SelfCheckReport {
+    /// Times that an alarm began.
+    pub alarms: u64,
+    /// What the newest alarm suspects, `none` without one.
+    pub suspect: String,
+    /// The strongest alarm: `none`, `slow` or `stop`.
+    pub alarm: String,
+    /// Scan of the first alarm, 0 without one.
+    pub first_scan: u64,
+    /// Measurements that the gate of the filter refused.
+    pub rejected: u64,
 }
 
 /// Account of all scans: `published = commanded + lost + unaccounted`.

@@ -24,6 +24,18 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     if !report.stop_reasons.is_empty() {
         rows.push(("stops", counts(report.stop_reasons.iter())));
     }
+    let watch = &report.self_check;
+    if watch.alarms > 0 {
+        rows.push((
+            "self-check",
+            format!(
+                "suspects {} since scan {}: {}",
+                watch.suspect.replace('_', " "),
+                watch.first_scan,
+                watch.alarm
+            ),
+        ));
+    }
     let restarts: u32 = report.processes.iter().map(|process| process.restarts).sum();
     if restarts > 0 {
         rows.push(("restarts", restarts.to_string()));

@@ -66,6 +66,8 @@ wire_enum! {
         GoalPassed = 5 "goal_passed",
         /// No input came in time.
         NoInput = 6 "no_input",
+        /// The estimator suspects a wrong calibration.
+        SelfCheck = 7 "self_check",
     }
 }
 

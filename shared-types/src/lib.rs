@@ -30,7 +30,7 @@ pub use fault::Fault;
 pub use header::{Header, StageStamps};
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
-pub use pose::Pose;
+pub use pose::{Alarm, Pose, Suspect};
 pub use role::{ROLES, Role, UnknownRole};
 pub use sample::Sample;
 pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};

@@ -1,12 +1,44 @@
 //! Where the robot is and how it moves.
 
 use crate::fault::finite;
-use crate::sample::sample;
+use crate::sample::{sample, wire_enum};
 use crate::{Fault, Header};
+
+wire_enum! {
+    /// What the estimator suspects to be calibrated wrongly.
+    pub enum Suspect {
+        /// Nothing.
+        None = 0 "none",
+        /// The velocity factor kv: speed at the wheels is not what is desired.
+        VelocityFactor = 1 "velocity_factor",
+        /// The steering map: the robot turns otherwise than its wheels are told.
+        Steering = 2 "steering",
+        /// The share of the way that odometry misses, df.
+        OdometryLongitudinal = 3 "odometry_longitudinal",
+        /// The lateral drift of the odometry, dds.
+        OdometryLateral = 4 "odometry_lateral_rate",
+        /// The reported heading jumped.
+        Heading = 5 "heading",
+        /// The reported position jumped.
+        Position = 6 "position",
+    }
+}
+
+wire_enum! {
+    /// What the estimator asks for because of its suspicion.
+    pub enum Alarm {
+        /// Nothing.
+        None = 0 "none",
+        /// Drive slowly.
+        Slow = 1 "slow",
+        /// Block the wheels.
+        Stop = 2 "stop",
+    }
+}
 
 sample! {
     /// Estimated state of the robot at the time of the front beam, and at the time the command will act.
-    pub struct Pose(480, Pose, 0xced1_876d, "scanloop.Pose.v1", check) {
+    pub struct Pose(488, Pose, 0xe513_fa2d, "scanloop.Pose.v1", check) {
         /// Identity and stamps
         pub header: Header,
         /// Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -45,11 +77,17 @@ sample! {
         pub nis: f64,
         /// Measurements refused by the gate since the start
         pub rejected: u64,
+        /// What is suspected to be calibrated wrongly, `Suspect`
+        pub suspect: u32,
+        /// What is asked for because of it, `Alarm`
+        pub alarm: u32,
     }
 }
 
 fn check(pose: &Pose) -> Result<(), Fault> {
     pose.header.check::<Pose>()?;
+    Suspect::try_from(pose.suspect)?;
+    Alarm::try_from(pose.alarm)?;
     finite(
         "pose",
         &[pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps],

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Command, Level, SolveStatus, StopReason};
+use shared_types::{
+    Actuation, ActuationKind, Alarm, BlockReason, Command, Level, Pose, SolveStatus, StopReason, Suspect,
+};
 
 use crate::figures::Distribution;
-use crate::report::ControllerReport;
+use crate::report::{ControllerReport, SelfCheckReport};
 
 /// Figures of the solver, and why the wheels were blocked.
 #[derive(Debug, Clone)]
@@ -17,6 +19,8 @@ pub(super) struct Tally {
     level: BTreeMap<String, u64>,
     stops: BTreeMap<String, u64>,
     actuator_blocks: Option<BlockReason>,
+    self_check: SelfCheckReport,
+    alarmed: bool,
 }
 
 impl Tally {
@@ -30,7 +34,38 @@ impl Tally {
             level: BTreeMap::new(),
             stops: BTreeMap::new(),
             actuator_blocks: None,
+            self_check: SelfCheckReport {
+                suspect: Suspect::None.name().to_owned(),
+                alarm: Alarm::None.name().to_owned(),
+                ..SelfCheckReport::default()
+            },
+            alarmed: false,
         }
+    }
+
+    /// Notes what the estimator says of its calibration.
+    pub(super) fn pose(&mut self, pose: &Pose) {
+        let seen = &mut self.self_check;
+        seen.rejected = pose.rejected;
+        let alarm = Alarm::try_from(pose.alarm).unwrap_or(Alarm::None);
+        if alarm != Alarm::None {
+            if !self.alarmed {
+                seen.alarms += 1;
+                seen.suspect = Suspect::try_from(pose.suspect).map_or("unknown", Suspect::name).to_owned();
+            }
+            if seen.first_scan == 0 {
+                seen.first_scan = pose.header.scan_id;
+            }
+            if seen.alarm != Alarm::Stop.name() && seen.alarm != alarm.name() {
+                seen.alarm = alarm.name().to_owned();
+            }
+        }
+        self.alarmed = alarm != Alarm::None;
+    }
+
+    /// What the watch over the calibration noticed.
+    pub(super) fn self_check(&self) -> SelfCheckReport {
+        self.self_check.clone()
     }
 
     /// Counts a command.
@@ -93,6 +128,20 @@ fn count(counts: &mut BTreeMap<String, u64>, name: &str) {
 mod tests {
     use super::*;
     use shared_types::CommandKind;
+
+    #[test]
+    fn an_alarm_counts_once_and_its_strongest_form_stays() {
+        let mut tally = Tally::new(true);
+        for (scan_id, alarm) in [(1, Alarm::None), (2, Alarm::Slow), (3, Alarm::Stop), (4, Alarm::Stop)] {
+            let mut pose = Pose { alarm: alarm.wire(), rejected: scan_id, ..Pose::default() };
+            pose.suspect = if alarm == Alarm::None { Suspect::None } else { Suspect::Heading }.wire();
+            pose.header.scan_id = scan_id;
+            tally.pose(&pose);
+        }
+        let seen = tally.self_check();
+        assert_eq!((seen.alarms, seen.first_scan, seen.rejected), (1, 2, 4));
+        assert_eq!((seen.suspect.as_str(), seen.alarm.as_str()), ("heading", "stop"));
+    }
 
     #[test]
     fn commands_are_counted_by_status_level_and_stop_reason() {

@@ -2,7 +2,8 @@
 //!
 //! (7.39) and (7.40) correct a reported increment by v dt R(yaw) (df, ds), with ds growing at the rate dds (7.38).
 //! The emulated odometer reports exactly what that correction undoes: true increment = reported + v dt R(yaw)
-//! (df, ds). The error accumulates; noise does not: it is white on the reported pose. Yaw has noise only.
+//! (df, ds). The error accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be
+//! off by a constant from some moment on, as that of a compass that passes a magnet.
 //! The speed is the true one.
 
 use nalgebra::Vector2;
@@ -59,6 +60,8 @@ impl Reckoning {
 pub struct Odometer {
     seed: u64,
     noise: Noise,
+    jump_rad: f64,
+    jump_ns: u64,
     last: Option<Reported>,
 }
 
@@ -73,17 +76,25 @@ struct Reported {
 impl Odometer {
     /// An odometer that has not reported yet.
     pub fn new(scenario: &Scenario) -> Self {
-        Self { seed: scenario.seed, noise: scenario.noise, last: None }
+        let Robot { odometry_jump_rad, odometry_jump_s, .. } = scenario.robot;
+        Self {
+            seed: scenario.seed,
+            noise: scenario.noise,
+            jump_rad: odometry_jump_rad,
+            jump_ns: (odometry_jump_s * 1e9) as u64,
+            last: None,
+        }
     }
 
     /// Fills all but the header with the reported pose at a node and the increments since the sample before.
     pub fn report(&mut self, scan_id: u64, node: &Node, odometry: &mut Odometry) {
         let mut noise = Stream::new(self.seed, Purpose::Odometry, scan_id);
+        let jump = if node.time_ns >= self.jump_ns { self.jump_rad } else { 0.0 };
         let reported = Reported {
             time_ns: node.time_ns,
             x: node.reported.x + self.noise.odometry_m * noise.normal(),
             y: node.reported.y + self.noise.odometry_m * noise.normal(),
-            yaw: wrap_angle(node.state.yaw + self.noise.odometry_rad * noise.normal()),
+            yaw: wrap_angle(node.state.yaw + jump + self.noise.odometry_rad * noise.normal()),
         };
         let last = self.last.unwrap_or(reported);
         self.last = Some(reported);

@@ -42,6 +42,8 @@ pub struct Config {
     pub drift_reset_s: f64,
     /// Whether measurements that do not fit the estimate are refused; not with the printed noise.
     pub gate: Option<bool>,
+    /// Whether a calibration that is wrong is noticed, and ends the drive.
+    pub self_check: bool,
     /// Measurements refused in a row after which the estimate begins anew, 1 to 1000.
     pub recover_after: u32,
     /// Time without odometry after which the estimate begins anew, 0.1 to 60 [s].
@@ -66,6 +68,7 @@ impl Default for Config {
             odometry_lateral_rate: None,
             drift_reset_s: 0.0,
             gate: None,
+            self_check: true,
             // Half a second at 10 Hz: longer than a burst of outliers, shorter than a metre at top speed.
             recover_after: 5,
             max_gap_s: 2.0,
@@ -91,6 +94,8 @@ pub struct Settings {
     pub drift: Drift,
     /// Whether measurements that do not fit are refused.
     pub gate: bool,
+    /// Whether a wrong calibration is noticed.
+    pub self_check: bool,
     /// Refusals in a row after which the estimate begins anew.
     pub recover_after: u64,
     /// Time without odometry after which the estimate begins anew [s].
@@ -131,6 +136,7 @@ impl Config {
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
             drift,
             gate: self.gate.unwrap_or(!source),
+            self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
             max_gap_s: self.max_gap_s,
             extra_latency_ns: (self.extra_latency_ms * 1e6) as u64,

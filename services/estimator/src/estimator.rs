@@ -18,6 +18,7 @@ use crate::correction::{CorrectionState, Planar};
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::motion::{MotionState, plausible_speed};
 use crate::observability::motion_jacobian;
+use crate::self_check::Evidence;
 use crate::{Config, EstimatorState, Settings};
 
 /// Positions beyond this are no measurement [m]: the longest track has 10 km.
@@ -97,7 +98,7 @@ impl Estimator {
                 Update::default()
             } else {
                 self.predict(odometry, dt);
-                self.update(measured, odometry)
+                self.update_and_check(measured, odometry)
             }
         } else {
             self.state.correction = CorrectionState::begin(reported, speed);
@@ -187,6 +188,39 @@ impl Estimator {
         let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
         filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
         self.keep(&filter);
+    }
+
+    /// Measurement update, and what it shows about the calibration.
+    fn update_and_check(&mut self, measured: Planar, odometry: &Odometry) -> Update {
+        let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
+        let update = self.update(measured, odometry);
+        if self.settings.self_check {
+            let acquired_ns = odometry.header.acquired_ns;
+            let in_force = self.state.motion.in_force(acquired_ns);
+            self.state.self_check.observe(&Evidence {
+                acquired_ns,
+                speed_mps: self.state.motion.speed_mps,
+                desired_mps: in_force
+                    .filter(|control| control.drives == 1)
+                    .map(|control| control.velocity_mps),
+                innovation: self.settings.gate.then(|| self.normalised(&expected, &update.innovation)),
+                refused: self.state.rejected > refused,
+                began_anew: self.state.restarts > restarts,
+            });
+        }
+        update
+    }
+
+    /// Innovation ahead, to the left and in yaw, in standard deviations of what was expected.
+    fn normalised(&self, expected: &Ekf<3>, innovation: &Vector3<f64>) -> [f64; 3] {
+        let (sin, cos) = expected.state[0].sin_cos();
+        let noise = Matrix3::from_diagonal(&Vector3::from(self.settings.measurement_noise));
+        let spread = expected.covariance + noise;
+        let [yaw, ahead, left] = [[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]].map(|direction| {
+            let direction = Vector3::from(direction);
+            direction.dot(innovation) / direction.dot(&(spread * direction)).sqrt()
+        });
+        [ahead, left, yaw]
     }
 
     /// Measurement update (7.24)-(7.26) with what is measured, unless the gate refuses it.
@@ -290,6 +324,8 @@ impl Estimator {
             gain,
             nis: update.nis,
             rejected: self.state.rejected,
+            suspect: self.state.self_check.suspect,
+            alarm: self.state.self_check.alarm,
         }
     }
 

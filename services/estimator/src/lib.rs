@@ -10,6 +10,7 @@ pub mod ekf;
 mod estimator;
 pub mod motion;
 pub mod observability;
+pub mod self_check;
 pub mod service;
 mod state;
 

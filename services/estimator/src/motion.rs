@@ -198,7 +198,7 @@ impl MotionState {
     }
 
     /// The control in force at a time, if one that old is remembered.
-    fn in_force(&self, at_ns: u64) -> Option<&ControlInForce> {
+    pub(crate) fn in_force(&self, at_ns: u64) -> Option<&ControlInForce> {
         self.controls().iter().rev().find(|control| control.from_ns <= at_ns)
     }
 }

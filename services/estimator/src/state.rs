@@ -5,6 +5,7 @@ use shared_types::Fault;
 
 use crate::correction::CorrectionState;
 use crate::motion::{HISTORY, MotionState};
+use crate::self_check::{SelfCheckState, WINDOW};
 
 /// Declares plain state with the description of its fields that a checkpoint is recognised by.
 macro_rules! plain_state {
@@ -63,6 +64,8 @@ plain_state! {
         pub skipped: u64,
         /// Odometry samples that could not be used because of their content
         pub invalid: u64,
+        /// The watch over the calibration
+        pub self_check: SelfCheckState,
     }
 }
 
@@ -82,6 +85,8 @@ impl EstimatorState {
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
+        let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
+        finite("self_check", residuals)?;
         let motion = &self.motion;
         finite("motion", &[motion.speed_mps, motion.sideslip_rad, motion.yaw_rate_radps])?;
         for control in &motion.controls {

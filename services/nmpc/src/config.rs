@@ -123,6 +123,8 @@ pub struct Config {
     pub period_s: f64,
     /// Velocity on a free path [m/s]; within the bounds.
     pub cruise_mps: f64,
+    /// Velocity while the estimator suspects its calibration, within the bounds [m/s].
+    pub careful_mps: f64,
     /// Time constant of the approach to the goal: velocity is distance over this [s]; 0.2 to 5.
     pub landing_time_s: f64,
     /// Deceleration of blocked wheels [m/s^2]; 0.5 to 20.
@@ -163,6 +165,7 @@ impl Default for Config {
             intervals: 6,
             period_s: 0.1,
             cruise_mps: 1.0,
+            careful_mps: 0.3,
             landing_time_s: 0.6,
             deceleration_mps2: 5.0,
             max_ellipses: 8,
@@ -207,7 +210,9 @@ impl Config {
         require("intervals", self.intervals as f64, 2.0..=MAX_INTERVALS as f64)?;
         require("period_s", self.period_s, 0.005..=1.0)?;
         self.validate_bounds()?;
-        require("cruise_mps", self.cruise_mps, self.bounds.velocity_min_mps..=self.bounds.velocity_max_mps)?;
+        let velocities = self.bounds.velocity_min_mps..=self.bounds.velocity_max_mps;
+        require("cruise_mps", self.cruise_mps, velocities.clone())?;
+        require("careful_mps", self.careful_mps, velocities)?;
         require("landing_time_s", self.landing_time_s, 0.2..=5.0)?;
         require("deceleration_mps2", self.deceleration_mps2, 0.5..=20.0)?;
         require("max_ellipses", self.max_ellipses as f64, 1.0..=16.0)?;

@@ -10,7 +10,7 @@
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one whose [`Controller::state`] it got.
 
-use shared_types::{Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
+use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
 use vehicle::{Control, Invalid, State};
 
 use crate::config::Config;
@@ -134,12 +134,17 @@ impl Controller {
         }
         let initial = self.read(pose, obstacles)?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
+        if pose.alarm == Alarm::Stop.wire() {
+            return Err(StopReason::SelfCheck);
+        }
         self.look_ahead(&initial);
         command.side = self.nearest_side(&initial);
         self.wait_for_a_way()?;
 
         let Self { config, hazards, guide, state, planner, .. } = self;
-        let task = Task { config, hazards, guide, last: state, initial, start_ns: pose.predicted_ns };
+        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
+        let task =
+            Task { config, hazards, guide, last: state, initial, start_ns: pose.predicted_ns, fastest_mps };
         let scene = task.scene();
         let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.

@@ -37,6 +37,8 @@ pub(crate) struct Task<'a> {
     pub(crate) initial: State,
     /// Time of the start of the plan [ns].
     pub(crate) start_ns: u64,
+    /// Largest velocity to plan with [m/s].
+    pub(crate) fastest_mps: f64,
 }
 
 impl<'a> Task<'a> {
@@ -48,7 +50,7 @@ impl<'a> Task<'a> {
     fn pace(&self) -> Pace {
         let speed = if self.guide.clear { self.guide.speed } else { self.config.stop.approach_mps };
         Pace {
-            cruise: speed.min(self.config.cruise_mps),
+            cruise: speed.min(self.config.cruise_mps).min(self.fastest_mps),
             slowest: self.config.bounds.velocity_min_mps,
             goal_x: self.config.goal.x_m,
             landing_time: self.config.landing_time_s,
@@ -155,7 +157,7 @@ impl Planner {
         warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
         self.guess.controls.truncate(left);
-        warm::clamp(&task.config.bounds, &mut self.guess.controls);
+        warm::clamp(&self.problem.bounds, &mut self.guess.controls);
         self.verify_guess(task).map(|intervals| Choice { level: Level::LastPlan, intervals })
     }
 
@@ -164,6 +166,7 @@ impl Planner {
         let Task { config, initial, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
+        problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
         problem.control_reference = reference::fill(
@@ -198,7 +201,7 @@ impl Planner {
 
     /// Puts the states that the controls of the guess lead to into it.
     fn drive_guess(&mut self, task: &Task) {
-        warm::clamp(&task.config.bounds, &mut self.guess.controls);
+        warm::clamp(&self.problem.bounds, &mut self.guess.controls);
         self.driven.drive(&task.scene(), &self.guess.controls);
         self.guess.states.clone_from(&self.driven.nodes);
     }

@@ -1,5 +1,7 @@
 //! What is wrong with the emulated robot and with what it measures.
 
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
 use vehicle::{Invalid, require};
 
@@ -38,6 +40,10 @@ pub struct Robot {
     pub odometry_lateral_rate: f64,
     /// When that share grows.
     pub odometry_drift: Drift,
+    /// What the reported yaw is off from `odometry_jump_s` on [rad], -pi to pi.
+    pub odometry_jump_rad: f64,
+    /// When the reported yaw jumps [s], 0 to 1e6.
+    pub odometry_jump_s: f64,
 }
 
 /// Noise of scanner and odometer; standard deviations unless said otherwise.
@@ -70,6 +76,8 @@ impl Default for Robot {
             odometry_longitudinal: 0.01,
             odometry_lateral_rate: 0.0,
             odometry_drift: Drift::Moving,
+            odometry_jump_rad: 0.0,
+            odometry_jump_s: 0.0,
         }
     }
 }
@@ -95,7 +103,9 @@ impl Robot {
         require("steering_backlash_rad", self.steering_backlash_rad, 0.0..=0.1)?;
         require("blocked_deceleration_mps2", self.blocked_deceleration_mps2, 0.1..=50.0)?;
         require("odometry_longitudinal", self.odometry_longitudinal, -0.5..=0.5)?;
-        require("odometry_lateral_rate", self.odometry_lateral_rate, -1.0..=1.0)
+        require("odometry_lateral_rate", self.odometry_lateral_rate, -1.0..=1.0)?;
+        require("odometry_jump_rad", self.odometry_jump_rad, -PI..=PI)?;
+        require("odometry_jump_s", self.odometry_jump_s, 0.0..=1e6)
     }
 }
 
