@@ -29,7 +29,7 @@ use crate::{Chart, Estimate, Refusal};
 
 use network_error::NetworkError;
 
-/// Desired angles that the correction has to realise, to either side, (7.42) [rad].
+/// Desired angles that the correction has to realise, to either side, (7.41) [rad].
 pub const DESIRED_MAX_RAD: f64 = 0.06;
 
 /// Largest step between neighbouring sent angles [rad]; the map may bend within a larger one unseen.

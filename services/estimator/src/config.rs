@@ -113,7 +113,7 @@ const SOURCE_NOISE: ([f64; 3], [f64; 3]) = ([0.1, 0.1, 100.0], [1.0, 1.0, 10.0])
 ///
 /// R is the noise of the odometry that the robot is expected to have; Q makes the steady gains about 0.18, which
 /// leaves 30 % of the noise, and follows a bend of the way that the model does not know within half a second.
-const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
+pub(crate) const SCALED_NOISE: ([f64; 3], [f64; 3]) = ([4e-6, 1.6e-5, 4e-6], [1e-4, 4e-4, 4e-4]);
 
 impl Config {
     /// The settings with the values of the profile filled in.

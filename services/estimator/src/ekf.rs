@@ -1,6 +1,7 @@
 //! The extended Kalman filter, (7.20)-(7.26), for N states.
 //!
-//! The kernel knows no robot: the caller linearises its own model and hands in the Jacobians A and W of the state
+//! The process x_k = f(x_(k-1), u_k, w_(k-1)) and the measurement z_k = h(x_k, v_k), (7.14)-(7.19), are the caller's, and so
+//! are the zero means and the covariances Q and R of their noise, (7.3)-(7.8). The kernel knows no robot: the caller linearises its own model and hands in the Jacobians (7.20), (7.21): A and W of the state
 //! by state and process noise, and H and V of the measurement by state and measurement noise. With constant A and
 //! H, and W = V = 1, it is the linear filter (7.9)-(7.13).
 //!
