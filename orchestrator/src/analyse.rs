@@ -6,6 +6,7 @@
 
 mod arguments;
 mod correlation;
+mod drift;
 mod intervals;
 mod observability;
 
@@ -15,7 +16,8 @@ use anyhow::Context;
 use serde::Serialize;
 
 pub use arguments::{
-    AnalyseCommand, CorrelationArguments, IntervalsArguments, ObservabilityArguments, OutputArguments,
+    AnalyseCommand, CorrelationArguments, DriftArguments, IntervalsArguments, ObservabilityArguments,
+    OutputArguments,
 };
 
 use crate::exit::{Exit, Failure};
@@ -30,6 +32,7 @@ pub(crate) fn analyse(command: &AnalyseCommand) -> anyhow::Result<Exit> {
         AnalyseCommand::Observability(arguments) => observability::analyse(arguments),
         AnalyseCommand::Correlation(arguments) => correlation::analyse(arguments),
         AnalyseCommand::Intervals(arguments) => intervals::analyse(arguments),
+        AnalyseCommand::Drift(arguments) => drift::analyse(arguments),
     }
 }
 

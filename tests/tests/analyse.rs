@@ -108,6 +108,19 @@ fn a_tolerance_that_no_number_keeps_ends_with_exit_code_one() {
 }
 
 #[test]
+fn the_forms_of_the_correction_are_compared_on_three_robots() {
+    let answer = ask(&["drift"]);
+    assert_eq!(answer.code, 0);
+    let left = |robot: usize, form: usize, time: usize| {
+        answer.data["robots"][robot]["forms"][form]["largest_error_m"][time].as_f64().unwrap()
+    };
+    // The source's robot after 5 s: at most 0.08 m with the printed form, more than 0.5 m without.
+    assert!(left(0, 0, 0) > 0.5 && left(0, 1, 0) <= 0.08, "{}", answer.table);
+    // Play without a mean is made worse, after 20 s, by every form.
+    assert!((1..5).all(|form| left(1, form, 2) > left(1, 0, 2)), "{}", answer.table);
+}
+
+#[test]
 fn the_same_question_has_the_same_answer() {
     let question = ["intervals", "--controls", "piecewise", "--limit", "3"];
     assert_eq!(ask(&question).data, ask(&question).data);

@@ -16,7 +16,8 @@ fn equations(text: &str) -> Option<(std::ops::RangeInclusive<u32>, &str)> {
 
 /// Whether a text names an equation, alone or within a range.
 fn names(text: &str, number: u32) -> bool {
-    text.match_indices("(7.").any(|(at, _)| equations(&text[at..]).is_some_and(|(range, _)| range.contains(&number)))
+    text.match_indices("(7.")
+        .any(|(at, _)| equations(&text[at..]).is_some_and(|(range, _)| range.contains(&number)))
 }
 
 #[test]
@@ -27,7 +28,8 @@ fn every_equation_has_a_home_that_names_it() {
     for row in page.lines().filter(|line| line.starts_with("| (7.")) {
         let cells: Vec<&str> = row.split('|').map(str::trim).collect();
         let (range, _) = equations(cells[1]).unwrap();
-        let text = std::fs::read_to_string(root.join(cells[3])).unwrap_or_else(|error| panic!("{row}: {error}"));
+        let text =
+            std::fs::read_to_string(root.join(cells[3])).unwrap_or_else(|error| panic!("{row}: {error}"));
         assert!(text.contains(cells[4].trim_matches('`')), "{}: no {}", cells[3], cells[4]);
         for number in range {
             assert!(names(&text, number), "{} does not name (7.{number})", cells[3]);

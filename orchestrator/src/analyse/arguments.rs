@@ -26,6 +26,10 @@ pub enum AnalyseCommand {
     /// keys: `n`, `max_error`, `errors` (for N = 1, 2, ...), `worst_controls`, `lengths_s`, `max_tf_s` (with `--n`),
     /// `other_definitions`, `other_schemes`, ...
     Intervals(IntervalsArguments),
+    /// What each form of the correction of measured data leaves of an error of the odometry.
+    ///
+    /// JSON keys: `robots` with `forms` and their `largest_error_m` at `times_s`.
+    Drift(DriftArguments),
 }
 
 /// Where an answer goes.
@@ -37,6 +41,14 @@ pub struct OutputArguments {
     /// Where the picture is written.
     #[arg(long, value_name = "DIR", default_value = "out/analyse")]
     pub out: PathBuf,
+}
+
+/// Options of `analyse drift`.
+#[derive(Debug, Args)]
+pub struct DriftArguments {
+    /// Where the answer goes.
+    #[command(flatten)]
+    pub output: OutputArguments,
 }
 
 /// Options of `analyse observability`.

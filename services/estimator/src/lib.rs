@@ -8,6 +8,7 @@ mod config;
 pub mod correction;
 pub mod ekf;
 mod estimator;
+pub mod forms;
 pub mod motion;
 pub mod observability;
 pub mod self_check;

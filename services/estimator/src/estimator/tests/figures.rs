@@ -196,7 +196,8 @@ fn drift_as_modelled_with_noise_stays_below_10_cm_over_40_s() {
 #[test]
 fn on_matched_noise_the_nis_lies_in_its_95_percent_band_in_90_to_99_percent_of_steps() {
     // Noise of the measurement as R says, and noise of the process as Q says: what the filter is built for.
-    let robot = Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, matched: true, ..PERFECT };
+    let robot =
+        Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, matched: true, ..PERFECT };
     let (mut lowest, mut highest) = (1.0f64, 0.0f64);
     for seed in 1..=50 {
         let errors = run(&Config::default(), robot, 40, seed, sine);
