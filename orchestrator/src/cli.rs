@@ -7,6 +7,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::types::TypesArguments;
 
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]
@@ -83,11 +84,7 @@ pub enum Command {
     #[command(subcommand)]
     Topic(TopicCommand),
     /// Print the samples of all topics: fields, units, offsets.
-    Types {
-        /// As a Markdown table (the only form so far, and the default).
-        #[arg(long)]
-        markdown: bool,
-    },
+    Types(TypesArguments),
 }
 
 /// Arguments that choose and change a scenario and a system.

@@ -51,6 +51,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::AlreadyRunning { .. }
             | runtime::RuntimeError::NotRunning(_)
             | runtime::RuntimeError::NotInASystem(_)
+            | runtime::RuntimeError::Layout(_)
             | runtime::RuntimeError::Environment { .. },
         ) => Exit::BadInput,
         _ => Exit::Internal,

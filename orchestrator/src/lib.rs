@@ -32,6 +32,7 @@ pub mod swap;
 mod system;
 mod table;
 mod topic;
+mod types;
 mod vitals;
 
 use std::process::ExitCode;
@@ -80,8 +81,8 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&domain()?, topic, *count, *short).map(|()| Exit::Done)
         }
-        Command::Types { markdown: _ } => {
-            print!("{}", topic::markdown());
+        Command::Types(arguments) => {
+            print!("{}", types::print(arguments));
             Ok(Exit::Done)
         }
     }

@@ -222,7 +222,7 @@ fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {
     match kind {
         Kind::Scalar(name) => scalar(name, bytes),
         Kind::Array(element, length) => {
-            let size = size_of_kind(element);
+            let size = element.size();
             (0..*length).map(|index| decode(element, &bytes[index * size..], short)).collect()
         }
         Kind::Struct(_, fields) => decode_struct(fields, bytes, short),
@@ -240,17 +240,6 @@ fn scalar(name: &str, bytes: &[u8]) -> Value {
     }
 }
 
-fn size_of_kind(kind: &Kind) -> usize {
-    match kind {
-        Kind::Scalar("u8") => 1,
-        Kind::Scalar("u16") => 2,
-        Kind::Scalar("u32" | "i32") => 4,
-        Kind::Scalar(_) => 8,
-        Kind::Array(element, length) => size_of_kind(element) * length,
-        Kind::Struct(_, fields) => fields.last().map_or(0, |last| last.offset + size_of_kind(&last.kind)),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -259,7 +248,7 @@ mod tests {
     fn sizes_of_all_descriptions_are_the_sizes_of_the_samples() {
         for topic in TOPICS {
             let last = topic.fields().last().unwrap();
-            assert_eq!(last.offset + size_of_kind(&last.kind), topic.size(), "{topic}");
+            assert_eq!(last.offset + last.kind.size(), topic.size(), "{topic}");
         }
     }
 

@@ -11,6 +11,60 @@ pub enum Kind {
     Struct(&'static str, &'static [Field]),
 }
 
+impl Kind {
+    /// Size of a value of this kind [bytes]. Samples have no padding, so a struct ends with its last field.
+    pub const fn size(&self) -> usize {
+        match self {
+            Self::Scalar(name) => match name.as_bytes() {
+                b"u8" => 1,
+                b"u16" => 2,
+                b"u32" | b"i32" => 4,
+                _ => 8,
+            },
+            Self::Array(element, length) => element.size() * *length,
+            Self::Struct(_, fields) => match fields {
+                [.., last] => last.offset + last.kind.size(),
+                [] => 0,
+            },
+        }
+    }
+}
+
+/// A set of numbers with names that travels as a `u32`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Enumeration {
+    /// Its name.
+    pub name: &'static str,
+    /// First line of its documentation.
+    pub doc: &'static str,
+    /// Its values.
+    pub values: &'static [EnumerationValue],
+}
+
+/// One value of an [`Enumeration`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EnumerationValue {
+    /// The name used in reports and messages.
+    pub name: &'static str,
+    /// The number in the sample.
+    pub number: u32,
+    /// What it means.
+    pub doc: &'static str,
+}
+
+/// All enumerations of the samples.
+pub const ENUMERATIONS: [Enumeration; 9] = [
+    crate::Role::ENUMERATION,
+    crate::Phase::ENUMERATION,
+    crate::ProcessState::ENUMERATION,
+    crate::CommandKind::ENUMERATION,
+    crate::Level::ENUMERATION,
+    crate::SolveStatus::ENUMERATION,
+    crate::StopReason::ENUMERATION,
+    crate::ActuationKind::ENUMERATION,
+    crate::BlockReason::ENUMERATION,
+];
+
 /// One field of a sample: its place and meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {

@@ -108,17 +108,29 @@ macro_rules! sample {
 /// Declares an enum that travels as a `u32` and is checked on arrival.
 macro_rules! wire_enum {
     (
-        $(#[$meta:meta])*
-        pub enum $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal $text:literal,)* }
+        #[doc = $about:literal]
+        pub enum $name:ident {
+            $(#[doc = $doc:literal] $(#[doc = $more:literal])* $variant:ident = $value:literal $text:literal,)*
+        }
     ) => {
-        $(#[$meta])*
+        #[doc = $about]
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[repr(u32)]
-        pub enum $name { $($(#[doc = $doc])+ $variant = $value,)* }
+        pub enum $name { $(#[doc = $doc] $(#[doc = $more])* $variant = $value,)* }
 
         impl $name {
             /// All values, in the order of their numbers.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            pub(crate) const ENUMERATION: $crate::Enumeration = $crate::Enumeration {
+                name: stringify!($name),
+                doc: $about.trim_ascii(),
+                values: &[$($crate::EnumerationValue {
+                    name: $text,
+                    number: $value,
+                    doc: $doc.trim_ascii(),
+                },)*],
+            };
 
             /// The number that stands in the sample.
             pub const fn wire(self) -> u32 {

@@ -104,9 +104,14 @@ impl Topic {
         self.description().2
     }
 
-    const fn description(self) -> (&'static str, usize, &'static [Field]) {
-        const fn of<S: Sample>() -> (&'static str, usize, &'static [Field]) {
-            (S::TYPE_NAME, size_of::<S>(), S::FIELDS)
+    /// Layout version of a sample, [`Sample::LAYOUT`].
+    pub const fn layout(self) -> u32 {
+        self.description().3
+    }
+
+    const fn description(self) -> (&'static str, usize, &'static [Field], u32) {
+        const fn of<S: Sample>() -> (&'static str, usize, &'static [Field], u32) {
+            (S::TYPE_NAME, size_of::<S>(), S::FIELDS, S::LAYOUT)
         }
         match self {
             Self::Scan => of::<Scan>(),

@@ -21,7 +21,7 @@ use shared_types::{
 
 use crate::quality::{EVENT_PORTS, NODES, quality};
 use crate::wire::Wire;
-use crate::{Domain, RuntimeError};
+use crate::{Domain, RuntimeError, layouts};
 
 type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
 type Events = event::PortFactory<ipc::Service>;
@@ -43,9 +43,11 @@ impl Bus {
     /// Creates all services of the system and keeps them for as long as the value lives: the orchestrator.
     ///
     /// # Errors
-    /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full.
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full, and
+    /// [`RuntimeError::File`] when the layouts of the samples can't be written beside it.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
         let mut bus = Self::open(domain, "orchestrator")?;
+        layouts::write(domain)?;
         bus.create_topic::<Scan>()?;
         bus.create_topic::<Odometry>()?;
         bus.create_topic::<Pose>()?;

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use shared_types::{Role, Topic};
+use shared_types::{Difference, Role, Topic};
 
 /// An error of the bus or of its surroundings.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +42,11 @@ pub enum RuntimeError {
         /// The topic.
         topic: Topic,
     },
+    /// The process was built against another layout of a sample than the system.
+    #[error(
+        "built against another layout: {0}; build it again with what `scanloop types` of this system prints"
+    )]
+    Layout(Difference),
     /// The settings file of the system could not be used.
     #[error("{}: {reason}", path.display())]
     Settings {

@@ -33,6 +33,7 @@ mod environment;
 mod error;
 mod handover;
 mod input;
+mod layouts;
 mod logging;
 mod observer;
 mod output;
@@ -53,6 +54,7 @@ pub use environment::{INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE
 pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
 pub use input::{Input, Taken, join};
+pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::start_logging;
 pub use observer::{Checked, Observer, Voice};
 pub use output::Output;

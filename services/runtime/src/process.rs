@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Described, Directive, Heartbeat, Phase, ProcessState, Role, Sample, StageStamps,
+    Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
 };
 
 use crate::counters::{Counters, count};
@@ -15,7 +15,7 @@ use crate::input::{Drain, Input};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
 use crate::wake::{borrow, wait_for};
-use crate::{Bus, Clock, Domain, RuntimeError, Shutdown, environment, monotonic_ns};
+use crate::{Bus, Clock, Domain, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
@@ -71,10 +71,12 @@ impl Process {
     /// Joins the system that started this process, as `role`.
     ///
     /// # Errors
-    /// [`RuntimeError::NotInASystem`] when the process was started by hand, and errors of the bus.
+    /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::Layout`] when it was built
+    /// against other samples than the system, and errors of the bus.
     pub fn attach(role: Role) -> Result<Self, RuntimeError> {
         let (system_id, incarnation) = environment::identity()?;
         let domain = Domain::new(&system_id)?;
+        layouts::verify(&domain, role, &Layouts::built_in())?;
         let shutdown = Shutdown::on_signals()?;
         let settings = settings::read(&domain)?;
         let run: RunSettings = settings::table(&domain, &settings, "run")?;

@@ -1,0 +1,799 @@
+/* The samples of Scanloop. Made by `scanloop types --c`: do not edit, make it again.
+ *
+ * C11, fixed layout, no padding; lengths in metres, angles in radians counter-clockwise, x along the track, y to the
+ * left. The assertions hold each struct to the layout it was made from; the table at the end is computed by your
+ * compiler, and a process whose table differs from that of the system is refused with the field that differs. */
+#ifndef SCANLOOP_TYPES_H
+#define SCANLOOP_TYPES_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define SCANLOOP_ROLES 5 /* Number of roles */
+#define SCANLOOP_BEAMS 682 /* Number of beams of a sweep */
+#define SCANLOOP_FRONT_BEAM 340 /* Index of the beam that looks straight ahead */
+#define SCANLOOP_FIRST_ANALYSED_BEAM 170 /* First beam analysed for obstacles, 60 deg to the right */
+#define SCANLOOP_LAST_ANALYSED_BEAM 511 /* Last beam analysed for obstacles, 60 deg to the left */
+#define SCANLOOP_MIN_RANGE_MM 20 /* Ranges below this are error codes: no return [mm] */
+#define SCANLOOP_PITCH_RAD 0.006135923151542565 /* Angle between two beams [rad] */
+#define SCANLOOP_FIRST_BEAM_YAW_RAD -2.086213871524472 /* Angle of beam 0, counter-clockwise from straight ahead [rad] */
+#define SCANLOOP_MAX_OBSTACLES 16 /* How many ellipses a description can hold */
+#define SCANLOOP_PLAN_NODES 25 /* How many nodes of the plan a command carries */
+#define SCANLOOP_CHECKPOINT_BYTES 8192 /* How many bytes of state a checkpoint can hold */
+
+#define SCANLOOP_TOPIC_SCAN "scan"
+#define SCANLOOP_TOPIC_ODOMETRY "odometry"
+#define SCANLOOP_TOPIC_POSE "pose"
+#define SCANLOOP_TOPIC_OBSTACLES "obstacles"
+#define SCANLOOP_TOPIC_COMMAND "command"
+#define SCANLOOP_TOPIC_ACTUATION "actuation"
+#define SCANLOOP_TOPIC_HEARTBEAT "heartbeat"
+#define SCANLOOP_TOPIC_DIRECTIVE "directive"
+#define SCANLOOP_TOPIC_CHECKPOINT "checkpoint"
+#define SCANLOOP_TOPIC_TRUTH "truth"
+
+/* What one process of the loop is there for. */
+enum scanloop_role {
+    SCANLOOP_ROLE_ROBOT = 0, /* Moves and measures: the emulated SUMMIT with its scanner, or a driver of a real robot. */
+    SCANLOOP_ROLE_ESTIMATOR = 1, /* Corrects measured data and estimates the pose. */
+    SCANLOOP_ROLE_OBSTACLES = 2, /* Describes obstacles as ellipses. */
+    SCANLOOP_ROLE_CONTROLLER = 3, /* Plans and commands velocity and steering. */
+    SCANLOOP_ROLE_ACTUATOR = 4, /* Corrects and limits commands, and blocks the wheels when it must. */
+};
+
+/* What the whole system is doing. */
+enum scanloop_phase {
+    SCANLOOP_PHASE_STARTING = 0, /* Processes are starting and open their ports. */
+    SCANLOOP_PHASE_CONNECTING = 1, /* All ports exist: everyone connects both halves of its connections. */
+    SCANLOOP_PHASE_DRIVING = 2, /* The loop runs. */
+    SCANLOOP_PHASE_STOPPING = 3, /* Wheels are blocked and processes end. */
+};
+
+/* What a process says of itself. */
+enum scanloop_process_state {
+    SCANLOOP_PROCESS_STATE_ATTACHED = 0, /* It has opened its ports. */
+    SCANLOOP_PROCESS_STATE_CONNECTED = 1, /* Its connections are made, samples will arrive. */
+    SCANLOOP_PROCESS_STATE_READY = 2, /* It has published its first output. */
+    SCANLOOP_PROCESS_STATE_ENDING = 3, /* It is about to end. */
+};
+
+/* What the command asks for. */
+enum scanloop_command_kind {
+    SCANLOOP_COMMAND_KIND_STOP = 0, /* Block the wheels for safety. */
+    SCANLOOP_COMMAND_KIND_DRIVE = 1, /* Drive with the velocity and steering angle of the command. */
+    SCANLOOP_COMMAND_KIND_LAND = 2, /* Block the wheels because the goal is reached. */
+};
+
+/* Where a command comes from: the rung of the ladder that was reached. */
+enum scanloop_level {
+    SCANLOOP_LEVEL_STOP = 0, /* Wheels blocked. */
+    SCANLOOP_LEVEL_CONVERGED = 1, /* The converged and verified solution for this scan. */
+    SCANLOOP_LEVEL_BEST_ITERATE = 2, /* The best verified iterate for this scan. */
+    SCANLOOP_LEVEL_LAST_PLAN = 3, /* The rest of the last verified plan, verified again against the obstacles of this scan. */
+};
+
+/* How the optimal control problem was solved. */
+enum scanloop_solve_status {
+    SCANLOOP_SOLVE_STATUS_NOT_SOLVED = 0, /* No problem was solved for this command. */
+    SCANLOOP_SOLVE_STATUS_CONVERGED = 1, /* The KKT residual is within its tolerance. */
+    SCANLOOP_SOLVE_STATUS_MAX_ITERATIONS = 2, /* The iteration limit came first; the best iterate is in the command. */
+    SCANLOOP_SOLVE_STATUS_OUT_OF_TIME = 3, /* The time budget came first; the best iterate is in the command. */
+    SCANLOOP_SOLVE_STATUS_FAILED = 4, /* No step could be computed. */
+};
+
+/* Why the controller asks to block the wheels. */
+enum scanloop_stop_reason {
+    SCANLOOP_STOP_REASON_NONE = 0, /* It does not. */
+    SCANLOOP_STOP_REASON_LANDED = 1, /* The goal is reached. */
+    SCANLOOP_STOP_REASON_BLOCKED = 2, /* The path is blocked, or too near to steer around. */
+    SCANLOOP_STOP_REASON_UNVERIFIED = 3, /* No plan of this scan or the last could be verified. */
+    SCANLOOP_STOP_REASON_BAD_INPUT = 4, /* The inputs contradict each other or the bounds. */
+    SCANLOOP_STOP_REASON_GOAL_PASSED = 5, /* The goal was passed and cannot be reached any more. */
+    SCANLOOP_STOP_REASON_NO_INPUT = 6, /* No input came in time. */
+};
+
+/* What the robot is told. */
+enum scanloop_actuation_kind {
+    SCANLOOP_ACTUATION_KIND_BLOCK = 0, /* Block the wheels. */
+    SCANLOOP_ACTUATION_KIND_DRIVE = 1, /* Turn the wheels with the velocity and angle sent. */
+};
+
+/* Why the actuator blocks the wheels. */
+enum scanloop_block_reason {
+    SCANLOOP_BLOCK_REASON_NONE = 0, /* It does not. */
+    SCANLOOP_BLOCK_REASON_LANDED = 1, /* The goal is reached. */
+    SCANLOOP_BLOCK_REASON_COMMANDED = 2, /* The controller asked for a stop. */
+    SCANLOOP_BLOCK_REASON_NO_COMMAND = 3, /* No valid command came within 1.5 scan periods. */
+    SCANLOOP_BLOCK_REASON_INVALID_COMMAND = 4, /* The command was not finite, not verified, or outside its hard limits. */
+    SCANLOOP_BLOCK_REASON_STALE_COMMAND = 5, /* The scan behind the command is too old. */
+    SCANLOOP_BLOCK_REASON_STOP_REQUESTED = 6, /* The user or the orchestrator asked for a stop. */
+    SCANLOOP_BLOCK_REASON_START = 7, /* Nothing has been commanded yet. */
+};
+
+/* A part of samples. */
+typedef struct scanloop_stage_stamps {
+    uint64_t woken_ns; /* When the stage was woken for the scan [ns] */
+    uint64_t taken_ns; /* When all of its inputs were taken [ns] */
+    uint64_t computed_ns; /* When its computation was done [ns] */
+    uint64_t published_ns; /* When its output was published [ns] */
+} scanloop_stage_stamps;
+_Static_assert(sizeof(scanloop_stage_stamps) == 32, "scanloop_stage_stamps");
+_Static_assert(offsetof(scanloop_stage_stamps, woken_ns) == 0, "scanloop_stage_stamps.woken_ns");
+_Static_assert(offsetof(scanloop_stage_stamps, taken_ns) == 8, "scanloop_stage_stamps.taken_ns");
+_Static_assert(offsetof(scanloop_stage_stamps, computed_ns) == 16, "scanloop_stage_stamps.computed_ns");
+_Static_assert(offsetof(scanloop_stage_stamps, published_ns) == 24, "scanloop_stage_stamps.published_ns");
+
+/* A part of samples. */
+typedef struct scanloop_header {
+    uint32_t layout; /* Layout version of the sample, `Sample::LAYOUT` */
+    uint32_t incarnation; /* Incarnation of the producer: one number per started process, given by the orchestrator */
+    uint64_t scan_id; /* The scan that this sample belongs to; the first scan of a run is 1 */
+    uint64_t sequence; /* Number of the sample among those of its producer on its topic, from 1 without gaps */
+    uint64_t acquired_ns; /* When the front beam of the scan was taken [ns] */
+    scanloop_stage_stamps chain[5]; /* Stamps of all stages on the way to this sample, indexed by role */
+} scanloop_header;
+_Static_assert(sizeof(scanloop_header) == 192, "scanloop_header");
+_Static_assert(offsetof(scanloop_header, layout) == 0, "scanloop_header.layout");
+_Static_assert(offsetof(scanloop_header, incarnation) == 4, "scanloop_header.incarnation");
+_Static_assert(offsetof(scanloop_header, scan_id) == 8, "scanloop_header.scan_id");
+_Static_assert(offsetof(scanloop_header, sequence) == 16, "scanloop_header.sequence");
+_Static_assert(offsetof(scanloop_header, acquired_ns) == 24, "scanloop_header.acquired_ns");
+_Static_assert(offsetof(scanloop_header, chain) == 32, "scanloop_header.chain");
+
+/* A part of samples. */
+typedef struct scanloop_obstacle {
+    uint32_t id; /* Identity of the ellipse, kept while it is tracked; never 0 */
+    uint32_t body; /* Identity of the body that the ellipse belongs to */
+    double x_m; /* Centre of the ellipse along the track, (7.32) [m] */
+    double y_m; /* Centre of the ellipse across the track, (7.33) [m] */
+    double a_m; /* Semi-axis along the track, a of (7.34) [m] */
+    double b_m; /* Semi-axis across the track, b of (7.35) [m] */
+    double velocity_x_mps; /* Velocity along the track [m/s] */
+    double velocity_y_mps; /* Velocity across the track [m/s] */
+    double velocity_covariance[3]; /* Covariance of the velocity: xx, xy, yy [m^2/s^2] */
+    double box_x_m; /* Centre of the body's box along the track [m] */
+    double box_y_m; /* Centre of the body's box across the track [m] */
+    double box_length_m; /* Full length of the body's box along its own axis [m] */
+    double box_width_m; /* Full width of the body's box [m] */
+    double box_yaw_rad; /* Direction of the box's length axis [rad] */
+    double unseen_s; /* Time since the body was last seen; zero when this scan shows it [s] */
+    uint64_t sightings; /* Scans that showed the body since it was first seen */
+} scanloop_obstacle;
+_Static_assert(sizeof(scanloop_obstacle) == 136, "scanloop_obstacle");
+_Static_assert(offsetof(scanloop_obstacle, id) == 0, "scanloop_obstacle.id");
+_Static_assert(offsetof(scanloop_obstacle, body) == 4, "scanloop_obstacle.body");
+_Static_assert(offsetof(scanloop_obstacle, x_m) == 8, "scanloop_obstacle.x_m");
+_Static_assert(offsetof(scanloop_obstacle, y_m) == 16, "scanloop_obstacle.y_m");
+_Static_assert(offsetof(scanloop_obstacle, a_m) == 24, "scanloop_obstacle.a_m");
+_Static_assert(offsetof(scanloop_obstacle, b_m) == 32, "scanloop_obstacle.b_m");
+_Static_assert(offsetof(scanloop_obstacle, velocity_x_mps) == 40, "scanloop_obstacle.velocity_x_mps");
+_Static_assert(offsetof(scanloop_obstacle, velocity_y_mps) == 48, "scanloop_obstacle.velocity_y_mps");
+_Static_assert(offsetof(scanloop_obstacle, velocity_covariance) == 56, "scanloop_obstacle.velocity_covariance");
+_Static_assert(offsetof(scanloop_obstacle, box_x_m) == 80, "scanloop_obstacle.box_x_m");
+_Static_assert(offsetof(scanloop_obstacle, box_y_m) == 88, "scanloop_obstacle.box_y_m");
+_Static_assert(offsetof(scanloop_obstacle, box_length_m) == 96, "scanloop_obstacle.box_length_m");
+_Static_assert(offsetof(scanloop_obstacle, box_width_m) == 104, "scanloop_obstacle.box_width_m");
+_Static_assert(offsetof(scanloop_obstacle, box_yaw_rad) == 112, "scanloop_obstacle.box_yaw_rad");
+_Static_assert(offsetof(scanloop_obstacle, unseen_s) == 120, "scanloop_obstacle.unseen_s");
+_Static_assert(offsetof(scanloop_obstacle, sightings) == 128, "scanloop_obstacle.sightings");
+
+/* A part of samples. */
+typedef struct scanloop_plan_node {
+    double x_m; /* Position along the track [m] */
+    double y_m; /* Lateral position [m] */
+    double yaw_rad; /* Yaw [rad] */
+    double sideslip_rad; /* Sideslip [rad] */
+    double yaw_rate_radps; /* Yaw rate [rad/s] */
+    double velocity_mps; /* Velocity from this node to the next [m/s] */
+    double steering_rad; /* Steering angle from this node to the next [rad] */
+} scanloop_plan_node;
+_Static_assert(sizeof(scanloop_plan_node) == 56, "scanloop_plan_node");
+_Static_assert(offsetof(scanloop_plan_node, x_m) == 0, "scanloop_plan_node.x_m");
+_Static_assert(offsetof(scanloop_plan_node, y_m) == 8, "scanloop_plan_node.y_m");
+_Static_assert(offsetof(scanloop_plan_node, yaw_rad) == 16, "scanloop_plan_node.yaw_rad");
+_Static_assert(offsetof(scanloop_plan_node, sideslip_rad) == 24, "scanloop_plan_node.sideslip_rad");
+_Static_assert(offsetof(scanloop_plan_node, yaw_rate_radps) == 32, "scanloop_plan_node.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_plan_node, velocity_mps) == 40, "scanloop_plan_node.velocity_mps");
+_Static_assert(offsetof(scanloop_plan_node, steering_rad) == 48, "scanloop_plan_node.steering_rad");
+
+/* A part of samples. */
+typedef struct scanloop_authority {
+    uint32_t incarnation; /* The incarnation whose samples count from `from_scan` on; 0 accepts none */
+    uint32_t previous; /* The incarnation whose samples count before `from_scan` */
+    uint64_t from_scan; /* The scan at which authority changes */
+} scanloop_authority;
+_Static_assert(sizeof(scanloop_authority) == 16, "scanloop_authority");
+_Static_assert(offsetof(scanloop_authority, incarnation) == 0, "scanloop_authority.incarnation");
+_Static_assert(offsetof(scanloop_authority, previous) == 4, "scanloop_authority.previous");
+_Static_assert(offsetof(scanloop_authority, from_scan) == 8, "scanloop_authority.from_scan");
+
+/* Topic scan, published once per scan, at the end of the sweep. */
+typedef struct scanloop_scan {
+    scanloop_header header; /* Identity and stamps; acquired is the time of the front beam */
+    uint64_t sweep_ns; /* How long the sweep over all beams lasts, two thirds of the scan period [ns] */
+    uint64_t period_ns; /* Time between the end of one scan and the end of the next [ns] */
+    uint16_t ranges_mm[682]; /* Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm] */
+    uint32_t reserved; /* Unused, zero */
+} scanloop_scan;
+_Static_assert(sizeof(scanloop_scan) == 1576, "scanloop_scan");
+_Static_assert(offsetof(scanloop_scan, header) == 0, "scanloop_scan.header");
+_Static_assert(offsetof(scanloop_scan, sweep_ns) == 192, "scanloop_scan.sweep_ns");
+_Static_assert(offsetof(scanloop_scan, period_ns) == 200, "scanloop_scan.period_ns");
+_Static_assert(offsetof(scanloop_scan, ranges_mm) == 208, "scanloop_scan.ranges_mm");
+_Static_assert(offsetof(scanloop_scan, reserved) == 1572, "scanloop_scan.reserved");
+
+/* Topic odometry, published once per scan, at the end of the sweep. */
+typedef struct scanloop_odometry {
+    scanloop_header header; /* Identity and stamps; same scan id as the scan published with it */
+    double x_m; /* Reported position along the track [m] */
+    double y_m; /* Reported lateral position, left positive [m] */
+    double yaw_rad; /* Reported yaw, in (-pi, pi] [rad] */
+    double dx_m; /* Reported x minus the x reported before; zero in the first sample [m] */
+    double dy_m; /* Reported y minus the y reported before; zero in the first sample [m] */
+    double dyaw_rad; /* Reported yaw minus the yaw reported before; zero in the first sample [rad] */
+    double dt_s; /* Time since the sample before; zero in the first sample [s] */
+    double speed_mps; /* Speed over ground measured at the wheels [m/s] */
+} scanloop_odometry;
+_Static_assert(sizeof(scanloop_odometry) == 256, "scanloop_odometry");
+_Static_assert(offsetof(scanloop_odometry, header) == 0, "scanloop_odometry.header");
+_Static_assert(offsetof(scanloop_odometry, x_m) == 192, "scanloop_odometry.x_m");
+_Static_assert(offsetof(scanloop_odometry, y_m) == 200, "scanloop_odometry.y_m");
+_Static_assert(offsetof(scanloop_odometry, yaw_rad) == 208, "scanloop_odometry.yaw_rad");
+_Static_assert(offsetof(scanloop_odometry, dx_m) == 216, "scanloop_odometry.dx_m");
+_Static_assert(offsetof(scanloop_odometry, dy_m) == 224, "scanloop_odometry.dy_m");
+_Static_assert(offsetof(scanloop_odometry, dyaw_rad) == 232, "scanloop_odometry.dyaw_rad");
+_Static_assert(offsetof(scanloop_odometry, dt_s) == 240, "scanloop_odometry.dt_s");
+_Static_assert(offsetof(scanloop_odometry, speed_mps) == 248, "scanloop_odometry.speed_mps");
+
+/* Topic pose, published once per odometry sample. */
+typedef struct scanloop_pose {
+    scanloop_header header; /* Identity and stamps */
+    double yaw_rad; /* Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad] */
+    double x_m; /* Estimated position along the track at the acquisition of the scan, x4 of (7.30) [m] */
+    double y_m; /* Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m] */
+    double covariance[9]; /* Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2] */
+    double speed_mps; /* Speed over ground at the acquisition of the scan [m/s] */
+    double sideslip_rad; /* Sideslip at the acquisition of the scan, x1 of (7.27) [rad] */
+    double yaw_rate_radps; /* Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s] */
+    uint64_t predicted_ns; /* When the command for this scan is expected to act: the time of the predicted state [ns] */
+    double predicted_sideslip_rad; /* Predicted sideslip [rad] */
+    double predicted_yaw_rad; /* Predicted yaw [rad] */
+    double predicted_yaw_rate_radps; /* Predicted yaw rate [rad/s] */
+    double predicted_x_m; /* Predicted position along the track [m] */
+    double predicted_y_m; /* Predicted lateral position [m] */
+    double predicted_speed_mps; /* Predicted speed [m/s] */
+    double innovation[3]; /* Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m] */
+    double gain[9]; /* Kalman gain of (yaw, x, y), row by row */
+    double nis; /* Normalised innovation squared */
+    uint64_t rejected; /* Measurements refused by the gate since the start */
+} scanloop_pose;
+_Static_assert(sizeof(scanloop_pose) == 480, "scanloop_pose");
+_Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
+_Static_assert(offsetof(scanloop_pose, yaw_rad) == 192, "scanloop_pose.yaw_rad");
+_Static_assert(offsetof(scanloop_pose, x_m) == 200, "scanloop_pose.x_m");
+_Static_assert(offsetof(scanloop_pose, y_m) == 208, "scanloop_pose.y_m");
+_Static_assert(offsetof(scanloop_pose, covariance) == 216, "scanloop_pose.covariance");
+_Static_assert(offsetof(scanloop_pose, speed_mps) == 288, "scanloop_pose.speed_mps");
+_Static_assert(offsetof(scanloop_pose, sideslip_rad) == 296, "scanloop_pose.sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, yaw_rate_radps) == 304, "scanloop_pose.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_ns) == 312, "scanloop_pose.predicted_ns");
+_Static_assert(offsetof(scanloop_pose, predicted_sideslip_rad) == 320, "scanloop_pose.predicted_sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rad) == 328, "scanloop_pose.predicted_yaw_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rate_radps) == 336, "scanloop_pose.predicted_yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_x_m) == 344, "scanloop_pose.predicted_x_m");
+_Static_assert(offsetof(scanloop_pose, predicted_y_m) == 352, "scanloop_pose.predicted_y_m");
+_Static_assert(offsetof(scanloop_pose, predicted_speed_mps) == 360, "scanloop_pose.predicted_speed_mps");
+_Static_assert(offsetof(scanloop_pose, innovation) == 368, "scanloop_pose.innovation");
+_Static_assert(offsetof(scanloop_pose, gain) == 392, "scanloop_pose.gain");
+_Static_assert(offsetof(scanloop_pose, nis) == 464, "scanloop_pose.nis");
+_Static_assert(offsetof(scanloop_pose, rejected) == 472, "scanloop_pose.rejected");
+
+/* Topic obstacles, published once per scan, when scan and pose are there. */
+typedef struct scanloop_obstacles {
+    scanloop_header header; /* Identity and stamps */
+    uint32_t count; /* How many of `items` are used */
+    uint32_t overflow; /* How many more ellipses there were than `items` can hold */
+    scanloop_obstacle items[16]; /* The ellipses, nearest ahead first; unused ones are zero */
+} scanloop_obstacles;
+_Static_assert(sizeof(scanloop_obstacles) == 2376, "scanloop_obstacles");
+_Static_assert(offsetof(scanloop_obstacles, header) == 0, "scanloop_obstacles.header");
+_Static_assert(offsetof(scanloop_obstacles, count) == 192, "scanloop_obstacles.count");
+_Static_assert(offsetof(scanloop_obstacles, overflow) == 196, "scanloop_obstacles.overflow");
+_Static_assert(offsetof(scanloop_obstacles, items) == 200, "scanloop_obstacles.items");
+
+/* Topic command, published once per scan, when pose and obstacles are there. */
+typedef struct scanloop_command {
+    scanloop_header header; /* Identity and stamps */
+    uint32_t kind; /* What is asked for, `CommandKind` */
+    uint32_t level; /* Where the command comes from, `Level` */
+    uint32_t status; /* How the problem was solved, `SolveStatus` */
+    uint32_t reason; /* Why the wheels are to be blocked, `StopReason` */
+    uint32_t verified; /* 1 when the plan was verified: bounds, obstacles and model */
+    int32_t side; /* Side on which the nearest obstacle in the way is passed: 1 left, -1 right, 0 none */
+    uint32_t iterations; /* SQP iterations */
+    uint32_t active_constraints; /* Active constraints at the solution */
+    double velocity_mps; /* Desired velocity, u1 of (7.27)-(7.31) [m/s] */
+    double steering_rad; /* Desired steering angle, u2 of (7.27)-(7.31) [rad] */
+    double kkt_residual; /* Infinity norm of the KKT conditions */
+    double largest_violation; /* Largest violation of a hard constraint or of the model */
+    double slack; /* Largest slack of an ellipse */
+    double objective; /* Value of the objective */
+    uint64_t solve_ns; /* Time the solver used, zero in lock-step [ns] */
+    uint64_t plan_start_ns; /* Time of the first node of the plan [ns] */
+    double plan_interval_s; /* Time between two nodes of the plan [s] */
+    uint32_t plan_length; /* How many of `plan` are used */
+    uint32_t reserved; /* Unused, zero */
+    scanloop_plan_node plan[25]; /* The planned nodes */
+} scanloop_command;
+_Static_assert(sizeof(scanloop_command) == 1704, "scanloop_command");
+_Static_assert(offsetof(scanloop_command, header) == 0, "scanloop_command.header");
+_Static_assert(offsetof(scanloop_command, kind) == 192, "scanloop_command.kind");
+_Static_assert(offsetof(scanloop_command, level) == 196, "scanloop_command.level");
+_Static_assert(offsetof(scanloop_command, status) == 200, "scanloop_command.status");
+_Static_assert(offsetof(scanloop_command, reason) == 204, "scanloop_command.reason");
+_Static_assert(offsetof(scanloop_command, verified) == 208, "scanloop_command.verified");
+_Static_assert(offsetof(scanloop_command, side) == 212, "scanloop_command.side");
+_Static_assert(offsetof(scanloop_command, iterations) == 216, "scanloop_command.iterations");
+_Static_assert(offsetof(scanloop_command, active_constraints) == 220, "scanloop_command.active_constraints");
+_Static_assert(offsetof(scanloop_command, velocity_mps) == 224, "scanloop_command.velocity_mps");
+_Static_assert(offsetof(scanloop_command, steering_rad) == 232, "scanloop_command.steering_rad");
+_Static_assert(offsetof(scanloop_command, kkt_residual) == 240, "scanloop_command.kkt_residual");
+_Static_assert(offsetof(scanloop_command, largest_violation) == 248, "scanloop_command.largest_violation");
+_Static_assert(offsetof(scanloop_command, slack) == 256, "scanloop_command.slack");
+_Static_assert(offsetof(scanloop_command, objective) == 264, "scanloop_command.objective");
+_Static_assert(offsetof(scanloop_command, solve_ns) == 272, "scanloop_command.solve_ns");
+_Static_assert(offsetof(scanloop_command, plan_start_ns) == 280, "scanloop_command.plan_start_ns");
+_Static_assert(offsetof(scanloop_command, plan_interval_s) == 288, "scanloop_command.plan_interval_s");
+_Static_assert(offsetof(scanloop_command, plan_length) == 296, "scanloop_command.plan_length");
+_Static_assert(offsetof(scanloop_command, reserved) == 300, "scanloop_command.reserved");
+_Static_assert(offsetof(scanloop_command, plan) == 304, "scanloop_command.plan");
+
+/* Topic actuation, published once per command, and when the actuator blocks the wheels by itself. */
+typedef struct scanloop_actuation {
+    scanloop_header header; /* Identity and stamps of the command answered */
+    uint32_t kind; /* What the robot is told, `ActuationKind` */
+    uint32_t reason; /* Why the wheels are blocked, `BlockReason` */
+    uint32_t stop_reason; /* `StopReason` of the command behind it */
+    uint32_t answers; /* 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself */
+    double desired_velocity_mps; /* Desired velocity after limits (7.41) [m/s] */
+    double desired_steering_rad; /* Desired steering angle after limits (7.41) [rad] */
+    double sent_velocity_mps; /* Velocity sent to the robot, after the correction [m/s] */
+    double sent_steering_rad; /* Steering angle sent to the robot, after the correction [rad] */
+    uint64_t refused; /* Commands refused since the start: not finite, not verified, stale, out of limits */
+} scanloop_actuation;
+_Static_assert(sizeof(scanloop_actuation) == 248, "scanloop_actuation");
+_Static_assert(offsetof(scanloop_actuation, header) == 0, "scanloop_actuation.header");
+_Static_assert(offsetof(scanloop_actuation, kind) == 192, "scanloop_actuation.kind");
+_Static_assert(offsetof(scanloop_actuation, reason) == 196, "scanloop_actuation.reason");
+_Static_assert(offsetof(scanloop_actuation, stop_reason) == 200, "scanloop_actuation.stop_reason");
+_Static_assert(offsetof(scanloop_actuation, answers) == 204, "scanloop_actuation.answers");
+_Static_assert(offsetof(scanloop_actuation, desired_velocity_mps) == 208, "scanloop_actuation.desired_velocity_mps");
+_Static_assert(offsetof(scanloop_actuation, desired_steering_rad) == 216, "scanloop_actuation.desired_steering_rad");
+_Static_assert(offsetof(scanloop_actuation, sent_velocity_mps) == 224, "scanloop_actuation.sent_velocity_mps");
+_Static_assert(offsetof(scanloop_actuation, sent_steering_rad) == 232, "scanloop_actuation.sent_steering_rad");
+_Static_assert(offsetof(scanloop_actuation, refused) == 240, "scanloop_actuation.refused");
+
+/* Topic heartbeat, published ten times a second by each process, and at each change of its state. */
+typedef struct scanloop_heartbeat {
+    scanloop_header header; /* Identity; scan id is the last one worked on, the chain is unused */
+    uint32_t role; /* Role of the process, `Role` */
+    uint32_t state; /* What the process says of itself, `ProcessState` */
+    uint64_t pid; /* Process id */
+    uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
+    uint64_t activations; /* Times round the loop; a process that hangs stops counting */
+    uint64_t published; /* Outputs published on the first topic of the role */
+    uint64_t used; /* Inputs used */
+    uint64_t replaced; /* Inputs replaced by newer ones before they were used */
+    uint64_t invalid; /* Inputs dropped because of their content */
+    uint64_t stale; /* Inputs dropped because they were too old */
+    uint64_t duplicate; /* Inputs dropped because their sequence number had been seen */
+    uint64_t reordered; /* Inputs dropped because a later one had been seen */
+    uint64_t foreign; /* Inputs dropped because their producer has no authority */
+    uint64_t missing; /* Sequence numbers that never arrived */
+    uint64_t undelivered; /* Outputs that did not reach all of their readers */
+    uint64_t timeouts; /* Wake-ups by time-out */
+    uint64_t reserved; /* Unused, zero */
+} scanloop_heartbeat;
+_Static_assert(sizeof(scanloop_heartbeat) == 320, "scanloop_heartbeat");
+_Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
+_Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
+_Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
+_Static_assert(offsetof(scanloop_heartbeat, pid) == 200, "scanloop_heartbeat.pid");
+_Static_assert(offsetof(scanloop_heartbeat, issued_ns) == 208, "scanloop_heartbeat.issued_ns");
+_Static_assert(offsetof(scanloop_heartbeat, activations) == 216, "scanloop_heartbeat.activations");
+_Static_assert(offsetof(scanloop_heartbeat, published) == 224, "scanloop_heartbeat.published");
+_Static_assert(offsetof(scanloop_heartbeat, used) == 232, "scanloop_heartbeat.used");
+_Static_assert(offsetof(scanloop_heartbeat, replaced) == 240, "scanloop_heartbeat.replaced");
+_Static_assert(offsetof(scanloop_heartbeat, invalid) == 248, "scanloop_heartbeat.invalid");
+_Static_assert(offsetof(scanloop_heartbeat, stale) == 256, "scanloop_heartbeat.stale");
+_Static_assert(offsetof(scanloop_heartbeat, duplicate) == 264, "scanloop_heartbeat.duplicate");
+_Static_assert(offsetof(scanloop_heartbeat, reordered) == 272, "scanloop_heartbeat.reordered");
+_Static_assert(offsetof(scanloop_heartbeat, foreign) == 280, "scanloop_heartbeat.foreign");
+_Static_assert(offsetof(scanloop_heartbeat, missing) == 288, "scanloop_heartbeat.missing");
+_Static_assert(offsetof(scanloop_heartbeat, undelivered) == 296, "scanloop_heartbeat.undelivered");
+_Static_assert(offsetof(scanloop_heartbeat, timeouts) == 304, "scanloop_heartbeat.timeouts");
+_Static_assert(offsetof(scanloop_heartbeat, reserved) == 312, "scanloop_heartbeat.reserved");
+
+/* Topic directive, published ten times a second by the orchestrator, and at each change. */
+typedef struct scanloop_directive {
+    scanloop_header header; /* Identity; the chain is unused */
+    uint32_t phase; /* What the system is doing, `Phase` */
+    uint32_t stop; /* 1 when the wheels are to be blocked now, whatever the controller says */
+    uint64_t granted_scan; /* In lock-step: the last scan that the robot may publish */
+    uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
+    uint64_t orchestrator_pid; /* Process id of the orchestrator */
+    scanloop_authority authority[5]; /* Whose samples count, indexed by role */
+} scanloop_directive;
+_Static_assert(sizeof(scanloop_directive) == 304, "scanloop_directive");
+_Static_assert(offsetof(scanloop_directive, header) == 0, "scanloop_directive.header");
+_Static_assert(offsetof(scanloop_directive, phase) == 192, "scanloop_directive.phase");
+_Static_assert(offsetof(scanloop_directive, stop) == 196, "scanloop_directive.stop");
+_Static_assert(offsetof(scanloop_directive, granted_scan) == 200, "scanloop_directive.granted_scan");
+_Static_assert(offsetof(scanloop_directive, issued_ns) == 208, "scanloop_directive.issued_ns");
+_Static_assert(offsetof(scanloop_directive, orchestrator_pid) == 216, "scanloop_directive.orchestrator_pid");
+_Static_assert(offsetof(scanloop_directive, authority) == 224, "scanloop_directive.authority");
+
+/* Topic checkpoint, published once per scan by each stateful process. */
+typedef struct scanloop_checkpoint {
+    scanloop_header header; /* Identity: the scan after which the state was taken */
+    uint32_t role; /* Role of the process, `Role` */
+    uint32_t state_layout; /* Fingerprint of the type of the state */
+    uint32_t length; /* How many of `bytes` are used */
+    uint32_t reserved; /* Unused, zero */
+    uint64_t issued_ns; /* When it was published [ns] */
+    uint8_t bytes[8192]; /* The state */
+} scanloop_checkpoint;
+_Static_assert(sizeof(scanloop_checkpoint) == 8408, "scanloop_checkpoint");
+_Static_assert(offsetof(scanloop_checkpoint, header) == 0, "scanloop_checkpoint.header");
+_Static_assert(offsetof(scanloop_checkpoint, role) == 192, "scanloop_checkpoint.role");
+_Static_assert(offsetof(scanloop_checkpoint, state_layout) == 196, "scanloop_checkpoint.state_layout");
+_Static_assert(offsetof(scanloop_checkpoint, length) == 200, "scanloop_checkpoint.length");
+_Static_assert(offsetof(scanloop_checkpoint, reserved) == 204, "scanloop_checkpoint.reserved");
+_Static_assert(offsetof(scanloop_checkpoint, issued_ns) == 208, "scanloop_checkpoint.issued_ns");
+_Static_assert(offsetof(scanloop_checkpoint, bytes) == 216, "scanloop_checkpoint.bytes");
+
+/* Topic truth, published once per scan by the emulated robot. */
+typedef struct scanloop_truth {
+    scanloop_header header; /* Identity of the scan published with it */
+    double time_s; /* Time since the start of the run at the front beam [s] */
+    double x_m; /* True position along the track [m] */
+    double y_m; /* True lateral position [m] */
+    double yaw_rad; /* True yaw [rad] */
+    double sideslip_rad; /* True sideslip [rad] */
+    double yaw_rate_radps; /* True yaw rate [rad/s] */
+    double speed_mps; /* True speed over ground [m/s] */
+    double steering_rad; /* True steering angle at the wheels [rad] */
+    double clearance_m; /* Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m] */
+    double min_clearance_m; /* Smallest such distance since the start, in plant steps [m] */
+    double path_length_m; /* Way driven since the start [m] */
+    double max_abs_lateral_m; /* Largest lateral offset from the line y = start since the start [m] */
+    double goal_distance_m; /* Distance of the robot's centre to the goal [m] */
+    double longest_blind_s; /* Longest time that the wheels turned without a new actuation, in plant steps [s] */
+    double actuation_age_s; /* Time since the last actuation arrived [s] */
+    uint32_t blocked; /* 1 while the wheels are blocked */
+    uint32_t collided; /* 1 when the body has touched an obstacle or a wall while the wheels turned */
+    uint32_t struck; /* 1 when a moving obstacle has touched the body while it stood still */
+    uint32_t dead_man; /* 1 when the dead-man of the robot has blocked the wheels */
+    uint64_t actuation_scan; /* Scan that the last actuation answered */
+    uint64_t refused; /* Actuations refused by the robot since the start: not finite or beyond its limits */
+    uint64_t steps; /* Plant steps since the start */
+    uint64_t reserved; /* Unused, zero */
+} scanloop_truth;
+_Static_assert(sizeof(scanloop_truth) == 360, "scanloop_truth");
+_Static_assert(offsetof(scanloop_truth, header) == 0, "scanloop_truth.header");
+_Static_assert(offsetof(scanloop_truth, time_s) == 192, "scanloop_truth.time_s");
+_Static_assert(offsetof(scanloop_truth, x_m) == 200, "scanloop_truth.x_m");
+_Static_assert(offsetof(scanloop_truth, y_m) == 208, "scanloop_truth.y_m");
+_Static_assert(offsetof(scanloop_truth, yaw_rad) == 216, "scanloop_truth.yaw_rad");
+_Static_assert(offsetof(scanloop_truth, sideslip_rad) == 224, "scanloop_truth.sideslip_rad");
+_Static_assert(offsetof(scanloop_truth, yaw_rate_radps) == 232, "scanloop_truth.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_truth, speed_mps) == 240, "scanloop_truth.speed_mps");
+_Static_assert(offsetof(scanloop_truth, steering_rad) == 248, "scanloop_truth.steering_rad");
+_Static_assert(offsetof(scanloop_truth, clearance_m) == 256, "scanloop_truth.clearance_m");
+_Static_assert(offsetof(scanloop_truth, min_clearance_m) == 264, "scanloop_truth.min_clearance_m");
+_Static_assert(offsetof(scanloop_truth, path_length_m) == 272, "scanloop_truth.path_length_m");
+_Static_assert(offsetof(scanloop_truth, max_abs_lateral_m) == 280, "scanloop_truth.max_abs_lateral_m");
+_Static_assert(offsetof(scanloop_truth, goal_distance_m) == 288, "scanloop_truth.goal_distance_m");
+_Static_assert(offsetof(scanloop_truth, longest_blind_s) == 296, "scanloop_truth.longest_blind_s");
+_Static_assert(offsetof(scanloop_truth, actuation_age_s) == 304, "scanloop_truth.actuation_age_s");
+_Static_assert(offsetof(scanloop_truth, blocked) == 312, "scanloop_truth.blocked");
+_Static_assert(offsetof(scanloop_truth, collided) == 316, "scanloop_truth.collided");
+_Static_assert(offsetof(scanloop_truth, struck) == 320, "scanloop_truth.struck");
+_Static_assert(offsetof(scanloop_truth, dead_man) == 324, "scanloop_truth.dead_man");
+_Static_assert(offsetof(scanloop_truth, actuation_scan) == 328, "scanloop_truth.actuation_scan");
+_Static_assert(offsetof(scanloop_truth, refused) == 336, "scanloop_truth.refused");
+_Static_assert(offsetof(scanloop_truth, steps) == 344, "scanloop_truth.steps");
+_Static_assert(offsetof(scanloop_truth, reserved) == 352, "scanloop_truth.reserved");
+
+/* One field of one sample, as the compiler laid it out. */
+typedef struct scanloop_layout_row {
+    const char *topic;
+    const char *field; /* with the structs around it; "." is the sample as a whole */
+    const char *kind;
+    uint32_t count;  /* elements of an array, else 1 */
+    uint32_t size;   /* of one element [bytes] */
+    uint32_t offset; /* from the beginning of the sample [bytes] */
+} scanloop_layout_row;
+
+#define SCANLOOP_AT(type, field) (((type *)0)->field)
+#define SCANLOOP_KIND(value) \
+    _Generic((value), uint8_t: "u8", uint16_t: "u16", uint32_t: "u32", uint64_t: "u64", int32_t: "i32", \
+        double: "f64", default: "another")
+#define SCANLOOP_SAMPLE(topic, type, kind) {topic, ".", kind, 1, sizeof(type), 0}
+#define SCANLOOP_STRUCT(topic, type, name, kind, field) \
+    {topic, name, kind, 1, sizeof SCANLOOP_AT(type, field), offsetof(type, field)}
+#define SCANLOOP_STRUCTS(topic, type, name, kind, field) \
+    {topic, name, kind, sizeof SCANLOOP_AT(type, field) / sizeof SCANLOOP_AT(type, field[0]), \
+        sizeof SCANLOOP_AT(type, field[0]), offsetof(type, field)}
+#define SCANLOOP_VALUE(topic, type, name, field) \
+    SCANLOOP_STRUCT(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field)), field)
+#define SCANLOOP_VALUES(topic, type, name, field) \
+    SCANLOOP_STRUCTS(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field[0])), field)
+
+static const scanloop_layout_row scanloop_layouts[] = {
+    SCANLOOP_SAMPLE("scan", scanloop_scan, "scanloop.Scan.v1"),
+    SCANLOOP_STRUCT("scan", scanloop_scan, "header", "Header", header),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.layout", header.layout),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("scan", scanloop_scan, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("scan", scanloop_scan, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("scan", scanloop_scan, "sweep_ns", sweep_ns),
+    SCANLOOP_VALUE("scan", scanloop_scan, "period_ns", period_ns),
+    SCANLOOP_VALUES("scan", scanloop_scan, "ranges_mm", ranges_mm),
+    SCANLOOP_VALUE("scan", scanloop_scan, "reserved", reserved),
+    SCANLOOP_SAMPLE("odometry", scanloop_odometry, "scanloop.Odometry.v1"),
+    SCANLOOP_STRUCT("odometry", scanloop_odometry, "header", "Header", header),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.layout", header.layout),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("odometry", scanloop_odometry, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "x_m", x_m),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "y_m", y_m),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "yaw_rad", yaw_rad),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "dx_m", dx_m),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "dy_m", dy_m),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "dyaw_rad", dyaw_rad),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "dt_s", dt_s),
+    SCANLOOP_VALUE("odometry", scanloop_odometry, "speed_mps", speed_mps),
+    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v1"),
+    SCANLOOP_STRUCT("pose", scanloop_pose, "header", "Header", header),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.layout", header.layout),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("pose", scanloop_pose, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("pose", scanloop_pose, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("pose", scanloop_pose, "yaw_rad", yaw_rad),
+    SCANLOOP_VALUE("pose", scanloop_pose, "x_m", x_m),
+    SCANLOOP_VALUE("pose", scanloop_pose, "y_m", y_m),
+    SCANLOOP_VALUES("pose", scanloop_pose, "covariance", covariance),
+    SCANLOOP_VALUE("pose", scanloop_pose, "speed_mps", speed_mps),
+    SCANLOOP_VALUE("pose", scanloop_pose, "sideslip_rad", sideslip_rad),
+    SCANLOOP_VALUE("pose", scanloop_pose, "yaw_rate_radps", yaw_rate_radps),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_ns", predicted_ns),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_sideslip_rad", predicted_sideslip_rad),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_yaw_rad", predicted_yaw_rad),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_yaw_rate_radps", predicted_yaw_rate_radps),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_x_m", predicted_x_m),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_y_m", predicted_y_m),
+    SCANLOOP_VALUE("pose", scanloop_pose, "predicted_speed_mps", predicted_speed_mps),
+    SCANLOOP_VALUES("pose", scanloop_pose, "innovation", innovation),
+    SCANLOOP_VALUES("pose", scanloop_pose, "gain", gain),
+    SCANLOOP_VALUE("pose", scanloop_pose, "nis", nis),
+    SCANLOOP_VALUE("pose", scanloop_pose, "rejected", rejected),
+    SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v1"),
+    SCANLOOP_STRUCT("obstacles", scanloop_obstacles, "header", "Header", header),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.layout", header.layout),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("obstacles", scanloop_obstacles, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "count", count),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "overflow", overflow),
+    SCANLOOP_STRUCTS("obstacles", scanloop_obstacles, "items", "Obstacle", items),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.id", items[0].id),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.body", items[0].body),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.x_m", items[0].x_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.y_m", items[0].y_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.a_m", items[0].a_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.b_m", items[0].b_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.velocity_x_mps", items[0].velocity_x_mps),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.velocity_y_mps", items[0].velocity_y_mps),
+    SCANLOOP_VALUES("obstacles", scanloop_obstacles, "items.velocity_covariance", items[0].velocity_covariance),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_x_m", items[0].box_x_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_y_m", items[0].box_y_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_length_m", items[0].box_length_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_width_m", items[0].box_width_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_yaw_rad", items[0].box_yaw_rad),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.unseen_s", items[0].unseen_s),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.sightings", items[0].sightings),
+    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v1"),
+    SCANLOOP_STRUCT("command", scanloop_command, "header", "Header", header),
+    SCANLOOP_VALUE("command", scanloop_command, "header.layout", header.layout),
+    SCANLOOP_VALUE("command", scanloop_command, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("command", scanloop_command, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("command", scanloop_command, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("command", scanloop_command, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("command", scanloop_command, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("command", scanloop_command, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "kind", kind),
+    SCANLOOP_VALUE("command", scanloop_command, "level", level),
+    SCANLOOP_VALUE("command", scanloop_command, "status", status),
+    SCANLOOP_VALUE("command", scanloop_command, "reason", reason),
+    SCANLOOP_VALUE("command", scanloop_command, "verified", verified),
+    SCANLOOP_VALUE("command", scanloop_command, "side", side),
+    SCANLOOP_VALUE("command", scanloop_command, "iterations", iterations),
+    SCANLOOP_VALUE("command", scanloop_command, "active_constraints", active_constraints),
+    SCANLOOP_VALUE("command", scanloop_command, "velocity_mps", velocity_mps),
+    SCANLOOP_VALUE("command", scanloop_command, "steering_rad", steering_rad),
+    SCANLOOP_VALUE("command", scanloop_command, "kkt_residual", kkt_residual),
+    SCANLOOP_VALUE("command", scanloop_command, "largest_violation", largest_violation),
+    SCANLOOP_VALUE("command", scanloop_command, "slack", slack),
+    SCANLOOP_VALUE("command", scanloop_command, "objective", objective),
+    SCANLOOP_VALUE("command", scanloop_command, "solve_ns", solve_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "plan_start_ns", plan_start_ns),
+    SCANLOOP_VALUE("command", scanloop_command, "plan_interval_s", plan_interval_s),
+    SCANLOOP_VALUE("command", scanloop_command, "plan_length", plan_length),
+    SCANLOOP_VALUE("command", scanloop_command, "reserved", reserved),
+    SCANLOOP_STRUCTS("command", scanloop_command, "plan", "PlanNode", plan),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.x_m", plan[0].x_m),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.y_m", plan[0].y_m),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.yaw_rad", plan[0].yaw_rad),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.sideslip_rad", plan[0].sideslip_rad),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.yaw_rate_radps", plan[0].yaw_rate_radps),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.velocity_mps", plan[0].velocity_mps),
+    SCANLOOP_VALUE("command", scanloop_command, "plan.steering_rad", plan[0].steering_rad),
+    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v1"),
+    SCANLOOP_STRUCT("actuation", scanloop_actuation, "header", "Header", header),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.layout", header.layout),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("actuation", scanloop_actuation, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "kind", kind),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "reason", reason),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "stop_reason", stop_reason),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "answers", answers),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "desired_velocity_mps", desired_velocity_mps),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "desired_steering_rad", desired_steering_rad),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_velocity_mps", sent_velocity_mps),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
+    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v1"),
+    SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("heartbeat", scanloop_heartbeat, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "role", role),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "state", state),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "pid", pid),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "issued_ns", issued_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "activations", activations),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "published", published),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "used", used),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "replaced", replaced),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "invalid", invalid),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "stale", stale),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "duplicate", duplicate),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "reordered", reordered),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "foreign", foreign),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "missing", missing),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "undelivered", undelivered),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "timeouts", timeouts),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "reserved", reserved),
+    SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v1"),
+    SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("directive", scanloop_directive, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "phase", phase),
+    SCANLOOP_VALUE("directive", scanloop_directive, "stop", stop),
+    SCANLOOP_VALUE("directive", scanloop_directive, "granted_scan", granted_scan),
+    SCANLOOP_VALUE("directive", scanloop_directive, "issued_ns", issued_ns),
+    SCANLOOP_VALUE("directive", scanloop_directive, "orchestrator_pid", orchestrator_pid),
+    SCANLOOP_STRUCTS("directive", scanloop_directive, "authority", "Authority", authority),
+    SCANLOOP_VALUE("directive", scanloop_directive, "authority.incarnation", authority[0].incarnation),
+    SCANLOOP_VALUE("directive", scanloop_directive, "authority.previous", authority[0].previous),
+    SCANLOOP_VALUE("directive", scanloop_directive, "authority.from_scan", authority[0].from_scan),
+    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v1"),
+    SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("checkpoint", scanloop_checkpoint, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "role", role),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "state_layout", state_layout),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "length", length),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "reserved", reserved),
+    SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "issued_ns", issued_ns),
+    SCANLOOP_VALUES("checkpoint", scanloop_checkpoint, "bytes", bytes),
+    SCANLOOP_SAMPLE("truth", scanloop_truth, "scanloop.Truth.v1"),
+    SCANLOOP_STRUCT("truth", scanloop_truth, "header", "Header", header),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.layout", header.layout),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.incarnation", header.incarnation),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.scan_id", header.scan_id),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.sequence", header.sequence),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.acquired_ns", header.acquired_ns),
+    SCANLOOP_STRUCTS("truth", scanloop_truth, "header.chain", "StageStamps", header.chain),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.chain.woken_ns", header.chain[0].woken_ns),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.chain.taken_ns", header.chain[0].taken_ns),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.chain.computed_ns", header.chain[0].computed_ns),
+    SCANLOOP_VALUE("truth", scanloop_truth, "header.chain.published_ns", header.chain[0].published_ns),
+    SCANLOOP_VALUE("truth", scanloop_truth, "time_s", time_s),
+    SCANLOOP_VALUE("truth", scanloop_truth, "x_m", x_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "y_m", y_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "yaw_rad", yaw_rad),
+    SCANLOOP_VALUE("truth", scanloop_truth, "sideslip_rad", sideslip_rad),
+    SCANLOOP_VALUE("truth", scanloop_truth, "yaw_rate_radps", yaw_rate_radps),
+    SCANLOOP_VALUE("truth", scanloop_truth, "speed_mps", speed_mps),
+    SCANLOOP_VALUE("truth", scanloop_truth, "steering_rad", steering_rad),
+    SCANLOOP_VALUE("truth", scanloop_truth, "clearance_m", clearance_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "min_clearance_m", min_clearance_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "path_length_m", path_length_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "max_abs_lateral_m", max_abs_lateral_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "goal_distance_m", goal_distance_m),
+    SCANLOOP_VALUE("truth", scanloop_truth, "longest_blind_s", longest_blind_s),
+    SCANLOOP_VALUE("truth", scanloop_truth, "actuation_age_s", actuation_age_s),
+    SCANLOOP_VALUE("truth", scanloop_truth, "blocked", blocked),
+    SCANLOOP_VALUE("truth", scanloop_truth, "collided", collided),
+    SCANLOOP_VALUE("truth", scanloop_truth, "struck", struck),
+    SCANLOOP_VALUE("truth", scanloop_truth, "dead_man", dead_man),
+    SCANLOOP_VALUE("truth", scanloop_truth, "actuation_scan", actuation_scan),
+    SCANLOOP_VALUE("truth", scanloop_truth, "refused", refused),
+    SCANLOOP_VALUE("truth", scanloop_truth, "steps", steps),
+    SCANLOOP_VALUE("truth", scanloop_truth, "reserved", reserved),
+};
+
+/* The table and its length, the way `scanloop_open` takes them. */
+#define SCANLOOP_LAYOUTS scanloop_layouts, (sizeof scanloop_layouts / sizeof scanloop_layouts[0])
+
+#endif

@@ -1,0 +1,495 @@
+"""The samples of Scanloop. Made by `scanloop types --python`: do not edit, make it again.
+
+Fixed layout, no padding; lengths in metres, angles in radians counter-clockwise, x along the track, y to the left.
+"""
+
+import ctypes
+import enum
+
+ROLES = 5  # Number of roles
+BEAMS = 682  # Number of beams of a sweep
+FRONT_BEAM = 340  # Index of the beam that looks straight ahead
+FIRST_ANALYSED_BEAM = 170  # First beam analysed for obstacles, 60 deg to the right
+LAST_ANALYSED_BEAM = 511  # Last beam analysed for obstacles, 60 deg to the left
+MIN_RANGE_MM = 20  # Ranges below this are error codes: no return [mm]
+PITCH_RAD = 0.006135923151542565  # Angle between two beams [rad]
+FIRST_BEAM_YAW_RAD = -2.086213871524472  # Angle of beam 0, counter-clockwise from straight ahead [rad]
+MAX_OBSTACLES = 16  # How many ellipses a description can hold
+PLAN_NODES = 25  # How many nodes of the plan a command carries
+CHECKPOINT_BYTES = 8192  # How many bytes of state a checkpoint can hold
+
+
+class Role(enum.IntEnum):
+    """What one process of the loop is there for."""
+
+    ROBOT = 0  # Moves and measures: the emulated SUMMIT with its scanner, or a driver of a real robot.
+    ESTIMATOR = 1  # Corrects measured data and estimates the pose.
+    OBSTACLES = 2  # Describes obstacles as ellipses.
+    CONTROLLER = 3  # Plans and commands velocity and steering.
+    ACTUATOR = 4  # Corrects and limits commands, and blocks the wheels when it must.
+
+
+class Phase(enum.IntEnum):
+    """What the whole system is doing."""
+
+    STARTING = 0  # Processes are starting and open their ports.
+    CONNECTING = 1  # All ports exist: everyone connects both halves of its connections.
+    DRIVING = 2  # The loop runs.
+    STOPPING = 3  # Wheels are blocked and processes end.
+
+
+class ProcessState(enum.IntEnum):
+    """What a process says of itself."""
+
+    ATTACHED = 0  # It has opened its ports.
+    CONNECTED = 1  # Its connections are made, samples will arrive.
+    READY = 2  # It has published its first output.
+    ENDING = 3  # It is about to end.
+
+
+class CommandKind(enum.IntEnum):
+    """What the command asks for."""
+
+    STOP = 0  # Block the wheels for safety.
+    DRIVE = 1  # Drive with the velocity and steering angle of the command.
+    LAND = 2  # Block the wheels because the goal is reached.
+
+
+class Level(enum.IntEnum):
+    """Where a command comes from: the rung of the ladder that was reached."""
+
+    STOP = 0  # Wheels blocked.
+    CONVERGED = 1  # The converged and verified solution for this scan.
+    BEST_ITERATE = 2  # The best verified iterate for this scan.
+    LAST_PLAN = 3  # The rest of the last verified plan, verified again against the obstacles of this scan.
+
+
+class SolveStatus(enum.IntEnum):
+    """How the optimal control problem was solved."""
+
+    NOT_SOLVED = 0  # No problem was solved for this command.
+    CONVERGED = 1  # The KKT residual is within its tolerance.
+    MAX_ITERATIONS = 2  # The iteration limit came first; the best iterate is in the command.
+    OUT_OF_TIME = 3  # The time budget came first; the best iterate is in the command.
+    FAILED = 4  # No step could be computed.
+
+
+class StopReason(enum.IntEnum):
+    """Why the controller asks to block the wheels."""
+
+    NONE = 0  # It does not.
+    LANDED = 1  # The goal is reached.
+    BLOCKED = 2  # The path is blocked, or too near to steer around.
+    UNVERIFIED = 3  # No plan of this scan or the last could be verified.
+    BAD_INPUT = 4  # The inputs contradict each other or the bounds.
+    GOAL_PASSED = 5  # The goal was passed and cannot be reached any more.
+    NO_INPUT = 6  # No input came in time.
+
+
+class ActuationKind(enum.IntEnum):
+    """What the robot is told."""
+
+    BLOCK = 0  # Block the wheels.
+    DRIVE = 1  # Turn the wheels with the velocity and angle sent.
+
+
+class BlockReason(enum.IntEnum):
+    """Why the actuator blocks the wheels."""
+
+    NONE = 0  # It does not.
+    LANDED = 1  # The goal is reached.
+    COMMANDED = 2  # The controller asked for a stop.
+    NO_COMMAND = 3  # No valid command came within 1.5 scan periods.
+    INVALID_COMMAND = 4  # The command was not finite, not verified, or outside its hard limits.
+    STALE_COMMAND = 5  # The scan behind the command is too old.
+    STOP_REQUESTED = 6  # The user or the orchestrator asked for a stop.
+    START = 7  # Nothing has been commanded yet.
+
+
+class StageStamps(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("woken_ns", ctypes.c_uint64),  # When the stage was woken for the scan [ns]
+        ("taken_ns", ctypes.c_uint64),  # When all of its inputs were taken [ns]
+        ("computed_ns", ctypes.c_uint64),  # When its computation was done [ns]
+        ("published_ns", ctypes.c_uint64),  # When its output was published [ns]
+    ]
+
+
+class Header(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("layout", ctypes.c_uint32),  # Layout version of the sample, `Sample::LAYOUT`
+        ("incarnation", ctypes.c_uint32),  # Incarnation of the producer: one number per started process, given by the orchestrator
+        ("scan_id", ctypes.c_uint64),  # The scan that this sample belongs to; the first scan of a run is 1
+        ("sequence", ctypes.c_uint64),  # Number of the sample among those of its producer on its topic, from 1 without gaps
+        ("acquired_ns", ctypes.c_uint64),  # When the front beam of the scan was taken [ns]
+        ("chain", StageStamps * 5),  # Stamps of all stages on the way to this sample, indexed by role
+    ]
+
+
+class Obstacle(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("id", ctypes.c_uint32),  # Identity of the ellipse, kept while it is tracked; never 0
+        ("body", ctypes.c_uint32),  # Identity of the body that the ellipse belongs to
+        ("x_m", ctypes.c_double),  # Centre of the ellipse along the track, (7.32) [m]
+        ("y_m", ctypes.c_double),  # Centre of the ellipse across the track, (7.33) [m]
+        ("a_m", ctypes.c_double),  # Semi-axis along the track, a of (7.34) [m]
+        ("b_m", ctypes.c_double),  # Semi-axis across the track, b of (7.35) [m]
+        ("velocity_x_mps", ctypes.c_double),  # Velocity along the track [m/s]
+        ("velocity_y_mps", ctypes.c_double),  # Velocity across the track [m/s]
+        ("velocity_covariance", ctypes.c_double * 3),  # Covariance of the velocity: xx, xy, yy [m^2/s^2]
+        ("box_x_m", ctypes.c_double),  # Centre of the body's box along the track [m]
+        ("box_y_m", ctypes.c_double),  # Centre of the body's box across the track [m]
+        ("box_length_m", ctypes.c_double),  # Full length of the body's box along its own axis [m]
+        ("box_width_m", ctypes.c_double),  # Full width of the body's box [m]
+        ("box_yaw_rad", ctypes.c_double),  # Direction of the box's length axis [rad]
+        ("unseen_s", ctypes.c_double),  # Time since the body was last seen; zero when this scan shows it [s]
+        ("sightings", ctypes.c_uint64),  # Scans that showed the body since it was first seen
+    ]
+
+
+class PlanNode(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("x_m", ctypes.c_double),  # Position along the track [m]
+        ("y_m", ctypes.c_double),  # Lateral position [m]
+        ("yaw_rad", ctypes.c_double),  # Yaw [rad]
+        ("sideslip_rad", ctypes.c_double),  # Sideslip [rad]
+        ("yaw_rate_radps", ctypes.c_double),  # Yaw rate [rad/s]
+        ("velocity_mps", ctypes.c_double),  # Velocity from this node to the next [m/s]
+        ("steering_rad", ctypes.c_double),  # Steering angle from this node to the next [rad]
+    ]
+
+
+class Authority(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("incarnation", ctypes.c_uint32),  # The incarnation whose samples count from `from_scan` on; 0 accepts none
+        ("previous", ctypes.c_uint32),  # The incarnation whose samples count before `from_scan`
+        ("from_scan", ctypes.c_uint64),  # The scan at which authority changes
+    ]
+
+
+class Scan(ctypes.Structure):
+    """Topic scan, published once per scan, at the end of the sweep."""
+
+    TOPIC = "scan"
+    LAYOUT = 0xbac3cbcf
+    _fields_ = [
+        ("header", Header),  # Identity and stamps; acquired is the time of the front beam
+        ("sweep_ns", ctypes.c_uint64),  # How long the sweep over all beams lasts, two thirds of the scan period [ns]
+        ("period_ns", ctypes.c_uint64),  # Time between the end of one scan and the end of the next [ns]
+        ("ranges_mm", ctypes.c_uint16 * 682),  # Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm]
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Scan.v1"
+
+
+class Odometry(ctypes.Structure):
+    """Topic odometry, published once per scan, at the end of the sweep."""
+
+    TOPIC = "odometry"
+    LAYOUT = 0x7efb489b
+    _fields_ = [
+        ("header", Header),  # Identity and stamps; same scan id as the scan published with it
+        ("x_m", ctypes.c_double),  # Reported position along the track [m]
+        ("y_m", ctypes.c_double),  # Reported lateral position, left positive [m]
+        ("yaw_rad", ctypes.c_double),  # Reported yaw, in (-pi, pi] [rad]
+        ("dx_m", ctypes.c_double),  # Reported x minus the x reported before; zero in the first sample [m]
+        ("dy_m", ctypes.c_double),  # Reported y minus the y reported before; zero in the first sample [m]
+        ("dyaw_rad", ctypes.c_double),  # Reported yaw minus the yaw reported before; zero in the first sample [rad]
+        ("dt_s", ctypes.c_double),  # Time since the sample before; zero in the first sample [s]
+        ("speed_mps", ctypes.c_double),  # Speed over ground measured at the wheels [m/s]
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Odometry.v1"
+
+
+class Pose(ctypes.Structure):
+    """Topic pose, published once per odometry sample."""
+
+    TOPIC = "pose"
+    LAYOUT = 0xced1876d
+    _fields_ = [
+        ("header", Header),  # Identity and stamps
+        ("yaw_rad", ctypes.c_double),  # Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
+        ("x_m", ctypes.c_double),  # Estimated position along the track at the acquisition of the scan, x4 of (7.30) [m]
+        ("y_m", ctypes.c_double),  # Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m]
+        ("covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2]
+        ("speed_mps", ctypes.c_double),  # Speed over ground at the acquisition of the scan [m/s]
+        ("sideslip_rad", ctypes.c_double),  # Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
+        ("yaw_rate_radps", ctypes.c_double),  # Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s]
+        ("predicted_ns", ctypes.c_uint64),  # When the command for this scan is expected to act: the time of the predicted state [ns]
+        ("predicted_sideslip_rad", ctypes.c_double),  # Predicted sideslip [rad]
+        ("predicted_yaw_rad", ctypes.c_double),  # Predicted yaw [rad]
+        ("predicted_yaw_rate_radps", ctypes.c_double),  # Predicted yaw rate [rad/s]
+        ("predicted_x_m", ctypes.c_double),  # Predicted position along the track [m]
+        ("predicted_y_m", ctypes.c_double),  # Predicted lateral position [m]
+        ("predicted_speed_mps", ctypes.c_double),  # Predicted speed [m/s]
+        ("innovation", ctypes.c_double * 3),  # Measured minus predicted (yaw, x, y) of the measurement update [rad, m, m]
+        ("gain", ctypes.c_double * 9),  # Kalman gain of (yaw, x, y), row by row
+        ("nis", ctypes.c_double),  # Normalised innovation squared
+        ("rejected", ctypes.c_uint64),  # Measurements refused by the gate since the start
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Pose.v1"
+
+
+class Obstacles(ctypes.Structure):
+    """Topic obstacles, published once per scan, when scan and pose are there."""
+
+    TOPIC = "obstacles"
+    LAYOUT = 0x30465ed3
+    _fields_ = [
+        ("header", Header),  # Identity and stamps
+        ("count", ctypes.c_uint32),  # How many of `items` are used
+        ("overflow", ctypes.c_uint32),  # How many more ellipses there were than `items` can hold
+        ("items", Obstacle * 16),  # The ellipses, nearest ahead first; unused ones are zero
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Obstacles.v1"
+
+
+class Command(ctypes.Structure):
+    """Topic command, published once per scan, when pose and obstacles are there."""
+
+    TOPIC = "command"
+    LAYOUT = 0x2587ca67
+    _fields_ = [
+        ("header", Header),  # Identity and stamps
+        ("kind", ctypes.c_uint32),  # What is asked for, `CommandKind`
+        ("level", ctypes.c_uint32),  # Where the command comes from, `Level`
+        ("status", ctypes.c_uint32),  # How the problem was solved, `SolveStatus`
+        ("reason", ctypes.c_uint32),  # Why the wheels are to be blocked, `StopReason`
+        ("verified", ctypes.c_uint32),  # 1 when the plan was verified: bounds, obstacles and model
+        ("side", ctypes.c_int32),  # Side on which the nearest obstacle in the way is passed: 1 left, -1 right, 0 none
+        ("iterations", ctypes.c_uint32),  # SQP iterations
+        ("active_constraints", ctypes.c_uint32),  # Active constraints at the solution
+        ("velocity_mps", ctypes.c_double),  # Desired velocity, u1 of (7.27)-(7.31) [m/s]
+        ("steering_rad", ctypes.c_double),  # Desired steering angle, u2 of (7.27)-(7.31) [rad]
+        ("kkt_residual", ctypes.c_double),  # Infinity norm of the KKT conditions
+        ("largest_violation", ctypes.c_double),  # Largest violation of a hard constraint or of the model
+        ("slack", ctypes.c_double),  # Largest slack of an ellipse
+        ("objective", ctypes.c_double),  # Value of the objective
+        ("solve_ns", ctypes.c_uint64),  # Time the solver used, zero in lock-step [ns]
+        ("plan_start_ns", ctypes.c_uint64),  # Time of the first node of the plan [ns]
+        ("plan_interval_s", ctypes.c_double),  # Time between two nodes of the plan [s]
+        ("plan_length", ctypes.c_uint32),  # How many of `plan` are used
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("plan", PlanNode * 25),  # The planned nodes
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Command.v1"
+
+
+class Actuation(ctypes.Structure):
+    """Topic actuation, published once per command, and when the actuator blocks the wheels by itself."""
+
+    TOPIC = "actuation"
+    LAYOUT = 0xa865884b
+    _fields_ = [
+        ("header", Header),  # Identity and stamps of the command answered
+        ("kind", ctypes.c_uint32),  # What the robot is told, `ActuationKind`
+        ("reason", ctypes.c_uint32),  # Why the wheels are blocked, `BlockReason`
+        ("stop_reason", ctypes.c_uint32),  # `StopReason` of the command behind it
+        ("answers", ctypes.c_uint32),  # 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself
+        ("desired_velocity_mps", ctypes.c_double),  # Desired velocity after limits (7.41) [m/s]
+        ("desired_steering_rad", ctypes.c_double),  # Desired steering angle after limits (7.41) [rad]
+        ("sent_velocity_mps", ctypes.c_double),  # Velocity sent to the robot, after the correction [m/s]
+        ("sent_steering_rad", ctypes.c_double),  # Steering angle sent to the robot, after the correction [rad]
+        ("refused", ctypes.c_uint64),  # Commands refused since the start: not finite, not verified, stale, out of limits
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Actuation.v1"
+
+
+class Heartbeat(ctypes.Structure):
+    """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
+
+    TOPIC = "heartbeat"
+    LAYOUT = 0xdd21488c
+    _fields_ = [
+        ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
+        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("state", ctypes.c_uint32),  # What the process says of itself, `ProcessState`
+        ("pid", ctypes.c_uint64),  # Process id
+        ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
+        ("activations", ctypes.c_uint64),  # Times round the loop; a process that hangs stops counting
+        ("published", ctypes.c_uint64),  # Outputs published on the first topic of the role
+        ("used", ctypes.c_uint64),  # Inputs used
+        ("replaced", ctypes.c_uint64),  # Inputs replaced by newer ones before they were used
+        ("invalid", ctypes.c_uint64),  # Inputs dropped because of their content
+        ("stale", ctypes.c_uint64),  # Inputs dropped because they were too old
+        ("duplicate", ctypes.c_uint64),  # Inputs dropped because their sequence number had been seen
+        ("reordered", ctypes.c_uint64),  # Inputs dropped because a later one had been seen
+        ("foreign", ctypes.c_uint64),  # Inputs dropped because their producer has no authority
+        ("missing", ctypes.c_uint64),  # Sequence numbers that never arrived
+        ("undelivered", ctypes.c_uint64),  # Outputs that did not reach all of their readers
+        ("timeouts", ctypes.c_uint64),  # Wake-ups by time-out
+        ("reserved", ctypes.c_uint64),  # Unused, zero
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Heartbeat.v1"
+
+
+class Directive(ctypes.Structure):
+    """Topic directive, published ten times a second by the orchestrator, and at each change."""
+
+    TOPIC = "directive"
+    LAYOUT = 0x54eaca76
+    _fields_ = [
+        ("header", Header),  # Identity; the chain is unused
+        ("phase", ctypes.c_uint32),  # What the system is doing, `Phase`
+        ("stop", ctypes.c_uint32),  # 1 when the wheels are to be blocked now, whatever the controller says
+        ("granted_scan", ctypes.c_uint64),  # In lock-step: the last scan that the robot may publish
+        ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
+        ("orchestrator_pid", ctypes.c_uint64),  # Process id of the orchestrator
+        ("authority", Authority * 5),  # Whose samples count, indexed by role
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Directive.v1"
+
+
+class Checkpoint(ctypes.Structure):
+    """Topic checkpoint, published once per scan by each stateful process."""
+
+    TOPIC = "checkpoint"
+    LAYOUT = 0x2dc35882
+    _fields_ = [
+        ("header", Header),  # Identity: the scan after which the state was taken
+        ("role", ctypes.c_uint32),  # Role of the process, `Role`
+        ("state_layout", ctypes.c_uint32),  # Fingerprint of the type of the state
+        ("length", ctypes.c_uint32),  # How many of `bytes` are used
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("issued_ns", ctypes.c_uint64),  # When it was published [ns]
+        ("bytes", ctypes.c_uint8 * 8192),  # The state
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Checkpoint.v1"
+
+
+class Truth(ctypes.Structure):
+    """Topic truth, published once per scan by the emulated robot."""
+
+    TOPIC = "truth"
+    LAYOUT = 0xa3bb67db
+    _fields_ = [
+        ("header", Header),  # Identity of the scan published with it
+        ("time_s", ctypes.c_double),  # Time since the start of the run at the front beam [s]
+        ("x_m", ctypes.c_double),  # True position along the track [m]
+        ("y_m", ctypes.c_double),  # True lateral position [m]
+        ("yaw_rad", ctypes.c_double),  # True yaw [rad]
+        ("sideslip_rad", ctypes.c_double),  # True sideslip [rad]
+        ("yaw_rate_radps", ctypes.c_double),  # True yaw rate [rad/s]
+        ("speed_mps", ctypes.c_double),  # True speed over ground [m/s]
+        ("steering_rad", ctypes.c_double),  # True steering angle at the wheels [rad]
+        ("clearance_m", ctypes.c_double),  # Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m]
+        ("min_clearance_m", ctypes.c_double),  # Smallest such distance since the start, in plant steps [m]
+        ("path_length_m", ctypes.c_double),  # Way driven since the start [m]
+        ("max_abs_lateral_m", ctypes.c_double),  # Largest lateral offset from the line y = start since the start [m]
+        ("goal_distance_m", ctypes.c_double),  # Distance of the robot's centre to the goal [m]
+        ("longest_blind_s", ctypes.c_double),  # Longest time that the wheels turned without a new actuation, in plant steps [s]
+        ("actuation_age_s", ctypes.c_double),  # Time since the last actuation arrived [s]
+        ("blocked", ctypes.c_uint32),  # 1 while the wheels are blocked
+        ("collided", ctypes.c_uint32),  # 1 when the body has touched an obstacle or a wall while the wheels turned
+        ("struck", ctypes.c_uint32),  # 1 when a moving obstacle has touched the body while it stood still
+        ("dead_man", ctypes.c_uint32),  # 1 when the dead-man of the robot has blocked the wheels
+        ("actuation_scan", ctypes.c_uint64),  # Scan that the last actuation answered
+        ("refused", ctypes.c_uint64),  # Actuations refused by the robot since the start: not finite or beyond its limits
+        ("steps", ctypes.c_uint64),  # Plant steps since the start
+        ("reserved", ctypes.c_uint64),  # Unused, zero
+    ]
+
+    @staticmethod
+    def type_name() -> str:
+        return "scanloop.Truth.v1"
+
+
+# The sample of each topic.
+TOPICS = {
+    "scan": Scan,
+    "odometry": Odometry,
+    "pose": Pose,
+    "obstacles": Obstacles,
+    "command": Command,
+    "actuation": Actuation,
+    "heartbeat": Heartbeat,
+    "directive": Directive,
+    "checkpoint": Checkpoint,
+    "truth": Truth,
+}
+# What each role reads.
+READS = {
+    Role.ROBOT: [Actuation],
+    Role.ESTIMATOR: [Odometry, Actuation],
+    Role.OBSTACLES: [Scan, Pose],
+    Role.CONTROLLER: [Pose, Obstacles],
+    Role.ACTUATOR: [Command],
+}
+# What each role writes.
+WRITES = {
+    Role.ROBOT: [Scan, Odometry],
+    Role.ESTIMATOR: [Pose],
+    Role.OBSTACLES: [Obstacles],
+    Role.CONTROLLER: [Command],
+    Role.ACTUATOR: [Actuation],
+}
+
+
+_KINDS = {
+    ctypes.c_uint8: "u8",
+    ctypes.c_uint16: "u16",
+    ctypes.c_uint32: "u32",
+    ctypes.c_uint64: "u64",
+    ctypes.c_int32: "i32",
+    ctypes.c_double: "f64",
+}
+
+
+def layouts():
+    """The fields of all samples as ctypes lays them out: (topic, field, kind, count, size, offset).
+
+    A struct comes before its fields, of an array the first element stands for all, and "." is a sample as a whole.
+    """
+    rows = []
+
+    def add(topic, around, start, structure):
+        for name, kind in structure._fields_:
+            offset = start + getattr(structure, name).offset
+            count = 1
+            if issubclass(kind, ctypes.Array):
+                kind, count = kind._type_, kind._length_
+            rows.append((topic, around + name, _KINDS.get(kind, kind.__name__), count, ctypes.sizeof(kind), offset))
+            if issubclass(kind, ctypes.Structure):
+                add(topic, around + name + ".", offset, kind)
+
+    for topic, sample in TOPICS.items():
+        rows.append((topic, ".", sample.type_name(), 1, ctypes.sizeof(sample), 0))
+        add(topic, "", 0, sample)
+    return rows

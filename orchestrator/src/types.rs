@@ -1,0 +1,78 @@
+//! `scanloop types`: the samples as a page of documentation, a C header or a Python module.
+
+mod c;
+mod python;
+
+use clap::Args;
+use shared_types::{Field, Kind, TOPICS};
+
+use crate::topic;
+
+/// Arguments of `types`.
+#[derive(Debug, Args)]
+pub struct TypesArguments {
+    /// As Markdown tables, the default.
+    #[arg(long, group = "form")]
+    pub markdown: bool,
+    /// As a C header (C11), for programs that use the C library.
+    #[arg(long, group = "form")]
+    pub c: bool,
+    /// As a Python module of ctypes classes.
+    #[arg(long, group = "form")]
+    pub python: bool,
+}
+
+/// The samples of all topics in the form that was asked for.
+pub(crate) fn print(arguments: &TypesArguments) -> String {
+    match arguments {
+        TypesArguments { c: true, .. } => c::header(),
+        TypesArguments { python: true, .. } => python::module(),
+        _ => topic::markdown(),
+    }
+}
+
+/// All structs of the samples but the samples themselves, each behind the structs it is made of.
+fn structs() -> Vec<(&'static str, &'static [Field])> {
+    fn add(kind: &'static Kind, found: &mut Vec<(&'static str, &'static [Field])>) {
+        match kind {
+            Kind::Scalar(_) => {}
+            Kind::Array(element, _) => add(element, found),
+            Kind::Struct(name, fields) => {
+                fields.iter().for_each(|field| add(&field.kind, found));
+                if found.iter().all(|(known, _)| known != name) {
+                    found.push((name, fields));
+                }
+            }
+        }
+    }
+    let mut found = Vec::new();
+    for topic in TOPICS {
+        topic.fields().iter().for_each(|field| add(&field.kind, &mut found));
+    }
+    found
+}
+
+/// What a field is made of and how often; `None` for one that is no array.
+fn element(kind: &'static Kind) -> (&'static Kind, Option<usize>) {
+    match kind {
+        Kind::Array(element, count) => (element, Some(*count)),
+        single => (single, None),
+    }
+}
+
+/// `StageStamps` as `stage_stamps`.
+fn snake(name: &str) -> String {
+    let mut text = String::new();
+    for letter in name.chars() {
+        if letter.is_uppercase() && !text.is_empty() {
+            text.push('_');
+        }
+        text.extend(letter.to_lowercase());
+    }
+    text
+}
+
+/// Name of the struct of a sample: `Pose` of `scanloop.Pose.v1`.
+fn struct_name(topic: shared_types::Topic) -> &'static str {
+    topic.type_name().split('.').nth(1).unwrap_or_default()
+}

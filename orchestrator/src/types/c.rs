@@ -1,0 +1,146 @@
+//! The samples as a C header: structs, enumerations, constants, and the table of layouts as the compiler sees it.
+
+use std::fmt::Write as _;
+
+use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, TOPICS};
+
+use super::{element, snake, struct_name, structs};
+
+const HEAD: &str = "\
+/* The samples of Scanloop. Made by `scanloop types --c`: do not edit, make it again.
+ *
+ * C11, fixed layout, no padding; lengths in metres, angles in radians counter-clockwise, x along the track, y to the
+ * left. The assertions hold each struct to the layout it was made from; the table at the end is computed by your
+ * compiler, and a process whose table differs from that of the system is refused with the field that differs. */
+#ifndef SCANLOOP_TYPES_H
+#define SCANLOOP_TYPES_H
+
+#include <stddef.h>
+#include <stdint.h>
+";
+
+const TABLE: &str = r##"
+/* One field of one sample, as the compiler laid it out. */
+typedef struct scanloop_layout_row {
+    const char *topic;
+    const char *field; /* with the structs around it; "." is the sample as a whole */
+    const char *kind;
+    uint32_t count;  /* elements of an array, else 1 */
+    uint32_t size;   /* of one element [bytes] */
+    uint32_t offset; /* from the beginning of the sample [bytes] */
+} scanloop_layout_row;
+
+#define SCANLOOP_AT(type, field) (((type *)0)->field)
+#define SCANLOOP_KIND(value) \
+    _Generic((value), uint8_t: "u8", uint16_t: "u16", uint32_t: "u32", uint64_t: "u64", int32_t: "i32", \
+        double: "f64", default: "another")
+#define SCANLOOP_SAMPLE(topic, type, kind) {topic, ".", kind, 1, sizeof(type), 0}
+#define SCANLOOP_STRUCT(topic, type, name, kind, field) \
+    {topic, name, kind, 1, sizeof SCANLOOP_AT(type, field), offsetof(type, field)}
+#define SCANLOOP_STRUCTS(topic, type, name, kind, field) \
+    {topic, name, kind, sizeof SCANLOOP_AT(type, field) / sizeof SCANLOOP_AT(type, field[0]), \
+        sizeof SCANLOOP_AT(type, field[0]), offsetof(type, field)}
+#define SCANLOOP_VALUE(topic, type, name, field) \
+    SCANLOOP_STRUCT(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field)), field)
+#define SCANLOOP_VALUES(topic, type, name, field) \
+    SCANLOOP_STRUCTS(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field[0])), field)
+
+static const scanloop_layout_row scanloop_layouts[] = {
+"##;
+
+const FOOT: &str = "\
+};
+
+/* The table and its length, the way `scanloop_open` takes them. */
+#define SCANLOOP_LAYOUTS scanloop_layouts, (sizeof scanloop_layouts / sizeof scanloop_layouts[0])
+
+#endif
+";
+
+/// The header.
+pub(super) fn header() -> String {
+    let mut text = HEAD.to_owned();
+    text.push('\n');
+    for constant in CONSTANTS {
+        let _ =
+            writeln!(text, "#define SCANLOOP_{} {} /* {} */", constant.name, constant.value, constant.doc);
+    }
+    text.push('\n');
+    for topic in TOPICS {
+        let name = topic.name();
+        let _ = writeln!(text, "#define SCANLOOP_TOPIC_{} \"{name}\"", name.to_uppercase());
+    }
+    for enumeration in ENUMERATIONS {
+        let name = snake(enumeration.name);
+        let _ = writeln!(text, "\n/* {} */\nenum scanloop_{name} {{", enumeration.doc);
+        for value in enumeration.values {
+            let value_name = value.name.to_uppercase();
+            let prefix = name.to_uppercase();
+            let _ =
+                writeln!(text, "    SCANLOOP_{prefix}_{value_name} = {}, /* {} */", value.number, value.doc);
+        }
+        text.push_str("};\n");
+    }
+    for (name, fields) in structs() {
+        let size = Kind::Struct(name, fields).size();
+        declare(&mut text, &type_name(name), "A part of samples", size, fields);
+    }
+    for topic in TOPICS {
+        let about = format!("Topic {topic}, published {}", topic.published());
+        declare(&mut text, &type_name(struct_name(topic)), &about, topic.size(), topic.fields());
+    }
+    text.push_str(TABLE);
+    for topic in TOPICS {
+        let (topic_name, type_name) = (topic.name(), type_name(struct_name(topic)));
+        let _ =
+            writeln!(text, "    SCANLOOP_SAMPLE(\"{topic_name}\", {type_name}, \"{}\"),", topic.type_name());
+        rows(&mut text, &format!("\"{topic_name}\", {type_name}"), "", "", topic.fields());
+    }
+    text.push_str(FOOT);
+    text
+}
+
+fn declare(text: &mut String, name: &str, about: &str, size: usize, fields: &'static [Field]) {
+    let _ = writeln!(text, "\n/* {about}. */\ntypedef struct {name} {{");
+    for Field { name, doc, kind, .. } in fields {
+        let (element, count) = element(kind);
+        let length = count.map_or(String::new(), |count| format!("[{count}]"));
+        let _ = writeln!(text, "    {} {name}{length}; /* {doc} */", c_type(element));
+    }
+    let _ = writeln!(text, "}} {name};\n_Static_assert(sizeof({name}) == {size}, \"{name}\");");
+    for Field { name: field, offset, .. } in fields {
+        let _ = writeln!(text, "_Static_assert(offsetof({name}, {field}) == {offset}, \"{name}.{field}\");");
+    }
+}
+
+fn rows(text: &mut String, start: &str, name: &str, path: &str, fields: &'static [Field]) {
+    for field in fields {
+        let (element, count) = element(&field.kind);
+        let (name, path) = (format!("{name}{}", field.name), format!("{path}{}", field.name));
+        let many = if count.is_some() { "S" } else { "" };
+        match element {
+            Kind::Struct(kind, inner) => {
+                let _ = writeln!(text, "    SCANLOOP_STRUCT{many}({start}, \"{name}\", \"{kind}\", {path}),");
+                let first = if count.is_some() { "[0]" } else { "" };
+                rows(text, start, &format!("{name}."), &format!("{path}{first}."), inner);
+            }
+            _ => {
+                let _ = writeln!(text, "    SCANLOOP_VALUE{many}({start}, \"{name}\", {path}),");
+            }
+        }
+    }
+}
+
+fn type_name(name: &str) -> String {
+    format!("scanloop_{}", snake(name))
+}
+
+fn c_type(kind: &Kind) -> String {
+    match kind {
+        Kind::Scalar("f64") => "double".to_owned(),
+        Kind::Scalar(name) if name.starts_with('u') => format!("uint{}_t", &name[1..]),
+        Kind::Scalar(name) => format!("int{}_t", &name[1..]),
+        Kind::Struct(name, _) => type_name(name),
+        Kind::Array(..) => unreachable!("no sample has an array of arrays"),
+    }
+}

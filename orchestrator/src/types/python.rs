@@ -1,0 +1,129 @@
+//! The samples as a Python module of ctypes classes, with the table of layouts as ctypes sees it.
+
+use std::fmt::Write as _;
+
+use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, Role, TOPICS, Topic};
+
+use super::{element, struct_name, structs};
+
+const HEAD: &str = "\
+\"\"\"The samples of Scanloop. Made by `scanloop types --python`: do not edit, make it again.
+
+Fixed layout, no padding; lengths in metres, angles in radians counter-clockwise, x along the track, y to the left.
+\"\"\"
+
+import ctypes
+import enum
+
+";
+
+const FOOT: &str = "
+
+_KINDS = {
+    ctypes.c_uint8: \"u8\",
+    ctypes.c_uint16: \"u16\",
+    ctypes.c_uint32: \"u32\",
+    ctypes.c_uint64: \"u64\",
+    ctypes.c_int32: \"i32\",
+    ctypes.c_double: \"f64\",
+}
+
+
+def layouts():
+    \"\"\"The fields of all samples as ctypes lays them out: (topic, field, kind, count, size, offset).
+
+    A struct comes before its fields, of an array the first element stands for all, and \".\" is a sample as a whole.
+    \"\"\"
+    rows = []
+
+    def add(topic, around, start, structure):
+        for name, kind in structure._fields_:
+            offset = start + getattr(structure, name).offset
+            count = 1
+            if issubclass(kind, ctypes.Array):
+                kind, count = kind._type_, kind._length_
+            rows.append((topic, around + name, _KINDS.get(kind, kind.__name__), count, ctypes.sizeof(kind), offset))
+            if issubclass(kind, ctypes.Structure):
+                add(topic, around + name + \".\", offset, kind)
+
+    for topic, sample in TOPICS.items():
+        rows.append((topic, \".\", sample.type_name(), 1, ctypes.sizeof(sample), 0))
+        add(topic, \"\", 0, sample)
+    return rows
+";
+
+/// The module.
+pub(super) fn module() -> String {
+    let mut text = HEAD.to_owned();
+    for constant in CONSTANTS {
+        let _ = writeln!(text, "{} = {}  # {}", constant.name, constant.value, constant.doc);
+    }
+    for enumeration in ENUMERATIONS {
+        let _ = writeln!(
+            text,
+            "\n\nclass {}(enum.IntEnum):\n    \"\"\"{}\"\"\"\n",
+            enumeration.name, enumeration.doc
+        );
+        for value in enumeration.values {
+            let _ = writeln!(text, "    {} = {}  # {}", value.name.to_uppercase(), value.number, value.doc);
+        }
+    }
+    for (name, fields) in structs() {
+        let _ = write!(text, "\n\nclass {name}(ctypes.Structure):\n    \"\"\"A part of samples.\"\"\"\n\n");
+        declare(&mut text, fields);
+    }
+    for topic in TOPICS {
+        let _ = write!(
+            text,
+            "\n\nclass {}(ctypes.Structure):\n    \"\"\"Topic {topic}, published {}.\"\"\"\n\n    \
+             TOPIC = \"{topic}\"\n    LAYOUT = {:#010x}\n",
+            struct_name(topic),
+            topic.published(),
+            topic.layout()
+        );
+        declare(&mut text, topic.fields());
+        let _ = writeln!(
+            text,
+            "\n    @staticmethod\n    def type_name() -> str:\n        return \"{}\"",
+            topic.type_name()
+        );
+    }
+    text.push_str("\n\n# The sample of each topic.\nTOPICS = {\n");
+    for topic in TOPICS {
+        let _ = writeln!(text, "    \"{topic}\": {},", struct_name(topic));
+    }
+    text.push_str("}\n");
+    table(&mut text, "What each role reads.", "READS", Role::reads);
+    table(&mut text, "What each role writes.", "WRITES", Role::writes);
+    text.push_str(FOOT);
+    text
+}
+
+fn declare(text: &mut String, fields: &'static [Field]) {
+    text.push_str("    _fields_ = [\n");
+    for Field { name, doc, kind, .. } in fields {
+        let (element, count) = element(kind);
+        let length = count.map_or(String::new(), |count| format!(" * {count}"));
+        let _ = writeln!(text, "        (\"{name}\", {}{length}),  # {doc}", python_type(element));
+    }
+    text.push_str("    ]\n");
+}
+
+fn table(text: &mut String, about: &str, name: &str, topics: fn(Role) -> &'static [Topic]) {
+    let _ = writeln!(text, "# {about}\n{name} = {{");
+    for role in Role::ALL {
+        let list: Vec<&str> = topics(*role).iter().map(|topic| struct_name(*topic)).collect();
+        let _ = writeln!(text, "    Role.{}: [{}],", role.name().to_uppercase(), list.join(", "));
+    }
+    text.push_str("}\n");
+}
+
+fn python_type(kind: &Kind) -> String {
+    match kind {
+        Kind::Scalar("f64") => "ctypes.c_double".to_owned(),
+        Kind::Scalar(name) if name.starts_with('u') => format!("ctypes.c_uint{}", &name[1..]),
+        Kind::Scalar(name) => format!("ctypes.c_int{}", &name[1..]),
+        Kind::Struct(name, _) => (*name).to_owned(),
+        Kind::Array(..) => unreachable!("no sample has an array of arrays"),
+    }
+}

@@ -1,0 +1,43 @@
+//! The layouts of a system beside its bus, so that a process built against others is refused before it joins.
+
+use std::path::PathBuf;
+
+use shared_types::{Layouts, Role, difference, topics_of};
+
+use crate::{Domain, RuntimeError, environment};
+
+/// Name of the file in the directory of the system.
+pub const LAYOUTS_FILE: &str = "layouts.txt";
+
+/// Compares the layouts that a process of `role` was built with to those of the system that started it.
+///
+/// [`crate::Process::attach`] does this with the layouts of this crate; a library for another language does it also
+/// with those of the program that uses it.
+///
+/// # Errors
+/// [`RuntimeError::Layout`] with the first field that differs, [`RuntimeError::NotInASystem`], and
+/// [`RuntimeError::File`] or [`RuntimeError::Settings`] when the system's layouts can't be read.
+pub fn verify_layouts(role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
+    let (system_id, _) = environment::identity()?;
+    verify(&Domain::new(&system_id)?, role, mine)
+}
+
+pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
+    let path = file(domain);
+    let text =
+        std::fs::read_to_string(&path).map_err(|source| RuntimeError::File { path: path.clone(), source })?;
+    let theirs: Layouts =
+        text.parse().map_err(|error| RuntimeError::Settings { path, reason: format!("{error}") })?;
+    difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
+}
+
+/// Writes the layouts of the system: the orchestrator, when it creates the bus.
+pub(crate) fn write(domain: &Domain) -> Result<(), RuntimeError> {
+    let path = file(domain);
+    std::fs::write(&path, Layouts::built_in().to_string())
+        .map_err(|source| RuntimeError::File { path, source })
+}
+
+fn file(domain: &Domain) -> PathBuf {
+    domain.directory().join(LAYOUTS_FILE)
+}

@@ -1,0 +1,318 @@
+//! The layouts of all samples as a table that crosses process borders, and the first difference between two.
+//!
+//! The bus compares name, size and alignment of a type only, so two fields that have changed places would go
+//! unnoticed. Therefore the orchestrator writes its table beside the bus and each process compares its own, which its
+//! compiler made, before it joins.
+//!
+//! One row is one field; a struct comes before its fields, and of an array the first element stands for all. Where
+//! this fails: a field that has kept name, place and type but means something else is not found.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::describe::{Field, Kind};
+use crate::{Role, TOPICS, Topic};
+
+/// First line of the table as text; the number changes with the form of the lines.
+const TITLE: &str = "scanloop layouts 1";
+/// Stands for the sample itself where a field is named.
+const WHOLE: &str = ".";
+
+/// One field of one sample, or a sample as a whole.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LayoutRow {
+    /// Name of the topic.
+    pub topic: String,
+    /// The field with the structs around it, `header.chain.woken_ns`; `.` for the sample as a whole.
+    pub field: String,
+    /// `u8`, `u16`, `u32`, `u64`, `i32`, `f64`, or the name of a struct.
+    pub kind: String,
+    /// Number of elements, 1 for what is no array.
+    pub count: usize,
+    /// Size of one element [bytes].
+    pub size: usize,
+    /// Offset from the beginning of the sample [bytes].
+    pub offset: usize,
+}
+
+/// Layouts of samples.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Layouts {
+    /// The rows in the order of the fields, topic by topic.
+    pub rows: Vec<LayoutRow>,
+}
+
+/// The first field in which two layouts differ.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    /// Name of the topic.
+    pub topic: String,
+    /// The field, `.` for the sample as a whole.
+    pub field: String,
+    /// What differs.
+    pub what: Deviation,
+}
+
+/// What differs; "mine" is the table of the process, "theirs" that of the system.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Deviation {
+    /// The system has the field, the process has not.
+    Missing,
+    /// The process has the field, the system has not.
+    Extra,
+    /// The process has another name in its place.
+    Renamed {
+        /// Its name in the process.
+        mine: String,
+    },
+    /// It begins elsewhere [bytes].
+    Offset {
+        /// In the process.
+        mine: usize,
+        /// In the system.
+        theirs: usize,
+    },
+    /// It is of another type.
+    Type {
+        /// In the process.
+        mine: String,
+        /// In the system.
+        theirs: String,
+    },
+    /// It has more or fewer elements.
+    Count {
+        /// In the process.
+        mine: usize,
+        /// In the system.
+        theirs: usize,
+    },
+    /// An element has another size [bytes].
+    Size {
+        /// In the process.
+        mine: usize,
+        /// In the system.
+        theirs: usize,
+    },
+}
+
+impl Layouts {
+    /// The layouts that this program was built with.
+    pub fn built_in() -> Self {
+        let mut rows = Vec::new();
+        for topic in TOPICS {
+            rows.push(LayoutRow {
+                topic: topic.name().to_owned(),
+                field: WHOLE.to_owned(),
+                kind: topic.type_name().to_owned(),
+                count: 1,
+                size: topic.size(),
+                offset: 0,
+            });
+            add(&mut rows, topic, "", 0, topic.fields());
+        }
+        Self { rows }
+    }
+
+    fn of<'a>(&'a self, topic: &'a str) -> Vec<&'a LayoutRow> {
+        self.rows.iter().filter(|row| row.topic == topic).collect()
+    }
+}
+
+/// The topics whose samples a process of `role` may read or write.
+pub fn topics_of(role: Role) -> impl Iterator<Item = Topic> {
+    let shared = [Topic::Heartbeat, Topic::Directive, Topic::Checkpoint];
+    role.reads().iter().chain(role.writes()).copied().chain(shared)
+}
+
+/// The first field of `topics` in which the layouts of a process differ from those of the system.
+pub fn difference(
+    mine: &Layouts,
+    theirs: &Layouts,
+    topics: impl IntoIterator<Item = Topic>,
+) -> Option<Difference> {
+    topics.into_iter().find_map(|topic| {
+        let (mine, theirs) = (mine.of(topic.name()), theirs.of(topic.name()));
+        deviation(&mine, &theirs).map(|(field, what)| Difference {
+            topic: topic.name().to_owned(),
+            field: field.to_owned(),
+            what,
+        })
+    })
+}
+
+fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Deviation)> {
+    // What is wrong with a struct as a whole is said only where nothing is wrong with its fields.
+    let mut whole: Option<(&str, Deviation)> = None;
+    let said = |(field, what): (&str, Deviation)| Some((field.to_owned(), what));
+    for index in 0..mine.len().max(theirs.len()) {
+        let (my, their) = (mine.get(index), theirs.get(index));
+        let inside = |field: &str| [my, their].into_iter().flatten().any(|row| within(&row.field, field));
+        if let Some(found) = whole.take_if(|(field, _)| !inside(field)) {
+            return said(found);
+        }
+        let (my, their) = match (my, their) {
+            (Some(my), Some(their)) => (my, their),
+            (None, Some(their)) => return said((&their.field, Deviation::Missing)),
+            (Some(my), None) => return said((&my.field, Deviation::Extra)),
+            (None, None) => break,
+        };
+        if my.field != their.field {
+            return said(misplaced(my, their, mine, theirs));
+        }
+        let field = my.field.as_str();
+        let kinds = Deviation::Type { mine: my.kind.clone(), theirs: their.kind.clone() };
+        let is_struct = |row: &LayoutRow| !SCALARS.contains(&row.kind.as_str());
+        let both = is_struct(my) && is_struct(their);
+        if my.kind != their.kind && !both {
+            return said((field, kinds));
+        }
+        if my.count != their.count {
+            return said((field, Deviation::Count { mine: my.count, theirs: their.count }));
+        }
+        if my.offset != their.offset {
+            return said((field, Deviation::Offset { mine: my.offset, theirs: their.offset }));
+        }
+        let sizes = Deviation::Size { mine: my.size, theirs: their.size };
+        match (my.kind != their.kind, my.size != their.size) {
+            (true, _) => whole = Some((field, kinds)),
+            (_, true) if both => whole = Some((field, sizes)),
+            (_, true) => return said((field, sizes)),
+            _ => {}
+        }
+    }
+    whole.and_then(said)
+}
+
+/// Why two rows in one place have different names.
+fn misplaced<'a>(
+    my: &'a LayoutRow,
+    their: &'a LayoutRow,
+    mine: &[&LayoutRow],
+    theirs: &[&LayoutRow],
+) -> (&'a str, Deviation) {
+    let find = |rows: &[&LayoutRow], row: &LayoutRow| {
+        rows.iter().find(|other| other.field == row.field).map(|other| other.offset)
+    };
+    match (find(mine, their), find(theirs, my)) {
+        // Both are there: they have changed places.
+        (Some(offset), Some(_)) => (&their.field, Deviation::Offset { mine: offset, theirs: their.offset }),
+        (Some(_), None) => (&my.field, Deviation::Extra),
+        (None, Some(_)) => (&their.field, Deviation::Missing),
+        (None, None) => (&their.field, Deviation::Renamed { mine: my.field.clone() }),
+    }
+}
+
+const SCALARS: [&str; 6] = ["u8", "u16", "u32", "u64", "i32", "f64"];
+
+/// Whether `field` is `outer` or lies in it.
+fn within(field: &str, outer: &str) -> bool {
+    outer == WHOLE || field.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+}
+
+fn add(rows: &mut Vec<LayoutRow>, topic: Topic, around: &str, start: usize, fields: &'static [Field]) {
+    for Field { name, offset, kind, .. } in fields {
+        let (element, count) = match kind {
+            Kind::Array(element, count) => (*element, *count),
+            single => (single, 1),
+        };
+        let (kind, inner): (_, &[Field]) = match element {
+            Kind::Scalar(name) => (*name, &[]),
+            Kind::Struct(name, fields) => (*name, fields),
+            Kind::Array(..) => unreachable!("no sample has an array of arrays"),
+        };
+        let (field, offset) = (format!("{around}{name}"), start + offset);
+        rows.push(LayoutRow {
+            topic: topic.name().to_owned(),
+            field: field.clone(),
+            kind: kind.to_owned(),
+            count,
+            size: element.size(),
+            offset,
+        });
+        add(rows, topic, &format!("{field}."), offset, inner);
+    }
+}
+
+/// One line per row: topic, field, type, count, size, offset.
+impl fmt::Display for Layouts {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(formatter, "{TITLE}")?;
+        for LayoutRow { topic, field, kind, count, size, offset } in &self.rows {
+            writeln!(formatter, "{topic} {field} {kind} {count} {size} {offset}")?;
+        }
+        Ok(())
+    }
+}
+
+/// A line that is no row of a table of layouts.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NotALayout {
+    /// Number of the line, from 1.
+    pub line: usize,
+    /// What stands there.
+    pub text: String,
+}
+
+impl fmt::Display for NotALayout {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "line {}: `{}` is no row of a table of layouts", self.line, self.text)
+    }
+}
+
+impl std::error::Error for NotALayout {}
+
+impl FromStr for Layouts {
+    type Err = NotALayout;
+
+    fn from_str(text: &str) -> Result<Self, NotALayout> {
+        let mut lines = text.lines().enumerate();
+        let refuse = |index: usize, text: &str| NotALayout { line: index + 1, text: text.to_owned() };
+        match lines.next() {
+            Some((_, TITLE)) => {}
+            other => return Err(refuse(0, other.map_or("", |(_, line)| line))),
+        }
+        lines
+            .map(|(index, line)| row(line).ok_or_else(|| refuse(index, line)))
+            .collect::<Result<_, _>>()
+            .map(|rows| Self { rows })
+    }
+}
+
+fn row(line: &str) -> Option<LayoutRow> {
+    let mut words = line.split(' ');
+    let mut text = || words.next().map(str::to_owned);
+    let (topic, field, kind) = (text()?, text()?, text()?);
+    let mut number = || text()?.parse().ok();
+    let (count, size, offset) = (number()?, number()?, number()?);
+    words.next().is_none().then_some(LayoutRow { topic, field, kind, count, size, offset })
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { topic, field, what } = self;
+        match field.as_str() {
+            WHOLE => write!(formatter, "topic {topic}: the sample ")?,
+            _ => write!(formatter, "topic {topic}: field {field} ")?,
+        }
+        match what {
+            Deviation::Missing => write!(formatter, "is missing in this process"),
+            Deviation::Extra => write!(formatter, "is not in the samples of the system"),
+            Deviation::Renamed { mine } => write!(formatter, "is called {mine} in this process"),
+            Deviation::Offset { mine, theirs } => {
+                write!(formatter, "begins at byte {mine} in this process, at {theirs} in the system")
+            }
+            Deviation::Type { mine, theirs } => {
+                write!(formatter, "is of type {mine} in this process, {theirs} in the system")
+            }
+            Deviation::Count { mine, theirs } => {
+                write!(formatter, "has {mine} elements in this process, {theirs} in the system")
+            }
+            Deviation::Size { mine, theirs } => {
+                write!(formatter, "has {mine} bytes in this process, {theirs} in the system")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
