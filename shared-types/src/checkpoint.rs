@@ -64,6 +64,30 @@ impl std::fmt::Display for CheckpointError {
 impl std::error::Error for CheckpointError {}
 
 impl Checkpoint {
+    /// A checkpoint of a state that another language describes; `state_layout` is the number both ends know it by.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Length`] when it does not fit.
+    pub fn of_bytes(role: Role, state_layout: u32, state: &[u8]) -> Result<Self, CheckpointError> {
+        let mut checkpoint =
+            Self { role: role.wire(), state_layout, length: state.len() as u32, ..Self::default() };
+        let room = checkpoint.bytes.get_mut(..state.len());
+        let room = room.ok_or(CheckpointError::Length { found: state.len(), expected: CHECKPOINT_BYTES })?;
+        room.copy_from_slice(state);
+        Ok(checkpoint)
+    }
+
+    /// The state as bytes, where both ends know it by the same number.
+    ///
+    /// # Errors
+    /// [`CheckpointError::UnknownState`] when they do not.
+    pub fn state_bytes(&self, state_layout: u32) -> Result<&[u8], CheckpointError> {
+        if self.state_layout != state_layout {
+            return Err(CheckpointError::UnknownState { found: self.state_layout, expected: state_layout });
+        }
+        Ok(&self.bytes[..(self.length as usize).min(CHECKPOINT_BYTES)])
+    }
+
     /// A checkpoint of `state`; the header is filled when it is published.
     pub fn of<S: Pod + Described>(role: Role, state: &S) -> Self {
         const { assert!(size_of::<S>() <= CHECKPOINT_BYTES, "the state does not fit a checkpoint") };

@@ -224,11 +224,22 @@ impl Process {
         header: &shared_types::Header,
         state: &T,
     ) -> Result<(), RuntimeError> {
+        self.save_checkpoint(header, Checkpoint::of(self.shared.role, state))
+    }
+
+    /// [`Process::save`] of a state that is bytes already.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn save_checkpoint(
+        &mut self,
+        header: &shared_types::Header,
+        mut checkpoint: Checkpoint,
+    ) -> Result<(), RuntimeError> {
         if self.checkpoint.is_none() {
             self.checkpoint = Some(Output::new(&self.bus, Rc::clone(&self.shared))?);
         }
         let Some(output) = &self.checkpoint else { return Ok(()) };
-        let mut checkpoint = Checkpoint::of(self.shared.role, state);
         checkpoint.header = header.answer();
         checkpoint.issued_ns = monotonic_ns();
         output.publish_silently(&mut checkpoint)
@@ -239,23 +250,28 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::File`] when the hand-over can't be read.
     pub fn resume<T: bytemuck::Pod + Described>(&self) -> Result<Handover<T>, RuntimeError> {
+        Ok(match self.resume_checkpoint()? {
+            Handover::FirstStart => Handover::FirstStart,
+            Handover::Lost => Handover::Lost,
+            Handover::State(checkpoint) => checkpoint.state().map(Handover::State).unwrap_or_else(|error| {
+                tracing::warn!(%error, "the state of the process before this one can't be used");
+                Handover::Lost
+            }),
+        })
+    }
+
+    /// [`Process::resume`] without a look at what the state is.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] when the hand-over can't be read.
+    pub fn resume_checkpoint(&self) -> Result<Handover<Checkpoint>, RuntimeError> {
         if !environment::is_restart() {
             return Ok(Handover::FirstStart);
         }
-        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else {
-            return Ok(Handover::Lost);
-        };
-        let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
-        if age_ns > CHECKPOINT_AGE_NS {
-            return Ok(Handover::Lost);
-        }
-        match checkpoint.state() {
-            Ok(state) => Ok(Handover::State(state)),
-            Err(error) => {
-                tracing::warn!(%error, "the state of the process before this one can't be used");
-                Ok(Handover::Lost)
-            }
-        }
+        let checkpoint = handover::read(&self.domain, self.shared.role)?;
+        let age_ns = |checkpoint: &Checkpoint| monotonic_ns().saturating_sub(checkpoint.issued_ns);
+        let fresh = checkpoint.filter(|checkpoint| age_ns(checkpoint) <= CHECKPOINT_AGE_NS);
+        Ok(fresh.map_or(Handover::Lost, Handover::State))
     }
 
     fn sleep(&mut self, longest_ns: u64) -> Result<bool, RuntimeError> {
@@ -298,17 +314,22 @@ impl Process {
         self.beat()
     }
 
-    fn beat(&mut self) -> Result<(), RuntimeError> {
-        let now = monotonic_ns();
-        self.next_heartbeat_ns = now + HEARTBEAT_NS;
+    /// What the next heartbeat will say: state and counters of this process.
+    pub fn heartbeat(&self) -> Heartbeat {
         let mut heartbeat = Heartbeat {
             role: self.shared.role.wire(),
             state: self.state.wire(),
             pid: u64::from(std::process::id()),
-            issued_ns: now,
+            issued_ns: monotonic_ns(),
             ..Heartbeat::default()
         };
         self.shared.counters.fill(&mut heartbeat);
+        heartbeat
+    }
+
+    fn beat(&mut self) -> Result<(), RuntimeError> {
+        let mut heartbeat = self.heartbeat();
+        self.next_heartbeat_ns = heartbeat.issued_ns + HEARTBEAT_NS;
         self.heartbeat.publish_silently(&mut heartbeat)
     }
 }

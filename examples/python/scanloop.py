@@ -1,0 +1,475 @@
+"""A process of Scanloop in Python, on iceoryx2's own bindings.
+
+    from scanloop import Process, Role
+    from scanloop_types import Command, Obstacles, Pose
+
+    process = Process(Role.CONTROLLER)
+    poses, obstacles = process.input(Pose), process.input(Obstacles)
+    commands = process.output(Command)
+    if process.start():
+        while process.wait():
+            for pose, described in process.join(poses, obstacles):
+                commands.publish(plan(pose, described))     # yours; its header is `answer(pose, described)`
+
+It does what the Rust crate `runtime` does: it waits with a time-out, drops samples that do not count and counts them,
+carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT. Samples are copied out
+of shared memory. Of a sample it checks layout, finiteness and counts; numbers that are finite and out of range come out.
+
+Needs Python 3.11 and the packages of requirements.txt.
+"""
+
+import collections
+import ctypes
+import enum
+import math
+import os
+import signal
+import sys
+import time
+import tomllib
+
+import iceoryx2 as iox2
+
+import scanloop_types as types
+from scanloop_types import Checkpoint, Directive, Header, Heartbeat, Phase, ProcessState, Role
+
+HEARTBEAT_NS = 95_000_000  # between two heartbeats
+LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
+OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which passes
+MAX_AGE_PERIODS = 3  # older inputs are not used
+CHECKPOINT_AGE_NS = 500_000_000  # an older state describes another situation
+KEPT, ASIDE = 4, 3  # samples that wait to be taken; samples of the other process of an exchange
+
+# The topic whose samples come last for a role, and so the one worth waiting for.
+TRIGGERS = {
+    Role.ROBOT: "actuation",
+    Role.ESTIMATOR: "odometry",
+    Role.OBSTACLES: "pose",
+    Role.CONTROLLER: "obstacles",
+    Role.ACTUATOR: "command",
+}
+
+
+class Handover(enum.Enum):
+    """What Process.resume finds."""
+
+    FIRST_START = 0  # nothing ran before
+    STATE = 1  # the state of the process before
+    FOREIGN = 2  # the process before was another program, whose state is of another kind
+    LOST = 3  # its state is too old or was never saved: publish nothing unless your outputs need no memory
+
+
+def answer(to, also=None):
+    """The header of an answer to one sample, or to two of one scan: same scan, stamps carried on."""
+    header = Header.from_buffer_copy(to.header)
+    header.layout = header.incarnation = header.sequence = 0
+    if also is not None:
+        for mine, theirs in zip(header.chain, also.header.chain):
+            if mine.published_ns == 0:
+                ctypes.memmove(ctypes.byref(mine), ctypes.byref(theirs), ctypes.sizeof(mine))
+    return header
+
+
+def difference(mine, theirs, topics):
+    """In words, the first field of `topics` in which two tables of layouts differ; None when they agree."""
+    for topic in topics:
+        found = _deviation([row[1:] for row in mine if row[0] == topic], [row[1:] for row in theirs if row[0] == topic])
+        if found:
+            field, what = found
+            return f"topic {topic}: {'the sample' if field == '.' else 'field ' + field} {what}"
+    return None
+
+
+def _deviation(mine, theirs):
+    def within(field, outer):
+        return outer == "." or field == outer or field.startswith(outer + ".")
+
+    scalars = ("u8", "u16", "u32", "u64", "i32", "f64")
+    whole = None  # what is wrong with a struct is said only where nothing is wrong with its fields
+    for index in range(max(len(mine), len(theirs))):
+        my = mine[index] if index < len(mine) else None
+        their = theirs[index] if index < len(theirs) else None
+        if whole and not any(row and within(row[0], whole[0]) for row in (my, their)):
+            return whole
+        if my is None:
+            return their[0], "is missing in this process"
+        if their is None:
+            return my[0], "is not in the samples of the system"
+        (field, kind, count, size, offset), (name, their_kind, their_count, their_size, their_offset) = my, their
+        if field != name:
+            here = next((row for row in mine if row[0] == name), None)
+            there = next((row for row in theirs if row[0] == field), None)
+            if here and there:
+                return name, f"begins at byte {here[4]} in this process, at {their_offset} in the system"
+            if here:
+                return field, "is not in the samples of the system"
+            return name, "is missing in this process" if there else f"is called {field} in this process"
+        both = kind not in scalars and their_kind not in scalars
+        kinds = f"is of type {kind} in this process, {their_kind} in the system"
+        if kind != their_kind and not both:
+            return field, kinds
+        if count != their_count:
+            return field, f"has {count} elements in this process, {their_count} in the system"
+        if offset != their_offset:
+            return field, f"begins at byte {offset} in this process, at {their_offset} in the system"
+        sizes = f"has {size} bytes in this process, {their_size} in the system"
+        if kind != their_kind:
+            whole = field, kinds
+        elif size != their_size and both:
+            whole = field, sizes
+        elif size != their_size:
+            return field, sizes
+    return whole
+
+
+def read_layouts(text):
+    """The table of layouts in the text that the orchestrator writes."""
+    title, *lines = text.splitlines()
+    if title != "scanloop layouts 1":
+        _refuse(f"layouts.txt begins with `{title}`, which this module does not know")
+    rows = (line.split(" ") for line in lines)
+    return [(row[0], row[1], row[2], int(row[3]), int(row[4]), int(row[5])) for row in rows]
+
+
+class Input:
+    """Reads samples of one type: valid ones of the producer in charge, each once and in order."""
+
+    def __init__(self, process, sample):
+        self._process, self._sample = process, sample
+        self._subscriber = process._subscriber(sample)
+        self._kept, self._aside = collections.deque(), collections.deque()
+        self._last = (0, 0, 0)  # incarnation, sequence, scan
+        self._writer = next((role for role, topics in types.WRITES.items() if sample in topics), None)
+        self._numbers = list(_numbers(sample, 0))
+
+    def take(self):
+        """The oldest sample not taken yet, or None."""
+        return self._process._taken(self._kept.popleft()) if self._kept else None
+
+    def take_newest(self):
+        """The newest sample, or None; older ones are dropped."""
+        while len(self._kept) > 1:
+            self._kept.popleft()
+            self._process.counters["replaced"] += 1
+        return self.take()
+
+    def _take_scan(self, scan):
+        while self._kept and self._kept[0].header.scan_id < scan:
+            self._kept.popleft()
+            self._process.counters["replaced"] += 1
+        return self.take() if self._kept and self._kept[0].header.scan_id == scan else None
+
+    def _drain(self):
+        while (received := self._subscriber.receive()) is not None:
+            sample = self._sample.from_buffer_copy(received.payload().contents)
+            received.delete()
+            self._offer(sample)
+
+    def _review(self):
+        waiting, self._aside = self._aside, collections.deque()
+        for sample in waiting:
+            self._offer(sample, True)
+
+    def _offer(self, sample, was_aside=False):
+        counters, header = self._process.counters, sample.header
+        if not self._is_valid(sample):
+            counters["invalid"] += 1
+            return
+        if self._writer is not None:
+            authority = self._process.directive.authority[self._writer]
+            exchanged = 0 != authority.incarnation != authority.previous != 0
+            counts = authority.incarnation if header.scan_id >= authority.from_scan else authority.previous
+            if counts == 0 or counts != header.incarnation:
+                if exchanged and header.incarnation in (authority.incarnation, authority.previous):
+                    _push(self._aside, sample, ASIDE, counters, "foreign")
+                else:
+                    counters["foreign"] += 1
+                return
+            other = was_aside or exchanged and header.incarnation != self._last[0]
+            if other and header.scan_id <= self._last[2]:
+                counters["duplicate"] += 1
+                return
+        if self._is_news(header):
+            _push(self._kept, sample, KEPT, counters, "replaced")
+
+    def _is_news(self, header):
+        counters, (incarnation, sequence, scan) = self._process.counters, self._last
+        if header.incarnation == incarnation:
+            if header.sequence <= sequence:
+                counters["duplicate" if header.sequence == sequence else "reordered"] += 1
+                return False
+            counters["missing"] += header.sequence - sequence - 1
+        self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
+        if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
+            if self._process.now_ns() - header.acquired_ns > MAX_AGE_PERIODS * self._process.period_ns:
+                counters["stale"] += 1
+                return False
+        return True
+
+    def _is_valid(self, sample):
+        if sample.header.layout != self._sample.LAYOUT:
+            return False
+        if getattr(sample, "count", 0) > types.MAX_OBSTACLES or getattr(sample, "plan_length", 0) > types.PLAN_NODES:
+            return False
+        numbers = memoryview(sample).cast("B").cast("d")
+        return all(math.isfinite(numbers[index]) for index in self._numbers)
+
+
+class Output:
+    """Writes samples of one type."""
+
+    def __init__(self, process, sample):
+        self._process, self._sample, self._sequence = process, sample, 0
+        self._service = process._samples(sample)
+        builder = self._service.publisher_builder().max_loaned_samples(1)
+        self._publisher = builder.backpressure_strategy(iox2.BackpressureStrategy.DiscardData).create()
+        self._notifier = process._events(sample).notifier_builder().create()
+        self._is_ours = sample in types.WRITES[process.role]
+
+    def publish(self, sample, wake=True):
+        """Completes the header of `sample`, publishes a copy of it and wakes its readers."""
+        process, header = self._process, sample.header
+        computed_ns = process.now_ns()
+        self._sequence += 1
+        header.layout, header.incarnation, header.sequence = self._sample.LAYOUT, process.incarnation, self._sequence
+        if self._is_ours:
+            stage = header.chain[process.role]
+            stage.woken_ns, stage.taken_ns = process._woken_ns, process._taken_ns
+            stage.computed_ns, stage.published_ns = computed_ns, process.now_ns()
+            process._last_scan = header.scan_id
+            process.counters["published"] += self._sample is types.WRITES[process.role][0]
+        delivered = self._publisher.loan_uninit().write_payload(sample).send()
+        if delivered < self._service.dynamic_config.number_of_subscribers:
+            process.counters["undelivered"] += 1
+        if wake:
+            try:
+                self._notifier.notify()
+            except iox2.NotifierNotifyError:
+                pass  # a listener that can't be notified will find the sample at its next time-out
+
+
+class Process:
+    """A process of the loop; refuses with exit code 2 when it was started by hand or built against other samples."""
+
+    def __init__(self, role):
+        system_id, incarnation = (os.environ.get(name) for name in ("SCANLOOP_SYSTEM_ID", "SCANLOOP_INCARNATION"))
+        if not system_id or not incarnation:
+            _refuse("processes are started by `scanloop run`, or joined with `scanloop swap`")
+        self.role, self.incarnation = Role(role), int(incarnation)
+        self.directory = f"/tmp/scanloop-{os.getuid()}/{system_id}"
+        self._verify()
+        with open(f"{self.directory}/settings.toml", "rb") as file:
+            self._settings = tomllib.load(file)
+        run = self._settings["run"]
+        self.period_ns, self.simulated = run["period_ns"], run["clock"] == "simulated"
+        self._orphan_timeout_ns = run["orphan_timeout_ns"]
+        self.counters = collections.Counter()
+        self.directive = Directive()
+        self._simulated_ns = self._woken_ns = self._taken_ns = self._last_scan = 0
+        self._ended = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._end)
+        self._node = self._join_bus(system_id)
+        self._inputs, self._outputs, self._state = [], [], ProcessState.ATTACHED
+        self._orders = Input(self, Directive)
+        self._heartbeat, self._checkpoint = Output(self, Heartbeat), None
+        self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
+        self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
+
+    def settings(self, name=None):
+        """The settings of the role, docs/settings.md, as a dict."""
+        return self._settings.get(name or self.role.name.lower(), {})
+
+    def now_ns(self):
+        """The time of the loop: CLOCK_MONOTONIC, or simulated in lock-step."""
+        return self._simulated_ns if self.simulated else time.monotonic_ns()
+
+    def input(self, sample):
+        """Opens a topic for reading; samples arrive from start() on."""
+        if sample not in types.READS[self.role]:
+            _refuse(f"role {self.role.name.lower()} does not read topic {sample.TOPIC}")
+        self._inputs.append(Input(self, sample))
+        return self._inputs[-1]
+
+    def output(self, sample):
+        """Opens a topic for writing."""
+        if sample not in types.WRITES[self.role]:
+            _refuse(f"role {self.role.name.lower()} does not write topic {sample.TOPIC}")
+        self._outputs.append(Output(self, sample))
+        return self._outputs[-1]
+
+    def start(self):
+        """Waits until all processes are there and connected; False when asked to end."""
+        self._beat()
+        while self._sleep(LONGEST_WAIT_NS):
+            phase = self.directive.phase
+            if phase >= Phase.CONNECTING and self._state == ProcessState.ATTACHED:
+                for output in self._outputs:
+                    output._publisher.update_connections()
+                self._enter(ProcessState.CONNECTED)
+            if phase >= Phase.DRIVING:
+                return True
+        return False
+
+    def wait(self, deadline_ns=None):
+        """Sleeps until a sample may have come, or the time `deadline_ns` has passed; False when asked to end."""
+        if self.counters["published"] and self._state == ProcessState.CONNECTED:
+            self._enter(ProcessState.READY)
+        longest = LONGEST_WAIT_NS
+        if deadline_ns is not None and not self.simulated:
+            longest = min(longest, max(deadline_ns - time.monotonic_ns(), 0))
+        return self._sleep(longest)
+
+    def join(self, one, other):
+        """The newest pairs of samples of one scan; older samples are dropped."""
+        while True:
+            scans = {sample.header.scan_id for sample in one._kept} & {sample.header.scan_id for sample in other._kept}
+            if not scans:
+                return
+            yield one._take_scan(max(scans)), other._take_scan(max(scans))
+
+    def save(self, header, kind, state):
+        """Publishes the state of this process after a scan, as bytes that `kind` is a number of your own for."""
+        if self._checkpoint is None:
+            self._checkpoint = Output(self, Checkpoint)
+        checkpoint = Checkpoint(role=self.role, state_layout=kind, length=len(state), issued_ns=time.monotonic_ns())
+        checkpoint.header = Header.from_buffer_copy(header)
+        ctypes.memmove(checkpoint.bytes, state, min(len(state), types.CHECKPOINT_BYTES))
+        self._checkpoint.publish(checkpoint, wake=False)
+
+    def resume(self, kind):
+        """What the process before this one left: a Handover, and the bytes of the state or None."""
+        if os.environ.get("SCANLOOP_RESTART") != "1":
+            return Handover.FIRST_START, None
+        try:
+            with open(f"{self.directory}/{self.role.name.lower()}.checkpoint", "rb") as file:
+                checkpoint = Checkpoint.from_buffer_copy(file.read())
+        except (OSError, ValueError):
+            return Handover.LOST, None
+        if time.monotonic_ns() - checkpoint.issued_ns > CHECKPOINT_AGE_NS or checkpoint.role != self.role:
+            return Handover.LOST, None
+        if checkpoint.state_layout != kind:
+            return Handover.FOREIGN, None
+        return Handover.STATE, bytes(checkpoint.bytes[: checkpoint.length])
+
+    def _verify(self):
+        try:
+            with open(f"{self.directory}/layouts.txt", encoding="utf-8") as file:
+                theirs = read_layouts(file.read())
+        except OSError as error:
+            _refuse(error)
+        samples = types.READS[self.role] + types.WRITES[self.role] + [Heartbeat, Directive, Checkpoint]
+        found = difference(types.layouts(), theirs, [sample.TOPIC for sample in samples])
+        if found:
+            _refuse(f"built against another layout: {found}; make scanloop_types.py again with `scanloop types --python`")
+
+    def _end(self, *_):
+        self._ended = True
+
+    def _join_bus(self, system_id):
+        iox2.set_log_level_from_env_or(iox2.LogLevel.Fatal)
+        config = iox2.config.default()
+        config.global_cfg.prefix = iox2.FileName.new(f"scanloop{os.getuid()}_{system_id}_")
+        config.global_cfg.root_path = iox2.Path.new(f"{self.directory}/bus")
+        builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
+        return builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
+
+    def _service(self, sample):
+        return self._node.service_builder(iox2.ServiceName.new(sample.TOPIC))
+
+    def _samples(self, sample):
+        return _retry(lambda: self._service(sample).publish_subscribe(sample).open())
+
+    def _events(self, sample):
+        return _retry(lambda: self._service(sample).event().open())
+
+    def _subscriber(self, sample):
+        builder = self._samples(sample).subscriber_builder()
+        return builder.history_request(1 if sample in (Directive, Checkpoint) else 0).create()
+
+    def _taken(self, sample):
+        self._simulated_ns = max(self._simulated_ns, sample.header.chain[Role.ROBOT].published_ns)
+        self._taken_ns = self.now_ns()
+        if self.simulated:
+            self._woken_ns = self._taken_ns
+        self.counters["used"] += 1
+        return sample
+
+    def _sleep(self, longest_ns):
+        if time.monotonic_ns() >= self._next_heartbeat_ns:
+            self._beat()
+        woken = self._listen(lambda: self._listener.timed_wait(iox2.Duration.from_nanos(max(longest_ns, 1))))
+        # Also after a time-out: iceoryx2 0.10 can lose a wake-up, and this heals it.
+        while self._listen(self._listener.try_wait):
+            pass
+        self.counters["activations"] += 1
+        self.counters["timeouts"] += not woken
+        self._woken_ns = self._taken_ns = self.now_ns()
+        self._orders._drain()
+        if self._orders._kept:
+            self.directive = self._orders._kept[-1]
+            self._orders._kept.clear()
+            self._directive_seen_ns = time.monotonic_ns()
+            for reader in self._inputs:
+                reader._review()
+        for reader in self._inputs:
+            reader._drain()
+        orphaned = time.monotonic_ns() - self._directive_seen_ns > self._orphan_timeout_ns
+        return not self._ended and not orphaned
+
+    @staticmethod
+    def _listen(wait):
+        try:
+            return bool(wait())
+        except iox2.ListenerWaitError:
+            return False  # a signal; what has come is looked at anyway
+
+    def _enter(self, state):
+        self._state = state
+        self._beat()
+
+    def _beat(self):
+        now = time.monotonic_ns()
+        self._next_heartbeat_ns = now + HEARTBEAT_NS
+        beat = Heartbeat(role=self.role, state=self._state, pid=os.getpid(), issued_ns=now)
+        for name, value in self.counters.items():
+            setattr(beat, name, value)
+        beat.header.scan_id = self._last_scan
+        self._heartbeat.publish(beat, wake=False)
+
+
+def _numbers(structure, start):
+    """Indices of all f64 of a sample, counted in steps of 8 bytes."""
+    for name, kind in structure._fields_:
+        offset, count = start + getattr(structure, name).offset, 1
+        if issubclass(kind, ctypes.Array):
+            kind, count = kind._type_, kind._length_
+        for index in range(count):
+            place = offset + index * ctypes.sizeof(kind)
+            if kind is ctypes.c_double:
+                yield place // 8
+            elif issubclass(kind, ctypes.Structure):
+                yield from _numbers(kind, place)
+
+
+def _push(queue, sample, most, counters, counter):
+    if len(queue) == most:
+        queue.popleft()
+        counters[counter] += 1
+    queue.append(sample)
+
+
+def _retry(open_service):
+    end = time.monotonic_ns() + OPEN_RETRY_NS
+    while True:
+        try:
+            return open_service()
+        except Exception:
+            if time.monotonic_ns() > end:
+                raise
+            time.sleep(0.005)
+
+
+def _refuse(message):
+    print(f"error: {message}", file=sys.stderr, flush=True)
+    sys.exit(2)

@@ -1,0 +1,119 @@
+/* A process of Scanloop in C.
+ *
+ *     cc -std=c11 my_process.c -Iexamples/c -Iservices/c-library/include -Ltarget/release -lscanloop -o my_process
+ *
+ * Link with libscanloop.so, or with libscanloop.a and -lpthread -ldl -lm. The samples are in scanloop_types.h, which
+ * `scanloop types --c` prints. The library does what all processes share: it waits, drops samples that do not count
+ * and counts them, carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT.
+ *
+ * A process has one thread that calls these functions, from scanloop_open to scanloop_close. No function waits without
+ * a time-out. Functions that return int return one of the results below; what a negative one means in words says
+ * scanloop_last_error. A program should end when it gets one: the orchestrator starts it again.
+ */
+#ifndef SCANLOOP_H
+#define SCANLOOP_H
+
+#include "scanloop_types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum scanloop_result {
+    SCANLOOP_BUS_ERROR = -5,      /* the bus or a file of the system failed */
+    SCANLOOP_BAD_SAMPLE = -4,     /* a sample has a number that is not finite or out of range; nothing was published */
+    SCANLOOP_OTHER_LAYOUT = -3,   /* built against other samples than the system: the error names topic and field */
+    SCANLOOP_NOT_IN_A_SYSTEM = -2, /* started by hand, not by `scanloop run` or `scanloop swap` */
+    SCANLOOP_BAD_ARGUMENT = -1,   /* a null pointer, an unknown topic, a wrong size */
+    SCANLOOP_NO = 0,              /* nothing there, or the process is to end */
+    SCANLOOP_YES = 1
+};
+
+/* What scanloop_resume finds. */
+enum scanloop_handover {
+    SCANLOOP_FIRST_START = 0, /* nothing ran before */
+    SCANLOOP_RESUMED = 1,     /* the state of the process before */
+    SCANLOOP_FOREIGN = 2,     /* the process before was another program, whose state is of another kind */
+    SCANLOOP_LOST = 3         /* its state is older than half a second or was never saved: publish nothing unless your
+                                 outputs need no memory, so that the wheels stay blocked */
+};
+
+enum scanloop_log_level { SCANLOOP_DEBUG = 0, SCANLOOP_INFO = 1, SCANLOOP_WARN = 2, SCANLOOP_ERROR = 3 };
+
+/* A process of the loop. */
+typedef struct scanloop_process scanloop_process;
+
+/* Joins the system that started this program, as `role` (enum scanloop_role), and opens all topics of the role.
+ *
+ *     scanloop_process *process;
+ *     if (scanloop_open(SCANLOOP_ROLE_OBSTACLES, SCANLOOP_LAYOUTS, &process) < 0) {
+ *         fprintf(stderr, "%s\n", scanloop_last_error());
+ *         return 2;
+ *     }
+ *
+ * SCANLOOP_LAYOUTS is the table of scanloop_types.h: a header or a library of another version is refused here. */
+int scanloop_open(uint32_t role, const scanloop_layout_row *layouts, size_t count, scanloop_process **process);
+
+/* Waits until all processes are there and connected. SCANLOOP_YES: drive; SCANLOOP_NO: the process is to end.
+ * Nothing can be read before, but scanloop_resume and scanloop_setting work. */
+int scanloop_start(scanloop_process *process);
+
+/* Sleeps until a sample has come, the time `deadline_ns` (0: none) has passed, or a tenth of a second has.
+ * SCANLOOP_YES: look what is there; SCANLOOP_NO: the process is to end. */
+int scanloop_wait(scanloop_process *process, uint64_t deadline_ns);
+
+/* The oldest sample of `topic` not read yet, in shared memory; SCANLOOP_NO when there is none.
+ *
+ * The pointer is valid until the next read of the same topic, by this function or the next, or scanloop_close. What it
+ * points to must not be written. It has the type of the topic, is valid, and comes from the process in charge. */
+int scanloop_read(scanloop_process *process, const char *topic, const void **sample);
+
+/* The newest pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller.
+ * SCANLOOP_NO while none is complete. Older samples are dropped. Pointers as in scanloop_read. */
+int scanloop_join(scanloop_process *process, const void **first, const void **second);
+
+/* The header of an answer to the sample with header `to`, and to the one with header `also` (or NULL): same scan,
+ * stamps of both carried on. */
+void scanloop_answer(const scanloop_header *to, const scanloop_header *also, scanloop_header *answer);
+
+/* Completes the header of `sample` and publishes a copy of it; `size` is sizeof of its struct. */
+int scanloop_publish(scanloop_process *process, const char *topic, void *sample, size_t size);
+
+/* The robot's process, before it publishes the samples of a scan: work begins without an input. */
+int scanloop_begin(scanloop_process *process);
+
+/* Publishes the state of this process after the scan of `header`, at most SCANLOOP_CHECKPOINT_BYTES, for the one that
+ * may have to go on from it. `kind` is a number of your own for this layout of the state; change it with the layout. */
+int scanloop_save(scanloop_process *process, const scanloop_header *header, uint32_t kind, const void *state,
+                  size_t size);
+
+/* Fills `state` with what the process before this one saved last. Returns an enum scanloop_handover, or an error. */
+int scanloop_resume(scanloop_process *process, uint32_t kind, void *state, size_t size);
+
+/* A number of the settings of the role, docs/settings.md: "safety_distance_m", "wall_y_m.0", "track.y_m.1"; true is 1.
+ * SCANLOOP_NO and no change of `value` when there is no such number. */
+int scanloop_setting(scanloop_process *process, const char *key, double *value);
+
+/* The time of the loop [ns]: CLOCK_MONOTONIC, or simulated time in lock-step. */
+uint64_t scanloop_now_ns(scanloop_process *process);
+
+/* Time between two scans [ns]. */
+uint64_t scanloop_period_ns(scanloop_process *process);
+
+/* The counters of this process and the last word of the orchestrator; either may be NULL. */
+int scanloop_status(scanloop_process *process, scanloop_heartbeat *counters, scanloop_directive *orders);
+
+/* A line in the log of the process, logs/ROLE.log; the last lines of a process that ends are shown to the user. */
+void scanloop_log(int level, const char *text);
+
+/* What the last negative result of this thread means, in words; valid until the next one. */
+const char *scanloop_last_error(void);
+
+/* Leaves the system and frees the process; NULL is allowed. */
+void scanloop_close(scanloop_process *process);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,64 @@
+//! What can go wrong, as a number and in words.
+
+use std::cell::RefCell;
+use std::ffi::{CString, c_char, c_int};
+
+use runtime::RuntimeError;
+use shared_types::{CheckpointError, Fault, Topic, UnknownRole, UnknownTopic};
+
+/// Why a call was refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Refusal {
+    #[error("{0} is a null pointer")]
+    Null(&'static str),
+    #[error("{0} is not UTF-8")]
+    NotText(&'static str),
+    #[error(transparent)]
+    Topic(#[from] UnknownTopic),
+    #[error(transparent)]
+    Role(#[from] UnknownRole),
+    #[error("role {0} is unknown: 0 to 4")]
+    RoleNumber(u32),
+    #[error("this role does not {verb} topic {topic}")]
+    NotYours { verb: &'static str, topic: Topic },
+    #[error("this role has no pair of inputs to join")]
+    NoPair,
+    #[error("a sample of topic {topic} has {expected} bytes, not {found}")]
+    Size { topic: Topic, expected: usize, found: usize },
+    #[error("topic {0}: {1}")]
+    Sample(Topic, Fault),
+    #[error("{0}")]
+    State(CheckpointError),
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    #[error("the library has panicked; see the log")]
+    Panic,
+}
+
+impl Refusal {
+    /// The number of `enum scanloop_result`.
+    pub(crate) fn code(&self) -> c_int {
+        match self {
+            Self::Runtime(RuntimeError::Layout(_)) => -3,
+            Self::Runtime(RuntimeError::NotInASystem(_) | RuntimeError::Environment { .. }) => -2,
+            Self::Runtime(_) | Self::Panic => -5,
+            Self::Sample(..) => -4,
+            _ => -1,
+        }
+    }
+}
+
+thread_local! {
+    static LAST: RefCell<CString> = RefCell::default();
+}
+
+/// Keeps the words for [`last`].
+pub(crate) fn remember(refusal: &Refusal) {
+    let text = refusal.to_string().replace('\0', " ");
+    LAST.with(|last| *last.borrow_mut() = CString::new(text).unwrap_or_default());
+}
+
+/// The words of the last refusal in this thread.
+pub(crate) fn last() -> *const c_char {
+    LAST.with(|last| last.borrow().as_ptr())
+}
