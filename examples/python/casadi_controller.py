@@ -278,8 +278,9 @@ class Controller:
 
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
+settings = process.settings() | {"period_s": process.period_ns * 1e-9}
 # Simulated time does not pass while a problem is solved: iterations are the only limit then.
-controller = Controller(process.settings(), 10.0 if process.simulated else BUDGET * process.period_ns * 1e-9)
+controller = Controller(settings, 10.0 if process.simulated else BUDGET * settings["period_s"])
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):

@@ -57,10 +57,11 @@ def plan(pose, described, settings, last_line):
 
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
-line = process.settings()["goal"]["y_m"]
+settings = process.settings() | {"period_s": process.period_ns * 1e-9}
+line = settings["goal"]["y_m"]
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
-            command, line = plan(pose, described, process.settings(), line)
+            command, line = plan(pose, described, settings, line)
             command.header = answer(described, pose)
             commands.publish(command)

@@ -53,8 +53,8 @@ pub unsafe extern "C" fn scanloop_open(
         // SAFETY: C passes the place of a pointer of its own.
         let place = unsafe { process.as_mut() }.ok_or(Refusal::Null("process"))?;
         *place = std::ptr::null_mut();
-        let opened = CProcess::open(role, &Layouts { rows })
-            .inspect_err(|refusal| tracing::error!("{refusal}"))?;
+        let opened =
+            CProcess::open(role, &Layouts { rows }).inspect_err(|refusal| tracing::error!("{refusal}"))?;
         *place = Box::into_raw(Box::new(opened));
         Ok(YES)
     })
@@ -276,7 +276,11 @@ fn with(process: *mut CProcess, act: impl FnOnce(&mut CProcess) -> Result<c_int,
 }
 
 /// Stores a pointer where C wants it; null and `NO` when there is none.
-fn put(place: *mut *const c_void, name: &'static str, found: Option<*const c_void>) -> Result<c_int, Refusal> {
+fn put(
+    place: *mut *const c_void,
+    name: &'static str,
+    found: Option<*const c_void>,
+) -> Result<c_int, Refusal> {
     // SAFETY: C passes the place of a pointer of its own, or null.
     let place = unsafe { place.as_mut() }.ok_or(Refusal::Null(name))?;
     *place = found.unwrap_or(std::ptr::null());

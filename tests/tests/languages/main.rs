@@ -1,0 +1,27 @@
+//! Processes in other languages: their samples are the same bytes, they drive, and one of another version is refused.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod bytes;
+mod refusals;
+mod swaps;
+mod tools;
+
+use std::process::Command;
+
+use tools::{EXECUTABLE, root};
+
+#[test]
+fn the_header_and_the_module_are_what_the_executable_prints() {
+    for (option, file) in [
+        ("--c", "examples/c/scanloop_types.h"),
+        ("--python", "examples/python/scanloop_types.py"),
+        ("--markdown", "docs/topics.md"),
+    ] {
+        let output = Command::new(EXECUTABLE).args(["types", option]).output().unwrap();
+        let (printed, file) = (String::from_utf8(output.stdout).unwrap(), root().join(file));
+        let kept = std::fs::read_to_string(&file).unwrap();
+        assert!(printed == kept, "run `scanloop types {option} > {}`", file.display());
+    }
+    let both = Command::new(EXECUTABLE).args(["types", "--c", "--python"]).output().unwrap();
+    assert_eq!(both.status.code(), Some(2), "one form at a time");
+}

@@ -1,0 +1,139 @@
+//! Real exchanges in real runs, and whole runs in lock-step, with the processes of the examples.
+
+use std::path::{Path, PathBuf};
+
+use emulator::Outcome;
+use orchestrator::swap::{Certificate, SwapOutcome};
+use scanloop_tests::System;
+
+use super::tools::{EXECUTABLE, compile, examples, python};
+
+const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+
+/// How often an exchange is asked for: on a machine that does other things as well, an answer may come late.
+const TRIES: usize = 4;
+
+/// Exchanges a process, and adds the certificates of all tries.
+fn swap(system: &System, role: &str, command: &[&str], certificates: &mut Vec<Certificate>) {
+    for _ in 0..TRIES {
+        let output = system.run(&[&["swap", "--json", role, "--"], command].concat());
+        let certificate: Certificate = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+        assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (0, 0), "{certificate:?}");
+        certificates.push(certificate.clone());
+        if certificate.outcome == SwapOutcome::Swapped {
+            assert_eq!(certificate.first_scan_new, certificate.last_scan_old.map(|scan| scan + 1));
+            return;
+        }
+        let too_slow = ["late: ", "hangs: ", "no output within"];
+        assert!(too_slow.iter().any(|start| certificate.reason.starts_with(start)), "{}", certificate.reason);
+    }
+    panic!("refused {TRIES} times: {certificates:?}");
+}
+
+/// That the run reached its goal and lost no scan, with the new processes to the end.
+fn reached(mut system: System, certificates: &[Certificate]) {
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Reached);
+    let scans = &report.scans;
+    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    assert_eq!(report.swaps, certificates);
+    let last = certificates.last().unwrap();
+    let process = report.processes.iter().find(|process| process.role == last.role).unwrap();
+    assert_eq!((&process.implementation, process.restarts), (&last.to, 0));
+    system.assert_nothing_left();
+}
+
+fn c_obstacles(system: &System) -> PathBuf {
+    let program = system.folder().join("obstacles");
+    compile(&examples("c").join("obstacles.c"), &examples("c"), &program);
+    program
+}
+
+/// The built-in system with another command in one role.
+fn system_with(folder: &Path, role: &str, command: &[&str]) -> String {
+    let built_in = [
+        ("robot", "emulator"),
+        ("estimator", "ekf"),
+        ("obstacles", "ellipses"),
+        ("controller", "nmpc"),
+        ("actuator", "actuation"),
+    ];
+    let entry = |(name, implementation): (&str, &str)| {
+        let by = if name == role {
+            format!("command = {command:?}")
+        } else {
+            format!("implementation = {implementation:?}")
+        };
+        format!("[[process]]\nrole = {name:?}\n{by}\n")
+    };
+    let file = folder.join("system.toml");
+    std::fs::write(&file, built_in.map(entry).concat()).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+/// The state goes from one C process to the next, which the built-in one can't read.
+#[test]
+fn obstacles_in_c_take_over_from_the_built_in_ones_and_hand_their_memory_on() {
+    let mut system = System::new(EXECUTABLE);
+    let program = c_obstacles(&system);
+    let program = program.to_str().unwrap();
+    system.start(&["long"]);
+    let mut certificates = Vec::new();
+    swap(&system, "obstacles", &[program], &mut certificates);
+    swap(&system, "obstacles", &[program], &mut certificates);
+    reached(system, &certificates);
+}
+
+#[test]
+fn an_estimator_in_rust_takes_over_from_the_built_in_one() {
+    let mut system = System::new(EXECUTABLE);
+    // It believes the odometer, so that has to be right.
+    system.start(&["long", "--set", "robot.odometry_longitudinal=0"]);
+    let mut certificates = Vec::new();
+    swap(&system, "estimator", &[DEAD_RECKONING], &mut certificates);
+    reached(system, &certificates);
+}
+
+/// On a free road all three agree: from the solver to the rule of thumb and on to the other solver. At 5 Hz, so that an
+/// interpreter on a machine that does other things as well keeps the limit of half a period.
+#[test]
+fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
+    let Some(python) = python("controllers_in_python_take_over") else { return };
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
+    let mut certificates = Vec::new();
+    for program in ["pure_pursuit.py", "casadi_controller.py"] {
+        let program = examples("python").join(program);
+        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+        swap(&system, "controller", &command, &mut certificates);
+    }
+    reached(system, &certificates);
+}
+
+#[test]
+fn every_example_drives_the_whole_way_in_lock_step() {
+    let system = System::new(EXECUTABLE);
+    let program = c_obstacles(&system);
+    let file = system_with(system.folder(), "obstacles", &[program.to_str().unwrap()]);
+    for (scenario, outcome) in
+        [("slalom", Outcome::Reached), ("walls", Outcome::Reached), ("blocked", Outcome::Stopped)]
+    {
+        let report = system.lockstep(&[scenario, "--system", &file]);
+        assert_eq!(report.outcome, outcome, "{scenario}");
+        assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+    }
+    let Some(python) = python("every_example_drives_the_whole_way_in_lock_step, the controllers") else {
+        return;
+    };
+    for (program, scenario) in [("pure_pursuit.py", "slalom"), ("casadi_controller.py", "corridor")] {
+        let program = examples("python").join(program);
+        let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+        let file = system_with(system.folder(), "controller", &command);
+        let report = system.lockstep(&[scenario, "--system", &file]);
+        assert_eq!(report.outcome, Outcome::Reached, "{}", program.display());
+        assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+    }
+    system.assert_nothing_left();
+}
