@@ -7,6 +7,7 @@ use clap::{Args, Parser, Subcommand};
 use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::conformance::ConformanceArguments;
 use crate::types::TypesArguments;
 
 /// Autonomous driving that closes the loop within one laser scan.
@@ -49,6 +50,13 @@ pub enum Command {
     /// `first_scan_new`, `missed_scans`, `duplicate_scans`, `command_jump_rad`, `command_jump_mps`, `outcome`
     /// (`swapped`, `refused`, `rolled_back`), `reason`.
     Swap(SwapArguments),
+    /// Find out whether a program, in whatever language, may fill a role.
+    ///
+    /// The program is started alone, all other roles are played with a recorded drive, and each requirement is tried.
+    /// Exit code 1 when a required case failed, 4 when the program could not be started. JSON keys: `role`, `command`,
+    /// `passed`, `failed` (required), `not_recommended`, `skipped`, `cases` with `name`, `level` (`required`,
+    /// `recommended`), `outcome` (`passed`, `failed`, `skipped`), `reason`, `requirement`.
+    Conformance(ConformanceArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
         /// emulator, ekf, ellipses, nmpc or actuation.

@@ -8,6 +8,7 @@ mod check;
 pub mod child;
 pub mod child_log;
 pub mod cli;
+pub mod conformance;
 pub mod control;
 pub mod digest;
 pub mod exit;
@@ -70,6 +71,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Latency { duration, json } => live_latency::watch(&domain()?, *duration, *json),
         Command::Restart { role } => remote::restart(&domain()?, role),
         Command::Swap(arguments) => remote::swap(&domain()?, arguments),
+        Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {
             print!("{}", topic::list());

@@ -91,13 +91,13 @@ impl Plan {
 
 /// What processes read of the run, one table each.
 #[derive(Serialize)]
-struct SettingsFile<'a> {
-    run: RunSettings,
-    scenario: &'a Scenario,
-    estimator: &'a estimator::Config,
-    obstacles: &'a obstacles::Config,
-    controller: &'a nmpc::Config,
-    actuator: &'a actuation::Config,
+pub(crate) struct SettingsFile<'a> {
+    pub(crate) run: RunSettings,
+    pub(crate) scenario: &'a Scenario,
+    pub(crate) estimator: &'a estimator::Config,
+    pub(crate) obstacles: &'a obstacles::Config,
+    pub(crate) controller: &'a nmpc::Config,
+    pub(crate) actuator: &'a actuation::Config,
 }
 
 /// Drives a scenario and writes its report.

@@ -102,6 +102,14 @@ impl<S: Sample> Voice<S> {
         self.sequence += 1;
         sample.header_mut().layout = S::LAYOUT;
         sample.header_mut().sequence = self.sequence;
+        self.say_as_it_is(sample, wake)
+    }
+
+    /// Publishes a sample whose header is complete, right or wrong: for tests of those who read it.
+    ///
+    /// # Errors
+    /// As [`Voice::say`].
+    pub fn say_as_it_is(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         let error =
             |reason: &dyn std::fmt::Debug| RuntimeError::bus(format!("publish topic {}", S::TOPIC), reason);
         let loaned = self.publisher.loan_uninit().map_err(|reason| error(&reason))?;

@@ -1,0 +1,124 @@
+//! Drives whose samples a candidate is played: made by the pipeline in this process, so they are consistent.
+
+use emulator::scenario::{Obstacle, Shape};
+use emulator::steering_map::SteeringMap;
+use emulator::{Referee, Scenario};
+use pipeline::{Pipeline, Settings, Step};
+use shared_types::{Role, Topic};
+use vehicle::correction::Calibration;
+
+use super::message::Message;
+
+/// Scans that are recorded after a drive has ended: the robot stands.
+const AFTER_THE_END: usize = 12;
+/// No drive of a suite takes longer [scans].
+const LONGEST: usize = 4_000;
+
+/// What is driven.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Course {
+    /// The default: one box in the way, default noise, default robot.
+    Corridor,
+    /// The same without noise, with a robot that needs no correction, and no correction.
+    Exact,
+    /// The same with an odometer that misses a tenth of the way, which the settings say.
+    Drifting,
+    /// Nothing in the way.
+    Free,
+    /// A barrier across the track: the drive ends in front of it.
+    Barrier,
+    /// Two boxes on the two sides of the line, one behind the other.
+    Two,
+}
+
+impl Course {
+    /// Scenario and settings, at a scan period [ns].
+    pub(crate) fn settings(self, period_ns: u64) -> Settings {
+        let mut scenario = Scenario { name: "conformance".to_owned(), ..Scenario::default() };
+        let solid = |x_m, y_m, length_m, width_m| {
+            Obstacle::fixed(Shape::Box { length_m, width_m, yaw_rad: 0.0 }, x_m, y_m)
+        };
+        scenario.obstacles = match self {
+            Self::Corridor | Self::Exact | Self::Drifting => vec![solid(5.0, 0.0, 0.1, 0.4)],
+            Self::Free => vec![],
+            Self::Barrier => vec![solid(4.0, 0.0, 0.1, 3.6)],
+            Self::Two => vec![solid(4.5, 0.9, 0.1, 0.4), solid(6.0, -0.9, 0.1, 0.4)],
+        };
+        let mut settings = Settings { period_ns, ..Settings::of(scenario) };
+        let Settings { scenario, tuning, .. } = &mut settings;
+        if matches!(self, Self::Exact | Self::Drifting) {
+            scenario.noise.range_m = 0.0;
+            scenario.robot.velocity_factor = 1.0;
+            scenario.robot.steering_map = SteeringMap::Identity;
+            tuning.actuator.calibration = Calibration::Identity;
+            let missed = if self == Self::Drifting { 0.1 } else { 0.0 };
+            scenario.robot.odometry_longitudinal = missed;
+            tuning.estimator.odometry_longitudinal = Some(missed);
+        }
+        tuning.controller.period_s = period_ns as f64 * 1e-9;
+        settings
+    }
+}
+
+/// A recorded drive.
+pub(crate) struct Drive {
+    /// Scenario and settings that it was made with.
+    pub(crate) settings: Settings,
+    /// Scan 1 first.
+    pub(crate) steps: Vec<Step>,
+    /// How many scans belong to the drive; the robot stands after them.
+    pub(crate) ended: usize,
+}
+
+impl Drive {
+    /// Drives a course to its end, and some scans more.
+    ///
+    /// # Errors
+    /// A setting that is not allowed, which would be a mistake in the courses.
+    pub(crate) fn record(course: Course, period_ns: u64) -> anyhow::Result<Self> {
+        let settings = course.settings(period_ns);
+        let mut pipeline = Pipeline::new(&settings)?;
+        let mut referee = Referee::new(&settings.scenario);
+        let (mut steps, mut ended) = (Vec::new(), None);
+        while steps.len() < LONGEST && ended.is_none_or(|ended| steps.len() < ended + AFTER_THE_END) {
+            let step = *pipeline.step();
+            if referee.observe(&step.truth, step.actuation.as_ref()).is_some() && ended.is_none() {
+                ended = Some(steps.len() + 1);
+            }
+            steps.push(step);
+        }
+        Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps })
+    }
+
+    /// Everything that was said about a scan; a scan beyond the end is the last one.
+    pub(crate) fn step(&self, scan_id: u64) -> &Step {
+        &self.steps[(scan_id.max(1) as usize - 1).min(self.steps.len() - 1)]
+    }
+
+    /// The sample of one topic about a scan.
+    pub(crate) fn message(&self, topic: Topic, scan_id: u64) -> Option<Message> {
+        let step = self.step(scan_id);
+        Some(match topic {
+            Topic::Scan => Message::Scan(Box::new(step.scan)),
+            Topic::Odometry => Message::Odometry(Box::new(step.odometry)),
+            Topic::Pose => Message::Pose(Box::new(step.pose?)),
+            Topic::Obstacles => Message::Obstacles(Box::new(step.obstacles?)),
+            Topic::Command => Message::Command(Box::new(step.command?)),
+            Topic::Actuation => Message::Actuation(Box::new(step.actuation?)),
+            Topic::Truth => Message::Truth(Box::new(step.truth)),
+            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint => return None,
+        })
+    }
+
+    /// When a scan is published, in the drive's own time [ns].
+    pub(crate) fn ready_ns(&self, scan_id: u64) -> u64 {
+        let step = self.step(scan_id);
+        step.scan.header.stage(Role::Robot).published_ns
+    }
+
+    /// The first scan with the robot's centre beyond `x_m`.
+    pub(crate) fn scan_at(&self, x_m: f64) -> u64 {
+        let index = self.steps.iter().position(|step| step.truth.x_m >= x_m);
+        index.unwrap_or(self.steps.len() - 1) as u64 + 1
+    }
+}

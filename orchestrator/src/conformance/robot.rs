@@ -1,0 +1,449 @@
+//! What a robot must measure and obey, whether it is emulated or a driver of a real one.
+//!
+//! How it moves is judged by its own odometry and its own stamps, so nothing depends on when the stand looks.
+
+use shared_types::{ActuationKind, Odometry, Phase, Scan, Topic};
+
+use super::answers::{own_stamps, same, valid, within};
+use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require};
+use super::message::Message;
+use super::stand::{ANSWER_NS, Heard, Order, STRANGER, Setup, Stand, Suite};
+
+/// Scans of a case.
+const SCANS: usize = 15;
+/// Below this speed the robot stands [m/s].
+const STANDSTILL_MPS: f64 = 1e-3;
+/// Blocked wheels stand after this time: 1 m/s at a deceleration of 5 m/s^2 takes 0.2 s [ns].
+const STOPPING_NS: u64 = 500_000_000;
+
+/// The cases of robots.
+pub(crate) const CASES: [Case; 14] = [
+    Case {
+        name: "scans",
+        level: Level::Required,
+        requirement: "It publishes one scan and one odometry of the same id and time per period, ids rising from 1.",
+        why: "The loop is driven by them.",
+        tries: LIVE,
+        play: scans,
+    },
+    Case {
+        name: "header",
+        level: Level::Required,
+        requirement: "Scan and odometry carry the time of the front beam, not after their publication and not more than two \
+                      periods before it, their own four stamps in order, and no others.",
+        why: "Age and latency of a command are computed from nothing else.",
+        tries: LIVE,
+        play: header,
+    },
+    Case {
+        name: "valid-values",
+        level: Level::Required,
+        requirement: "All numbers are finite and within what the field can mean.",
+        why: "A sample with a bad number is dropped by every reader, so the scan is lost.",
+        tries: LIVE,
+        play: valid_values,
+    },
+    Case {
+        name: "increments",
+        level: Level::Required,
+        requirement: "The increments of the odometry are the differences of the reported poses and of their times.",
+        why: "A reader may use either.",
+        tries: LIVE,
+        play: increments,
+    },
+    Case {
+        name: "drives",
+        level: Level::Required,
+        requirement: "Told to drive and steer to the left it moves forward and turns to the left.",
+        why: "Signs of a driver are easily mixed up.",
+        tries: LIVE,
+        play: drives,
+    },
+    Case {
+        name: "blocks",
+        level: Level::Required,
+        requirement: "Told to block its wheels it decelerates and stands half a second later.",
+        why: "Every stop ends here.",
+        tries: LIVE,
+        play: blocks,
+    },
+    Case {
+        name: "dead-man",
+        level: Level::Required,
+        requirement: "Without an actuation for two periods it blocks its wheels by itself.",
+        why: "It is the last link of the stop chain, and needs none of the others.",
+        tries: LIVE,
+        play: dead_man,
+    },
+    Case {
+        name: "authority",
+        level: Level::Required,
+        requirement: "Actuations of an incarnation that the directive does not name do not move it.",
+        why: "An actuator that was replaced may go on publishing.",
+        tries: LIVE,
+        play: authority,
+    },
+    Case {
+        name: "nonsense",
+        level: Level::Required,
+        requirement: "Actuations that are not finite, of an unknown kind or beyond the limits of the drive neither move it \
+                      nor keep it moving.",
+        why: "One broken process must not break the next.",
+        tries: LIVE,
+        play: nonsense,
+    },
+    Case {
+        name: "repeated",
+        level: Level::Required,
+        requirement: "Actuations that were seen, or whose scan is older than three periods, neither move it nor keep it moving.",
+        why: "They were meant for where the robot was.",
+        tries: LIVE,
+        play: repeated,
+    },
+    Case {
+        name: "stopping",
+        level: Level::Required,
+        requirement: "In the phase `stopping` it publishes no more scans.",
+        why: "A run ends when all published scans are answered.",
+        tries: LIVE,
+        play: stopping,
+    },
+    Case {
+        name: "truth",
+        level: Level::Recommended,
+        requirement: "It publishes the true state of each scan.",
+        why: "Collisions, clearance and the outcome of a run are judged by it; a real robot has none.",
+        tries: LIVE,
+        play: truth,
+    },
+    Case {
+        name: "grants",
+        level: Level::Recommended,
+        requirement: "In lock-step it publishes a scan when it is granted and the scan before was answered, not before.",
+        why: "Otherwise samples are lost, and a drive cannot be repeated.",
+        tries: LOCKSTEP,
+        play: grants,
+    },
+    Case {
+        name: "repeatable",
+        level: Level::Recommended,
+        requirement: "In lock-step the same actuations give the same scans and odometry to the last bit.",
+        why: "Otherwise a drive cannot be repeated to look for a mistake.",
+        tries: LOCKSTEP,
+        play: repeatable,
+    },
+];
+
+/// The ranges of a scan, beyond what its check says.
+pub(crate) fn scan_ranges(scan: &Scan) -> Result<(), String> {
+    let returns = (0..scan.ranges_mm.len()).filter_map(|beam| scan.range_m(beam));
+    let farthest = returns.fold(0.0, f64::max);
+    within(&[("range_m", farthest, 0.0..=65.0), ("period_ns", scan.period_ns as f64, 1e6..=10e9)])
+}
+
+/// The ranges of an odometry sample.
+pub(crate) fn odometry_ranges(odometry: &Odometry) -> Result<(), String> {
+    within(&[
+        ("x_m", odometry.x_m, -1e6..=1e6),
+        ("y_m", odometry.y_m, -1e6..=1e6),
+        ("yaw_rad", odometry.yaw_rad, -3.2..=3.2),
+        ("speed_mps", odometry.speed_mps, -10.0..=10.0),
+        ("dt_s", odometry.dt_s, 0.0..=10.0),
+    ])
+}
+
+fn scans(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    let odometry = stand.rounds(SCANS)?;
+    stand.listen(0.5)?;
+    let ids = |topic: Topic| -> Vec<u64> {
+        let of = stand.heard.iter().filter(|heard| heard.message.topic() == topic);
+        of.map(|heard| heard.message.scan_id()).collect()
+    };
+    let (scans, odometries) = (ids(Topic::Scan), ids(Topic::Odometry));
+    require(scans == odometries, || format!("scans {scans:?}, but odometry {odometries:?}"))?;
+    require(scans.first() == Some(&1) && scans.is_sorted_by(|one, next| one < next), || {
+        format!("ids {scans:?}")
+    })?;
+    let (first, last) = (odometry[0].message.header(), odometry[SCANS - 1].message.header());
+    let periods = (last.acquired_ns - first.acquired_ns) as f64 / suite.period_ns as f64;
+    let expected = (last.scan_id - first.scan_id) as f64;
+    let text = format!("ids {} to {} within {periods:.2} periods", first.scan_id, last.scan_id);
+    if (periods - expected).abs() <= 0.2 * expected { Ok(text) } else { failed(text) }
+}
+
+fn header(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    stand.rounds(SCANS)?;
+    let mut oldest_ns = 0;
+    for heard in stand.heard.iter().filter(|heard| heard.message.topic() != Topic::Truth) {
+        let header = heard.message.header();
+        require(header.incarnation == stand.incarnation, || format!("incarnation {}", header.incarnation))?;
+        own_stamps(suite.role, header, header.acquired_ns)?;
+        let later = header.chain.iter().skip(1).any(|stamps| stamps.published_ns != 0);
+        require(!later, || format!("scan {} carries stamps of stages behind it", header.scan_id))?;
+        let age_ns = header.scan_published_ns() - header.acquired_ns;
+        oldest_ns = oldest_ns.max(age_ns);
+        require(header.acquired_ns > 0 && age_ns <= 2 * suite.period_ns, || {
+            format!("scan {} was {:.1} ms old when it was published", header.scan_id, age_ns as f64 * 1e-6)
+        })?;
+    }
+    Ok(format!("at most {:.1} ms old", oldest_ns as f64 * 1e-6))
+}
+
+fn valid_values(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    stand.rounds(SCANS)?;
+    valid(&stand.heard)?;
+    Ok(format!("{} samples", stand.heard.len()))
+}
+
+fn increments(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    let all: Vec<Odometry> = stand.rounds(SCANS)?.iter().filter_map(odometry).collect();
+    for pair in all.windows(2) {
+        let (before, now) = (&pair[0], &pair[1]);
+        let dt_s = (now.header.acquired_ns - before.header.acquired_ns) as f64 * 1e-9;
+        let off = [now.dx_m - (now.x_m - before.x_m), now.dy_m - (now.y_m - before.y_m), now.dt_s - dt_s];
+        require(off.iter().all(|off| off.abs() <= 1e-6), || {
+            format!("scan {}: dx, dy and dt are off by {off:?}", now.header.scan_id)
+        })?;
+    }
+    Ok(format!("{} increments", all.len() - 1))
+}
+
+fn drives(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    stand.order = Order::Drive(0.7, 0.05);
+    let all: Vec<Odometry> = stand.rounds(2 * SCANS)?.iter().filter_map(odometry).collect();
+    let (first, last) = (&all[0], &all[all.len() - 1]);
+    let text = format!(
+        "{:.2} m/s, {:.2} m forward, {:.3} rad to the left",
+        last.speed_mps,
+        last.x_m - first.x_m,
+        last.yaw_rad - first.yaw_rad
+    );
+    let moved = last.speed_mps > 0.1 && last.x_m > first.x_m && last.yaw_rad > first.yaw_rad;
+    if moved { Ok(text) } else { failed(text) }
+}
+
+fn blocks(suite: &Suite) -> Verdict {
+    let mut stand = driving(suite)?;
+    stand.order = Order::Block;
+    let said = stand.round()?;
+    let from_ns = said.at_ns;
+    let speeds = coast(&mut stand, from_ns + STOPPING_NS)?;
+    let rising = speeds.windows(2).any(|pair| pair[1] > pair[0] + STANDSTILL_MPS);
+    require(!rising, || format!("its speed rises with blocked wheels: {speeds:?}"))?;
+    stands(&speeds, "after blocking the wheels")
+}
+
+fn dead_man(suite: &Suite) -> Verdict {
+    let mut stand = driving(suite)?;
+    stand.order = Order::Silence;
+    let from_ns = stand.round()?.at_ns;
+    let speeds = coast(&mut stand, from_ns + 2 * suite.period_ns + STOPPING_NS)?;
+    stands(&speeds, "after two periods without an actuation")
+}
+
+fn authority(suite: &Suite) -> Verdict {
+    let mut stand = standing(suite)?;
+    for _ in 0..8 {
+        say_changed(&mut stand, |message| message.header_mut().incarnation = STRANGER)?;
+    }
+    stood(&mut stand, "an actuation without authority")?;
+    moves_when_told(&mut stand)
+}
+
+fn nonsense(suite: &Suite) -> Verdict {
+    let mut stand = standing(suite)?;
+    let kinds: [fn(&mut Message); 5] = [
+        |message| change(message, |actuation| actuation.sent_velocity_mps = f64::NAN),
+        |message| change(message, |actuation| actuation.sent_velocity_mps = 50.0),
+        |message| change(message, |actuation| actuation.sent_velocity_mps = -1.0),
+        |message| change(message, |actuation| actuation.sent_steering_rad = 3.0),
+        |message| change(message, |actuation| actuation.kind = 77),
+    ];
+    for kind in kinds {
+        say_changed(&mut stand, kind)?;
+        say_changed(&mut stand, kind)?;
+    }
+    stood(&mut stand, "nonsense")?;
+    moves_when_told(&mut stand)?;
+    stand.order = Order::Silence;
+    let from_ns = stand.round()?.at_ns;
+    let mut speeds = Vec::new();
+    let until_ns = from_ns + 2 * suite.period_ns + STOPPING_NS;
+    for kind in kinds.iter().cycle() {
+        let odometry = say_changed(&mut stand, kind)?;
+        speeds.push(odometry.speed_mps);
+        if odometry.header.acquired_ns > until_ns {
+            break;
+        }
+    }
+    stands(&speeds, "with nothing but nonsense for two periods")
+}
+
+fn repeated(suite: &Suite) -> Verdict {
+    let mut stand = driving(suite)?;
+    stand.order = Order::Silence;
+    let last = stand.round()?;
+    let from_ns = last.at_ns;
+    let again = stand.last_actuation.clone();
+    let mut speeds = Vec::new();
+    loop {
+        let Some(odometry) = odometry(&stand.round()?) else { continue };
+        speeds.push(odometry.speed_mps);
+        if odometry.header.acquired_ns > from_ns + 2 * suite.period_ns + STOPPING_NS {
+            break;
+        }
+        if let Some(again) = &again {
+            stand.say_exactly(again)?;
+        }
+    }
+    stands(&speeds, "with nothing but the same actuation for two periods")?;
+    let old_ns = 5 * suite.period_ns;
+    for _ in 0..5 {
+        say_changed(&mut stand, |message| message.header_mut().acquired_ns -= old_ns)?;
+    }
+    stood(&mut stand, "an actuation five periods old")?;
+    moves_when_told(&mut stand)
+}
+
+fn stopping(suite: &Suite) -> Verdict {
+    let mut stand = driving(suite)?;
+    stand.announce(Phase::Stopping)?;
+    stand.listen(1.5)?;
+    stand.heard.clear();
+    stand.listen(4.0)?;
+    let scans = stand.heard.iter().filter(|heard| heard.message.topic() == Topic::Scan).count();
+    require(scans == 0, || format!("{scans} scans in the phase `stopping`"))?;
+    Ok("no scan in four periods".to_owned())
+}
+
+fn truth(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup::default())?;
+    for heard in stand.rounds(SCANS)? {
+        let scan_id = heard.message.scan_id();
+        let of = |stand: &Stand<'_>| {
+            stand.heard.iter().any(
+                |heard| matches!(&heard.message, Message::Truth(truth) if truth.header.scan_id == scan_id),
+            )
+        };
+        if !stand.until(ANSWER_NS / 5, of)? {
+            return failed(format!("no truth of scan {scan_id}"));
+        }
+    }
+    Ok(format!("{SCANS} truths"))
+}
+
+fn grants(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup { lockstep: true, ..Setup::default() })?;
+    let newest = |stand: &Stand<'_>| {
+        let of = stand.heard.iter().filter(|heard| heard.message.topic() == Topic::Scan);
+        of.map(|heard| heard.message.scan_id()).max().unwrap_or(0)
+    };
+    stand.listen(2.0)?;
+    require(newest(&stand) == 0, || "a scan that was not granted".to_owned())?;
+    stand.round()?;
+    stand.listen(2.0)?;
+    require(newest(&stand) == 1, || format!("scan {} after scan 1 alone was granted", newest(&stand)))?;
+    // The second scan is granted, and its answer is kept back.
+    stand.order = Order::Silence;
+    stand.round()?;
+    stand.direct(|directive| directive.granted_scan = 10)?;
+    stand.listen(2.0)?;
+    require(newest(&stand) == 2, || format!("scan {} before scan 2 was answered", newest(&stand)))?;
+    Ok("2 scans granted, 2 published".to_owned())
+}
+
+fn repeatable(suite: &Suite) -> Verdict {
+    let mut runs = Vec::new();
+    for _ in 0..2 {
+        let mut stand = suite.started(Setup { lockstep: true, ..Setup::default() })?;
+        let last = stand.rounds(2 * SCANS)?.len() as u64;
+        let mut heard = std::mem::take(&mut stand.heard);
+        heard.retain(|heard| heard.message.topic() != Topic::Truth && heard.message.scan_id() <= last);
+        heard.sort_by_key(|heard| (heard.message.scan_id(), heard.message.topic().name()));
+        runs.push(heard);
+    }
+    same(&runs[0], &runs[1])?;
+    Ok(format!("{} scans twice, same bits", 2 * SCANS))
+}
+
+/// A robot that drives.
+fn driving(suite: &Suite) -> Result<Stand<'_>, Trouble> {
+    let mut stand = suite.started(Setup::default())?;
+    moves_when_told(&mut stand)?;
+    Ok(stand)
+}
+
+/// A robot that has not been told anything yet.
+fn standing(suite: &Suite) -> Result<Stand<'_>, Trouble> {
+    let mut stand = suite.started(Setup::default())?;
+    stand.order = Order::Silence;
+    stand.round()?;
+    Ok(stand)
+}
+
+/// That the robot drives when it is told to.
+fn moves_when_told(stand: &mut Stand<'_>) -> Verdict {
+    stand.order = Order::Drive(0.7, 0.0);
+    let speed = stand.rounds(8)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
+    require(speed > 0.1, || format!("{speed:.3} m/s after eight actuations to drive"))?;
+    Ok(format!("{speed:.2} m/s"))
+}
+
+/// That the robot has not moved.
+fn stood(stand: &mut Stand<'_>, what: &str) -> Result<(), Trouble> {
+    stand.order = Order::Silence;
+    let speed = stand.rounds(2)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
+    require(speed.abs() <= STANDSTILL_MPS, || format!("{speed:.3} m/s after {what}"))
+}
+
+/// Speeds until a time on the machine's clock [m/s].
+fn coast(stand: &mut Stand<'_>, until_ns: u64) -> Result<Vec<f64>, Trouble> {
+    let mut speeds = Vec::new();
+    loop {
+        let Some(odometry) = odometry(&stand.round()?) else { continue };
+        speeds.push(odometry.speed_mps);
+        if odometry.header.acquired_ns > until_ns {
+            return Ok(speeds);
+        }
+    }
+}
+
+/// That the last of the speeds is standstill.
+fn stands(speeds: &[f64], when: &str) -> Verdict {
+    let last = speeds.last().copied().unwrap_or(f64::NAN);
+    let text = format!("{last:.3} m/s {when}, {:.2} m/s before", speeds.first().copied().unwrap_or(0.0));
+    if last.abs() <= STANDSTILL_MPS { Ok(text) } else { failed(text) }
+}
+
+/// One scan, answered by a changed actuation to drive.
+fn say_changed(stand: &mut Stand<'_>, change: impl Fn(&mut Message)) -> Result<Odometry, Trouble> {
+    stand.order = Order::Silence;
+    let heard = stand.round()?;
+    stand.order = Order::Drive(0.7, 0.0);
+    let actuation = stand.actuation(&heard.message);
+    stand.order = Order::Silence;
+    if let Some(mut actuation) = actuation {
+        change(&mut actuation);
+        stand.say(&mut actuation)?;
+    }
+    odometry(&heard).map_or_else(|| failed("no odometry"), Ok)
+}
+
+fn change(message: &mut Message, change: impl Fn(&mut shared_types::Actuation)) {
+    if let Message::Actuation(actuation) = message {
+        actuation.kind = ActuationKind::Drive.wire();
+        change(actuation);
+    }
+}
+
+fn odometry(heard: &Heard) -> Option<Odometry> {
+    match &heard.message {
+        Message::Odometry(odometry) => Some(**odometry),
+        _ => None,
+    }
+}

@@ -1,0 +1,77 @@
+//! Actuators with a fault.
+
+use actuation::{Actuator, Config};
+use runtime::{Handover, Process};
+use shared_types::{Actuation, ActuationKind, Command, CommandKind, Role, StopReason};
+use vehicle::correction::Calibration;
+
+use crate::Outcome;
+
+/// Faults: `clamps`, `factor`, `uncalibrated`, `drives-on`, `ignores-stop`, `patient`, `hasty`, `believes`, `wordless`,
+/// `eager`.
+pub(crate) fn run(fault: &str) -> Outcome {
+    let mut process = Process::attach(Role::Actuator)?;
+    let mut config = process.settings::<Config>("actuator")?;
+    let bounds = config.bounds;
+    match fault {
+        "hasty" => config.recovery = 1,
+        "uncalibrated" => config.calibration = Calibration::Identity,
+        _ => {}
+    }
+    let mut actuator = Actuator::new(config, process.period_ns())?;
+    let commands = process.input::<Command>()?;
+    let actuations = process.output::<Actuation>()?;
+    let handover = process.resume::<actuation::ActuatorState>()?;
+    if !process.start()? {
+        return Ok(());
+    }
+    if handover == Handover::Lost && fault == "eager" {
+        actuations.publish(&mut Actuation {
+            kind: ActuationKind::Drive.wire(),
+            desired_velocity_mps: 0.5,
+            sent_velocity_mps: 0.7,
+            ..Actuation::default()
+        })?;
+    }
+    let look_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+        let now_ns = process.clock().now_ns();
+        let stop = process.directive().stop == 1 && fault != "ignores-stop";
+        if stop && !actuator.is_stopped() {
+            actuations.publish(&mut actuator.stop(now_ns))?;
+        } else if !stop && actuator.is_stopped() {
+            actuator.release();
+        }
+        while let Some(command) = commands.take() {
+            let mut command = *command;
+            match fault {
+                "clamps" => {
+                    command.velocity_mps =
+                        command.velocity_mps.clamp(bounds.velocity_min_mps, bounds.velocity_max_mps);
+                    command.steering_rad =
+                        command.steering_rad.clamp(-bounds.steering_max_rad, bounds.steering_max_rad);
+                }
+                "believes" => command.header.acquired_ns = now_ns,
+                "drives-on" if command.reason != StopReason::None.wire() => {
+                    (command.kind, command.verified) = (CommandKind::Drive.wire(), 1);
+                    command.velocity_mps = 0.5;
+                }
+                _ => {}
+            }
+            let mut actuation = actuator.answer(&command, process.clock().now_ns());
+            if fault == "factor" {
+                actuation.sent_velocity_mps *= 1.2;
+            }
+            actuations.publish(&mut actuation)?;
+        }
+        if fault != "patient"
+            && let Some(mut block) = actuator.tick(process.clock().now_ns())
+        {
+            actuations.publish(&mut block)?;
+        }
+    }
+    if fault != "wordless" {
+        actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,115 @@
+//! Robots with a fault.
+
+use emulator::{Emulator, Scenario};
+use runtime::{Process, monotonic_ns};
+use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan, Truth};
+
+use crate::{Outcome, everything};
+
+/// Faults of what comes out: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`. Of what
+/// it is told: `mirrored`, `rolls`, `tireless`, `trusts`, `believes`, `repeats`.
+pub(crate) fn run(fault: &str) -> Outcome {
+    let mut process = Process::attach(Role::Robot)?;
+    let scenario = process.settings::<Scenario>("scenario")?;
+    let mut emulator = Emulator::new(&scenario, process.period_ns());
+    let actuations = process.input::<Actuation>()?;
+    let scans = process.output::<Scan>()?;
+    let odometries = process.output::<Odometry>()?;
+    let truths = process.output::<Truth>()?;
+    let (_bus, all) = everything::<Actuation>()?;
+    if !process.start()? {
+        return Ok(());
+    }
+    let simulated = process.clock().is_simulated();
+    let origin_ns = process.clock().now_ns();
+    let (mut scan_id, mut answered) = (1, 0);
+    let mut last = Actuation::default();
+    let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+    loop {
+        let due_ns = origin_ns + emulator.scan_ready_ns(scan_id);
+        if !process.wait(Some(due_ns))? {
+            return Ok(());
+        }
+        let mut told = Vec::new();
+        let raw = ["trusts", "believes", "repeats"].contains(&fault);
+        while let Some(actuation) = actuations.take() {
+            answered = actuation.header.scan_id;
+            if !raw {
+                told.push(*actuation);
+            }
+        }
+        while let Some((actuation, sound)) = all.next()? {
+            let named = process.directive().accepts(Role::Actuator, actuation.header.incarnation, 0);
+            let taken = match fault {
+                "trusts" => sound.is_ok(),
+                "believes" => named,
+                "repeats" => sound.is_ok() && named,
+                _ => false,
+            };
+            if taken {
+                told.push(actuation);
+            }
+        }
+        if fault == "tireless" && told.is_empty() {
+            told.push(last);
+        }
+        if !simulated {
+            emulator.advance_to(process.clock().now_ns() - origin_ns);
+        }
+        for mut actuation in told {
+            last = actuation;
+            obey(fault, &mut actuation);
+            emulator.actuate(&actuation);
+        }
+        let directive = process.directive();
+        let granted = answered + 1 == scan_id && scan_id <= directive.granted_scan;
+        let due =
+            if simulated { granted || fault == "runs-ahead" } else { process.clock().now_ns() >= due_ns };
+        if !due || directive.phase == Phase::Stopping.wire() && fault != "restless" {
+            continue;
+        }
+        let ready_ns = emulator.scan_ready_ns(scan_id);
+        process.clock().advance_to(origin_ns + ready_ns);
+        process.begin();
+        emulator.advance_to(ready_ns);
+        emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+        for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
+            header.scan_id = scan_id;
+            header.acquired_ns = origin_ns + emulator.acquired_ns(scan_id);
+            if fault == "stamps" {
+                header.acquired_ns += process.period_ns();
+            }
+        }
+        match fault {
+            "nan" if scan_id == 5 => odometry.yaw_rad = f64::NAN,
+            "jumps" => odometry.dx_m += 0.01,
+            "random" => odometry.y_m += 1e-12 * (monotonic_ns() % 1000) as f64,
+            _ => {}
+        }
+        if fault != "truthless" {
+            truths.publish_silently(&mut truth)?;
+        }
+        if fault != "halves" || !scan_id.is_multiple_of(4) {
+            scans.publish(&mut scan)?;
+        }
+        odometries.publish(&mut odometry)?;
+        scan_id += 1;
+    }
+}
+
+/// Changes what the robot was told.
+fn obey(fault: &str, actuation: &mut Actuation) {
+    match fault {
+        "mirrored" => actuation.sent_steering_rad *= -1.0,
+        "rolls" if actuation.kind == ActuationKind::Block.wire() => {
+            (actuation.kind, actuation.sent_velocity_mps) = (ActuationKind::Drive.wire(), 0.3);
+        }
+        "believes" => {
+            actuation.kind = ActuationKind::Drive.wire();
+            let velocity = actuation.sent_velocity_mps;
+            actuation.sent_velocity_mps = if velocity.is_finite() { velocity.clamp(0.5, 1.0) } else { 0.7 };
+            actuation.sent_steering_rad = actuation.sent_steering_rad.clamp(-0.1, 0.1);
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,248 @@
+//! The suites of `scanloop conformance`: they let good implementations pass, and find what is wrong with bad ones.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::sync::Mutex;
+
+use orchestrator::conformance::{Level, Outcome, Report};
+use runtime::Domain;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+
+/// Role and built-in implementation.
+const BUILT_IN: [(&str, &str); 5] = [
+    ("estimator", "ekf"),
+    ("obstacles", "ellipses"),
+    ("controller", "nmpc"),
+    ("actuator", "actuation"),
+    ("robot", "emulator"),
+];
+
+/// Role, the odd one, its fault, and the cases that must find it.
+const FAULTS: [(&str, &str, &str, &[&str]); 51] = [
+    ("estimator", "loner", "unready", &["states"]),
+    ("estimator", "loner", "silent", &["heartbeats"]),
+    ("estimator", "loner", "early-only", &["joins-late"]),
+    ("estimator", "loner", "deaf", &["ends-on-request"]),
+    ("estimator", "loner", "immortal", &["ends-as-orphan"]),
+    ("estimator", "loner", "fickle", &["survives-a-new-orchestrator"]),
+    ("estimator", "loner", "litters", &["leaves-nothing"]),
+    ("estimator", "loner", "none", &["counts"]),
+    ("estimator", "estimator", "skips", &["every-scan"]),
+    ("estimator", "estimator", "twice", &["every-scan"]),
+    ("estimator", "estimator", "late", &["in-time"]),
+    ("estimator", "estimator", "header", &["header"]),
+    ("estimator", "estimator", "nan", &["valid-values"]),
+    ("estimator", "estimator", "random", &["repeatable"]),
+    ("estimator", "estimator", "stateless", &["state"]),
+    ("estimator", "estimator", "amnesia", &["resume"]),
+    ("estimator", "estimator", "guesses", &["lost-state"]),
+    ("estimator", "estimator", "trusts", &["authority", "repeated", "stale", "pause"]),
+    ("estimator", "estimator", "believes", &["garbage"]),
+    ("estimator", "estimator", "stays", &["exchange"]),
+    ("estimator", "estimator", "invents", &["missing-input"]),
+    ("estimator", "estimator", "off", &["near-the-truth"]),
+    ("estimator", "estimator", "behind", &["looks-ahead"]),
+    ("estimator", "estimator", "uncorrected", &["corrects-odometry"]),
+    ("estimator", "estimator", "gullible", &["outlier"]),
+    ("estimator", "estimator", "sure", &["covariance"]),
+    ("obstacles", "obstacles", "unpaired", &["missing-input"]),
+    ("obstacles", "obstacles", "small", &["sees-a-box"]),
+    ("obstacles", "obstacles", "phantom", &["no-phantoms"]),
+    ("obstacles", "obstacles", "needs-returns", &["blind-scan"]),
+    ("obstacles", "obstacles", "far-first", &["nearest-first"]),
+    ("obstacles", "obstacles", "renumbers", &["keeps-identity"]),
+    ("obstacles", "obstacles", "forgets", &["remembers"]),
+    ("controller", "controller", "never", &["drives"]),
+    ("controller", "controller", "blind", &["stops-before-a-barrier", "contradiction"]),
+    ("controller", "controller", "never-lands", &["lands"]),
+    ("controller", "controller", "mute", &["names-its-reason"]),
+    ("controller", "controller", "planless", &["plan"]),
+    ("actuator", "actuator", "clamps", &["limits"]),
+    ("actuator", "actuator", "factor", &["sends-what-is-desired", "calibration"]),
+    ("actuator", "actuator", "drives-on", &["obeys-stop"]),
+    ("actuator", "actuator", "ignores-stop", &["stop-wins"]),
+    ("actuator", "actuator", "patient", &["silence"]),
+    ("actuator", "actuator", "hasty", &["two-after-silence"]),
+    ("actuator", "actuator", "believes", &["future"]),
+    ("actuator", "actuator", "wordless", &["last-word"]),
+    ("actuator", "actuator", "eager", &["first-word"]),
+    ("robot", "robot", "believes", &["nonsense", "blocks"]),
+    ("robot", "robot", "trusts", &["authority", "repeated"]),
+    ("robot", "robot", "tireless", &["dead-man"]),
+    ("robot", "robot", "mirrored", &["drives"]),
+];
+
+/// Faults of robots whose cases can be played in one go, because no case hides another.
+const ROBOT_FAULTS: [(&str, &[&str]); 8] = [
+    ("halves", &["scans"]),
+    ("stamps", &["header"]),
+    ("nan", &["valid-values"]),
+    ("jumps", &["increments"]),
+    ("restless", &["stopping"]),
+    ("truthless", &["truth"]),
+    ("runs-ahead", &["grants"]),
+    ("random", &["repeatable"]),
+];
+
+#[test]
+fn built_in_implementations_meet_everything() {
+    std::thread::scope(|scope| {
+        for (role, name) in BUILT_IN {
+            scope.spawn(move || {
+                let (report, output) = suite(&["--rate", "20", "--jobs", "8", role, "--to", name]);
+                assert!(bad(&report).is_empty(), "{role}: {}", stderr(&output));
+                assert_eq!((output.status.code(), report.skipped), (Some(0), 0), "{}", stderr(&output));
+                assert_eq!(report.passed, report.cases.len());
+            });
+        }
+    });
+}
+
+#[test]
+fn an_estimator_of_ones_own_meets_what_is_required() {
+    let (report, output) = suite(&["--rate", "20", "--jobs", "8", "estimator", "--", DEAD_RECKONING]);
+    assert_eq!((output.status.code(), report.failed), (Some(0), 0), "{}", stderr(&output));
+    // It has no memory and believes the odometer.
+    let advice: Vec<&str> = bad(&report);
+    assert_eq!(advice, ["state", "corrects-odometry", "outlier", "covariance"], "{}", stderr(&output));
+}
+
+#[test]
+fn every_case_finds_a_fault() {
+    let robots = ROBOT_FAULTS.iter().map(|(fault, cases)| ("robot", "robot", *fault, *cases));
+    let wrong = Mutex::new(Vec::new());
+    let queue = Mutex::new(FAULTS.into_iter().chain(robots).collect::<Vec<_>>());
+    std::thread::scope(|scope| {
+        for _ in 0..6 {
+            scope.spawn(|| {
+                while let Some((role, odd, fault, cases)) = { queue.lock().unwrap().pop() } {
+                    let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
+                    cases.iter().for_each(|case| arguments.extend(["--only", case]));
+                    arguments.extend(["--", ODD, odd, fault]);
+                    // A machine that is too busy for a robot to be told anything stops it, whatever its fault.
+                    let found = (0..3).any(|_| {
+                        let (report, output) = suite(&arguments);
+                        let required = report.cases.iter().any(|case| case.level == Level::Required);
+                        bad(&report) == names(&report) && output.status.code() == Some(i32::from(required))
+                    });
+                    if !found {
+                        wrong.lock().unwrap().push(format!("{odd} {fault}: {cases:?}"));
+                    }
+                }
+            });
+        }
+    });
+    let wrong = wrong.into_inner().unwrap();
+    assert!(wrong.is_empty(), "not found: {wrong:?}");
+}
+
+#[test]
+fn the_table_of_faults_has_every_case_of_every_role() {
+    let mut tried: BTreeSet<(&str, &str)> = BTreeSet::new();
+    for (role, _, _, cases) in FAULTS {
+        tried.extend(cases.iter().map(|case| (role, *case)));
+    }
+    tried.extend(ROBOT_FAULTS.iter().flat_map(|(_, cases)| cases.iter().map(|case| ("robot", *case))));
+    let common: BTreeSet<&str> =
+        tried.iter().filter(|(role, _)| *role == "estimator").map(|(_, case)| *case).collect();
+    for (role, _) in BUILT_IN {
+        let list = String::from_utf8(run(&[role, "--list"]).stdout).unwrap();
+        for line in list.lines().filter_map(|line| line.strip_prefix("| `")) {
+            let case = line.split('`').next().unwrap();
+            // What estimators share with the others is tried with estimators.
+            assert!(tried.contains(&(role, case)) || common.contains(case), "{role}: no fault for `{case}`");
+        }
+    }
+}
+
+#[test]
+fn a_program_that_cannot_be_started_ends_with_code_4() {
+    for command in [&["./no-such-program"][..], &["true"], &["sh", "-c", "echo gone >&2; exit 3"]] {
+        let output = run(&[&["estimator", "--"], command].concat());
+        assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    }
+    let output = run(&["estimator", "--", "sh", "-c", "echo gone >&2; exit 3"]);
+    assert!(stderr(&output).contains("its last words: gone"), "{}", stderr(&output));
+}
+
+#[test]
+fn wrong_usage_names_what_is_allowed() {
+    let messages = [
+        (&["pilot", "--to", "ekf"][..], "unknown role `pilot`: expected robot, estimator"),
+        (&["estimator", "--to", "nmpc"], "--to nmpc is not allowed for role estimator: ekf"),
+        (&["estimator"], "expected `--to IMPLEMENTATION` or `-- COMMAND...`"),
+        (&["estimator", "--to", "ekf", "--only", "sings"], "role estimator has no such case, it has states,"),
+        (&["estimator", "--to", "ekf", "--rate", "500"], "--rate 500 is not allowed: 2 to 50 Hz"),
+    ];
+    for (arguments, message) in messages {
+        let output = run(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(stderr(&output).contains(message), "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn the_page_lists_what_the_executable_prints() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/conformance.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let list = String::from_utf8(run(&["--list"]).stdout).unwrap();
+    assert!(page.ends_with(&list), "put the output of `scanloop conformance --list` at the end of the page");
+}
+
+/// Plays a suite and checks that it leaves nothing.
+fn suite(arguments: &[&str]) -> (Report, Output) {
+    let output = run(&[&["--json"], arguments].concat());
+    let report: Report =
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {}", stderr(&output)));
+    let count = |outcome| report.cases.iter().filter(|case| case.outcome == outcome).count();
+    assert_eq!(count(Outcome::Passed), report.passed);
+    assert_eq!(count(Outcome::Failed), report.failed + report.not_recommended);
+    (report, output)
+}
+
+/// Runs the command to its end; it must leave nothing.
+fn run(arguments: &[&str]) -> Output {
+    let mut command = Command::new(EXECUTABLE);
+    command
+        .arg("conformance")
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let system = format!("c{}-0", child.id());
+    let output = child.wait_with_output().unwrap();
+    let domain = Domain::new(&system).unwrap();
+    // Systems of the suite are numbered: `c21-0`, `c21-1`.
+    let prefix = domain.shared_memory_prefix().trim_end_matches("0_").to_owned();
+    let left = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let left: Vec<_> =
+        left.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix)).collect();
+    assert!(left.is_empty(), "left in shared memory: {left:?}");
+    assert!(!domain.directory().exists(), "left: {}", domain.directory().display());
+    output
+}
+
+/// Names of the cases that failed.
+fn bad(report: &Report) -> Vec<&str> {
+    report
+        .cases
+        .iter()
+        .filter(|case| case.outcome == Outcome::Failed)
+        .map(|case| case.name.as_str())
+        .collect()
+}
+
+/// Names of all cases.
+fn names(report: &Report) -> Vec<&str> {
+    report.cases.iter().map(|case| case.name.as_str()).collect()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
