@@ -26,12 +26,11 @@ mod robot;
 mod stand;
 
 use std::ffi::OsString;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
 use clap::Args;
-use shared_types::{ProcessState, Role};
+use shared_types::Role;
 
 pub use case::{Level, Outcome};
 pub use report::{CaseReport, Report};
@@ -39,7 +38,7 @@ pub use report::{CaseReport, Report};
 use crate::exit::{Exit, Failure};
 use crate::system::IMPLEMENTATIONS;
 use case::{Case, Trouble, Verdict};
-use stand::{Setup, Suite};
+use stand::Suite;
 
 /// Arguments of `conformance`.
 #[derive(Debug, Args)]
@@ -91,12 +90,10 @@ pub(crate) fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Ex
     let cases = chosen(role, &arguments.only)?;
     let (command, label) = candidate(role, arguments)?;
     let suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
-    probe(&suite)?;
-    let verdicts = play_all(&cases, &suite, arguments);
+    let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = Report::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
-        let done = report.add(case, verdict)?;
-        eprintln!("{done}");
+        eprintln!("{}", report.add(case, verdict)?);
     }
     eprintln!("{}", report.summary());
     if arguments.json {
@@ -168,42 +165,41 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
     }
 }
 
-/// That the program can be started at all, before thirty cases say the same.
-fn probe(suite: &Suite) -> anyhow::Result<()> {
-    let started = || -> Result<(), Trouble> {
-        let mut stand = suite.stand(Setup::default())?;
-        stand.spawn(false, None)?;
-        stand.wait_for_state(ProcessState::Attached)
-    };
-    match started() {
-        Ok(()) => Ok(()),
-        Err(Trouble::Broken(error)) => Err(error),
-        Err(Trouble::Failed(reason) | Trouble::Skipped(reason)) => {
-            Err(Failure::process(format!("could not be started: {reason}")))
-        }
-    }
-}
-
 /// Plays all cases, some at a time; those that failed where a busy machine may be the reason again, alone.
-fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> Vec<Verdict> {
+///
+/// When the suite itself cannot go on, no further case is begun.
+fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> anyhow::Result<Vec<Verdict>> {
     let (jobs, tries) = (usize::from(arguments.jobs), u32::from(arguments.tries));
     let next = AtomicUsize::new(0);
-    let slots: Vec<OnceLock<Verdict>> = cases.iter().map(|_| OnceLock::new()).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..jobs.min(cases.len()) {
-            scope.spawn(|| {
-                while let Some((case, slot)) = {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    cases.get(index).zip(slots.get(index))
-                } {
-                    let _ = slot.set((case.play)(suite));
+    let mut played = std::thread::scope(|scope| {
+        let work = || {
+            let mut mine = Vec::new();
+            while let Some((index, case)) = {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                cases.get(index).map(|case| (index, case))
+            } {
+                let verdict = (case.play)(suite);
+                if matches!(verdict, Err(Trouble::Broken(_))) {
+                    next.store(cases.len(), Ordering::Relaxed);
                 }
-            });
+                mine.push((index, verdict));
+            }
+            mine
+        };
+        let workers: Vec<_> = (0..jobs.min(cases.len())).map(|_| scope.spawn(work)).collect();
+        let ended = workers.into_iter().map(|worker| worker.join());
+        ended.collect::<Result<Vec<_>, _>>().map(|each| each.into_iter().flatten().collect::<Vec<_>>())
+    })
+    .map_err(|_| anyhow::anyhow!("a case panicked"))?;
+    played.sort_by_key(|(index, _)| *index);
+    let mut verdicts = Vec::new();
+    for (index, verdict) in played {
+        match play_again(&cases[index], suite, verdict, tries) {
+            Err(Trouble::Broken(error)) => return Err(error),
+            verdict => verdicts.push(verdict),
         }
-    });
-    let lost = || Err(anyhow::anyhow!("the case panicked").into());
-    let first = slots.into_iter().map(|slot| slot.into_inner().unwrap_or_else(lost));
-    cases.iter().zip(first).map(|(case, verdict)| play_again(case, suite, verdict, tries)).collect()
+    }
+    Ok(verdicts)
 }
 
 /// Plays a case that failed again, as often as it may be tried.

@@ -23,7 +23,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the odd one, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 51] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 52] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -58,8 +58,9 @@ const FAULTS: [(&str, &str, &str, &[&str]); 51] = [
     ("obstacles", "obstacles", "renumbers", &["keeps-identity"]),
     ("obstacles", "obstacles", "forgets", &["remembers"]),
     ("controller", "controller", "never", &["drives"]),
-    ("controller", "controller", "blind", &["stops-before-a-barrier", "contradiction"]),
+    ("controller", "controller", "blind", &["stops-before-a-barrier", "off-the-track", "obstacle-inside"]),
     ("controller", "controller", "never-lands", &["lands"]),
+    ("controller", "controller", "careless", &["obeys-alarm"]),
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
     ("actuator", "actuator", "clamps", &["limits"]),

@@ -1,6 +1,8 @@
 //! What a controller must want: to drive where it may, and to stop where it must.
 
-use shared_types::{Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, StopReason, Topic};
+use shared_types::{
+    Alarm, Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, StopReason, Suspect, Topic,
+};
 use vehicle::Bounds;
 
 use super::answers::within;
@@ -17,7 +19,7 @@ const IN_FRONT_M: f64 = 0.8;
 const ROUNDING: f64 = 1e-6;
 
 /// The cases of controllers alone.
-pub(crate) const CASES: [Case; 6] = [
+pub(crate) const CASES: [Case; 8] = [
     Case {
         name: "drives",
         level: Level::Required,
@@ -43,12 +45,28 @@ pub(crate) const CASES: [Case; 6] = [
         play: lands,
     },
     Case {
-        name: "contradiction",
+        name: "off-the-track",
         level: Level::Required,
-        requirement: "A pose far outside the track, or an obstacle where the robot is, is not driven on.",
-        why: "One of the inputs must be wrong, and nobody knows which.",
+        requirement: "A pose far outside the track is not driven on.",
+        why: "The pose or the track must be wrong, and nobody knows which.",
         tries: LIVE,
-        play: contradiction,
+        play: off_the_track,
+    },
+    Case {
+        name: "obstacle-inside",
+        level: Level::Recommended,
+        requirement: "An obstacle where the robot is, is not driven on.",
+        why: "Pose and obstacles contradict each other.",
+        tries: LIVE,
+        play: obstacle_inside,
+    },
+    Case {
+        name: "obeys-alarm",
+        level: Level::Required,
+        requirement: "A pose whose alarm is `stop` is not driven on.",
+        why: "The estimator knows that the robot is not where it seems, or moves otherwise than told.",
+        tries: LIVE,
+        play: obeys_alarm,
     },
     Case {
         name: "names-its-reason",
@@ -151,41 +169,51 @@ fn lands(suite: &Suite) -> Verdict {
     if last.kind == CommandKind::Land.wire() { Ok(text) } else { failed(text) }
 }
 
-fn contradiction(suite: &Suite) -> Verdict {
-    for (what, spoil) in CONTRADICTIONS {
-        let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
-        stand.rounds(3)?;
-        for _ in 0..3 {
-            let scan_id = stand.scan_id;
-            stand.wait_until_due(scan_id)?;
-            for mut message in stand.inputs(scan_id)? {
-                spoil(&stand, &mut message);
-                stand.say(&mut message)?;
-            }
-            stand.scan_id += 1;
+fn off_the_track(suite: &Suite) -> Verdict {
+    not_driven_on(suite, "a pose 30 m beside the track", |_, message| {
+        if let Message::Pose(pose) = message {
+            pose.y_m += 30.0;
+            pose.predicted_y_m += 30.0;
         }
-        let last = stand.scan_id;
-        // When this one is answered, so are those before it.
-        stand.round()?;
-        for scan_id in last - 3..last {
-            stand.require_no_answer(scan_id, what)?;
-        }
-    }
-    Ok("no drive command in 3 scans each".to_owned())
+    })
 }
 
-/// Ways in which inputs contradict each other or the settings.
-type Contradiction = (&'static str, fn(&Stand<'_>, &mut Message));
-const CONTRADICTIONS: [Contradiction; 2] =
-    [("a pose 30 m beside the track", beside), ("an obstacle inside the robot", inside)];
-
-fn beside(_: &Stand<'_>, message: &mut Message) {
-    if let Message::Pose(pose) = message {
-        pose.y_m += 30.0;
-        pose.predicted_y_m += 30.0;
-    }
+fn obstacle_inside(suite: &Suite) -> Verdict {
+    not_driven_on(suite, "an obstacle inside the robot", inside)
 }
 
+fn obeys_alarm(suite: &Suite) -> Verdict {
+    not_driven_on(suite, "a pose with the alarm `stop`", |_, message| {
+        if let Message::Pose(pose) = message {
+            (pose.suspect, pose.alarm) = (Suspect::VelocityFactor.wire(), Alarm::Stop.wire());
+        }
+    })
+}
+
+/// That inputs spoilt in one way are not driven on.
+fn not_driven_on(suite: &Suite, what: &str, spoil: fn(&Stand<'_>, &mut Message)) -> Verdict {
+    let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let before = stand.rounds(3)?;
+    require(count_drives(&before)? > 0, || format!("it does not drive even before {what}"))?;
+    for _ in 0..3 {
+        let scan_id = stand.scan_id;
+        stand.wait_until_due(scan_id)?;
+        for mut message in stand.inputs(scan_id)? {
+            spoil(&stand, &mut message);
+            stand.say(&mut message)?;
+        }
+        stand.scan_id += 1;
+    }
+    let last = stand.scan_id;
+    // When this one is answered, so are those before it.
+    stand.round()?;
+    for scan_id in last - 3..last {
+        stand.require_no_answer(scan_id, what)?;
+    }
+    Ok("no drive command in 3 scans".to_owned())
+}
+
+/// Replaces all obstacles by one that stands where the robot is.
 fn inside(stand: &Stand<'_>, message: &mut Message) {
     if let Message::Obstacles(obstacles) = message {
         let Some(pose) = stand.drive.step(obstacles.header.scan_id).pose else { return };

@@ -233,21 +233,26 @@ fn counts(suite: &Suite) -> Verdict {
     stand.say(&mut old)?;
     let mut broken = stand.message(topic, scan_id + 3)?.spoilt().swap_remove(1);
     stand.say(&mut broken)?;
-    let kinds: [(&str, fn(&Heartbeat) -> u64); 5] = [
-        ("foreign", |beat| beat.foreign),
-        ("duplicate", |beat| beat.duplicate),
-        ("reordered", |beat| beat.reordered),
-        ("stale", |beat| beat.stale),
-        ("invalid", |beat| beat.invalid),
-    ];
     let missing = |stand: &Stand<'_>| -> Vec<&str> {
-        let last = stand.heartbeats.last().copied().unwrap_or_default();
-        kinds.iter().filter(|(_, count)| count(&last) <= count(&before)).map(|(name, _)| *name).collect()
+        let now = dropped(&stand.heartbeats.last().copied().unwrap_or_default());
+        let both = now.into_iter().zip(dropped(&before));
+        both.filter(|((_, now), (_, before))| now <= before).map(|((kind, _), _)| kind).collect()
     };
     stand.until(ANSWER_NS / 5, |stand| missing(stand).is_empty())?;
     let missing = missing(&stand);
     require(missing.is_empty(), || format!("not counted: {}", missing.join(", ")))?;
     Ok("one of each kind counted".to_owned())
+}
+
+/// What a heartbeat says of dropped samples, by kind.
+fn dropped(beat: &Heartbeat) -> [(&'static str, u64); 5] {
+    [
+        ("foreign", beat.foreign),
+        ("duplicate", beat.duplicate),
+        ("reordered", beat.reordered),
+        ("stale", beat.stale),
+        ("invalid", beat.invalid),
+    ]
 }
 
 fn missing_input(suite: &Suite) -> Verdict {

@@ -93,7 +93,7 @@ pub(crate) const CASES: [Case; 8] = [
 fn states(suite: &Suite) -> Verdict {
     let mut stand = suite.stand(Setup::default())?;
     stand.spawn(false, None)?;
-    stand.wait_for_state(ProcessState::Attached)?;
+    stand.attach()?;
     // Time enough to run ahead of the barrier.
     stand.listen(2.0)?;
     let early = stand.heartbeats.iter().find(|beat| beat.state != ProcessState::Attached.wire());

@@ -56,7 +56,7 @@ impl Report {
             Ok(reason) => (Outcome::Passed, reason),
             Err(Trouble::Failed(reason)) => (Outcome::Failed, reason),
             Err(Trouble::Skipped(reason)) => (Outcome::Skipped, reason),
-            Err(Trouble::Broken(error)) => return Err(error.context(format!("case {}", case.name))),
+            Err(Trouble::Broken(error)) => return Err(error),
         };
         match (outcome, case.level) {
             (Outcome::Passed, _) => self.passed += 1,

@@ -25,7 +25,7 @@ use shared_types::{
 use super::case::{Trouble, failed, require};
 use super::drive::{Course, Drive};
 use super::message::{Ears, Message, Mouths};
-use crate::child::{Child, Launch};
+use crate::child::{Child, Launch, start_ticks};
 use crate::child_log::ChildLog;
 use crate::exit::{Exit, Failure};
 use crate::lock::SystemLock;
@@ -102,6 +102,7 @@ pub(crate) enum Order {
 impl Suite {
     pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
         let shutdown = Shutdown::on_signals()?;
+        sweep()?;
         Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), stands: AtomicU32::new(0) })
     }
 
@@ -258,10 +259,20 @@ impl<'a> Stand<'a> {
 
     /// Takes the candidate through the start barrier.
     pub(crate) fn barrier(&mut self) -> Result<(), Trouble> {
-        self.wait_for_state(ProcessState::Attached)?;
+        self.attach()?;
         self.announce(Phase::Connecting)?;
         self.wait_for_state(ProcessState::Connected)?;
         self.announce(Phase::Driving)
+    }
+
+    /// Waits until the candidate has joined; one that does not cannot be started, which ends the suite.
+    pub(crate) fn attach(&mut self) -> Result<(), Trouble> {
+        self.wait_for_state(ProcessState::Attached).map_err(|trouble| match trouble {
+            Trouble::Failed(reason) => {
+                Trouble::Broken(Failure::process(format!("could not be started: {reason}")))
+            }
+            other => other,
+        })
     }
 
     /// Says in which phase the system is.
@@ -568,6 +579,21 @@ impl<'a> Stand<'a> {
         let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
         Ok(names.filter(|name| name.starts_with(self.domain.shared_memory_prefix())).collect())
     }
+}
+
+/// Removes what suites that were killed have left: systems that are named after a process which is gone.
+fn sweep() -> anyhow::Result<()> {
+    let here = Domain::new("c0-0")?;
+    let Some(Ok(systems)) = here.directory().parent().map(std::fs::read_dir) else { return Ok(()) };
+    for system in systems.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
+        let suite = system.strip_prefix('c').and_then(|rest| rest.split_once('-'));
+        let pid = suite.and_then(|(pid, _)| pid.parse().ok());
+        if pid.is_some_and(|pid| start_ticks(pid).is_none()) {
+            // Taking the lock ends what still runs, giving it back removes the files.
+            drop(SystemLock::acquire(&Domain::new(&system)?));
+        }
+    }
+    Ok(())
 }
 
 /// Topics whose samples make a role answer a scan.

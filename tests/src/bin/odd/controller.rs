@@ -6,7 +6,7 @@ use shared_types::{Command, CommandKind, Obstacles, Pose, Role, StopReason};
 
 use crate::Outcome;
 
-/// Faults: `never`, `blind`, `never-lands`, `mute`, `planless`.
+/// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
     let config = process.settings::<nmpc::Config>("controller")?;
@@ -24,6 +24,9 @@ pub(crate) fn run(fault: &str) -> Outcome {
             if fault == "blind" {
                 obstacles.count = 0;
                 pose.predicted_y_m = pose.predicted_y_m.clamp(-1.0, 1.0);
+            }
+            if fault == "careless" {
+                pose.alarm = 0;
             }
             let mut command = controller.step(&pose, &obstacles, &budget);
             match fault {
