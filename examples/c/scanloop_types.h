@@ -57,6 +57,24 @@ enum scanloop_process_state {
     SCANLOOP_PROCESS_STATE_ENDING = 3, /* It is about to end. */
 };
 
+/* What the estimator suspects to be calibrated wrongly. */
+enum scanloop_suspect {
+    SCANLOOP_SUSPECT_NONE = 0, /* Nothing. */
+    SCANLOOP_SUSPECT_VELOCITY_FACTOR = 1, /* The velocity factor kv: speed at the wheels is not what is desired. */
+    SCANLOOP_SUSPECT_STEERING = 2, /* The steering map: the robot turns otherwise than its wheels are told. */
+    SCANLOOP_SUSPECT_ODOMETRY_LONGITUDINAL = 3, /* The share of the way that odometry misses, df. */
+    SCANLOOP_SUSPECT_ODOMETRY_LATERAL_RATE = 4, /* The lateral drift of the odometry, dds. */
+    SCANLOOP_SUSPECT_HEADING = 5, /* The reported heading jumped. */
+    SCANLOOP_SUSPECT_POSITION = 6, /* The reported position jumped. */
+};
+
+/* What the estimator asks for because of its suspicion. */
+enum scanloop_alarm {
+    SCANLOOP_ALARM_NONE = 0, /* Nothing. */
+    SCANLOOP_ALARM_SLOW = 1, /* Drive slowly. */
+    SCANLOOP_ALARM_STOP = 2, /* Block the wheels. */
+};
+
 /* What the command asks for. */
 enum scanloop_command_kind {
     SCANLOOP_COMMAND_KIND_STOP = 0, /* Block the wheels for safety. */
@@ -90,6 +108,7 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_BAD_INPUT = 4, /* The inputs contradict each other or the bounds. */
     SCANLOOP_STOP_REASON_GOAL_PASSED = 5, /* The goal was passed and cannot be reached any more. */
     SCANLOOP_STOP_REASON_NO_INPUT = 6, /* No input came in time. */
+    SCANLOOP_STOP_REASON_SELF_CHECK = 7, /* The estimator suspects a wrong calibration. */
 };
 
 /* What the robot is told. */
@@ -266,8 +285,10 @@ typedef struct scanloop_pose {
     double gain[9]; /* Kalman gain of (yaw, x, y), row by row */
     double nis; /* Normalised innovation squared */
     uint64_t rejected; /* Measurements refused by the gate since the start */
+    uint32_t suspect; /* What is suspected to be calibrated wrongly, `Suspect` */
+    uint32_t alarm; /* What is asked for because of it, `Alarm` */
 } scanloop_pose;
-_Static_assert(sizeof(scanloop_pose) == 480, "scanloop_pose");
+_Static_assert(sizeof(scanloop_pose) == 488, "scanloop_pose");
 _Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
 _Static_assert(offsetof(scanloop_pose, yaw_rad) == 192, "scanloop_pose.yaw_rad");
 _Static_assert(offsetof(scanloop_pose, x_m) == 200, "scanloop_pose.x_m");
@@ -287,6 +308,8 @@ _Static_assert(offsetof(scanloop_pose, innovation) == 368, "scanloop_pose.innova
 _Static_assert(offsetof(scanloop_pose, gain) == 392, "scanloop_pose.gain");
 _Static_assert(offsetof(scanloop_pose, nis) == 464, "scanloop_pose.nis");
 _Static_assert(offsetof(scanloop_pose, rejected) == 472, "scanloop_pose.rejected");
+_Static_assert(offsetof(scanloop_pose, suspect) == 480, "scanloop_pose.suspect");
+_Static_assert(offsetof(scanloop_pose, alarm) == 484, "scanloop_pose.alarm");
 
 /* Topic obstacles, published once per scan, when scan and pose are there. */
 typedef struct scanloop_obstacles {
@@ -597,6 +620,8 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUES("pose", scanloop_pose, "gain", gain),
     SCANLOOP_VALUE("pose", scanloop_pose, "nis", nis),
     SCANLOOP_VALUE("pose", scanloop_pose, "rejected", rejected),
+    SCANLOOP_VALUE("pose", scanloop_pose, "suspect", suspect),
+    SCANLOOP_VALUE("pose", scanloop_pose, "alarm", alarm),
     SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v1"),
     SCANLOOP_STRUCT("obstacles", scanloop_obstacles, "header", "Header", header),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.layout", header.layout),

@@ -9,12 +9,15 @@ distance to all bodies is commanded.
 """
 
 import math
+import os
 import time
 
-import casadi as ca
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
+
+import casadi as ca  # noqa: E402
 
 from scanloop import Process, Role, answer
-from scanloop_types import Command, CommandKind, Level, Obstacles, PlanNode, Pose, SolveStatus, StopReason
+from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, SolveStatus, StopReason
 
 MOST = 4  # ellipses of the problem: the nearest that are not behind
 FAR = (-1e3, 0.0, 0.0, 0.0, 1.0, 1.0)  # an ellipse that is in nobody's way
@@ -59,7 +62,7 @@ class Problem:
 
     def __init__(self, settings, budget_s):
         self.settings, self.count = settings, settings["intervals"]
-        self.step = settings["horizon_s"] / self.count
+        self.step, self.fastest = settings["horizon_s"] / self.count, settings["cruise_mps"]
         bounds, weights = settings["bounds"], settings["weights"]
         walls = settings["body_width_m"] / 2 + settings["theta_m"] if settings["track"]["walls"] else 0.0
         self.track = settings["track"]["y_m"][0] + walls, settings["track"]["y_m"][1] - walls
@@ -91,7 +94,7 @@ class Problem:
         parameters = [initial, before, pace, ca.vec(reference), ca.vec(centres), ca.vec(axes)]
         program = {"x": ca.vertcat(*variables), "p": ca.vertcat(*parameters), "f": cost, "g": ca.vertcat(*constraints)}
         options = {"print_time": False, "error_on_fail": False}
-        options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_wall_time": budget_s, "max_iter": 50,
+        options["ipopt"] = {"print_level": 0, "sb": "yes", "tol": 1e-6, "max_wall_time": budget_s, "max_iter": 30,
                             "mu_init": 1e-2}
         self.solver = ca.nlpsol("controller", "ipopt", program, options)
         self.bounds = {"lbx": low, "ubx": high, "lbg": least, "ubg": most}
@@ -100,7 +103,7 @@ class Problem:
         """Velocity of the reference at x: cruising, and slower near the goal."""
         settings = self.settings
         wanted = (settings["goal"]["x_m"] - x) / settings["landing_time_s"]
-        return max(settings["bounds"]["velocity_min_mps"], min(settings["cruise_mps"], wanted))
+        return max(settings["bounds"]["velocity_min_mps"], min(self.fastest, wanted))
 
     def solve(self, initial, before, ellipses, guide, controls):
         """Controls of all intervals from a start, their cost, and what the solver says; `guide` gives the reference y."""
@@ -233,6 +236,10 @@ class Controller:
             command.kind = CommandKind.LAND if landed else CommandKind.STOP
             command.reason = StopReason.LANDED if landed else StopReason.GOAL_PASSED
             return command
+        if pose.alarm == Alarm.STOP:
+            command.reason = StopReason.SELF_CHECK
+            return command
+        problem.fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
         initial = (pose.predicted_sideslip_rad, pose.predicted_yaw_rad, pose.predicted_yaw_rate_radps,
                    pose.predicted_x_m, pose.predicted_y_m)
         ellipses, bodies = self.read(pose, described)

@@ -7,7 +7,7 @@ ellipses: this is what it calls verified. Obstacles are taken to stand still, an
 import math
 
 from scanloop import Process, Role, answer
-from scanloop_types import Command, CommandKind, Level, Obstacles, Pose, StopReason
+from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, Pose, StopReason
 
 AHEAD_M, PATH_M, STEP_M, LINES_M = 1.2, 4.0, 0.1, 0.15
 CURVATURE = 5.405  # of the path per steering angle in a steady turn [1/(m rad)]
@@ -41,6 +41,8 @@ def plan(pose, described, settings, last_line):
         if math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]:
             return Command(kind=CommandKind.LAND, reason=StopReason.LANDED), last_line
         return Command(kind=CommandKind.STOP, reason=StopReason.GOAL_PASSED), last_line
+    if pose.alarm == Alarm.STOP:
+        return Command(kind=CommandKind.STOP, reason=StopReason.SELF_CHECK), last_line
     room = settings["body_width_m"] / 2 + settings["theta_m"] if walls else 0.0
     track = settings["track"]["y_m"][0] + room, settings["track"]["y_m"][1] - room
     lines = [goal["y_m"] + LINES_M * index for index in range(-12, 13)]
@@ -49,7 +51,8 @@ def plan(pose, described, settings, last_line):
     line = next((line for line in lines if is_free(pose, line, most, track, ellipses)), None)
     if line is None:
         return Command(kind=CommandKind.STOP, reason=StopReason.BLOCKED), last_line
-    speed = max(bounds["velocity_min_mps"], min(settings["cruise_mps"], left_m / settings["landing_time_s"]))
+    fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
+    speed = max(bounds["velocity_min_mps"], min(fastest, left_m / settings["landing_time_s"]))
     steering = pursue(pose.predicted_y_m, pose.predicted_yaw_rad, line, most)
     drive = {"kind": CommandKind.DRIVE, "level": Level.BEST_ITERATE, "verified": 1}
     return Command(velocity_mps=speed, steering_rad=steering, **drive), line

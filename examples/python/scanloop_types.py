@@ -47,6 +47,26 @@ class ProcessState(enum.IntEnum):
     ENDING = 3  # It is about to end.
 
 
+class Suspect(enum.IntEnum):
+    """What the estimator suspects to be calibrated wrongly."""
+
+    NONE = 0  # Nothing.
+    VELOCITY_FACTOR = 1  # The velocity factor kv: speed at the wheels is not what is desired.
+    STEERING = 2  # The steering map: the robot turns otherwise than its wheels are told.
+    ODOMETRY_LONGITUDINAL = 3  # The share of the way that odometry misses, df.
+    ODOMETRY_LATERAL_RATE = 4  # The lateral drift of the odometry, dds.
+    HEADING = 5  # The reported heading jumped.
+    POSITION = 6  # The reported position jumped.
+
+
+class Alarm(enum.IntEnum):
+    """What the estimator asks for because of its suspicion."""
+
+    NONE = 0  # Nothing.
+    SLOW = 1  # Drive slowly.
+    STOP = 2  # Block the wheels.
+
+
 class CommandKind(enum.IntEnum):
     """What the command asks for."""
 
@@ -84,6 +104,7 @@ class StopReason(enum.IntEnum):
     BAD_INPUT = 4  # The inputs contradict each other or the bounds.
     GOAL_PASSED = 5  # The goal was passed and cannot be reached any more.
     NO_INPUT = 6  # No input came in time.
+    SELF_CHECK = 7  # The estimator suspects a wrong calibration.
 
 
 class ActuationKind(enum.IntEnum):
@@ -221,7 +242,7 @@ class Pose(ctypes.Structure):
     """Topic pose, published once per odometry sample."""
 
     TOPIC = "pose"
-    LAYOUT = 0xced1876d
+    LAYOUT = 0xe513fa2d
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("yaw_rad", ctypes.c_double),  # Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -242,6 +263,8 @@ class Pose(ctypes.Structure):
         ("gain", ctypes.c_double * 9),  # Kalman gain of (yaw, x, y), row by row
         ("nis", ctypes.c_double),  # Normalised innovation squared
         ("rejected", ctypes.c_uint64),  # Measurements refused by the gate since the start
+        ("suspect", ctypes.c_uint32),  # What is suspected to be calibrated wrongly, `Suspect`
+        ("alarm", ctypes.c_uint32),  # What is asked for because of it, `Alarm`
     ]
 
     @staticmethod

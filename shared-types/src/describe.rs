@@ -53,10 +53,12 @@ pub struct EnumerationValue {
 }
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 9] = [
+pub const ENUMERATIONS: [Enumeration; 11] = [
     crate::Role::ENUMERATION,
     crate::Phase::ENUMERATION,
     crate::ProcessState::ENUMERATION,
+    crate::Suspect::ENUMERATION,
+    crate::Alarm::ENUMERATION,
     crate::CommandKind::ENUMERATION,
     crate::Level::ENUMERATION,
     crate::SolveStatus::ENUMERATION,
