@@ -10,17 +10,19 @@ distance to all bodies is commanded.
 
 import math
 import os
+import struct
 import time
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
 
 import casadi as ca  # noqa: E402
 
-from scanloop import Process, Role, answer
+from scanloop import Handover, Process, Role, answer
 from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, SolveStatus, StopReason
 
 MOST = 4  # ellipses of the problem: the nearest that are not behind
 FAR = (-1e3, 0.0, 0.0, 0.0, 1.0, 1.0)  # an ellipse that is in nobody's way
+STATE_KIND = 0xCA5AD001  # the state is the side and the controls of the plan
 COARSE, FINE = 6, 90  # steps of an interval in the problem, and in the drive that verifies
 BUDGET = 0.15  # share of the period for one solve; two of them come before half a period, the limit in an exchange
 OTHER_SIDE = 0.7  # the other side is taken when it costs less than this share of the one chosen before
@@ -29,6 +31,8 @@ BESIDE_M = 0.05  # and so far beside it
 LOOK_M = 1.2  # a start steers to where the reference is this far ahead
 EASY_M = 0.05  # how far outside of its lateral bounds a plan may lead
 MOVING_MPS = 0.1
+OVERLAP_M = 0.03  # how deep the body may overlap a described one: more is a contradiction
+ASTRAY_M = 1.0  # how far outside of its lateral bounds the robot may be: further is a contradiction
 
 
 def advance(robot, state, control, step, steps, lib, each=None):
@@ -198,7 +202,7 @@ class Controller:
 
     def __init__(self, settings, budget_s):
         self.settings, self.problem = settings, Problem(settings, budget_s)
-        self.plan, self.side = None, 0
+        self.plan, self.side, self.landed = None, 0, False
         self.solve((0.0,) * 5, [], 0)  # the first solve is slow
 
     def guide(self, initial, ellipses, side):
@@ -231,8 +235,10 @@ class Controller:
         command = Command(header=answer(described, pose), plan_start_ns=pose.predicted_ns, plan_interval_s=problem.step)
         goal, speed = settings["goal"], pose.predicted_speed_mps
         stop_m = goal["x_m"] - pose.predicted_x_m - speed**2 / (2 * settings["deceleration_mps2"])
-        if stop_m <= speed * settings["period_s"] / 2:  # stopping now ends nearer to the goal than a scan later
-            landed = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]
+        slowest = settings["bounds"]["velocity_min_mps"]
+        if self.landed or stop_m <= max(speed, slowest) * settings["period_s"] / 2:  # a scan later would be further off
+            miss_m = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m)
+            landed = self.landed = self.landed or miss_m <= goal["tolerance_m"]
             command.kind = CommandKind.LAND if landed else CommandKind.STOP
             command.reason = StopReason.LANDED if landed else StopReason.GOAL_PASSED
             return command
@@ -243,6 +249,11 @@ class Controller:
         initial = (pose.predicted_sideslip_rad, pose.predicted_yaw_rad, pose.predicted_yaw_rate_radps,
                    pose.predicted_x_m, pose.predicted_y_m)
         ellipses, bodies = self.read(pose, described)
+        robot = (initial[3], initial[4], settings["body_length_m"], settings["body_width_m"], initial[1])
+        astray = initial[4] > problem.track[1] + ASTRAY_M or initial[4] < problem.track[0] - ASTRAY_M
+        if astray or any(distance(robot, body[:5]) < -OVERLAP_M for body in bodies):
+            command.reason = StopReason.BAD_INPUT
+            return command
         best, cheapest = None, math.inf
         for side in (1, -1) if self.in_the_way(initial, ellipses) else (0,):
             controls, cost, stats = self.solve(initial, ellipses, side)
@@ -254,6 +265,17 @@ class Controller:
             return command
         self.plan, _, self.side = best
         return self.drive(command, initial, *best[:2])
+
+    def state(self):
+        """What another process goes on from: the side, and the plan if there is one."""
+        controls = [number for control in self.plan or [] for number in control]
+        return struct.pack(f"{1 + len(controls)}d", self.side, *controls)
+
+    def resume(self, state):
+        """Goes on from the state of another process."""
+        side, *controls = struct.unpack(f"{len(state) // 8}d", state)
+        if len(controls) == 2 * self.problem.count:
+            self.side, self.plan = int(side), list(zip(controls[::2], controls[1::2]))
 
     def read(self, pose, described):
         """Ellipses (x, y, vx, vy, a, b) and bodies (x, y, length, width, yaw, vx, vy) when the command acts."""
@@ -288,6 +310,9 @@ poses, obstacles, commands = process.input(Pose), process.input(Obstacles), proc
 settings = process.settings() | {"period_s": process.period_ns * 1e-9}
 # Simulated time does not pass while a problem is solved: iterations are the only limit then.
 controller = Controller(settings, 10.0 if process.simulated else BUDGET * settings["period_s"])
+handover, state = process.resume(STATE_KIND)
+if handover == Handover.STATE:
+    controller.resume(state)
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
@@ -295,3 +320,4 @@ if process.start():
             command = controller.step(pose, described)
             command.solve_ns = 0 if process.simulated else time.monotonic_ns() - started_ns
             commands.publish(command)
+            process.save(command.header, STATE_KIND, controller.state())

@@ -1,16 +1,19 @@
 """A controller that pursues the nearest of some lines along the track on which no ellipse is in the way.
 
 For each line it follows its own steering rule 4 m ahead, and drives when that path keeps on the track and outside of all
-ellipses: this is what it calls verified. Obstacles are taken to stand still, and it slows down for the goal only.
+ellipses: this is what it calls verified. Obstacles are taken to stand still.
 """
 
 import math
+import struct
 
-from scanloop import Process, Role, answer
-from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, Pose, StopReason
+from scanloop import Handover, Process, Role, answer
+from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, StopReason
 
-AHEAD_M, PATH_M, STEP_M, LINES_M = 1.2, 4.0, 0.1, 0.15
+AHEAD_M, STEPS, STEP_M, LINES_M = 1.2, 40, 0.1, 0.15
 CURVATURE = 5.405  # of the path per steering angle in a steady turn [1/(m rad)]
+INSIDE = 0.05  # of (7.34): a robot in the middle of an ellipse contradicts it
+STATE_KIND = 0x11E50001  # the state is the line that is pursued
 
 
 def pursue(y, yaw, line, most):
@@ -19,17 +22,27 @@ def pursue(y, yaw, line, most):
     return max(-most, min(most, 2 * lateral / AHEAD_M**2 / CURVATURE))
 
 
-def is_free(pose, line, most, track, ellipses):
-    """Whether the path to a line stays on the track and goes into no ellipse, or no deeper than the robot is."""
-    x, y, yaw = pose.predicted_x_m, pose.predicted_y_m, pose.predicted_yaw_rad
-    depth = [min(1.0, ((x - e.x_m) / e.a_m) ** 2 + ((y - e.y_m) / e.b_m) ** 2) for e in ellipses]
-    for _ in range(round(PATH_M / STEP_M)):
-        yaw += CURVATURE * pursue(y, yaw, line, most) * STEP_M
+def depth(x, y, e):
+    """(7.34): below 1 inside of an ellipse."""
+    return ((x - e.x_m) / e.a_m) ** 2 + ((y - e.y_m) / e.b_m) ** 2
+
+
+def way(pose, line, most, track, ellipses):
+    """The path to a line, (x, y, yaw, steering) per step; None when it leaves the track or goes deeper into an ellipse."""
+    x, y, yaw, path = pose.predicted_x_m, pose.predicted_y_m, pose.predicted_yaw_rad, []
+    allowed = [min(1.0, depth(x, y, e)) for e in ellipses]
+    for _ in range(STEPS):
+        steering = pursue(y, yaw, line, most)
+        path.append((x, y, yaw, steering))
+        yaw += CURVATURE * steering * STEP_M
         x, y = x + STEP_M * math.cos(yaw), y + STEP_M * math.sin(yaw)
-        entered = any(((x - e.x_m) / e.a_m) ** 2 + ((y - e.y_m) / e.b_m) ** 2 < d for e, d in zip(ellipses, depth))
-        if entered or not track[0] <= y <= track[1]:
-            return False
-    return True
+        if any(depth(x, y, e) < limit for e, limit in zip(ellipses, allowed)) or not track[0] <= y <= track[1]:
+            return None
+    return path
+
+
+def stop(reason):
+    return Command(kind=CommandKind.LAND if reason == StopReason.LANDED else CommandKind.STOP, reason=reason)
 
 
 def plan(pose, described, settings, last_line):
@@ -37,34 +50,43 @@ def plan(pose, described, settings, last_line):
     goal, bounds, walls = settings["goal"], settings["bounds"], settings["track"]["walls"]
     speed, left_m = pose.predicted_speed_mps, goal["x_m"] - pose.predicted_x_m
     stop_m = left_m - speed**2 / (2 * settings["deceleration_mps2"])
-    if stop_m <= speed * settings["period_s"] / 2:  # stopping now ends nearer to the goal than a scan later
-        if math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]:
-            return Command(kind=CommandKind.LAND, reason=StopReason.LANDED), last_line
-        return Command(kind=CommandKind.STOP, reason=StopReason.GOAL_PASSED), last_line
+    if stop_m <= max(speed, bounds["velocity_min_mps"]) * settings["period_s"] / 2:  # a scan later would be further off
+        landed = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]
+        return stop(StopReason.LANDED if landed else StopReason.GOAL_PASSED), last_line
+    ellipses = described.items[: described.count]
     if pose.alarm == Alarm.STOP:
-        return Command(kind=CommandKind.STOP, reason=StopReason.SELF_CHECK), last_line
+        return stop(StopReason.SELF_CHECK), last_line
+    if any(depth(pose.predicted_x_m, pose.predicted_y_m, e) < INSIDE for e in ellipses):
+        return stop(StopReason.BAD_INPUT), last_line
     room = settings["body_width_m"] / 2 + settings["theta_m"] if walls else 0.0
     track = settings["track"]["y_m"][0] + room, settings["track"]["y_m"][1] - room
     lines = [goal["y_m"] + LINES_M * index for index in range(-12, 13)]
     lines.sort(key=lambda line: abs(line - goal["y_m"]) + 0.5 * abs(line - last_line))  # keeps a side once chosen
-    most, ellipses = bounds["steering_max_rad"], described.items[: described.count]
-    line = next((line for line in lines if is_free(pose, line, most, track, ellipses)), None)
-    if line is None:
-        return Command(kind=CommandKind.STOP, reason=StopReason.BLOCKED), last_line
+    ways = ((line, way(pose, line, bounds["steering_max_rad"], track, ellipses)) for line in lines)
+    line, path = next(((line, path) for line, path in ways if path), (last_line, None))
+    if path is None:
+        return stop(StopReason.BLOCKED), line
     fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
     speed = max(bounds["velocity_min_mps"], min(fastest, left_m / settings["landing_time_s"]))
-    steering = pursue(pose.predicted_y_m, pose.predicted_yaw_rad, line, most)
-    drive = {"kind": CommandKind.DRIVE, "level": Level.BEST_ITERATE, "verified": 1}
-    return Command(velocity_mps=speed, steering_rad=steering, **drive), line
+    command = Command(kind=CommandKind.DRIVE, level=Level.BEST_ITERATE, verified=1, velocity_mps=speed)
+    command.steering_rad, command.plan_start_ns = path[0][3], pose.predicted_ns
+    command.plan_interval_s, command.plan_length = 2 * STEP_M / speed, len(path[::2])
+    for index, (x, y, yaw, steering) in enumerate(path[::2]):
+        command.plan[index] = PlanNode(x, y, yaw, 0.0, CURVATURE * steering * speed, speed, steering)
+    return command, line
 
 
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
 settings = process.settings() | {"period_s": process.period_ns * 1e-9}
-line = settings["goal"]["y_m"]
+handover, state = process.resume(STATE_KIND)
+line = struct.unpack("d", state)[0] if handover == Handover.STATE else settings["goal"]["y_m"]
+command = Command()
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
-            command, line = plan(pose, described, settings, line)
+            if command.kind != CommandKind.LAND:  # landed is landed
+                command, line = plan(pose, described, settings, line)
             command.header = answer(described, pose)
             commands.publish(command)
+            process.save(command.header, STATE_KIND, struct.pack("d", line))

@@ -41,3 +41,30 @@ pub(crate) fn write(domain: &Domain) -> Result<(), RuntimeError> {
 fn file(domain: &Domain) -> PathBuf {
     domain.directory().join(LAYOUTS_FILE)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_types::Deviation;
+
+    #[test]
+    fn a_process_of_another_version_is_refused_where_it_uses_what_differs() {
+        let domain = Domain::new(&format!("l{}", std::process::id())).unwrap();
+        assert!(matches!(verify(&domain, Role::Robot, &Layouts::built_in()), Err(RuntimeError::File { .. })));
+        std::fs::create_dir_all(domain.directory()).unwrap();
+        write(&domain).unwrap();
+        let mut mine = Layouts::built_in();
+        assert!(verify(&domain, Role::Estimator, &mine).is_ok());
+        let row = mine.rows.iter_mut().find(|row| row.topic == "pose" && row.field == "nis").unwrap();
+        row.offset += 8;
+        let Err(RuntimeError::Layout(found)) = verify(&domain, Role::Estimator, &mine) else {
+            panic!("not refused")
+        };
+        assert_eq!((found.topic.as_str(), found.field.as_str()), ("pose", "nis"));
+        assert!(matches!(found.what, Deviation::Offset { .. }));
+        assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot has no part in it");
+        std::fs::write(file(&domain), "nonsense").unwrap();
+        assert!(matches!(verify(&domain, Role::Robot, &mine), Err(RuntimeError::Settings { .. })));
+        std::fs::remove_dir_all(domain.directory()).unwrap();
+    }
+}

@@ -104,6 +104,25 @@ fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
     reached(system, &certificates);
 }
 
+/// At half the usual rate in Python, for the sake of machines that do other things as well.
+#[test]
+fn the_examples_honour_all_that_is_asked_of_their_roles() {
+    let system = System::new(EXECUTABLE);
+    let obstacles = c_obstacles(&system);
+    let mut commands = vec![("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()])];
+    if let Some(python) = python("the_examples_honour_all_that_is_asked_of_their_roles, the controller") {
+        let program = examples("python").join("pure_pursuit.py");
+        let words = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+        commands.push(("controller", "5", words.map(str::to_owned).to_vec()));
+    }
+    for (role, rate_hz, words) in commands {
+        let mut command = system.command(&["conformance", role, "--rate", rate_hz, "--"]);
+        let output = command.args(&words).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    system.assert_nothing_left();
+}
+
 #[test]
 fn every_example_drives_the_whole_way_in_lock_step() {
     let system = System::new(EXECUTABLE);
