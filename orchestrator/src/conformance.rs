@@ -24,6 +24,7 @@ mod obstacles;
 mod report;
 mod robot;
 mod stand;
+mod suite;
 
 use std::ffi::OsString;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -38,7 +39,7 @@ pub use report::{CaseReport, Report};
 use crate::exit::{Exit, Failure};
 use crate::system::IMPLEMENTATIONS;
 use case::{Case, Trouble, Verdict};
-use stand::Suite;
+use suite::Suite;
 
 /// Arguments of `conformance`.
 #[derive(Debug, Args)]

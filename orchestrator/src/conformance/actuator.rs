@@ -11,7 +11,8 @@ use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::lifecycle::end;
 use super::message::Message;
-use super::stand::{ANSWER_NS, Setup, Stand, Suite};
+use super::stand::{ANSWER_NS, Stand};
+use super::suite::{Setup, Suite};
 
 /// Where in the drive the cases begin: the commands drive.
 const FIRST_SCAN: u64 = 20;

@@ -6,7 +6,8 @@ use shared_types::{CHECKPOINT_BYTES, Checkpoint, Header, Role};
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require, skipped};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::{ANSWER_NS, Heard, Setup, Stand, Suite, asking};
+use super::stand::{ANSWER_NS, Heard, Stand, asking};
+use super::suite::{Setup, Suite};
 
 /// Scans of a case that counts answers.
 const SCANS: usize = 20;

@@ -5,7 +5,7 @@ use std::fmt::Display;
 use runtime::RuntimeError;
 use serde::{Deserialize, Serialize};
 
-use super::stand::Suite;
+use super::suite::Suite;
 
 /// In real time a machine that is too busy for a process to run within three periods spoils a case.
 pub(crate) const LIVE: u32 = 3;

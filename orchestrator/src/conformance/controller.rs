@@ -9,7 +9,8 @@ use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::{Setup, Stand, Suite};
+use super::stand::Stand;
+use super::suite::{Setup, Suite};
 
 /// Scans of a case.
 const SCANS: usize = 12;

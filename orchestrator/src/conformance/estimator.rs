@@ -7,7 +7,7 @@ use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::{Setup, Suite};
+use super::suite::{Setup, Suite};
 
 /// Scans of a case: some metres of driving.
 const SCANS: usize = 25;

@@ -8,7 +8,8 @@ use shared_types::{Authority, Fault, Heartbeat, Topic};
 use super::answers::joins;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::message::Message;
-use super::stand::{ANSWER_NS, STRANGER, Setup, Stand, Suite, asking, speaker};
+use super::stand::{ANSWER_NS, STRANGER, Stand, asking, speaker};
+use super::suite::{Setup, Suite};
 
 /// Where in the drive the cases begin: the robot drives, the box is in view.
 const FIRST_SCAN: u64 = 20;

@@ -6,7 +6,8 @@ use rustix::process::{Pid, Signal, getpgid, kill_process_group};
 use shared_types::{Phase, ProcessState, Role};
 
 use super::case::{Case, LIVE, Level, Verdict, failed, require};
-use super::stand::{ANSWER_NS, Setup, Stand, Suite};
+use super::stand::{ANSWER_NS, Stand};
+use super::suite::{Setup, Suite};
 
 /// Time between the request to end and the kill, the default of `grace_ms` in a system file [ms].
 const GRACE_MS: u64 = 1000;

@@ -6,7 +6,8 @@ use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::{Heard, Setup, Stand, Suite};
+use super::stand::{Heard, Stand};
+use super::suite::{Setup, Suite};
 
 /// The box of the default drive: centre, length and width [m].
 const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];

@@ -7,7 +7,8 @@ use shared_types::{ActuationKind, Odometry, Phase, Scan, Topic};
 use super::answers::{own_stamps, same, valid, within};
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require};
 use super::message::Message;
-use super::stand::{ANSWER_NS, Heard, Order, STRANGER, Setup, Stand, Suite};
+use super::stand::{ANSWER_NS, Heard, Order, STRANGER, Stand};
+use super::suite::{Setup, Suite};
 
 /// Scans of a case.
 const SCANS: usize = 15;

@@ -7,15 +7,14 @@
 //! Waiting never depends on how fast the machine is: it ends with what is waited for, or after seconds. Scans are
 //! published when they are due; when the machine held the stand up, all later ones move back.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use anyhow::Context;
 use runtime::{
-    Bus, ClockKind, Domain, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, RunSettings, SETTINGS_FILE,
-    SYSTEM_ID_VARIABLE, Shutdown, Voice, monotonic_ns, wait_for, write_handover,
+    Bus, Domain, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, Voice, monotonic_ns,
+    wait_for, write_handover,
 };
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
@@ -23,13 +22,13 @@ use shared_types::{
 };
 
 use super::case::{Trouble, failed, require};
-use super::drive::{Course, Drive};
+use super::drive::Drive;
 use super::message::{Ears, Message, Mouths};
-use crate::child::{Child, Launch, start_ticks};
+use super::suite::{Setup, Suite, write_settings};
+use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::exit::{Exit, Failure};
 use crate::lock::SystemLock;
-use crate::run::SettingsFile;
 
 /// A process that has not reached a state of the start barrier after this time does not reach it [ns].
 pub(crate) const START_NS: u64 = 30_000_000_000;
@@ -45,39 +44,6 @@ const CANDIDATE: u32 = 7;
 const OTHERS: u32 = 100;
 /// An incarnation without authority.
 pub(crate) const STRANGER: u32 = 999;
-
-/// What all cases of a suite share.
-pub(crate) struct Suite {
-    /// Role of the candidate.
-    pub(crate) role: Role,
-    /// Program and arguments.
-    pub(crate) command: Vec<OsString>,
-    /// Scan period [ns].
-    pub(crate) period_ns: u64,
-    /// Tells when the user wants to end.
-    pub(crate) shutdown: Shutdown,
-    drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
-    stands: AtomicU32,
-}
-
-/// How a stand is set up.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Setup {
-    /// The drive that is played.
-    pub(crate) course: Course,
-    /// Whether time is simulated.
-    pub(crate) lockstep: bool,
-    /// How long the candidate goes on without a directive [ns].
-    pub(crate) orphan_ns: u64,
-    /// The first scan that is played.
-    pub(crate) first_scan: u64,
-}
-
-impl Default for Setup {
-    fn default() -> Self {
-        Self { course: Course::Corridor, lockstep: false, orphan_ns: 30_000_000_000, first_scan: 1 }
-    }
-}
 
 /// Something that the candidate said.
 #[derive(Debug, Clone)]
@@ -97,39 +63,6 @@ pub(crate) enum Order {
     Block,
     /// Say nothing.
     Silence,
-}
-
-impl Suite {
-    pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
-        let shutdown = Shutdown::on_signals()?;
-        sweep()?;
-        Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), stands: AtomicU32::new(0) })
-    }
-
-    /// A recorded drive.
-    pub(crate) fn drive(&self, course: Course) -> anyhow::Result<Arc<Drive>> {
-        // Held while it is made, so that it is made once.
-        let mut drives = self.drives.lock().map_err(|_| anyhow::anyhow!("another case has panicked"))?;
-        if let Some(drive) = drives.get(&course) {
-            return Ok(Arc::clone(drive));
-        }
-        let drive = Arc::new(Drive::record(course, self.period_ns)?);
-        drives.insert(course, Arc::clone(&drive));
-        Ok(drive)
-    }
-
-    /// A stand without a candidate yet.
-    pub(crate) fn stand(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
-        let number = self.stands.fetch_add(1, Ordering::Relaxed);
-        Ok(Stand::new(self, setup, number)?)
-    }
-
-    /// A stand whose candidate has started and waits for its first scan.
-    pub(crate) fn started(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
-        let mut stand = self.stand(setup)?;
-        stand.start()?;
-        Ok(stand)
-    }
 }
 
 /// A system with one process in it.
@@ -172,7 +105,7 @@ pub(crate) struct Stand<'a> {
 }
 
 impl<'a> Stand<'a> {
-    fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
+    pub(super) fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
         let drive = suite.drive(setup.course)?;
         let domain = Domain::new(&format!("c{}-{number}", std::process::id()))?;
         // Another system that ends just now may remove the folder above that of ours.
@@ -581,21 +514,6 @@ impl<'a> Stand<'a> {
     }
 }
 
-/// Removes what suites that were killed have left: systems that are named after a process which is gone.
-fn sweep() -> anyhow::Result<()> {
-    let here = Domain::new("c0-0")?;
-    let Some(Ok(systems)) = here.directory().parent().map(std::fs::read_dir) else { return Ok(()) };
-    for system in systems.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
-        let suite = system.strip_prefix('c').and_then(|rest| rest.split_once('-'));
-        let pid = suite.and_then(|(pid, _)| pid.parse().ok());
-        if pid.is_some_and(|pid| start_ticks(pid).is_none()) {
-            // Taking the lock ends what still runs, giving it back removes the files.
-            drop(SystemLock::acquire(&Domain::new(&system)?));
-        }
-    }
-    Ok(())
-}
-
 /// Topics whose samples make a role answer a scan.
 pub(crate) fn asking(role: Role) -> &'static [Topic] {
     match role {
@@ -608,23 +526,4 @@ pub(crate) fn asking(role: Role) -> &'static [Topic] {
 /// The incarnation that the stand speaks as in place of a role.
 pub(crate) fn speaker(role: Role) -> u32 {
     OTHERS + role as u32
-}
-
-fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
-    let settings = &drive.settings;
-    let tuning = settings.tuning.clone().for_scenario(&settings.scenario);
-    let file = SettingsFile {
-        run: RunSettings {
-            period_ns: settings.period_ns,
-            clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_timeout_ns: setup.orphan_ns,
-        },
-        scenario: &settings.scenario,
-        estimator: &tuning.estimator,
-        obstacles: &tuning.obstacles,
-        controller: &tuning.controller,
-        actuator: &tuning.actuator,
-    };
-    let path = domain.directory().join(SETTINGS_FILE);
-    std::fs::write(&path, toml::to_string(&file)?).with_context(|| format!("{}", path.display()))
 }
