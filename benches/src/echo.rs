@@ -7,7 +7,7 @@
 use std::process::{Child, Command as Program, Stdio};
 use std::thread::JoinHandle;
 
-use runtime::{Bus, Domain, Observer, RuntimeError, Voice, wait_for};
+use runtime::{Bus, Domain, Observer, RuntimeError, Voice};
 use shared_types::{Command, Pose, Sample};
 
 /// Tells the other end to end.
@@ -146,7 +146,7 @@ pub fn echo_until_told(system_id: &str) -> Result<(), RuntimeError> {
 
 /// Sleeps until a sample may have come; false after the time-out.
 fn wait_on<S: Sample>(observer: &Observer<S>) -> bool {
-    observer.descriptor().is_some_and(|descriptor| wait_for(&[descriptor], PATIENCE_NS))
+    observer.wait(PATIENCE_NS)
 }
 
 #[cfg(test)]

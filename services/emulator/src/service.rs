@@ -29,7 +29,7 @@ pub fn run() -> anyhow::Result<()> {
     let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
     loop {
         let due_ns = origin_ns + emulator.scan_ready_ns(scan_id);
-        if !process.wait(Some(due_ns))? {
+        if !process.wait_for_time(due_ns)? {
             return Ok(());
         }
         while let Some(actuation) = actuations.take() {

@@ -25,7 +25,7 @@ pub fn run() -> anyhow::Result<()> {
         return Ok(());
     }
     let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
-    while process.wait(None)? {
+    while process.wait_joined()? {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
             let simulated = process.clock().is_simulated();
             let started_ns = monotonic_ns();

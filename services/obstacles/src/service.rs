@@ -27,7 +27,7 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
-    while process.wait(None)? {
+    while process.wait_joined()? {
         while let Some((scan, pose)) = join(&scans, &poses) {
             if lost {
                 continue;

@@ -3,10 +3,9 @@
 //! Only the orchestrator creates, so a process that starts first can't create a topic with other sizes, and
 //! the order of starts is irrelevant.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{
@@ -19,12 +18,13 @@ use shared_types::{
     Truth,
 };
 
+use crate::bell::Bells;
 use crate::quality::{EVENT_PORTS, NODES, quality};
 use crate::wire::Wire;
 use crate::{Domain, RuntimeError, layouts};
 
 type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
-type Events = event::PortFactory<ipc::Service>;
+pub(crate) type Events = event::PortFactory<ipc::Service>;
 
 pub(crate) type WirePublisher<S> = Publisher<ipc::Service, Wire<S>, ()>;
 pub(crate) type WireSubscriber<S> = Subscriber<ipc::Service, Wire<S>, ()>;
@@ -36,6 +36,7 @@ const OPEN_RETRY: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 pub struct Bus {
     node: Node<ipc::Service>,
+    bells: Arc<Bells>,
     created: Vec<Box<dyn std::fmt::Debug>>,
 }
 
@@ -46,7 +47,7 @@ impl Bus {
     /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full, and
     /// [`RuntimeError::File`] when the layouts of the samples can't be written beside it.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
-        let mut bus = Self::open(domain, "orchestrator")?;
+        let mut bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::write(domain)?;
         bus.create_topic::<Scan>()?;
         bus.create_topic::<Odometry>()?;
@@ -66,6 +67,10 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn open(domain: &Domain, name: &str) -> Result<Self, RuntimeError> {
+        Self::join(domain, name, Bells::open(domain)?)
+    }
+
+    fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
         set_log_level_from_env_or(LogLevel::Fatal);
         let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
         let node = NodeBuilder::new()
@@ -74,7 +79,7 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|reason| RuntimeError::bus("join the bus", reason))?;
-        Ok(Self { node, created: Vec::new() })
+        Ok(Self { node, bells, created: Vec::new() })
     }
 
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.
@@ -102,14 +107,16 @@ impl Bus {
             .map_err(|reason| RuntimeError::bus(format!("read topic {}", S::TOPIC), reason))
     }
 
-    pub(crate) fn notifier(&self, topic: Topic) -> Result<Notifier<ipc::Service>, RuntimeError> {
-        let created = self.events(topic)?.notifier_builder().create();
-        created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))
+    /// The doorbells of the system.
+    pub(crate) fn bells(&self) -> &Arc<Bells> {
+        &self.bells
     }
 
-    pub(crate) fn listener(&self, topic: Topic) -> Result<Listener<ipc::Service>, RuntimeError> {
-        let created = self.events(topic)?.listener_builder().create();
-        created.map_err(|reason| RuntimeError::bus(format!("listen to topic {topic}"), reason))
+    /// The event service of a topic.
+    pub(crate) fn events(&self, topic: Topic) -> Result<Events, RuntimeError> {
+        let name = service_name(topic)?;
+        let open = || self.node.service_builder(&name).event().open();
+        retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 
     fn create_topic<S: Sample>(&mut self) -> Result<(), RuntimeError> {
@@ -147,12 +154,6 @@ impl Bus {
         let name = service_name(S::TOPIC)?;
         let open = || self.node.service_builder(&name).publish_subscribe::<Wire<S>>().open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", S::TOPIC), reason))
-    }
-
-    fn events(&self, topic: Topic) -> Result<Events, RuntimeError> {
-        let name = service_name(topic)?;
-        let open = || self.node.service_builder(&name).event().open();
-        retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 }
 

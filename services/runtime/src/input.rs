@@ -3,18 +3,16 @@
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::ops::Deref;
-use std::os::fd::RawFd;
 use std::rc::Rc;
 
-use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::Sample;
+use shared_types::{Sample, Topic};
 
 use crate::bus::WireSubscriber;
 use crate::counters::count;
+use crate::ear::Ear;
 use crate::process::Shared;
-use crate::wake::{clear, descriptor};
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
@@ -48,7 +46,7 @@ pub struct Input<S: Sample>(Rc<Reader<S>>);
 
 struct Reader<S: Sample> {
     subscriber: WireSubscriber<S>,
-    listener: Listener<ipc::Service>,
+    ear: Ear,
     shared: Rc<Shared>,
     kept: RefCell<VecDeque<Taken<S>>>,
     aside: RefCell<VecDeque<Taken<S>>>,
@@ -67,7 +65,7 @@ impl<S: Sample> Input<S> {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
         Ok(Self(Rc::new(Reader {
             subscriber: bus.subscriber::<S>()?,
-            listener: bus.listener(S::TOPIC)?,
+            ear: Ear::new(bus, S::TOPIC)?,
             shared,
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
@@ -131,8 +129,12 @@ pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(T
 
 /// An input as its process sees it.
 pub(crate) trait Drain {
-    /// The descriptor that wakes the process.
-    fn descriptor(&self) -> RawFd;
+    /// The topic.
+    fn topic(&self) -> Topic;
+    /// The event of the topic, for writers that do not ring.
+    fn ear(&self) -> &Ear;
+    /// Whether nothing waits to be taken.
+    fn is_empty(&self) -> bool;
     /// Clears notifications, takes all samples from the bus and keeps the good ones.
     fn drain(&self) -> Result<(), RuntimeError>;
     /// Looks again at what was kept aside, now that the directive has changed.
@@ -140,13 +142,21 @@ pub(crate) trait Drain {
 }
 
 impl<S: Sample> Drain for Input<S> {
-    fn descriptor(&self) -> RawFd {
-        descriptor(&self.0.listener)
+    fn topic(&self) -> Topic {
+        S::TOPIC
+    }
+
+    fn ear(&self) -> &Ear {
+        &self.0.ear
+    }
+
+    fn is_empty(&self) -> bool {
+        self.0.kept.borrow().is_empty()
     }
 
     fn drain(&self) -> Result<(), RuntimeError> {
         let reader = &*self.0;
-        clear(&reader.listener);
+        reader.ear.clear();
         let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
         while let Some(sample) = reader.subscriber.receive().map_err(error)? {
             reader.offer(Taken(sample), false);

@@ -25,10 +25,12 @@
 //! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
 
 mod allocations;
+mod bell;
 mod bus;
 mod clock;
 mod counters;
 mod domain;
+mod ear;
 mod environment;
 mod error;
 mod handover;
@@ -39,6 +41,7 @@ mod observer;
 mod output;
 mod process;
 mod quality;
+mod realtime;
 mod settings;
 mod shutdown;
 #[cfg(test)]
@@ -59,6 +62,7 @@ pub use logging::start_logging;
 pub use observer::{Checked, Observer, Voice};
 pub use output::Output;
 pub use process::Process;
+pub use realtime::{Realtime, Scheduler};
 pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};
 pub use shutdown::Shutdown;
 pub use wake::wait_for;

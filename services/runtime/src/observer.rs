@@ -1,17 +1,16 @@
 //! Looking at topics, and speaking as the orchestrator, without being a process of the loop.
 
-use std::os::fd::BorrowedFd;
+use std::cell::Cell;
+use std::sync::Arc;
 
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::ipc;
 use shared_types::{Fault, Sample};
 
+use crate::bell::{ANY, Bells};
 use crate::bus::{WirePublisher, WireSubscriber};
-use crate::wake::{borrow, clear, descriptor};
+use crate::ear::{Ear, Ringer};
 use crate::wire::Wire;
-use crate::{Bus, RuntimeError};
+use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
 /// A sample, and whether its content may be used.
 pub type Checked<S> = (S, Result<(), Fault>);
@@ -19,7 +18,14 @@ pub type Checked<S> = (S, Result<(), Fault>);
 /// Copies samples of one topic; never slows the loop, because the oldest waiting sample is replaced.
 pub struct Observer<S: Sample> {
     subscriber: WireSubscriber<S>,
-    listener: Option<Listener<ipc::Service>>,
+    waking: Option<Waking>,
+}
+
+/// What an observer sleeps on.
+struct Waking {
+    bells: Arc<Bells>,
+    ear: Ear,
+    seen: Cell<u32>,
 }
 
 impl<S: Sample> Observer<S> {
@@ -28,20 +34,42 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { subscriber: bus.subscriber::<S>()?, listener: None })
+        Ok(Self { subscriber: bus.subscriber::<S>()?, waking: None })
     }
 
-    /// Looks at the topic and can be waited on, see [`Observer::descriptor`].
+    /// Looks at the topic and can be slept on, see [`Observer::wait`].
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { subscriber: bus.subscriber::<S>()?, listener: Some(bus.listener(S::TOPIC)?) })
+        let (bells, ear) = (Arc::clone(bus.bells()), Ear::new(bus, S::TOPIC)?);
+        let waking = Some(Waking { bells, ear, seen: Cell::new(0) });
+        Ok(Self { subscriber: bus.subscriber::<S>()?, waking })
     }
 
-    /// Readable when a sample may have come; only for [`Observer::waking`].
-    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
-        self.listener.as_ref().map(|listener| borrow(descriptor(listener)))
+    /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
+    /// [`Observer::waking`] it always sleeps to the end.
+    ///
+    /// To be called when [`Observer::poll`] or [`Observer::next`] has found nothing more: what still waits there does
+    /// not end the sleep.
+    pub fn wait(&self, timeout_ns: u64) -> bool {
+        let Some(waking) = &self.waking else { return wait_for(&[], timeout_ns) };
+        let bell = waking.bells.topic(S::TOPIC);
+        let on = waking.ear.is_needed(false);
+        if on && waking.ear.descriptor().is_none() {
+            // What was notified before this is not heard: look first.
+            waking.ear.listen(true);
+            return true;
+        }
+        waking.ear.listen(on);
+        let awake = match waking.ear.descriptor() {
+            Some(descriptor) => bell.look() != waking.seen.get() || wait_for(&[descriptor], timeout_ns),
+            None => bell.sleep(waking.seen.get(), monotonic_ns().saturating_add(timeout_ns), ANY),
+        };
+        if !awake {
+            waking.ear.is_needed(true);
+        }
+        awake
     }
 
     /// Makes this end of all connections.
@@ -54,8 +82,9 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn next(&self) -> Result<Option<Checked<S>>, RuntimeError> {
-        if let Some(listener) = &self.listener {
-            clear(listener);
+        if let Some(waking) = &self.waking {
+            waking.seen.set(waking.bells.topic(S::TOPIC).look());
+            waking.ear.clear();
         }
         let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
         let sample = self.subscriber.receive().map_err(error)?;
@@ -81,7 +110,7 @@ impl<S: Sample> Observer<S> {
 /// Publishes samples that belong to no role: the orchestrator's directives and relayed checkpoints.
 pub struct Voice<S: Sample> {
     publisher: WirePublisher<S>,
-    notifier: Notifier<ipc::Service>,
+    ringer: Ringer,
     sequence: u64,
 }
 
@@ -91,7 +120,7 @@ impl<S: Sample> Voice<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { publisher: bus.publisher::<S>()?.0, notifier: bus.notifier(S::TOPIC)?, sequence: 0 })
+        Ok(Self { publisher: bus.publisher::<S>()?.0, ringer: Ringer::new(bus, S::TOPIC)?, sequence: 0 })
     }
 
     /// Publishes, and wakes the readers when `wake`. Layout and sequence are filled here.
@@ -115,7 +144,7 @@ impl<S: Sample> Voice<S> {
         let loaned = self.publisher.loan_uninit().map_err(|reason| error(&reason))?;
         loaned.write_payload(Wire(*sample)).send().map_err(|reason| error(&reason))?;
         if wake {
-            let _ = self.notifier.notify();
+            self.ringer.ring();
         }
         Ok(())
     }

@@ -3,7 +3,6 @@
 use std::cell::Cell;
 use std::rc::Rc;
 
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::ipc;
 use iceoryx2::service::port_factory::{PortFactory, publish_subscribe};
@@ -11,6 +10,7 @@ use shared_types::{Role, Sample};
 
 use crate::bus::WirePublisher;
 use crate::counters::count;
+use crate::ear::Ringer;
 use crate::process::Shared;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
@@ -19,7 +19,7 @@ use crate::{Bus, RuntimeError};
 pub struct Output<S: Sample> {
     publisher: WirePublisher<S>,
     service: publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>,
-    notifier: Notifier<ipc::Service>,
+    ringer: Ringer,
     shared: Rc<Shared>,
     sequence: Cell<u64>,
 }
@@ -27,7 +27,7 @@ pub struct Output<S: Sample> {
 impl<S: Sample> Output<S> {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
         let (publisher, service) = bus.publisher::<S>()?;
-        Ok(Self { publisher, service, notifier: bus.notifier(S::TOPIC)?, shared, sequence: Cell::new(0) })
+        Ok(Self { publisher, service, ringer: Ringer::new(bus, S::TOPIC)?, shared, sequence: Cell::new(0) })
     }
 
     /// Completes the header of `sample` and publishes it to all readers, then wakes them.
@@ -38,8 +38,7 @@ impl<S: Sample> Output<S> {
     /// [`RuntimeError::Bus`] when iceoryx2 refuses; a reader that was not reached is counted, not an error.
     pub fn publish(&self, sample: &mut S) -> Result<(), RuntimeError> {
         self.send(sample)?;
-        // A listener that can't be notified will find the sample at its next time-out.
-        let _ = self.notifier.notify();
+        self.ringer.ring();
         Ok(())
     }
 

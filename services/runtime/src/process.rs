@@ -3,19 +3,22 @@
 use std::cell::{Cell, RefCell};
 use std::os::fd::BorrowedFd;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
+    Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
 };
 
+use crate::bell::{ANY, Bells, bit};
 use crate::counters::{Counters, count};
+use crate::ear::Ear;
 use crate::handover::{self, Handover};
 use crate::input::{Drain, Input};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
-use crate::wake::{borrow, wait_for};
-use crate::{Bus, Clock, Domain, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
+use crate::wake::wait_for;
+use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
@@ -36,6 +39,7 @@ pub(crate) struct Shared {
     pub(crate) directive: RefCell<Directive>,
     pub(crate) max_age_ns: u64,
     pub(crate) produced: Cell<bool>,
+    pub(crate) taken_ns: Cell<u64>,
 }
 
 impl Shared {
@@ -43,6 +47,7 @@ impl Shared {
     pub(crate) fn taken<S: Sample>(&self, sample: &S) {
         self.clock.advance_to(sample.header().scan_published_ns());
         let now = self.clock.now_ns();
+        self.taken_ns.set(now);
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
         count(&self.counters.used, 1);
@@ -54,7 +59,9 @@ pub struct Process {
     domain: Domain,
     settings: toml::Table,
     run: RunSettings,
+    realtime: Realtime,
     bus: Bus,
+    bells: Arc<Bells>,
     shared: Rc<Shared>,
     shutdown: Shutdown,
     directive: Input<Directive>,
@@ -65,6 +72,19 @@ pub struct Process {
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
+    rung: u32,
+    listens: bool,
+}
+
+/// What a process sleeps for.
+#[derive(Clone, Copy, PartialEq)]
+enum Need {
+    /// An input, whichever.
+    Any,
+    /// All inputs: one that does not complete them need not wake.
+    All,
+    /// A time, as exactly as the settings allow, or an input before it.
+    Time,
 }
 
 impl Process {
@@ -80,7 +100,11 @@ impl Process {
         let shutdown = Shutdown::on_signals()?;
         let settings = settings::read(&domain)?;
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
+        let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
+        realtime.apply_timer_slack();
         let bus = Bus::open(&domain, role.name())?;
+        let bells = Arc::clone(bus.bells());
+        shutdown.ring_also(&bells, role)?;
         let shared = Rc::new(Shared {
             role,
             incarnation,
@@ -90,6 +114,7 @@ impl Process {
             directive: RefCell::default(),
             max_age_ns: MAX_AGE_PERIODS * run.period_ns,
             produced: Cell::new(false),
+            taken_ns: Cell::new(0),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
@@ -102,6 +127,11 @@ impl Process {
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),
+            // Whatever was rung before is found by the first look.
+            rung: bells.role(role).look().wrapping_sub(1),
+            listens: false,
+            realtime,
+            bells,
             domain,
             settings,
             run,
@@ -172,7 +202,7 @@ impl Process {
     pub fn start(&mut self) -> Result<bool, RuntimeError> {
         self.beat()?;
         loop {
-            if !self.sleep(LONGEST_WAIT_NS)? {
+            if !self.sleep(LONGEST_WAIT_NS, Need::Any)? {
                 return Ok(false);
             }
             let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);
@@ -181,6 +211,7 @@ impl Process {
                 for input in &self.inputs {
                     input.drain()?;
                 }
+                self.realtime.apply_memory();
                 self.enter(ProcessState::Connected)?;
             }
             if phase >= Phase::Driving {
@@ -197,6 +228,28 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn wait(&mut self, deadline_ns: Option<u64>) -> Result<bool, RuntimeError> {
+        self.wait_until(deadline_ns, Need::Any)
+    }
+
+    /// [`Process::wait`] for a process that [`crate::join`]s its inputs: while several are missing, only the one declared last
+    /// wakes it, and then the next that is missing.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn wait_joined(&mut self) -> Result<bool, RuntimeError> {
+        self.wait_until(None, Need::All)
+    }
+
+    /// [`Process::wait`] for a process whose work begins at a time, not with an input: with `realtime.poll_us` it is
+    /// awake before that time, so that it need not be woken.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn wait_for_time(&mut self, due_ns: u64) -> Result<bool, RuntimeError> {
+        self.wait_until(Some(due_ns), Need::Time)
+    }
+
+    fn wait_until(&mut self, deadline_ns: Option<u64>, need: Need) -> Result<bool, RuntimeError> {
         if self.shared.produced.get() && self.state == ProcessState::Connected {
             self.enter(ProcessState::Ready)?;
         }
@@ -206,7 +259,9 @@ impl Process {
             }
             _ => LONGEST_WAIT_NS,
         };
-        self.sleep(remaining)
+        // Only the time itself is met exactly, not the end of a sleep before it.
+        let need = if need == Need::Time && remaining == LONGEST_WAIT_NS { Need::Any } else { need };
+        self.sleep(remaining, need)
     }
 
     /// Notes that work begins without an input: for the robot, whose scans start the chain.
@@ -274,24 +329,25 @@ impl Process {
         Ok(fresh.map_or(Handover::Lost, Handover::State))
     }
 
-    fn sleep(&mut self, longest_ns: u64) -> Result<bool, RuntimeError> {
+    fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {
         let now = monotonic_ns();
-        if now >= self.next_heartbeat_ns {
+        let beats = now >= self.next_heartbeat_ns;
+        if beats {
             self.beat()?;
         }
-        let mut descriptors: [BorrowedFd<'_>; 8] = std::array::from_fn(|_| self.shutdown.descriptor());
-        descriptors[1] = borrow(self.directive.descriptor());
-        let mut used = 2;
-        for (slot, input) in descriptors[2..].iter_mut().zip(&self.inputs) {
-            *slot = borrow(input.descriptor());
-            used += 1;
-        }
-        let timed_out = !wait_for(&descriptors[..used], longest_ns);
+        let timed_out = if self.listens {
+            !self.sleep_on_events(longest_ns)
+        } else {
+            !self.sleep_on_bell(now, now + longest_ns, need)
+        };
         let woken_ns = self.shared.clock.now_ns();
         let counters = &self.shared.counters;
         count(&counters.activations, 1);
         count(&counters.timeouts, u64::from(timed_out));
         self.shared.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });
+        // Before anything is emptied: what comes later rings again.
+        self.rung = self.bells.role(self.shared.role).look();
+        self.listen_where_needed(beats);
         self.directive.drain()?;
         if let Some(directive) = self.directive.take_newest() {
             *self.shared.directive.borrow_mut() = *directive;
@@ -307,6 +363,72 @@ impl Process {
             tracing::error!("no orchestrator for {} s: ending", self.run.orphan_timeout_ns / 1_000_000_000);
         }
         Ok(!self.shutdown.requested() && !orphaned)
+    }
+
+    /// Sleeps on the doorbell; false after a time-out.
+    fn sleep_on_bell(&self, now: u64, until_ns: u64, need: Need) -> bool {
+        let bell = self.bells.role(self.shared.role);
+        let poll_ns = if self.shared.clock.is_simulated() { 0 } else { 1000 * self.realtime.poll_us };
+        if poll_ns == 0 {
+            let bits = if need == Need::All { self.missing() } else { ANY };
+            return bell.sleep(self.rung, until_ns, bits);
+        }
+        let (from_ns, to_ns) = match need {
+            Need::Time => (until_ns.saturating_sub(poll_ns), until_ns),
+            // The others are at work on what is missing.
+            Need::All if self.inputs.iter().any(|input| !input.is_empty()) => (now, now + poll_ns),
+            Need::All => (until_ns, until_ns),
+            Need::Any => {
+                let expected_ns = self.shared.taken_ns.get() + self.run.period_ns;
+                (expected_ns.saturating_sub(poll_ns), expected_ns + poll_ns)
+            }
+        };
+        let (from_ns, to_ns) = (from_ns.min(until_ns), to_ns.min(until_ns));
+        if now < from_ns && bell.sleep(self.rung, from_ns, ANY) {
+            return true;
+        }
+        while monotonic_ns() < to_ns {
+            if bell.look() != self.rung {
+                return true;
+            }
+            std::hint::spin_loop();
+        }
+        to_ns < until_ns && bell.sleep(self.rung, until_ns, ANY)
+    }
+
+    /// What a process that joins its inputs waits for: the last of those that are missing.
+    fn missing(&self) -> u32 {
+        let missing = self.inputs.iter().rev().find(|input| input.is_empty());
+        missing.map_or(ANY, |input| bit(input.topic()) | bit(Topic::Directive))
+    }
+
+    /// Sleeps on the events of all topics, which writers of ours notify as well; false after a time-out.
+    fn sleep_on_events(&self, longest_ns: u64) -> bool {
+        if self.bells.role(self.shared.role).look() != self.rung {
+            return true;
+        }
+        let mut descriptors: [BorrowedFd<'_>; 8] = std::array::from_fn(|_| self.shutdown.descriptor());
+        let ears = self.inputs.iter().map(|input| input.ear()).chain([self.directive.ear()]);
+        let mut used = 1;
+        for (slot, descriptor) in descriptors[1..].iter_mut().zip(ears.filter_map(Ear::descriptor)) {
+            *slot = descriptor;
+            used += 1;
+        }
+        wait_for(&descriptors[..used], longest_ns)
+    }
+
+    /// Listens to events while a process that does not ring writes one of the topics read here. Called before topics
+    /// are emptied, so what was published before is found, and what is published later is heard.
+    fn listen_where_needed(&mut self, again: bool) {
+        let mut needed = false;
+        for input in &self.inputs {
+            needed |= input.ear().is_needed(again);
+        }
+        if needed || self.listens {
+            self.listens = needed;
+            self.inputs.iter().for_each(|input| input.ear().listen(needed));
+            self.directive.ear().listen(needed);
+        }
     }
 
     fn enter(&mut self, state: ProcessState) -> Result<(), RuntimeError> {

@@ -1,13 +1,16 @@
 //! SIGTERM and SIGINT as a flag that also ends a wait.
+#![expect(unsafe_code, reason = "what a signal handler may do is not checked by the compiler")]
 
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use shared_types::Role;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::RuntimeError;
+use crate::bell::{ANY, Bells};
 
 /// Whether the process has been asked to end.
 #[derive(Debug)]
@@ -35,9 +38,23 @@ impl Shutdown {
         Ok(Self { requested, wake })
     }
 
+    /// Lets the signals ring the bell of a role as well, after the flag is set: whoever looks at the bell and then at
+    /// the flag can't sleep through a signal, whenever it comes.
+    pub(crate) fn ring_also(&self, bells: &Arc<Bells>, role: Role) -> Result<(), RuntimeError> {
+        for signal in [SIGTERM, SIGINT] {
+            let bells = Arc::clone(bells);
+            // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
+            // allocates nothing and does not unwind. The closure keeps the memory mapped.
+            let registered =
+                unsafe { signal_hook::low_level::register(signal, move || bells.role(role).ring(ANY)) };
+            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
+        }
+        Ok(())
+    }
+
     /// Whether a signal has come.
     pub fn requested(&self) -> bool {
-        self.requested.load(Ordering::Relaxed)
+        self.requested.load(Ordering::SeqCst)
     }
 
     /// Readable once a signal has come.

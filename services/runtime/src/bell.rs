@@ -1,0 +1,167 @@
+//! Doorbells: one word of shared memory per reader, on which it sleeps.
+//!
+//! Idea: who publishes adds one to the word of each reader of the topic and, when somebody sleeps there, tells the
+//! kernel to wake it. A reader looks at the word *before* it empties its inputs and later sleeps only if the word is
+//! still the same; the kernel compares once more under its own lock. So a sample that comes after the inputs were
+//! emptied can't be slept through, and no notification has to be taken back: one system call to ring and one to sleep.
+//!
+//! All processes of a role share a bell, also a shadow and a standby: everyone who sleeps there is woken. Each topic
+//! has one more for observers. There is no lock and no owner. A process that is killed in its sleep stays counted as a
+//! sleeper until the system ends, which costs a needless system call per sample and never a wake-up.
+//!
+//! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
+#![expect(unsafe_code, reason = "shared memory is mapped and read through a pointer")]
+
+use std::fs::{File, OpenOptions};
+use std::num::NonZeroU32;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::PathBuf;
+use std::ptr::NonNull;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+use rustix::thread::futex::{self, Flags, Timespec};
+use shared_types::{ROLES, Role, TOPICS, Topic};
+
+use crate::{Domain, RuntimeError};
+
+/// Rings every sleeper, whatever it waits for.
+pub(crate) const ANY: u32 = u32::MAX;
+/// Processors read memory in lines of this many bytes; two bells never share one.
+const LINE: usize = 64;
+
+/// One word to sleep on.
+#[repr(C, align(64))]
+pub(crate) struct Bell {
+    rung: AtomicU32,
+    sleepers: AtomicU32,
+}
+
+/// What is in the file.
+#[repr(C)]
+struct Page {
+    roles: [Bell; ROLES],
+    topics: [Bell; TOPICS.len()],
+}
+
+const _: () = assert!(size_of::<Bell>() == LINE && size_of::<Page>() <= 4096);
+
+/// All bells of one system.
+#[derive(Debug)]
+pub(crate) struct Bells(NonNull<Page>);
+
+// SAFETY: the page consists of atomics only, and it stays mapped until the last user is gone.
+unsafe impl Send for Bells {}
+// SAFETY: as above; every access is atomic.
+unsafe impl Sync for Bells {}
+
+impl Bell {
+    /// What a reader compares later: to be read before its inputs are emptied.
+    pub(crate) fn look(&self) -> u32 {
+        self.rung.load(Ordering::SeqCst)
+    }
+
+    /// Wakes those who sleep here and wait for one of `bits`. Safe to call from a signal handler.
+    pub(crate) fn ring(&self, bits: u32) {
+        self.rung.fetch_add(1, Ordering::SeqCst);
+        // One order of all four accesses: a sleeper that is not seen here sees the new number and does not sleep.
+        if self.sleepers.load(Ordering::SeqCst) > 0
+            && let Some(bits) = NonZeroU32::new(bits)
+        {
+            let _ = futex::wake_bitset(&self.rung, Flags::empty(), i32::MAX.cast_unsigned(), bits);
+        }
+    }
+
+    /// Sleeps unless the bell was rung since `seen`, until it is rung for one of `bits`, a signal comes, or `until_ns`
+    /// of CLOCK_MONOTONIC; returns whether it ended before that time.
+    pub(crate) fn sleep(&self, seen: u32, until_ns: u64, bits: u32) -> bool {
+        let Some(bits) = NonZeroU32::new(bits) else { return true };
+        let until = Timespec {
+            tv_sec: (until_ns / 1_000_000_000).cast_signed(),
+            tv_nsec: (until_ns % 1_000_000_000).cast_signed(),
+        };
+        self.sleepers.fetch_add(1, Ordering::SeqCst);
+        let slept = futex::wait_bitset(&self.rung, Flags::empty(), seen, Some(&until), bits);
+        self.sleepers.fetch_sub(1, Ordering::SeqCst);
+        slept != Err(rustix::io::Errno::TIMEDOUT)
+    }
+}
+
+impl Bells {
+    /// Makes the page of a system, or opens the one that is there: its processes may be asleep on it.
+    pub(crate) fn create(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
+        let path = path(domain);
+        let error = |source| RuntimeError::File { path: path.clone(), source };
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(false).mode(0o600);
+        let file = options.open(&path).map_err(error)?;
+        file.set_len(size_of::<Page>() as u64).map_err(error)?;
+        Self::map(&file).map_err(error)
+    }
+
+    /// Opens the page of a running system.
+    pub(crate) fn open(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
+        let path = path(domain);
+        let error = |source| RuntimeError::File { path: path.clone(), source };
+        let file = OpenOptions::new().read(true).write(true).open(&path).map_err(error)?;
+        if file.metadata().map_err(error)?.len() < size_of::<Page>() as u64 {
+            return Err(error(std::io::Error::other("the doorbells are not finished")));
+        }
+        Self::map(&file).map_err(error)
+    }
+
+    /// The bell of a role.
+    pub(crate) fn role(&self, role: Role) -> &Bell {
+        &self.page().roles[role.index()]
+    }
+
+    /// The bell of those who look on at a topic.
+    pub(crate) fn topic(&self, topic: Topic) -> &Bell {
+        &self.page().topics[topic as usize]
+    }
+
+    /// Rings for all readers of a topic.
+    pub(crate) fn ring(&self, topic: Topic) {
+        for role in Role::ALL {
+            if topic == Topic::Directive || role.reads().contains(&topic) {
+                self.role(*role).ring(bit(topic));
+            }
+        }
+        self.topic(topic).ring(ANY);
+    }
+
+    fn map(file: &File) -> std::io::Result<Arc<Self>> {
+        let protection = ProtFlags::READ | ProtFlags::WRITE;
+        // SAFETY: a new mapping at an address of the kernel's choice; the file is as large as the page, which callers
+        // made sure of, and nobody ever makes it smaller.
+        let page = unsafe {
+            mmap(std::ptr::null_mut(), size_of::<Page>(), protection, MapFlags::SHARED, file, 0)
+        }?;
+        let page = NonNull::new(page.cast()).ok_or_else(|| std::io::Error::other("mapped at zero"))?;
+        Ok(Arc::new(Self(page)))
+    }
+
+    fn page(&self) -> &Page {
+        // SAFETY: mapped in `map` with this size, aligned to a page of the machine, unmapped only on drop; any bytes
+        // are valid atomics, and other processes use atomics too.
+        unsafe { self.0.as_ref() }
+    }
+}
+
+impl Drop for Bells {
+    fn drop(&mut self) {
+        // SAFETY: the mapping was made in `map` with this size, and nobody borrows from a value being dropped.
+        let _ = unsafe { munmap(self.0.as_ptr().cast(), size_of::<Page>()) };
+    }
+}
+
+/// The bit by which a sleeper says that it waits for a topic.
+pub(crate) const fn bit(topic: Topic) -> u32 {
+    1 << topic as u32
+}
+
+/// The layout has a number: processes of another one would sleep on other words.
+fn path(domain: &Domain) -> PathBuf {
+    PathBuf::from(format!("/dev/shm/{}doorbells.v1", domain.shared_memory_prefix()))
+}

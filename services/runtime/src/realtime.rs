@@ -1,0 +1,134 @@
+//! What a process asks of the machine to be quick: settings, and the system calls behind them.
+//!
+//! Everything is off by default, and nothing is ever required: what the machine refuses is a warning that says what
+//! to change, because a robot that reacts a little later is better than one that does not start.
+#![expect(unsafe_code, reason = "the scheduler of a process is set by a system call that no crate of ours wraps")]
+
+use std::num::NonZeroU64;
+
+use rustix::mm::{MlockAllFlags, mlockall};
+use rustix::process::Pid;
+use rustix::thread::{CpuSet, sched_setaffinity, set_current_timer_slack};
+use serde::{Deserialize, Serialize};
+
+/// How the kernel chooses among processes that want to run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scheduler {
+    /// By fair shares, SCHED_OTHER.
+    #[default]
+    Other,
+    /// Before all processes of fair shares, SCHED_FIFO.
+    Fifo,
+}
+
+/// The table `realtime` of the system file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Realtime {
+    /// How long a process looks at its doorbell without sleeping, before and after the time at which it expects its
+    /// next input, 0 to 2000 [us].
+    pub poll_us: u64,
+    /// Processors that the processes of the loop may run on; empty for all.
+    pub cpu: Vec<usize>,
+    /// How the kernel chooses among processes.
+    pub scheduler: Scheduler,
+    /// Priority with `fifo`, 1 to 98.
+    pub priority: u32,
+    /// Whether memory is mapped, written to and locked before the robot drives.
+    pub lock_memory: bool,
+    /// Whether processors may sleep deeply when idle; false keeps them awake while the system runs.
+    pub idle_states: bool,
+    /// How much later than asked for a sleep may end, 1 to 1000000 [ns].
+    pub timer_slack_ns: u64,
+}
+
+impl Default for Realtime {
+    fn default() -> Self {
+        Self {
+            poll_us: 0,
+            cpu: Vec::new(),
+            scheduler: Scheduler::Other,
+            priority: 40,
+            lock_memory: false,
+            idle_states: true,
+            // What the kernel gives every process.
+            timer_slack_ns: 50_000,
+        }
+    }
+}
+
+impl Realtime {
+    /// Processors and scheduler of another process, in whatever language it is written; returns one warning for each
+    /// thing that the machine refused.
+    ///
+    /// Threads that the process starts later inherit both.
+    pub fn apply_to(&self, pid: u32) -> Vec<String> {
+        let mut refused = Vec::new();
+        let Some(process) = Pid::from_raw(pid.cast_signed()) else { return refused };
+        if !self.cpu.is_empty() {
+            let mut set = CpuSet::new();
+            self.cpu.iter().filter(|cpu| **cpu < CpuSet::MAX_CPU).for_each(|cpu| set.set(*cpu));
+            if let Err(error) = sched_setaffinity(Some(process), &set) {
+                refused.push(format!(
+                    "realtime.cpu = {:?} has no effect ({error}): name processors that this machine has and may use",
+                    self.cpu
+                ));
+            }
+        }
+        if self.scheduler == Scheduler::Fifo
+            && let Err(error) = set_fifo(pid, self.priority)
+        {
+            refused.push(format!(
+                "realtime.scheduler = \"fifo\" has no effect ({error}): allow it with `ulimit -r {0}`, \
+                 `LimitRTPRIO={0}` in a systemd unit, or CAP_SYS_NICE",
+                self.priority
+            ));
+        }
+        refused
+    }
+
+    /// The timer slack of this process.
+    pub(crate) fn apply_timer_slack(&self) {
+        if let Err(error) = set_current_timer_slack(NonZeroU64::new(self.timer_slack_ns)) {
+            tracing::warn!(%error, "realtime.timer_slack_ns has no effect");
+        }
+    }
+
+    /// Maps and locks all memory of this process, if asked for: to be called when all ports and connections exist.
+    pub(crate) fn apply_memory(&self) {
+        if self.lock_memory
+            && let Err(error) = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)
+        {
+            tracing::warn!(
+                %error,
+                "realtime.lock_memory has no effect: allow it with `ulimit -l unlimited`, `LimitMEMLOCK=infinity` in a \
+                 systemd unit, or CAP_IPC_LOCK"
+            );
+        }
+    }
+}
+
+fn set_fifo(pid: u32, priority: u32) -> std::io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority.cast_signed() };
+    // SAFETY: the kernel reads the parameters during the call and keeps no pointer to them.
+    let result = unsafe { libc::sched_setscheduler(pid.cast_signed(), libc::SCHED_FIFO, &raw const parameters) };
+    if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_asked_of_the_machine_by_default() {
+        assert_eq!(Realtime::default().apply_to(std::process::id()), [] as [String; 0]);
+    }
+
+    #[test]
+    fn a_refusal_says_what_to_change() {
+        let realtime = Realtime { cpu: vec![1023], ..Realtime::default() };
+        let refused = realtime.apply_to(std::process::id());
+        assert!(refused.len() == 1 && refused[0].contains("name processors"), "{refused:?}");
+    }
+}
