@@ -104,6 +104,9 @@ pub struct Choice {
     /// A calibration file from `scanloop calibrate`; what it has replaces the system's calibration.
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Add the real-time profile to the system: one processor, SCHED_FIFO, no idle states, locked memory.
+    #[arg(long)]
+    pub realtime: bool,
     /// Seed of all random numbers of the scenario.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,

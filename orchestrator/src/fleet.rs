@@ -14,6 +14,7 @@ use shared_types::{Checkpoint, Role};
 use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::lock::SystemLock;
+use crate::realtime::Machine;
 use crate::supervisor::{Event, Exit};
 use crate::system::{ProcessEntry, System};
 
@@ -27,6 +28,7 @@ pub(crate) struct Fleet {
     candidate: Option<Candidate>,
     leaving: Vec<Leaving>,
     left: bool,
+    machine: Machine,
     // Dropped last: what it removes must not be in use any more.
     lock: SystemLock,
 }
@@ -73,6 +75,7 @@ impl Fleet {
         system: &System,
         logs: PathBuf,
     ) -> anyhow::Result<Self> {
+        let machine = Machine::new(&system.realtime);
         let mut members = BTreeMap::new();
         for role in Role::ALL.iter().copied() {
             let Some(entry) = system.entry(role) else { continue };
@@ -91,7 +94,7 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        Ok(Self { domain, members, candidate: None, leaving: Vec::new(), left: false, lock })
+        Ok(Self { domain, members, candidate: None, leaving: Vec::new(), left: false, machine, lock })
     }
 
     /// Starts the process of a role; `checkpoint` is the newest state of the one before it.
@@ -148,6 +151,7 @@ impl Fleet {
         ];
         member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
+        self.machine.take_in(child.pid());
         self.lock.register(role, child.pid().cast_signed(), incarnation)?;
         Ok(child)
     }

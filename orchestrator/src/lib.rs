@@ -20,6 +20,7 @@ mod live_latency;
 mod lock;
 pub mod picture;
 pub mod progress;
+mod realtime;
 pub mod recorder;
 mod remote;
 pub mod report;

@@ -20,6 +20,7 @@ use crate::fleet::Fleet;
 use crate::lock::SystemLock;
 use crate::picture;
 use crate::progress::Progress;
+use crate::realtime;
 use crate::recorder::{Recorder, RunInfo};
 use crate::report::{Report, write_atomically};
 use crate::samples::Samples;
@@ -65,6 +66,9 @@ impl Plan {
     pub(crate) fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
         let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
         let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
+        if choice.realtime {
+            realtime::add_profile(&mut system);
+        }
         if let Some(file) = &choice.calibration {
             calibrate::apply(file, &mut system)?;
         }
@@ -93,6 +97,7 @@ impl Plan {
 #[derive(Serialize)]
 pub(crate) struct SettingsFile<'a> {
     pub(crate) run: RunSettings,
+    pub(crate) realtime: &'a runtime::Realtime,
     pub(crate) scenario: &'a Scenario,
     pub(crate) estimator: &'a estimator::Config,
     pub(crate) obstacles: &'a obstacles::Config,
@@ -192,6 +197,7 @@ fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Resul
             clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
             orphan_timeout_ns: (plan.system.orphan_timeout_s * 1e9) as u64,
         },
+        realtime: &plan.system.realtime,
         scenario: &plan.scenario,
         estimator: &tuning.estimator,
         obstacles: &tuning.obstacles,

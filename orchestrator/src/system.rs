@@ -9,6 +9,7 @@ use toml::{Table, Value};
 use vehicle::{Invalid, require};
 
 use crate::exit::Failure;
+use crate::realtime;
 use crate::supervisor::{ProcessPolicy, Restart};
 
 /// The built-in process table.
@@ -24,6 +25,9 @@ pub(crate) struct System {
     /// How long processes go on when no orchestrator speaks to them, 1 to 3600 [s].
     #[serde(default = "default_orphan_timeout")]
     pub orphan_timeout_s: f64,
+    /// What is asked of the machine.
+    #[serde(default)]
+    pub realtime: runtime::Realtime,
     /// One entry per role.
     #[serde(rename = "process", default)]
     pub processes: Vec<ProcessEntry>,
@@ -79,8 +83,16 @@ impl System {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub(crate) fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
-        let known =
-            ["rate_hz", "orphan_timeout_s", "process", "estimator", "obstacles", "controller", "actuator"];
+        let known = [
+            "rate_hz",
+            "orphan_timeout_s",
+            "realtime",
+            "process",
+            "estimator",
+            "obstacles",
+            "controller",
+            "actuator",
+        ];
         if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
             let known = known.map(|key| format!("`{key}`")).join(", ");
             return Err(Failure::bad_input(format!(
@@ -144,6 +156,7 @@ impl System {
     fn validate(&self) -> Result<(), Invalid> {
         require("rate_hz", self.rate_hz, 0.5..=1000.0)?;
         require("orphan_timeout_s", self.orphan_timeout_s, 1.0..=3600.0)?;
+        realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
         }

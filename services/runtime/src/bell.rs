@@ -73,6 +73,12 @@ impl Bell {
         }
     }
 
+    /// What is left of a process that is killed in its sleep.
+    #[cfg(test)]
+    pub(crate) fn forget_a_sleeper(&self) {
+        self.sleepers.fetch_add(1, Ordering::SeqCst);
+    }
+
     /// Sleeps unless the bell was rung since `seen`, until it is rung for one of `bits`, a signal comes, or `until_ns`
     /// of CLOCK_MONOTONIC; returns whether it ended before that time.
     pub(crate) fn sleep(&self, seen: u32, until_ns: u64, bits: u32) -> bool {

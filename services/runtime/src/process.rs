@@ -97,6 +97,11 @@ impl Process {
         let (system_id, incarnation) = environment::identity()?;
         let domain = Domain::new(&system_id)?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
+        Self::join(role, domain, incarnation)
+    }
+
+    /// Joins a system as one incarnation of a role.
+    pub(crate) fn join(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
         let shutdown = Shutdown::on_signals()?;
         let settings = settings::read(&domain)?;
         let run: RunSettings = settings::table(&domain, &settings, "run")?;

@@ -15,6 +15,7 @@ use crate::bell::{ANY, Bells};
 /// Whether the process has been asked to end.
 #[derive(Debug)]
 pub struct Shutdown {
+    signals: &'static [i32],
     requested: Arc<AtomicBool>,
     wake: UnixStream,
 }
@@ -25,23 +26,28 @@ impl Shutdown {
     /// # Errors
     /// [`RuntimeError::System`] when the handlers can't be installed.
     pub fn on_signals() -> Result<Self, RuntimeError> {
+        Self::on(&[SIGTERM, SIGINT])
+    }
+
+    /// Starts listening to other signals.
+    pub(crate) fn on(signals: &'static [i32]) -> Result<Self, RuntimeError> {
         let system = |action| move |source| RuntimeError::System { action, source };
         let (wake, end) = UnixStream::pair().map_err(system("make a wake-up socket"))?;
         wake.set_nonblocking(true).map_err(system("make a wake-up socket"))?;
         let requested = Arc::new(AtomicBool::new(false));
-        for signal in [SIGTERM, SIGINT] {
+        for &signal in signals {
             signal_hook::flag::register(signal, Arc::clone(&requested))
                 .map_err(system("listen to signals"))?;
             let end = end.try_clone().map_err(system("make a wake-up socket"))?;
             signal_hook::low_level::pipe::register(signal, end).map_err(system("listen to signals"))?;
         }
-        Ok(Self { requested, wake })
+        Ok(Self { signals, requested, wake })
     }
 
     /// Lets the signals ring the bell of a role as well, after the flag is set: whoever looks at the bell and then at
     /// the flag can't sleep through a signal, whenever it comes.
     pub(crate) fn ring_also(&self, bells: &Arc<Bells>, role: Role) -> Result<(), RuntimeError> {
-        for signal in [SIGTERM, SIGINT] {
+        for &signal in self.signals {
             let bells = Arc::clone(bells);
             // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
             // allocates nothing and does not unwind. The closure keeps the memory mapped.

@@ -1,5 +1,7 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
+mod waking;
+
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
