@@ -23,7 +23,7 @@ use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, l
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
 /// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
-const LONGEST_WAIT_NS: u64 = 100_000_000;
+pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
 /// Inputs older than this many scan periods when they arrive are not used any more.
 const MAX_AGE_PERIODS: u64 = 3;
 /// A checkpoint older than this describes another situation [ns].
@@ -434,6 +434,12 @@ impl Process {
             self.inputs.iter().for_each(|input| input.ear().listen(needed));
             self.directive.ear().listen(needed);
         }
+    }
+
+    /// Sleeps that lasted to their end.
+    #[cfg(test)]
+    pub(crate) fn timeouts(&self) -> u64 {
+        self.shared.counters.timeouts.get()
     }
 
     fn enter(&mut self, state: ProcessState) -> Result<(), RuntimeError> {

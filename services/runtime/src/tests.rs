@@ -34,6 +34,12 @@ impl Lab {
         self.bus.as_ref().unwrap()
     }
 
+    /// Settings as the orchestrator writes them, for processes that join.
+    fn write_settings(&self) {
+        let text = "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_timeout_ns = 60000000000\n";
+        std::fs::write(self.domain.directory().join(crate::SETTINGS_FILE), text).unwrap();
+    }
+
     /// What a process of a role shares; the estimator in charge is incarnation 7, the obstacles are 8.
     fn shared(&self, role: Role, incarnation: u32) -> Rc<Shared> {
         let mut directive = Directive::default();

@@ -6,134 +6,221 @@ use std::time::Duration;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ipc;
-use shared_types::{Odometry, Phase, Topic};
 use signal_hook::consts::SIGUSR1;
 
 use super::{Lab, pose};
 use crate::bell::ANY;
 use crate::bus::{WirePublisher, WireSubscriber};
-use crate::process::Process;
+use crate::process::LONGEST_WAIT_NS;
 use crate::wire::Wire;
 use crate::*;
-use shared_types::{Authority, Directive, Pose, Role, Sample};
+use shared_types::{Authority, Directive, Obstacles, Odometry, Phase, Pose, Role, Sample, Topic};
 
 /// Samples that each of two publishers hammers onto one topic.
-const HAMMERED: u64 = 150_000;
+const HAMMERED: u64 = 100_000;
+/// Lost wake-ups that are enough to know.
+const MANY: u64 = 20;
 /// What a lost wake-up would cost in these tests [ns].
 const LONG_NS: u64 = 2_000_000_000;
 
-/// When publishing each sample was over, all wake-ups included; 0 before [ns].
-struct Done(Vec<AtomicU64>);
+/// What one publisher and the reader know of each other.
+struct Lane {
+    /// When publishing each sample was over, waking included; 0 before [ns].
+    done_ns: Vec<AtomicU64>,
+    /// The newest sample that was read.
+    read: AtomicU64,
+}
 
-impl Done {
+impl Lane {
     fn new() -> Self {
-        Self((0..=HAMMERED).map(|_| AtomicU64::new(0)).collect())
+        Self { done_ns: (0..=HAMMERED).map(|_| AtomicU64::new(0)).collect(), read: AtomicU64::new(0) }
     }
 
-    /// Publishes all samples in bursts with pauses of a random length, so that the reader falls asleep at all moments.
+    /// Publishes all samples, in bursts of one to four. After each it waits until the reader has got them, so that a
+    /// wake-up that is lost is not made good by the next sample; and a random time, so that the two publishers and the
+    /// reader meet at all moments.
     fn hammer(&self, seed: u64, mut publish: impl FnMut(u64)) {
-        let mut random = seed;
+        let (mut random, mut burst) = (seed, 1);
         for number in 1..=HAMMERED {
             publish(number);
-            self.0[number as usize].store(monotonic_ns(), Ordering::SeqCst);
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            if random >> 62 == 0 {
-                let until = monotonic_ns() + (random >> 32) % 6000;
-                while monotonic_ns() < until {
-                    std::hint::spin_loop();
-                }
+            self.done_ns[number as usize].store(monotonic_ns(), Ordering::SeqCst);
+            burst -= 1;
+            if burst > 0 {
+                continue;
             }
+            while self.read.load(Ordering::SeqCst) < number {
+                std::thread::yield_now();
+            }
+            burst = 1 + (next(&mut random) >> 62);
+            spin(next(&mut random) % 3000);
         }
     }
 }
 
-/// Reads until both publishers have sent their last; returns how often it slept to the end of its time although a
-/// sample had been published, and its readers woken, before that end; and how often it was woken.
-fn read_all(observer: &Observer<Pose>, done: &[Done; 2], timeout_ns: u64) -> (u64, u64) {
-    let (mut newest, mut overslept, mut woken) = ([0; 2], 0, 0);
-    while newest != [HAMMERED; 2] {
-        let before = monotonic_ns();
-        let awake = observer.wait(timeout_ns);
-        woken += u64::from(awake);
-        let mut late = false;
-        observer
-            .poll(|pose| {
-                let (who, number) = (pose.header.incarnation as usize, pose.header.scan_id);
-                let done_ns = done[who].0[number as usize].load(Ordering::SeqCst);
-                late |= done_ns > 0 && done_ns < before + timeout_ns;
-                newest[who] = number;
-            })
-            .unwrap();
-        overslept += u64::from(!awake && late);
+/// The next of a sequence of random numbers, of which the upper bits are good.
+fn next(random: &mut u64) -> u64 {
+    *random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    *random >> 32 << 32 | *random >> 32
+}
+
+/// Works for a time [ns].
+fn spin(time_ns: u64) {
+    let until = monotonic_ns() + time_ns;
+    while monotonic_ns() < until {
+        std::hint::spin_loop();
     }
-    (overslept, woken)
+}
+
+/// What came of two publishers hammering one reader.
+#[derive(Debug, Default)]
+struct Hammering {
+    /// Sleeps that did not last to their time-out.
+    woken: u64,
+    /// Sleeps to the time-out although a sample had been published, waking included, before that time.
+    overslept: u64,
+}
+
+/// Lets the publishers end, also when the reader fails.
+struct Release<'a>(&'a [Lane; 2], &'a AtomicBool);
+
+impl Drop for Release<'_> {
+    fn drop(&mut self) {
+        self.0.iter().for_each(|lane| lane.read.store(HAMMERED, Ordering::SeqCst));
+        self.1.store(true, Ordering::SeqCst);
+    }
+}
+
+/// Lets two threads hammer one reader that gives up a sleep after `timeout_ns`; ends early when it overslept too often.
+///
+/// The reader sleeps, tells of each sample who sent it and its number, and returns whether it was woken.
+fn hammer<P: FnMut(u64, u32)>(
+    lab: &Lab,
+    timeout_ns: u64,
+    publisher: impl Fn(&Bus) -> P + Sync,
+    mut reader: impl FnMut(&mut dyn FnMut(u32, u64)) -> bool,
+) -> Hammering {
+    let lanes = [Lane::new(), Lane::new()];
+    let (ready, over) = (AtomicU64::new(0), AtomicBool::new(false));
+    let (mut result, mut random) = (Hammering::default(), 7);
+    std::thread::scope(|scope| {
+        for (who, lane) in lanes.iter().enumerate() {
+            let (domain, publisher, ready, over) = (&lab.domain, &publisher, &ready, &over);
+            scope.spawn(move || {
+                let bus = Bus::open(domain, "hammer").unwrap();
+                let mut publish = publisher(&bus);
+                ready.fetch_add(1, Ordering::SeqCst);
+                while ready.load(Ordering::SeqCst) < 3 {
+                    std::thread::yield_now();
+                }
+                lane.hammer(who as u64, |number| publish(number, who as u32));
+                // What was published lies in memory of this thread until it was read.
+                while !over.load(Ordering::SeqCst) {
+                    std::thread::yield_now();
+                }
+            });
+        }
+        while ready.load(Ordering::SeqCst) < 2 {
+            std::thread::yield_now();
+        }
+        ready.fetch_add(1, Ordering::SeqCst);
+        let _release = Release(&lanes, &over);
+        while lanes.iter().any(|lane| lane.read.load(Ordering::SeqCst) < HAMMERED) {
+            // A reader that works before it sleeps again: whatever comes meanwhile must not be slept through.
+            spin(next(&mut random) % 3000);
+            let before = monotonic_ns();
+            let mut late = false;
+            let awake = reader(&mut |who, number| {
+                let lane = &lanes[who as usize];
+                let done_ns = lane.done_ns[number as usize].load(Ordering::SeqCst);
+                late |= done_ns > 0 && done_ns < before + timeout_ns;
+                lane.read.store(number, Ordering::SeqCst);
+            });
+            result.woken += u64::from(awake);
+            result.overslept += u64::from(!awake && late);
+            if result.overslept > MANY {
+                break;
+            }
+        }
+    });
+    result
+}
+
+/// A reader of poses that sleeps as observers do.
+fn observe(lab: &Lab, timeout_ns: u64) -> impl FnMut(&mut dyn FnMut(u32, u64)) -> bool {
+    let observer = Observer::<Pose>::waking(lab.bus()).unwrap();
+    move |each| {
+        let awake = observer.wait(timeout_ns);
+        observer.poll(|pose| each(pose.header.incarnation, pose.header.scan_id)).unwrap();
+        awake
+    }
 }
 
 #[test]
 fn two_writers_who_hammer_one_reader_never_let_it_sleep_through_a_sample() {
     let lab = Lab::new();
-    let done = [Done::new(), Done::new()];
-    let observer = Observer::<Pose>::waking(lab.bus()).unwrap();
-    let ready = AtomicU64::new(0);
-    std::thread::scope(|scope| {
-        for (who, done) in done.iter().enumerate() {
-            let (domain, ready) = (&lab.domain, &ready);
-            scope.spawn(move || {
-                let bus = Bus::open(domain, "hammer").unwrap();
-                let mut voice = Voice::<Pose>::new(&bus).unwrap();
-                ready.fetch_add(1, Ordering::SeqCst);
-                done.hammer(who as u64, |number| {
-                    let mut sample = pose(number, 0.0);
-                    sample.header.incarnation = who as u32;
-                    voice.say(&mut sample, true).unwrap();
-                });
-                // The last sample lies in this publisher's memory until it was read.
-                while ready.load(Ordering::SeqCst) < 100 {
-                    std::thread::yield_now();
-                }
-            });
+    let publisher = |bus: &Bus| {
+        let mut voice = Voice::<Pose>::new(bus).unwrap();
+        move |number, who| {
+            let mut sample = pose(number, 0.0);
+            sample.header.incarnation = who;
+            voice.say(&mut sample, true).unwrap();
         }
-        while ready.load(Ordering::SeqCst) < 2 {
-            observer.poll(|_| ()).unwrap();
+    };
+    let result = hammer(&lab, LONG_NS, publisher, observe(&lab, LONG_NS));
+    assert_eq!(result.overslept, 0, "{result:?}");
+}
+
+#[test]
+fn a_process_never_sleeps_through_a_sample_of_its_two_inputs() {
+    let lab = Lab::new();
+    lab.write_settings();
+    let mut process = Process::join(Role::Controller, lab.domain.clone(), 9).unwrap();
+    let (obstacles, poses) = (process.input::<Obstacles>().unwrap(), process.input::<Pose>().unwrap());
+    let mut directive = Directive { phase: Phase::Driving.wire(), ..Directive::default() };
+    for role in [Role::Estimator, Role::Obstacles] {
+        directive.authority[role.index()] = Authority { incarnation: 7, ..Authority::default() };
+    }
+    let mut orchestrator = Voice::new(lab.bus()).unwrap();
+    orchestrator.say(&mut directive, true).unwrap();
+    assert!(process.start().unwrap());
+    let publisher = |bus: &Bus| {
+        let (mut described, mut poses) = (Voice::<Obstacles>::new(bus).unwrap(), Voice::<Pose>::new(bus).unwrap());
+        let (mut seen, mut pose) = (Obstacles::default(), Pose::default());
+        move |number, who| {
+            let header = if who == 0 { &mut seen.header } else { &mut pose.header };
+            (header.incarnation, header.scan_id) = (7, number);
+            if who == 0 { described.say(&mut seen, true) } else { poses.say(&mut pose, true) }.unwrap();
         }
-        let (overslept, woken) = read_all(&observer, &done, LONG_NS);
-        ready.store(100, Ordering::SeqCst);
-        assert_eq!(overslept, 0, "in {woken} wake-ups");
+    };
+    let result = hammer(&lab, LONGEST_WAIT_NS, publisher, |each| {
+        let timeouts = process.timeouts();
+        process.wait(None).unwrap();
+        while let Some(seen) = obstacles.take() {
+            each(0, seen.header.scan_id);
+        }
+        while let Some(pose) = poses.take() {
+            each(1, pose.header.scan_id);
+        }
+        process.timeouts() == timeouts
     });
+    assert_eq!(result.overslept, 0, "{result:?}");
 }
 
 #[test]
 fn a_wake_up_that_the_plain_events_lose_is_healed_by_the_time_out() {
     let lab = Lab::new();
-    let done = [Done::new(), Done::new()];
-    let observer = Observer::<Pose>::waking(lab.bus()).unwrap();
-    let ready = AtomicU64::new(0);
-    std::thread::scope(|scope| {
-        for (who, done) in done.iter().enumerate() {
-            let (domain, ready) = (&lab.domain, &ready);
-            scope.spawn(move || {
-                let bus = Bus::open(domain, "hammer").unwrap();
-                let plain = Plain::<Pose, Pose>::new(&bus);
-                ready.fetch_add(1, Ordering::SeqCst);
-                done.hammer(who as u64, |number| {
-                    let mut sample = pose(number, 0.0);
-                    sample.header.incarnation = who as u32;
-                    plain.publish(sample);
-                });
-                while ready.load(Ordering::SeqCst) < 100 {
-                    std::thread::yield_now();
-                }
-            });
+    // The last sample of each writer arrives, so each sleep has ended, whatever was lost.
+    let publisher = |bus: &Bus| {
+        let plain = Plain::<Pose, Pose>::new(bus);
+        move |number, who| {
+            let mut sample = pose(number, 0.0);
+            sample.header.incarnation = who;
+            plain.publish(sample);
         }
-        while ready.load(Ordering::SeqCst) < 2 {
-            observer.poll(|_| ()).unwrap();
-        }
-        // However many were lost, all samples that the buffer still holds come out, and the last of both among them.
-        let (overslept, woken) = read_all(&observer, &done, 20_000_000);
-        ready.store(100, Ordering::SeqCst);
-        println!("{overslept} wake-ups lost, {woken} not");
-        assert!(woken > 0, "the events are heard");
-    });
+    };
+    let result = hammer(&lab, 20_000_000, publisher, observe(&lab, 20_000_000));
+    println!("{result:?}");
+    assert!(result.woken > 0, "the events are heard: {result:?}");
 }
 
 #[test]
@@ -234,11 +321,7 @@ fn estimate(domain: &Domain, done: &AtomicBool) {
 fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
     const SCANS: u64 = 200;
     let lab = Lab::new();
-    std::fs::write(
-        lab.domain.directory().join(SETTINGS_FILE),
-        "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_timeout_ns = 60000000000\n",
-    )
-    .unwrap();
+    lab.write_settings();
     let done = AtomicBool::new(false);
     let mut orchestrator = Voice::<Directive>::new(lab.bus()).unwrap();
     let say = |orchestrator: &mut Voice<Directive>, robot| {
@@ -267,11 +350,12 @@ fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
                 while !answered {
                     assert!(monotonic_ns() - started < 20_000_000_000, "scan {}", sample.header.scan_id);
                     ours.poll(|pose| answered |= pose.header.scan_id == sample.header.scan_id).unwrap();
-                    if !answered {
+                    if !answered && sample.header.scan_id > 1 {
                         ours.wait(LONG_NS);
-                    }
-                    // The first samples may find half a connection only.
-                    if !answered && sample.header.scan_id == 1 {
+                    } else if !answered {
+                        // The estimator may just be joining.
+                        ours.wait(20_000_000);
+                        say(orchestrator, incarnation);
                         odometry.say(&mut sample, true).unwrap();
                     }
                 }
