@@ -151,7 +151,6 @@ impl Fleet {
         ];
         member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
-        self.machine.take_in(child.pid());
         self.lock.register(role, child.pid().cast_signed(), incarnation)?;
         Ok(child)
     }
@@ -213,6 +212,20 @@ impl Fleet {
     /// Whether a process that no role needs any more has ended since the last call.
     pub(crate) fn have_left(&mut self) -> bool {
         std::mem::take(&mut self.left)
+    }
+
+    /// Puts a process that has made its connections where it shall run.
+    ///
+    /// Not before: while processes join the bus they wait for each other, and one that goes before all others would
+    /// keep those it waits for from running.
+    pub(crate) fn connected(&mut self, incarnation: u32) {
+        let member = self.members.values().find(|member| member.incarnation == incarnation);
+        let beside = self.candidate.iter().find(|candidate| candidate.incarnation == incarnation);
+        let child =
+            member.and_then(|member| member.child.as_ref()).or(beside.map(|candidate| &candidate.child));
+        if let Some(pid) = child.map(Child::pid) {
+            self.machine.take_in(pid);
+        }
     }
 
     /// Asks a process to end, or kills it.

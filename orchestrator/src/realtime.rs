@@ -19,13 +19,19 @@ const LATENCY_DEVICE: &str = "/dev/cpu_dma_latency";
 pub(crate) struct Machine {
     realtime: Realtime,
     said: BTreeSet<String>,
+    taken_in: BTreeSet<u32>,
     _awake: Option<File>,
 }
 
 impl Machine {
     /// Keeps processors awake from now on, if asked for.
     pub(crate) fn new(realtime: &Realtime) -> Self {
-        let mut machine = Self { realtime: realtime.clone(), said: BTreeSet::new(), _awake: None };
+        let mut machine = Self {
+            realtime: realtime.clone(),
+            said: BTreeSet::new(),
+            taken_in: BTreeSet::new(),
+            _awake: None,
+        };
         if !realtime.idle_states {
             match keep_awake() {
                 Ok(device) => machine._awake = Some(device),
@@ -38,8 +44,11 @@ impl Machine {
         machine
     }
 
-    /// Puts a process that was just started where it shall run.
+    /// Puts a process where it shall run; does nothing the second time.
     pub(crate) fn take_in(&mut self, pid: u32) {
+        if !self.taken_in.insert(pid) {
+            return;
+        }
         for refused in self.realtime.apply_to(pid) {
             self.say(refused);
         }
@@ -71,7 +80,8 @@ pub(crate) fn validate(realtime: &Realtime) -> Result<(), Invalid> {
         require("cpu", *cpu as f64, 0.0..=1023.0)?;
     }
     if realtime.poll_us > 0 && realtime.cpu.len() == 1 {
-        let allowed = "0 with one processor in `cpu`: who looks there keeps the one it waits for from running";
+        let allowed =
+            "0 with one processor in `cpu`: who looks there keeps the one it waits for from running";
         return Err(Invalid::new("poll_us", realtime.poll_us, allowed));
     }
     if realtime.scheduler == Scheduler::Fifo {

@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use emulator::{Referee, Scenario};
 use runtime::{Bus, Domain, Shutdown, Voice, monotonic_ns, wait_for};
-use shared_types::{Authority, Directive, Phase, Role};
+use shared_types::{Authority, Directive, Phase, ProcessState, Role};
 
 use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
 use crate::digest::Digests;
@@ -129,6 +129,9 @@ impl Session {
         for event in events {
             if let Event::StateReported { incarnation, state, .. } = event {
                 self.swap_heard(incarnation, state);
+                if state >= ProcessState::Connected {
+                    self.fleet.connected(incarnation);
+                }
             }
             self.handle(event)?;
         }

@@ -141,9 +141,8 @@ impl Bells {
         let protection = ProtFlags::READ | ProtFlags::WRITE;
         // SAFETY: a new mapping at an address of the kernel's choice; the file is as large as the page, which callers
         // made sure of, and nobody ever makes it smaller.
-        let page = unsafe {
-            mmap(std::ptr::null_mut(), size_of::<Page>(), protection, MapFlags::SHARED, file, 0)
-        }?;
+        let page =
+            unsafe { mmap(std::ptr::null_mut(), size_of::<Page>(), protection, MapFlags::SHARED, file, 0) }?;
         let page = NonNull::new(page.cast()).ok_or_else(|| std::io::Error::other("mapped at zero"))?;
         Ok(Arc::new(Self(page)))
     }

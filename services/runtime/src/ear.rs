@@ -15,10 +15,10 @@ use iceoryx2::port::port_name::PortName;
 use iceoryx2::prelude::{CallbackProgression, PortFactory, ipc};
 use shared_types::Topic;
 
+use crate::RuntimeError;
 use crate::bell::Bells;
 use crate::bus::{Bus, Events};
 use crate::wake::{borrow, clear, descriptor};
-use crate::RuntimeError;
 
 /// Name of the notifiers of processes that ring doorbells.
 const RINGS: &str = "doorbell";

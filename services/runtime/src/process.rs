@@ -367,7 +367,11 @@ impl Process {
         if orphaned {
             tracing::error!("no orchestrator for {} s: ending", self.run.orphan_timeout_ns / 1_000_000_000);
         }
-        Ok(!self.shutdown.requested() && !orphaned)
+        let goes_on = !self.shutdown.requested() && !orphaned;
+        if !goes_on {
+            self.realtime.give_way();
+        }
+        Ok(goes_on)
     }
 
     /// Sleeps on the doorbell; false after a time-out.

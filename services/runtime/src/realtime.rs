@@ -2,7 +2,10 @@
 //!
 //! Everything is off by default, and nothing is ever required: what the machine refuses is a warning that says what
 //! to change, because a robot that reacts a little later is better than one that does not start.
-#![expect(unsafe_code, reason = "the scheduler of a process is set by a system call that no crate of ours wraps")]
+#![expect(
+    unsafe_code,
+    reason = "the scheduler of a process is set by a system call that no crate of ours wraps"
+)]
 
 use std::num::NonZeroU64;
 
@@ -77,7 +80,7 @@ impl Realtime {
             }
         }
         if self.scheduler == Scheduler::Fifo
-            && let Err(error) = set_fifo(pid, self.priority)
+            && let Err(error) = set_scheduler(pid, libc::SCHED_FIFO, self.priority)
         {
             refused.push(format!(
                 "realtime.scheduler = \"fifo\" has no effect ({error}): allow it with `ulimit -r {0}`, \
@@ -95,6 +98,13 @@ impl Realtime {
         }
     }
 
+    /// This process goes back to fair shares: leaving the bus takes time, which shall not be that of those who stay.
+    pub(crate) fn give_way(&self) {
+        if self.scheduler == Scheduler::Fifo {
+            let _ = set_scheduler(0, libc::SCHED_OTHER, 0);
+        }
+    }
+
     /// Maps and locks all memory of this process, if asked for: to be called when all ports and connections exist.
     pub(crate) fn apply_memory(&self) {
         if self.lock_memory
@@ -109,10 +119,10 @@ impl Realtime {
     }
 }
 
-fn set_fifo(pid: u32, priority: u32) -> std::io::Result<()> {
+fn set_scheduler(pid: u32, policy: i32, priority: u32) -> std::io::Result<()> {
     let parameters = libc::sched_param { sched_priority: priority.cast_signed() };
     // SAFETY: the kernel reads the parameters during the call and keeps no pointer to them.
-    let result = unsafe { libc::sched_setscheduler(pid.cast_signed(), libc::SCHED_FIFO, &raw const parameters) };
+    let result = unsafe { libc::sched_setscheduler(pid.cast_signed(), policy, &raw const parameters) };
     if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 

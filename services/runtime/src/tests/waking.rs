@@ -184,7 +184,8 @@ fn a_process_never_sleeps_through_a_sample_of_its_two_inputs() {
     orchestrator.say(&mut directive, true).unwrap();
     assert!(process.start().unwrap());
     let publisher = |bus: &Bus| {
-        let (mut described, mut poses) = (Voice::<Obstacles>::new(bus).unwrap(), Voice::<Pose>::new(bus).unwrap());
+        let (mut described, mut poses) =
+            (Voice::<Obstacles>::new(bus).unwrap(), Voice::<Pose>::new(bus).unwrap());
         let (mut seen, mut pose) = (Obstacles::default(), Pose::default());
         move |number, who| {
             let header = if who == 0 { &mut seen.header } else { &mut pose.header };
@@ -340,27 +341,28 @@ fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
         scope.spawn(|| estimate(&lab.domain, &done));
         let ours = Observer::<Pose>::waking(lab.bus()).unwrap();
         let mut odometry = Voice::<Odometry>::new(lab.bus()).unwrap();
-        let mut drive_ours = |orchestrator: &mut Voice<Directive>, incarnation, next: &mut dyn FnMut(u32) -> Odometry| {
-            say(orchestrator, incarnation);
-            for _ in 0..SCANS {
-                let mut sample = next(incarnation);
-                let mut answered = false;
-                let started = monotonic_ns();
-                odometry.say(&mut sample, true).unwrap();
-                while !answered {
-                    assert!(monotonic_ns() - started < 20_000_000_000, "scan {}", sample.header.scan_id);
-                    ours.poll(|pose| answered |= pose.header.scan_id == sample.header.scan_id).unwrap();
-                    if !answered && sample.header.scan_id > 1 {
-                        ours.wait(LONG_NS);
-                    } else if !answered {
-                        // The estimator may just be joining.
-                        ours.wait(20_000_000);
-                        say(orchestrator, incarnation);
-                        odometry.say(&mut sample, true).unwrap();
+        let mut drive_ours =
+            |orchestrator: &mut Voice<Directive>, incarnation, next: &mut dyn FnMut(u32) -> Odometry| {
+                say(orchestrator, incarnation);
+                for _ in 0..SCANS {
+                    let mut sample = next(incarnation);
+                    let mut answered = false;
+                    let started = monotonic_ns();
+                    odometry.say(&mut sample, true).unwrap();
+                    while !answered {
+                        assert!(monotonic_ns() - started < 20_000_000_000, "scan {}", sample.header.scan_id);
+                        ours.poll(|pose| answered |= pose.header.scan_id == sample.header.scan_id).unwrap();
+                        if !answered && sample.header.scan_id > 1 {
+                            ours.wait(LONG_NS);
+                        } else if !answered {
+                            // The estimator may just be joining.
+                            ours.wait(20_000_000);
+                            say(orchestrator, incarnation);
+                            odometry.say(&mut sample, true).unwrap();
+                        }
                     }
                 }
-            }
-        };
+            };
         drive_ours(&mut orchestrator, 3, &mut next);
         let bus = Bus::open(&lab.domain, "plain").unwrap();
         let plain = Plain::<Odometry, Pose>::new(&bus);
