@@ -1,8 +1,6 @@
 //! A sample of any topic of the loop, and the mouths and ears that the stand has for all of them.
 
-use std::os::fd::BorrowedFd;
-
-use runtime::{Bus, Observer, RuntimeError, Voice};
+use runtime::{Bus, Observer, RuntimeError, Voice, wait_for};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Role, Sample,
     Scan, Topic, Truth,
@@ -206,17 +204,17 @@ impl Ears {
         })
     }
 
-    /// Readable when something may have been said.
-    pub(crate) fn descriptors(&self) -> Vec<BorrowedFd<'_>> {
-        let all = [
-            self.scan.as_ref().and_then(Observer::descriptor),
-            self.odometry.as_ref().and_then(Observer::descriptor),
-            self.pose.as_ref().and_then(Observer::descriptor),
-            self.obstacles.as_ref().and_then(Observer::descriptor),
-            self.command.as_ref().and_then(Observer::descriptor),
-            self.actuation.as_ref().and_then(Observer::descriptor),
-        ];
-        all.into_iter().flatten().collect()
+    /// Sleeps until the role may have said something on the last of its topics, or the time-out.
+    pub(crate) fn wait(&self, timeout_ns: u64) -> bool {
+        fn on<S: Sample>(ear: &Option<Observer<S>>, timeout_ns: u64) -> Option<bool> {
+            ear.as_ref().map(|ear| ear.wait(timeout_ns))
+        }
+        on(&self.odometry, timeout_ns)
+            .or_else(|| on(&self.pose, timeout_ns))
+            .or_else(|| on(&self.obstacles, timeout_ns))
+            .or_else(|| on(&self.command, timeout_ns))
+            .or_else(|| on(&self.actuation, timeout_ns))
+            .unwrap_or_else(|| wait_for(&[], timeout_ns))
     }
 
     /// Hands everything that was said since the last call to `each`.

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use runtime::{
     Bus, Domain, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, Voice, monotonic_ns,
-    wait_for, write_handover,
+    write_handover,
 };
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
@@ -452,7 +452,7 @@ impl<'a> Stand<'a> {
             if left_ns == 0 {
                 return Ok(false);
             }
-            wait_for(&self.ears.descriptors(), left_ns.min(LOOK_NS));
+            self.ears.wait(left_ns.min(LOOK_NS));
         }
     }
 

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use anyhow::Context;
-use runtime::{ClockKind, Domain, RunSettings, SETTINGS_FILE, Shutdown};
+use runtime::{ClockKind, Domain, Realtime, RunSettings, SETTINGS_FILE, Shutdown};
 use shared_types::Role;
 
 use super::case::Trouble;
@@ -92,6 +92,7 @@ pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> an
             clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
             orphan_timeout_ns: setup.orphan_ns,
         },
+        realtime: &Realtime::default(),
         scenario: &settings.scenario,
         estimator: &tuning.estimator,
         obstacles: &tuning.obstacles,

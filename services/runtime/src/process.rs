@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
+    Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
+    Topic,
 };
 
 use crate::bell::{ANY, Bells, bit};

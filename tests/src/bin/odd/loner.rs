@@ -1,6 +1,6 @@
 //! An estimator that does by itself what the runtime does for others, and leaves one thing out.
 
-use runtime::{Bus, INCARNATION_VARIABLE, Observer, Shutdown, Voice, monotonic_ns, wait_for};
+use runtime::{Bus, INCARNATION_VARIABLE, Observer, Shutdown, Voice, monotonic_ns};
 use shared_types::{Directive, Heartbeat, Odometry, Phase, Pose, ProcessState, Role, StageStamps};
 
 use crate::Outcome;
@@ -13,7 +13,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let domain = crate::domain()?;
     let shutdown = Shutdown::on_signals()?;
     let bus = Bus::open(&domain, "loner")?;
-    let directives = Observer::<Directive>::waking(&bus)?;
+    let directives = Observer::<Directive>::new(&bus)?;
     let odometry = Observer::<Odometry>::waking(&bus)?;
     let mut poses = Voice::<Pose>::new(&bus)?;
     let mut heart = Voice::<Heartbeat>::new(&bus)?;
@@ -23,9 +23,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let (mut state, mut directive) = (ProcessState::Attached, Directive::default());
     let (mut heard_ns, mut beat_ns, mut activations, mut orchestrator) = (monotonic_ns(), 0, 0, 0);
     loop {
-        let descriptors: Vec<_> =
-            [directives.descriptor(), odometry.descriptor()].into_iter().flatten().collect();
-        wait_for(&descriptors, 20_000_000);
+        odometry.wait(5_000_000);
         activations += 1;
         let before = state;
         directives.poll(|newest| (directive, heard_ns) = (*newest, monotonic_ns()))?;
