@@ -6,6 +6,9 @@
 //! that was not started here can be hit. When the leader has ended, the rest of its group is killed before the
 //! leader is reaped.
 //!
+//! An adopted process is no child: its descriptor tells that it ended, not how. Its number may be given to others at
+//! any time, so signals go through the descriptor, and to the rest of its group one by one.
+//!
 //! Where this fails: a descendant that opens a session of its own leaves the group and is not found. The
 //! process outlives an orchestrator that is killed, on purpose: the loop goes on without it. One that is dropped
 //! in good order takes its processes with it.
@@ -19,12 +22,17 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use runtime::{Identified, start_ticks};
 use rustix::process::{
-    Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, waitid,
+    Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
 };
 
 use crate::child_log::ChildLog;
 use crate::supervisor::Exit;
+use crate::survivors::signal_group;
+
+/// Variables of systemd that are for the orchestrator alone.
+const NOT_INHERITED: [&str; 4] = ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"];
 
 /// Clock ticks per second in /proc: a constant of the kernel's interface on all machines of ours.
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -74,14 +82,22 @@ pub struct Usage {
     pub memory_kib: u64,
 }
 
-/// A process that was started here and leads its own group.
+/// A process that leads its own group, started here or adopted.
 #[derive(Debug)]
 pub struct Child {
-    process: std::process::Child,
+    origin: Origin,
     pid: Pid,
     pidfd: OwnedFd,
     started_ticks: Option<u64>,
     exit: Option<Exit>,
+}
+
+#[derive(Debug)]
+enum Origin {
+    /// Its number is ours until it is reaped.
+    Started(std::process::Child),
+    /// It belongs to the system of this id.
+    Adopted(String),
 }
 
 impl Child {
@@ -95,6 +111,7 @@ impl Child {
         let refused = |source| ChildError::Refused { command: name(), source };
         let mut command = Command::new(program);
         command.args(arguments).envs(launch.environment.iter().map(|(key, value)| (key, value)));
+        NOT_INHERITED.iter().for_each(|variable| _ = command.env_remove(variable));
         command.stdin(Stdio::null()).process_group(0);
         command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
         if let Some(directory) = &launch.directory {
@@ -111,7 +128,8 @@ impl Child {
         let pid = Pid::from_child(&process);
         match pidfd_open(pid, PidfdFlags::empty()) {
             Ok(pidfd) => {
-                Ok(Self { pid, pidfd, started_ticks: start_ticks(process.id()), exit: None, process })
+                let started_ticks = start_ticks(process.id());
+                Ok(Self { pid, pidfd, started_ticks, exit: None, origin: Origin::Started(process) })
             }
             Err(error) => {
                 // A process whose end cannot be seen is not kept.
@@ -122,9 +140,17 @@ impl Child {
         }
     }
 
+    /// A process of the system `system_id` that another orchestrator started.
+    pub fn adopt(system_id: &str, process: Identified) -> Option<Self> {
+        let pid = Pid::from_raw(process.pid().cast_signed())?;
+        let started_ticks = Some(process.identity().start_ticks);
+        let origin = Origin::Adopted(system_id.to_owned());
+        Some(Self { origin, pid, pidfd: process.into_descriptor(), started_ticks, exit: None })
+    }
+
     /// Its process id, which is the id of its group.
     pub fn pid(&self) -> u32 {
-        self.process.id()
+        self.pid.as_raw_nonzero().get().cast_unsigned()
     }
 
     /// When it was started, in clock ticks since boot; with the pid it names a process for good.
@@ -148,7 +174,7 @@ impl Child {
         self.signal(Signal::KILL)
     }
 
-    /// How the process ended, if it has. It is then reaped and the rest of its group killed.
+    /// How the process ended, if it has. It is then reaped, if it is a child, and the rest of its group killed.
     ///
     /// # Errors
     /// Those of the kernel's wait, which do not happen to a child of ours.
@@ -156,6 +182,19 @@ impl Child {
         if self.exit.is_some() {
             return Ok(self.exit);
         }
+        let process = match &mut self.origin {
+            Origin::Started(process) => process,
+            Origin::Adopted(system_id) => {
+                let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+                if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now)).is_ok_and(|ready| ready > 0)
+                {
+                    let pid = self.pid.as_raw_nonzero().get().cast_unsigned();
+                    signal_group(system_id, pid, Signal::KILL);
+                    self.exit = Some(Exit::Unknown);
+                }
+                return Ok(self.exit);
+            }
+        };
         // Look without reaping: the group may be signalled only as long as its leader is not reaped.
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         let ended = loop {
@@ -166,7 +205,7 @@ impl Child {
         };
         if ended {
             let _ = kill_process_group(self.pid, Signal::KILL);
-            self.exit = self.process.try_wait()?.map(Exit::from);
+            self.exit = process.try_wait()?.map(Exit::from);
         }
         Ok(self.exit)
     }
@@ -196,17 +235,16 @@ impl Child {
         if self.exit.is_some() {
             return None;
         }
-        let stat = stat_fields(self.pid())?;
-        let [user, system] = [stat_number(&stat, 14)?, stat_number(&stat, 15)?];
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
-        // A zombie has no memory and no such line.
-        let memory = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-        let memory_kib = memory.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0);
-        Some(Usage { cpu_s: (user + system) as f64 / TICKS_PER_SECOND, memory_kib })
+        usage_of(self.pid())
     }
 
     fn signal(&self, signal: Signal) -> io::Result<()> {
         if self.exit.is_some() {
+            return Ok(());
+        }
+        if let Origin::Adopted(system_id) = &self.origin {
+            let _ = pidfd_send_signal(&self.pidfd, signal);
+            signal_group(system_id, self.pid(), signal);
             return Ok(());
         }
         match kill_process_group(self.pid, signal) {
@@ -234,20 +272,18 @@ impl Drop for Child {
     }
 }
 
-/// When a process was started, in clock ticks since boot; `None` when there is no such process.
-pub fn start_ticks(pid: u32) -> Option<u64> {
-    stat_number(&stat_fields(pid)?, 22)
-}
-
-/// The fields of /proc/PID/stat behind the name, which may hold blanks and brackets itself.
-fn stat_fields(pid: u32) -> Option<String> {
+/// What a process has used so far; `None` when there is none.
+pub(crate) fn usage_of(pid: u32) -> Option<Usage> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    stat.rsplit_once(')').map(|(_name, fields)| fields.to_owned())
-}
-
-/// A number by its place in the kernel's documentation, where the first field behind the name is the third.
-fn stat_number(fields: &str, place: usize) -> Option<u64> {
-    fields.split_whitespace().nth(place - 3)?.parse().ok()
+    // The name of the program may hold blanks and brackets; the first field behind it is the third.
+    let (_name, fields) = stat.rsplit_once(')')?;
+    let ticks = |place: usize| fields.split_whitespace().nth(place - 3)?.parse::<u64>().ok();
+    let [user, system] = [ticks(14)?, ticks(15)?];
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    // A zombie has no memory and no such line.
+    let memory = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let memory_kib = memory.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0);
+    Some(Usage { cpu_s: (user + system) as f64 / TICKS_PER_SECOND, memory_kib })
 }
 
 #[cfg(test)]

@@ -26,7 +26,15 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Start all processes, drive a scenario, stop everything, print a summary.
+    ///
+    /// When an earlier run of this system lost its orchestrator and still drives, its wheels are blocked and its
+    /// processes end first; `--adopt` takes them over instead.
     Run(RunArguments),
+    /// Take over the processes of a run whose orchestrator died, while they drive; the same as `run --adopt`.
+    ///
+    /// They are told by process id, start time, system and incarnation; a stranger is never touched. Exit code 2 when
+    /// there is nothing to adopt.
+    Adopt(AdoptArguments),
     /// Validate scenario and system files and print the graph of processes and topics.
     Check(CheckArguments),
     /// Show the processes of a running system.
@@ -133,6 +141,26 @@ pub struct RunArguments {
     /// Simulated time, as fast as the machine allows, no sample lost.
     #[arg(long)]
     pub lockstep: bool,
+    /// No progress line.
+    #[arg(long)]
+    pub quiet: bool,
+    /// Take over the processes of a run whose orchestrator died; scenario and system are those of that run.
+    #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
+    pub adopt: bool,
+    /// Take over the processes of a run whose orchestrator died if there are any, else start a run.
+    #[arg(long, conflicts_with = "adopt")]
+    pub adopt_or_start: bool,
+}
+
+/// Arguments of `adopt`.
+#[derive(Debug, Args, Clone)]
+pub struct AdoptArguments {
+    /// Where the results are written; default: where the run was to write them.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Stop after that many driven seconds since the start of the run.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub duration: Option<f64>,
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    Domain, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
+    Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
@@ -15,11 +15,14 @@ use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
+use crate::roster::ProcessRow;
 use crate::supervisor::{Event, Exit};
 use crate::system::{ProcessEntry, System};
 
 /// How many of its last lines are shown when a process dies.
 const LAST_WORDS: usize = 10;
+/// A share of a processor is measured over at least this long, however often it is asked for [ns].
+const LOAD_WINDOW_NS: u64 = 200_000_000;
 
 /// All processes of one run.
 pub(crate) struct Fleet {
@@ -29,8 +32,9 @@ pub(crate) struct Fleet {
     leaving: Vec<Leaving>,
     left: bool,
     machine: Machine,
+    changed: bool,
     // Dropped last: what it removes must not be in use any more.
-    lock: SystemLock,
+    _lock: SystemLock,
 }
 
 /// One role and the process that fills it.
@@ -41,7 +45,7 @@ struct Member {
     incarnation: u32,
     starts: u32,
     last_words: Vec<String>,
-    usage: Option<(u64, f64)>,
+    usage: Option<Spent>,
     last_pid: u32,
 }
 
@@ -51,13 +55,24 @@ struct Candidate {
     entry: ProcessEntry,
     child: Child,
     incarnation: u32,
-    usage: Option<(u64, f64)>,
+    usage: Option<Spent>,
 }
 
 /// A process that no role needs any more, and when it is killed if it has not ended [ns].
 struct Leaving {
+    role: Role,
+    entry: ProcessEntry,
     child: Child,
+    incarnation: u32,
     kill_ns: u64,
+}
+
+/// Time on a processor when it was looked at last, and the share of it that was found then.
+#[derive(Debug, Clone, Copy, Default)]
+struct Spent {
+    at_ns: u64,
+    cpu_s: f64,
+    percent: f64,
 }
 
 /// What the processor and the memory know of a process.
@@ -68,20 +83,23 @@ pub(crate) struct Load {
 }
 
 impl Fleet {
-    /// A fleet whose processes write their output to files below `logs`.
+    /// A fleet whose processes write their output to files below `logs`; `go_on` where others wrote before.
     pub(crate) fn new(
         domain: Domain,
         lock: SystemLock,
         system: &System,
         logs: PathBuf,
+        go_on: bool,
     ) -> anyhow::Result<Self> {
         let machine = Machine::new(&system.realtime);
         let mut members = BTreeMap::new();
         for role in Role::ALL.iter().copied() {
             let Some(entry) = system.entry(role) else { continue };
             let path = logs.join(format!("{role}.log"));
-            // The log tells of this run only.
-            let _ = std::fs::remove_file(&path);
+            if !go_on {
+                // The log tells of this run only.
+                let _ = std::fs::remove_file(&path);
+            }
             let member = Member {
                 entry: entry.clone(),
                 log: ChildLog::open(&path).with_context(|| format!("{}", path.display()))?,
@@ -94,7 +112,60 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        Ok(Self { domain, members, candidate: None, leaving: Vec::new(), left: false, machine, lock })
+        let (leaving, left, changed) = (Vec::new(), false, false);
+        Ok(Self { domain, members, candidate: None, leaving, left, changed, machine, _lock: lock })
+    }
+
+    /// A role that another orchestrator filled, with the process that fills it, if that lives.
+    pub(crate) fn adopt(&mut self, role: Role, entry: ProcessEntry, incarnation: u32, child: Option<Child>) {
+        let Some(member) = self.members.get_mut(&role) else { return };
+        member.starts = u32::from(incarnation != 0);
+        member.last_pid = child.as_ref().map_or(0, Child::pid);
+        member.usage = child.as_ref().map(spent_so_far);
+        (member.entry, member.incarnation, member.child) = (entry, incarnation, child);
+        self.changed = true;
+    }
+
+    /// A process of another orchestrator that no role needs any more; it is killed at `kill_ns`.
+    pub(crate) fn dismiss_adopted(
+        &mut self,
+        role: Role,
+        entry: ProcessEntry,
+        incarnation: u32,
+        child: Child,
+        kill_ns: u64,
+    ) {
+        self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns });
+        self.changed = true;
+    }
+
+    /// All living processes, as they are to be written down.
+    pub(crate) fn rows(&self) -> Vec<ProcessRow> {
+        let row = |role: &Role, entry: &ProcessEntry, child: &Child, incarnation: u32| {
+            let (role, entry, pid) = (role.name().to_owned(), entry.clone(), child.pid());
+            let start_ticks = child.started_ticks()?;
+            Some(ProcessRow { role, identity: Identity { pid, start_ticks, incarnation }, entry })
+        };
+        let members = self.members.iter().filter_map(|(role, member)| {
+            row(role, &member.entry, member.child.as_ref()?, member.incarnation)
+        });
+        let candidate = self.candidate.iter().filter_map(|candidate| {
+            row(&candidate.role, &candidate.entry, &candidate.child, candidate.incarnation)
+        });
+        let leaving = self.leaving.iter().filter_map(|leaving| {
+            row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation)
+        });
+        members.chain(candidate).chain(leaving).collect()
+    }
+
+    /// How a role is started.
+    pub(crate) fn entry(&self, role: Role) -> Option<&ProcessEntry> {
+        self.members.get(&role).map(|member| &member.entry)
+    }
+
+    /// Whether processes have come or gone since the last call.
+    pub(crate) fn has_changed(&mut self) -> bool {
+        std::mem::take(&mut self.changed)
     }
 
     /// Starts the process of a role; `checkpoint` is the newest state of the one before it.
@@ -119,7 +190,7 @@ impl Fleet {
         member.starts += 1;
         member.incarnation = incarnation;
         member.child = Some(child);
-        member.usage = Some((monotonic_ns(), 0.0));
+        member.usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
         member.last_pid = pid;
         Ok(pid)
     }
@@ -151,7 +222,7 @@ impl Fleet {
         ];
         member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
-        self.lock.register(role, child.pid().cast_signed(), incarnation)?;
+        self.changed = true;
         Ok(child)
     }
 
@@ -175,7 +246,7 @@ impl Fleet {
         checkpoint: Option<&Checkpoint>,
     ) -> anyhow::Result<()> {
         let child = self.launch(role, &entry, incarnation, true, checkpoint)?;
-        let usage = Some((monotonic_ns(), 0.0));
+        let usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
         self.candidate = Some(Candidate { role, entry, child, incarnation, usage });
         Ok(())
     }
@@ -188,8 +259,10 @@ impl Fleet {
         if let Some(old) = member.child.replace(child) {
             let _ = old.terminate();
             let kill_ns = monotonic_ns() + member.entry.grace_ms * 1_000_000;
-            self.leaving.push(Leaving { child: old, kill_ns });
+            let (entry, incarnation) = (member.entry.clone(), member.incarnation);
+            self.leaving.push(Leaving { role, entry, child: old, incarnation, kill_ns });
         }
+        self.changed = true;
         (member.entry, member.incarnation, member.usage, member.last_pid) = (entry, incarnation, usage, pid);
         member.last_words.clear();
         Some(pid)
@@ -197,9 +270,9 @@ impl Fleet {
 
     /// Kills the candidate, if there is one.
     pub(crate) fn dismiss(&mut self) {
-        if let Some(Candidate { child, .. }) = self.candidate.take() {
+        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.candidate.take() {
             let _ = child.kill();
-            self.leaving.push(Leaving { child, kill_ns: monotonic_ns() });
+            self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns: monotonic_ns() });
         }
     }
 
@@ -264,6 +337,7 @@ impl Fleet {
             !matches!(leaving.child.try_wait(), Ok(Some(_)))
         });
         self.left |= self.leaving.len() < before;
+        self.changed |= self.left || !ended.is_empty();
         ended
     }
 
@@ -310,12 +384,19 @@ impl Fleet {
 }
 
 /// Processor share since `before`, which is brought up to date, and memory.
-fn load_of(child: &Child, before: &mut Option<(u64, f64)>) -> Load {
+fn load_of(child: &Child, before: &mut Option<Spent>) -> Load {
     let Some(usage) = child.usage() else { return Load::default() };
-    let now = monotonic_ns();
-    let cpu_percent = before.replace((now, usage.cpu_s)).map_or(0.0, |(then, cpu_s)| {
-        let elapsed_s = now.saturating_sub(then).max(1) as f64 * 1e-9;
-        100.0 * (usage.cpu_s - cpu_s).max(0.0) / elapsed_s
-    });
-    Load { cpu_percent, memory_kib: usage.memory_kib }
+    let at_ns = monotonic_ns();
+    let then = before.get_or_insert(Spent { at_ns, cpu_s: usage.cpu_s, percent: 0.0 });
+    let elapsed_ns = at_ns.saturating_sub(then.at_ns);
+    if elapsed_ns >= LOAD_WINDOW_NS {
+        let percent = 100.0 * (usage.cpu_s - then.cpu_s).max(0.0) / (elapsed_ns as f64 * 1e-9);
+        *then = Spent { at_ns, cpu_s: usage.cpu_s, percent };
+    }
+    Load { cpu_percent: then.percent, memory_kib: usage.memory_kib }
+}
+
+fn spent_so_far(child: &Child) -> Spent {
+    let cpu_s = child.usage().map_or(0.0, |usage| usage.cpu_s);
+    Spent { at_ns: monotonic_ns(), cpu_s, percent: 0.0 }
 }

@@ -70,6 +70,18 @@ impl Ledger {
         }
     }
 
+    /// The account starts with the scan `first` after all; what is known of earlier ones is forgotten.
+    pub fn begin_at(&mut self, first: u64) {
+        self.first = first;
+        self.entries = self.entries.split_off(&first);
+        self.refusals = self.refusals.split_off(&first);
+    }
+
+    /// The first scan of the account.
+    pub fn first(&self) -> u64 {
+        self.first
+    }
+
     /// Notes that a scan was published at `published_ns`. Saying it twice changes nothing.
     pub fn published(&mut self, scan_id: u64, published_ns: u64) {
         if let Some(entry) = self.entry(scan_id) {
@@ -323,6 +335,18 @@ mod tests {
         ledger.published(100, 3);
         ledger.answered(100, 4);
         assert_eq!(ledger.report().published, 1);
+    }
+
+    #[test]
+    fn an_account_can_begin_with_the_first_scan_that_is_seen() {
+        let mut ledger = Ledger::new(0);
+        ledger.answered(499, 1);
+        ledger.begin_at(500);
+        ledger.published(500, 3);
+        ledger.answered(500, 4);
+        ledger.answered(499, 5);
+        let report = ledger.report();
+        assert_eq!((report.published, report.commanded, report.unaccounted), (1, 1, 0));
     }
 
     #[test]

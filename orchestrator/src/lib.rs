@@ -1,5 +1,6 @@
 //! Starts, supervises and measures the processes of a system: the library behind the executable `scanloop`.
 
+mod adopt;
 pub mod analyse;
 pub mod bench;
 pub mod calibrate;
@@ -11,6 +12,7 @@ pub mod cli;
 pub mod conformance;
 pub mod control;
 pub mod digest;
+mod driverless;
 pub mod exit;
 pub mod figures;
 mod fleet;
@@ -24,12 +26,15 @@ mod realtime;
 pub mod recorder;
 mod remote;
 pub mod report;
+mod roster;
 mod run;
 mod samples;
 mod service;
+mod service_manager;
 mod session;
 pub mod summary;
 pub mod supervisor;
+mod survivors;
 pub mod swap;
 mod system;
 mod table;
@@ -49,7 +54,7 @@ use exit::{Exit, exit_of};
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let exit = dispatch(&cli).unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
     ExitCode::from(exit as u8)
@@ -61,6 +66,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Run(arguments) => {
             runtime::start_logging();
             run::run(&cli.system_id, arguments)
+        }
+        Command::Adopt(arguments) => {
+            runtime::start_logging();
+            adopt::adopt(&domain()?, arguments)
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),

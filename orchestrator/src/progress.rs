@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use runtime::Priority;
 use shared_types::Role;
 
 /// Width of a plain line.
@@ -65,7 +66,8 @@ impl Progress {
     /// Progress for this standard error: live on a terminal, plain elsewhere, none when `quiet`.
     pub fn new(quiet: bool) -> Self {
         use std::io::IsTerminal;
-        if quiet {
+        // The journal is for news; systemd is told the line as its status.
+        if quiet || runtime::writes_to_journal() {
             return Self::Quiet;
         }
         if !std::io::stderr().is_terminal() {
@@ -92,9 +94,18 @@ impl Progress {
 
     /// Writes a line of text, above the live line; with `--quiet` too, because only news worth it come this way.
     pub fn note(&self, text: &str) {
+        self.print(Priority::Notice, text);
+    }
+
+    /// [`Progress::note`] for what is not as it should be.
+    pub fn warn(&self, text: &str) {
+        self.print(Priority::Warning, text);
+    }
+
+    fn print(&self, priority: Priority, text: &str) {
         match self {
-            Self::Live(bar) => bar.suspend(|| eprintln!("{text}")),
-            Self::Plain { .. } | Self::Quiet => eprintln!("{text}"),
+            Self::Live(bar) => bar.suspend(|| runtime::print(priority, text)),
+            Self::Plain { .. } | Self::Quiet => runtime::print(priority, text),
         }
     }
 

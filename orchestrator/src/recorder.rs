@@ -39,7 +39,7 @@ pub struct RunInfo {
     pub seed: u64,
     /// Whether time is simulated, so that stamps say nothing about this computer.
     pub lockstep: bool,
-    /// Number of the first scan that is accounted for: 1 for a whole run.
+    /// Number of the first scan that is accounted for: 1 for a whole run, 0 for the first one that is seen.
     pub first_scan: u64,
     /// Position of the goal [m].
     pub goal_m: [f64; 2],
@@ -104,6 +104,9 @@ impl Recorder {
     /// What the robot really did up to a scan; it says too that the scan was published.
     pub fn truth(&mut self, truth: &Truth) {
         let scan_id = truth.header.scan_id;
+        if self.ledger.first() == 0 {
+            self.ledger.begin_at(scan_id);
+        }
         self.ledger.published(scan_id, truth.header.scan_published_ns());
         self.acquired(truth.header.acquired_ns);
         let moment = Moment {
@@ -233,6 +236,8 @@ impl Recorder {
             outcome: ending.outcome,
             reason: ending.reason.clone(),
             lockstep: self.info.lockstep,
+            adopted: self.info.first_scan == 0,
+            adopted_from_scan: (self.info.first_scan == 0).then(|| self.ledger.first()),
             duration_s: self.duration_s(),
             scans: self.ledger.report(),
             latency_us: self.latencies.report(),

@@ -2,11 +2,12 @@
 
 use std::fmt::Write as _;
 
-use runtime::{Domain, monotonic_ns};
+use runtime::{Domain, RuntimeError, monotonic_ns};
 use shared_types::Role;
 
 use crate::cli::SwapArguments;
 use crate::control::{MOST_TOLERANCE, Reply, Request, Status, SwapRequest, ask};
+use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
 use crate::swap::SwapOutcome;
 
@@ -21,13 +22,21 @@ const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
 /// # Errors
 /// A system that is not running; exit code 2.
 pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
-    let Reply::Status(status) = ask(domain, &Request::Status)? else {
-        anyhow::bail!("the orchestrator did not answer with a status");
+    let status = match ask(domain, &Request::Status) {
+        Ok(Reply::Status(status)) => *status,
+        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
+        Err(error) => match driverless::status(domain) {
+            Some(status) if is_not_running(&error) => status,
+            _ => return Err(error),
+        },
     };
     if json {
         println!("{}", serde_json::to_string_pretty(&status)?);
     } else {
         eprint!("{}", table(&status));
+        if status.state == DRIVERLESS {
+            eprintln!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
+        }
     }
     Ok(Exit::Done)
 }
@@ -37,7 +46,13 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 /// # Errors
 /// A system that is not running (exit code 2), or that does not end.
 pub(crate) fn stop(domain: &Domain) -> anyhow::Result<Exit> {
-    ask(domain, &Request::Stop)?;
+    if let Err(error) = ask(domain, &Request::Stop) {
+        if !is_not_running(&error) || !driverless::stop(domain)? {
+            return Err(error);
+        }
+        eprintln!("system `{}` has stopped; it had lost its orchestrator", domain.system_id());
+        return Ok(Exit::Done);
+    }
     let deadline = monotonic_ns() + STOP_PATIENCE_NS;
     while ask(domain, &Request::Status).is_ok() {
         if monotonic_ns() > deadline {
@@ -106,6 +121,10 @@ pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result
     }
     eprintln!("{certificate}");
     Ok(if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached })
+}
+
+fn is_not_running(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_)))
 }
 
 /// A command as the orchestrator has to start it, whose working folder is another one.

@@ -39,6 +39,11 @@ pub struct Report {
     pub reason: String,
     /// Whether time was simulated.
     pub lockstep: bool,
+    /// Whether another orchestrator began the run; what follows then tells of the time since it was adopted, but for
+    /// what the robot itself counts.
+    pub adopted: bool,
+    /// The first scan of this account in an adopted run.
+    pub adopted_from_scan: Option<u64>,
     /// Driven time [s].
     pub duration_s: f64,
     /// Account of all scans.

@@ -11,8 +11,9 @@ use shared_types::Directive;
 use toml::{Table, Value};
 use vehicle::frame::to_track;
 
+use crate::adopt;
 use crate::calibrate;
-use crate::cli::{Choice, RunArguments};
+use crate::cli::{AdoptArguments, Choice, RunArguments};
 use crate::control::ControlSocket;
 use crate::digest::Digests;
 use crate::exit::{Exit, Failure};
@@ -23,10 +24,13 @@ use crate::progress::Progress;
 use crate::realtime;
 use crate::recorder::{Recorder, RunInfo};
 use crate::report::{Report, write_atomically};
+use crate::roster::RunFile;
 use crate::samples::Samples;
+use crate::service_manager::ServiceManager;
 use crate::session::{End, Session, Swaps};
 use crate::summary;
-use crate::supervisor::Supervisor;
+use crate::supervisor::{Event, Supervisor};
+use crate::survivors::Survivors;
 use crate::system::System;
 use crate::table;
 use crate::vitals::Vitals;
@@ -105,34 +109,94 @@ pub(crate) struct SettingsFile<'a> {
     pub(crate) actuator: &'a actuation::Config,
 }
 
+/// How a run is driven, apart from what.
+#[derive(Debug, Clone)]
+pub(crate) struct Manner {
+    /// Simulated time.
+    pub lockstep: bool,
+    /// Driven time after which it ends [s].
+    pub duration_s: Option<f64>,
+    /// No progress line.
+    pub quiet: bool,
+    /// Where results are written; an absolute path.
+    pub out: PathBuf,
+}
+
+/// What the one who drives a run begins with: nothing, or what another orchestrator left.
+pub(crate) struct Beginning {
+    pub bus: Bus,
+    pub fleet: Fleet,
+    pub events: Vec<Event>,
+    pub directive: Directive,
+    pub first_scan: u64,
+}
+
 /// Drives a scenario and writes its report.
 ///
 /// # Errors
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
 pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
-    let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
-    if let Some(duration_s) = arguments.duration
-        && !(duration_s > 0.0 && duration_s <= 1e6)
-    {
-        return Err(Failure::bad_input(format!(
-            "--duration {duration_s} is not allowed: above 0, up to 1000000 s"
-        )));
-    }
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name));
-    std::fs::create_dir_all(&out)
-        .map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))?;
     let domain = Domain::new(system_id)?;
-    let mut session = prepare(&domain, &plan, arguments, &out)?;
+    let RunArguments { out, duration, quiet, .. } = arguments;
+    let to_adopt = AdoptArguments { out: out.clone(), duration: *duration, quiet: *quiet };
+    if arguments.adopt {
+        return adopt::adopt(&domain, &to_adopt);
+    }
+    let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
+    check_duration(*duration)?;
+    let mut lock = SystemLock::take(&domain)?;
+    let survivors = Survivors::find(&domain);
+    if arguments.adopt_or_start && !survivors.is_empty() {
+        return adopt::take_over(&domain, lock, survivors, &to_adopt);
+    }
+    if survivors.is_empty() {
+        // Nobody else will remove what is there.
+        lock.own();
+    }
+    let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
+    if !survivors.is_empty() {
+        let words = survivors.words();
+        runtime::print(
+            runtime::Priority::Warning,
+            &format!("an earlier run lost its orchestrator: blocking its wheels and ending {words}"),
+        );
+        survivors.end(&domain);
+    }
+    lock.own();
+    domain.remove_bus_files()?;
+    let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
+    let session = start(&domain, &plan, manner.clone(), lock)?;
+    conclude(session, &plan.scenario, &manner.out)
+}
+
+/// Checks `--duration`.
+pub(crate) fn check_duration(duration_s: Option<f64>) -> anyhow::Result<()> {
+    match duration_s {
+        Some(duration_s) if !(duration_s > 0.0 && duration_s <= 1e6) => Err(Failure::bad_input(format!(
+            "--duration {duration_s} is not allowed: above 0, up to 1000000 s"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Makes the folder of the results; returns its absolute path.
+pub(crate) fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
+    let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
+    made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))
+}
+
+/// Drives to the end, writes the results and prints the summary.
+pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) -> anyhow::Result<Exit> {
     let ending = session.drive()?;
     let (recorder, digests) = session.finish();
     let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
     let report_file = out.join("report.json");
     report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;
     let picture_file = out.join("drive.svg");
-    let drawing = picture::draw(&scene_of(&plan.scenario, &report), &recorder.drive())?;
+    let drawing = picture::draw(&scene_of(scenario, &report), &recorder.drive())?;
     write_atomically(&picture_file, drawing.as_bytes())
         .with_context(|| format!("{}", picture_file.display()))?;
-    eprint!("{}", summary::text(&report, Some(&out)));
+    runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
     Ok(match ending.outcome.exit_code() {
         0 => Exit::Done,
         3 => Exit::Collision,
@@ -141,48 +205,78 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     })
 }
 
-fn prepare(domain: &Domain, plan: &Plan, arguments: &RunArguments, out: &Path) -> anyhow::Result<Session> {
-    let Plan { scenario, system } = plan;
-    let shutdown = Shutdown::on_signals()?;
-    let lock = SystemLock::acquire(domain)?;
-    write_settings(domain, plan, arguments.lockstep)?;
+/// A path as it is seen from the working folder.
+fn near(path: &Path) -> PathBuf {
+    let here = std::env::current_dir().unwrap_or_default();
+    path.strip_prefix(here).unwrap_or(path).to_owned()
+}
+
+/// A run with nothing behind it.
+fn start(domain: &Domain, plan: &Plan, manner: Manner, lock: SystemLock) -> anyhow::Result<Session> {
+    write_settings(domain, plan, manner.lockstep)?;
+    let Manner { out, lockstep, duration_s, .. } = manner.clone();
+    RunFile { out, lockstep, duration_s, system: plan.system.clone() }.write(domain)?;
     let bus = Bus::create(domain)?;
+    let fleet = Fleet::new(domain.clone(), lock, &plan.system, manner.out.join("logs"), false)?;
+    let mut directive = Directive::default();
+    directive.header.incarnation = 1;
+    assemble(
+        domain,
+        plan,
+        manner,
+        Beginning { bus, fleet, events: vec![Event::Start], directive, first_scan: 1 },
+    )
+}
+
+/// A session that is about to drive.
+pub(crate) fn assemble(
+    domain: &Domain,
+    plan: &Plan,
+    manner: Manner,
+    beginning: Beginning,
+) -> anyhow::Result<Session> {
+    let Plan { scenario, system } = plan;
+    let Beginning { bus, fleet, events, directive, first_scan } = beginning;
+    let shutdown = Shutdown::on_signals()?;
     let control = ControlSocket::open(domain)?;
     let period_ns = system.period_ns();
     let policies = shared_types::Role::ALL
         .iter()
-        .filter_map(|role| system.entry(*role).map(|entry| entry.policy(*role, period_ns)))
+        .filter_map(|role| fleet.entry(*role).map(|entry| entry.policy(*role, period_ns)))
         .collect();
     let supervisor = Supervisor::new(policies);
-    let supervisor = if arguments.lockstep { supervisor.in_lockstep() } else { supervisor };
+    let supervisor = if manner.lockstep { supervisor.in_lockstep() } else { supervisor };
     let info = RunInfo {
         scenario: scenario.name.clone(),
         seed: scenario.seed,
-        lockstep: arguments.lockstep,
-        first_scan: 1,
+        lockstep: manner.lockstep,
+        first_scan,
         goal_m: [scenario.goal.x_m, scenario.goal.y_m],
     };
     Ok(Session {
-        fleet: Fleet::new(domain.clone(), lock, system, out.join("logs"))?,
         samples: Samples::new(&bus)?,
         vitals: Vitals::new(&bus)?,
         voice: Voice::new(&bus)?,
         digests: Digests::default(),
         referee: Referee::new(scenario),
-        progress: Progress::new(arguments.quiet),
+        progress: Progress::new(manner.quiet),
+        manager: ServiceManager::new(),
         recorder: Recorder::new(info),
         domain: domain.clone(),
         scenario: scenario.clone(),
-        lockstep: arguments.lockstep,
-        duration_s: arguments.duration,
-        directive: Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() },
+        lockstep: manner.lockstep,
+        duration_s: manner.duration_s,
+        directive: Directive { orchestrator_pid: u64::from(std::process::id()), ..directive },
+        written: None,
         swaps: Swaps::default(),
+        beginning: events,
         end: End::NotYet,
         dirty: true,
         said_ns: 0,
         moved_ns: 0,
         period_ns,
         bus,
+        fleet,
         supervisor,
         shutdown,
         control,

@@ -91,12 +91,15 @@ pub(crate) struct Samples {
 impl Samples {
     /// Starts observing.
     pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+        // The truth last: whoever joins a loop that runs sees all answers to the first scan that it sees.
+        let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
+        let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
         Ok(Self {
             truths: Queue::new(bus)?,
-            poses: Queue::new(bus)?,
-            obstacles: Queue::new(bus)?,
-            commands: Queue::new(bus)?,
-            actuations: Queue::new(bus)?,
+            poses,
+            obstacles,
+            commands,
+            actuations,
             newest_scan: 0,
             answered_scan: 0,
             invalid: 0,

@@ -4,6 +4,7 @@
 //! reap processes, answer commands, let the supervisor and the referee decide, speak to the processes.
 //! Nothing of the driving depends on it: the processes talk to each other, and go on when it hangs or dies.
 
+mod account;
 mod swapping;
 
 use std::time::Instant;
@@ -16,13 +17,15 @@ use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
 use crate::digest::Digests;
 use crate::fleet::Fleet;
 use crate::ledger::PROCESS_RESTARTED;
-use crate::progress::{ProcessWord, Progress};
+use crate::progress::{COLUMNS, ProcessWord, Progress, line};
 use crate::recorder::{Ending, Recorder};
 use crate::report::{Outcome, ProcessReport};
 use crate::samples::{Samples, ScanRecord};
+use crate::service_manager::ServiceManager;
 use crate::supervisor::{Action, Event, Severity, Supervisor};
 use crate::vitals::Vitals;
 
+pub(crate) use account::Word;
 pub(crate) use swapping::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
@@ -46,6 +49,7 @@ pub(crate) struct Session {
     pub(crate) supervisor: Supervisor,
     pub(crate) recorder: Recorder,
     pub(crate) progress: Progress,
+    pub(crate) manager: ServiceManager,
     pub(crate) shutdown: Shutdown,
     pub(crate) control: ControlSocket,
     pub(crate) referee: Referee,
@@ -54,7 +58,11 @@ pub(crate) struct Session {
     pub(crate) vitals: Vitals,
     pub(crate) voice: Voice<Directive>,
     pub(crate) directive: Directive,
+    /// What the roster said last of the directive.
+    pub(crate) written: Option<Word>,
     pub(crate) swaps: Swaps,
+    /// What the supervisor is told first: to start all, or who is there already.
+    pub(crate) beginning: Vec<Event>,
     pub(crate) end: End,
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,
@@ -84,7 +92,9 @@ impl Session {
     /// Errors of the bus. The processes are then killed when the session is dropped.
     pub(crate) fn drive(&mut self) -> anyhow::Result<Ending> {
         self.moved_ns = monotonic_ns();
-        self.handle(Event::Start)?;
+        for event in std::mem::take(&mut self.beginning) {
+            self.handle(event)?;
+        }
         while !self.supervisor.is_finished() {
             self.sleep();
             self.samples.poll(&self.directive)?;
@@ -96,6 +106,7 @@ impl Session {
             self.advance_end()?;
             self.advance_swap()?;
             self.handle(Event::Tick)?;
+            self.keep_account();
             self.speak()?;
             self.show();
         }
@@ -145,7 +156,7 @@ impl Session {
             }
             if self.end == End::NotYet {
                 self.recorder.outage_began(role, PROCESS_RESTARTED);
-                self.progress.note(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
+                self.progress.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_words(role) {
                     self.progress.note(&format!("  {role}: {line}"));
                 }
@@ -318,7 +329,9 @@ impl Session {
             }
             Action::Spawn { role, incarnation } => {
                 self.recorder.outage_ended(role);
-                return Ok(Some(self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role))));
+                let answer = self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role));
+                self.keep_account();
+                return Ok(Some(answer));
             }
             Action::Terminate { role } => self.fleet.signal(role, false),
             Action::Kill { role } => self.fleet.signal(role, true),
@@ -351,8 +364,8 @@ impl Session {
             Action::AllStopped => {}
             Action::Log(severity, text) => match severity {
                 Severity::Info => tracing::debug!("{text}"),
-                Severity::Warn if self.end == End::NotYet => self.progress.note(&text),
-                Severity::Error => self.progress.note(&text),
+                Severity::Warn if self.end == End::NotYet => self.progress.warn(&text),
+                Severity::Error => self.progress.warn(&text),
                 Severity::Warn => {}
             },
         }
@@ -363,8 +376,9 @@ impl Session {
     fn speak(&mut self) -> anyhow::Result<()> {
         let now = monotonic_ns();
         if self.dirty || now.saturating_sub(self.said_ns) >= REPEAT_NS {
-            if !self.dirty {
-                self.fleet.trim_logs();
+            match self.dirty {
+                true => self.keep_account(),
+                false => self.fleet.trim_logs(),
             }
             self.directive.issued_ns = now;
             self.voice.say(&mut self.directive, self.dirty)?;
@@ -378,7 +392,14 @@ impl Session {
         let processes: Vec<_> = self.supervisor.processes().collect();
         let words: Vec<_> =
             processes.iter().map(|view| ProcessWord { role: view.role, state: view.state.name() }).collect();
-        self.progress.update(Instant::now(), &self.recorder.view(), &words);
+        let view = self.recorder.view();
+        self.progress.update(Instant::now(), &view, &words);
+        match self.supervisor.phase() {
+            Phase::Driving => self.manager.ready(),
+            Phase::Stopping => self.manager.stopping(),
+            Phase::Starting | Phase::Connecting => {}
+        }
+        self.manager.turn(|| line(&view, &words, COLUMNS));
     }
 
     fn status(&mut self) -> Status {

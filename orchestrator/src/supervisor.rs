@@ -9,10 +9,14 @@
 //!   while driving attaches and connects on its own.
 //! * **Death.** Exit, then clean-up on the bus, then a pause, then the next incarnation; never another order,
 //!   because a dead node holds its ports until it is cleaned up. The first death of a ready process costs no
-//!   pause, later ones double it; a healthy run forgets them. Too many deaths before the first valid output end
-//!   the run, and so does any death of the robot, or of anyone in lock-step, where a gap would change the result.
-//! * **Hang.** A connected process that makes no progress while driving is killed, then treated as dead. In the
-//!   other phases processes wait for each other, and only the start time-out counts.
+//!   pause, later ones double it; a healthy run forgets them. Too many deaths before the first valid output, or
+//!   within a minute, end the run, and so does any death of the robot, or of anyone in lock-step, where a gap
+//!   would change the result.
+//! * **Hang.** A connected process that makes no progress while driving is killed, then treated as dead; so is one
+//!   that has all it reads and still no first output when the start time-out is over. In the other phases
+//!   processes wait for each other, and only the start time-out counts.
+//! * **Adoption.** The processes of an orchestrator that died are told of one by one; then the run goes on in the
+//!   phase in which it was. Who ended meanwhile is treated as dead.
 //! * **Exchange.** A swap starts its process itself, under a number of [`Supervisor::next_incarnation`], and tells of
 //!   it when it has taken over ([`Event::Replaced`]); until then the supervisor knows the old one only.
 //! * **Stop.** Three waves: controller, obstacles and estimator; when they are gone the actuator, which blocks
@@ -22,9 +26,7 @@
 //! recognised and ignored. Assumptions, and where they fail: times do not go backwards (an earlier time only
 //! delays what is due); the caller sends [`Event::Tick`] after all other events at hand, else a process may be
 //! judged by news that is still in the queue. A caller that was itself stopped for long judges nobody: after a
-//! gap of two hang limits between events, all processes get a fresh limit. A process that goes round its loop
-//! but never publishes stays `starting` without a limit, because it may wait for others; the time-out of the
-//! scenario ends such a run.
+//! gap of two hang limits between events, all processes get a fresh limit.
 
 mod death;
 mod event;
@@ -127,6 +129,12 @@ impl Supervisor {
         self.forgive_own_stall(now_ns);
         match event {
             Event::Start => self.start(&mut actions),
+            Event::Adopted { role, pid, incarnation, restarts } => {
+                self.adopted(now_ns, role, pid, incarnation, restarts);
+            }
+            Event::Resume { phase, last_incarnation } => {
+                self.resume(now_ns, phase, last_incarnation, &mut actions);
+            }
             Event::Spawned { role, pid, incarnation } => {
                 self.spawned(now_ns, role, pid, incarnation, &mut actions)
             }
@@ -150,7 +158,13 @@ impl Supervisor {
             }
             Event::CleanedUp { role } => self.cleaned_up(now_ns, role, &mut actions),
         }
+        self.watch_first_outputs(now_ns);
         actions
+    }
+
+    /// The largest number given to a process so far.
+    pub fn last_incarnation(&self) -> u32 {
+        self.last_incarnation
     }
 
     /// A number for a process that the caller starts itself, to be told of with [`Event::Replaced`].
@@ -167,6 +181,57 @@ impl Supervisor {
         actions.push(Action::Announce(Phase::Starting));
         for index in 0..self.slots.len() {
             self.spawn(index, actions);
+        }
+    }
+
+    fn adopted(&mut self, now_ns: u64, role: Role, pid: Option<u32>, incarnation: u32, restarts: u32) {
+        let started = self.started || self.phase == Phase::Stopping;
+        let Some(slot) = self.slot(role) else { return };
+        if started || slot.life != Life::Idle {
+            return;
+        }
+        (slot.incarnation, slot.restarts) = (incarnation, restarts);
+        if let Some(pid) = pid {
+            slot.life = Life::Alive(Alive::new(pid, now_ns));
+        }
+    }
+
+    fn resume(&mut self, now_ns: u64, phase: Phase, last_incarnation: u32, actions: &mut Vec<Action>) {
+        if self.started || self.phase == Phase::Stopping {
+            return;
+        }
+        self.started = true;
+        self.last_incarnation = self.slots.iter().map(|slot| slot.incarnation).fold(last_incarnation, u32::max);
+        self.phase = phase.min(Phase::Driving);
+        if phase == Phase::Stopping {
+            return self.stop(now_ns, actions);
+        }
+        for slot in &mut self.slots {
+            if let Life::Alive(alive) = &mut slot.life {
+                // Who hangs says nothing, not even how far it got: it is watched from now on as one of the loop.
+                match phase {
+                    Phase::Driving => alive.reached = Some(ProcessState::Connected),
+                    _ => {
+                        let limit_ns = nanoseconds(slot.policy.start_timeout_ms);
+                        alive.start_deadline_ns = Some(now_ns.saturating_add(limit_ns));
+                    }
+                }
+            }
+        }
+        for index in 0..self.slots.len() {
+            let (role, incarnation) = (self.slots[index].policy.role, self.slots[index].incarnation);
+            if self.phase == Phase::Stopping || self.slots[index].life != Life::Idle {
+                continue;
+            }
+            if incarnation == 0 {
+                self.spawn(index, actions);
+            } else if self.lockstep || self.slots[index].policy.effective_restart() == Restart::Never {
+                self.fail(now_ns, role, "ended while no orchestrator watched".to_owned(), actions);
+            } else {
+                actions.push(warn(format!("{role} ended while no orchestrator watched; restarted")));
+                self.slots[index].life = Life::CleaningUp { due_ns: now_ns };
+                actions.push(Action::CleanUp { role });
+            }
         }
     }
 
@@ -191,13 +256,8 @@ impl Supervisor {
         }
         let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
         slot.life = Life::Alive(Alive {
-            pid,
-            reached: None,
-            ready_ns: None,
             start_deadline_ns: (phase != Phase::Stopping).then_some(deadline_ns),
-            progress_ns: now_ns,
-            ending: None,
-            kill_ns: None,
+            ..Alive::new(pid, now_ns)
         });
         actions.push(info(format!("{role} started as process {pid}, incarnation {incarnation}")));
         self.continue_stop(now_ns, actions);
@@ -260,15 +320,11 @@ impl Supervisor {
             return;
         }
         slot.incarnation = incarnation;
-        (slot.streak, slot.failed_starts, slot.last_exit) = (0, 0, None);
+        slot.forget_deaths();
         slot.life = Life::Alive(Alive {
-            pid,
             reached: Some(ProcessState::Ready),
             ready_ns: Some(now_ns),
-            start_deadline_ns: None,
-            progress_ns: now_ns,
-            ending: None,
-            kill_ns: None,
+            ..Alive::new(pid, now_ns)
         });
         actions.push(info(format!("{role} is filled by process {pid}, incarnation {incarnation}")));
         self.continue_stop(now_ns, actions);

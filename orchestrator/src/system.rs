@@ -63,6 +63,15 @@ pub(crate) struct ProcessEntry {
     /// Deaths before the first valid output that end the run, 1 to 100.
     #[serde(default = "default_start_limit")]
     pub start_limit: u32,
+    /// Restarts within `restart_window_s` of one that had been ready; one death more ends the run, 1 to 1000000.
+    #[serde(default = "default_restart_limit")]
+    pub restart_limit: u32,
+    /// Over this time such deaths are counted, 0.1 to 86400 [s].
+    #[serde(default = "default_restart_window")]
+    pub restart_window_s: f64,
+    /// Longest time to attach, to connect, and to the first output of one that has all it reads, 0.1 to 3600 [s].
+    #[serde(default = "default_start_timeout")]
+    pub start_timeout_s: f64,
     /// Time between the request to end and the kill, 1 to 3600000 [ms].
     #[serde(default = "default_grace")]
     pub grace_ms: u64,
@@ -183,6 +192,22 @@ impl System {
 }
 
 impl ProcessEntry {
+    /// A command that fills a role, with the default policy.
+    #[cfg(test)]
+    pub(crate) fn of(role: Role, command: &[String]) -> Self {
+        Self {
+            role: role.name().to_owned(),
+            implementation: None,
+            command: Some(command.to_vec()),
+            restart: default_restart(),
+            start_limit: default_start_limit(),
+            restart_limit: default_restart_limit(),
+            restart_window_s: default_restart_window(),
+            start_timeout_s: default_start_timeout(),
+            grace_ms: default_grace(),
+        }
+    }
+
     /// The policy by which the supervisor keeps the process alive.
     pub(crate) fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
         let period_ms = period_ns.div_ceil(1_000_000);
@@ -193,6 +218,9 @@ impl ProcessEntry {
                 _ => ProcessPolicy::new(role, period_ms).restart,
             },
             start_limit: self.start_limit,
+            restart_limit: self.restart_limit,
+            restart_window_ms: (self.restart_window_s * 1e3) as u64,
+            start_timeout_ms: (self.start_timeout_s * 1e3) as u64,
             grace_ms: self.grace_ms,
             ..ProcessPolicy::new(role, period_ms)
         }
@@ -238,6 +266,9 @@ impl ProcessEntry {
             return Err(Invalid::new("restart", &self.restart, "one of never, on-failure, always"));
         }
         require("start_limit", f64::from(self.start_limit), 1.0..=100.0)?;
+        require("restart_limit", f64::from(self.restart_limit), 1.0..=1e6)?;
+        require("restart_window_s", self.restart_window_s, 0.1..=86_400.0)?;
+        require("start_timeout_s", self.start_timeout_s, 0.1..=3600.0)?;
         require("grace_ms", self.grace_ms as f64, 1.0..=3_600_000.0)
     }
 }
@@ -270,6 +301,18 @@ fn default_restart() -> String {
 
 fn default_start_limit() -> u32 {
     3
+}
+
+fn default_restart_limit() -> u32 {
+    5
+}
+
+fn default_restart_window() -> f64 {
+    60.0
+}
+
+fn default_start_timeout() -> f64 {
+    10.0
 }
 
 fn default_grace() -> u64 {

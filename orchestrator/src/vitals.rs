@@ -27,6 +27,7 @@ struct Pulse {
     activations: u64,
     published: VecDeque<(u64, u64)>,
     newest_output_ns: u64,
+    scan: u64,
 }
 
 impl Vitals {
@@ -83,6 +84,11 @@ impl Vitals {
         self.newest.get(&role)
     }
 
+    /// The last scan that an incarnation is known to have worked on.
+    pub(crate) fn scan_of(&self, incarnation: u32) -> u64 {
+        self.pulses.get(&incarnation).map_or(0, |pulse| pulse.scan)
+    }
+
     /// Outputs per second of an incarnation, and the age of its newest output [ms].
     pub(crate) fn rate_and_age(&self, incarnation: u32) -> (f64, f64) {
         let Some(pulse) = self.pulses.get(&incarnation) else { return (0.0, 0.0) };
@@ -107,6 +113,7 @@ impl Pulse {
             self.newest_output_ns = now;
         }
         self.beat_ns = now;
+        self.scan = self.scan.max(heartbeat.header.scan_id);
         self.published.push_back((now, published));
         while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {
             self.published.pop_front();

@@ -68,6 +68,8 @@ wire_enum! {
         NoInput = 6 "no_input",
         /// The estimator suspects a wrong calibration.
         SelfCheck = 7 "self_check",
+        /// The state of the process before was lost while the robot drove: it comes to rest first.
+        StateLost = 8 "state_lost",
     }
 }
 

@@ -1,5 +1,4 @@
 //! Every equation of the source has a home in the code that names it.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 use shared_types::{Phase, Role};
 
 use super::policy::nanoseconds;
-use super::slot::{Ending, Life, Slot};
+use super::slot::{Ending, Life, Limit, Slot};
 use super::{Action, Exit, Restart, Severity, Supervisor, info, warn};
 
 impl Supervisor {
@@ -18,12 +18,15 @@ impl Supervisor {
             slot.life = Life::Stopped;
             return self.continue_stop(now_ns, actions);
         }
-        let limit_reached = slot.count_death(now_ns, None);
+        let limit = slot.count_death(now_ns, None);
         if lockstep || slot.policy.effective_restart() == Restart::Never {
             return self.fail(now_ns, role, format!("could not be started: {error}"), actions);
         }
-        if limit_reached {
-            let reason = format!("could not be started {} times, last: {error}", slot.failed_starts);
+        if let Some(limit) = limit {
+            let reason = match limit {
+                Limit::Start => format!("could not be started {} times, last: {error}", slot.failed_starts),
+                Limit::Restart => too_often(slot, &error),
+            };
             return self.fail(now_ns, role, reason, actions);
         }
         // There never was a process, so nothing is left to be cleaned up.
@@ -67,10 +70,11 @@ impl Supervisor {
         let reason = match ending {
             Some(Ending::Hung) => format!("made no progress for {} ms", slot.policy.hang_after_ms),
             Some(Ending::StartTimeout) => format!("did not start within {} ms", slot.policy.start_timeout_ms),
+            Some(Ending::NoOutput) => format!("had no output within {} ms", slot.policy.start_timeout_ms),
             _ if exit.is_success() => format!("ended by itself with {exit}"),
             _ => exit.to_string(),
         };
-        let limit_reached = slot.count_death(now_ns, ready_ns);
+        let limit = slot.count_death(now_ns, ready_ns);
         let is_final = match slot.policy.effective_restart() {
             Restart::Never => true,
             Restart::OnFailure => ending.is_none() && exit.is_success(),
@@ -79,8 +83,13 @@ impl Supervisor {
         if lockstep || is_final {
             return self.fail(now_ns, role, reason, actions);
         }
-        if limit_reached {
-            let reason = format!("died {} times before its first output, last: {reason}", slot.failed_starts);
+        if let Some(limit) = limit {
+            let reason = match limit {
+                Limit::Start => {
+                    format!("died {} times before its first output, last: {reason}", slot.failed_starts)
+                }
+                Limit::Restart => too_often(slot, &reason),
+            };
             return self.fail(now_ns, role, reason, actions);
         }
         let pause_ns = slot.policy.backoff_ns(slot.streak, ready_ns.is_some());
@@ -99,7 +108,7 @@ impl Supervisor {
         }
     }
 
-    fn fail(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
+    pub(super) fn fail(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
         if let Some(slot) = self.slot(role) {
             slot.life = Life::Failed;
         }
@@ -152,6 +161,11 @@ impl Supervisor {
             alive.ending = Some(Ending::Stop);
         }
     }
+}
+
+fn too_often(slot: &Slot, last: &str) -> String {
+    let window_s = slot.policy.restart_window_ms as f64 * 1e-3;
+    format!("died {} times within {window_s} s, last: {last}", slot.deaths.len())
 }
 
 /// The actuator outlives all that command, and the robot outlives the actuator.

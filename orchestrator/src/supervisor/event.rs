@@ -9,6 +9,24 @@ use super::Exit;
 pub enum Event {
     /// The run is to begin.
     Start,
+    /// A process of an orchestrator that died; told of each of them before [`Event::Resume`].
+    Adopted {
+        /// Its role.
+        role: Role,
+        /// Its process id; `None` when it has ended meanwhile.
+        pid: Option<u32>,
+        /// Its incarnation.
+        incarnation: u32,
+        /// How often the role was started again before.
+        restarts: u32,
+    },
+    /// In place of [`Event::Start`]: the run of an orchestrator that died goes on.
+    Resume {
+        /// What the whole system was told last.
+        phase: Phase,
+        /// The largest number given to a process.
+        last_incarnation: u32,
+    },
     /// The process asked for by [`Action::Spawn`] exists.
     Spawned {
         /// Its role.

@@ -45,6 +45,8 @@ pub enum Exit {
     Code(i32),
     /// A signal of this number killed it.
     Signal(i32),
+    /// Nobody was told: it is no child of this orchestrator, but was adopted.
+    Unknown,
 }
 
 impl Exit {
@@ -69,6 +71,7 @@ impl fmt::Display for Exit {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Code(code) => write!(formatter, "exit code {code}"),
+            Self::Unknown => formatter.write_str("exit code unknown, as it was adopted"),
             Self::Signal(number) => {
                 write!(formatter, "killed by signal {number}")?;
                 let name = usize::try_from(number - 1).ok().and_then(|index| SIGNALS.get(index));
@@ -90,11 +93,12 @@ mod tests {
         assert_eq!(Exit::Signal(31).to_string(), "killed by signal 31 (SIGSYS)");
         assert_eq!(Exit::Signal(40).to_string(), "killed by signal 40");
         assert_eq!(Exit::Signal(0).to_string(), "killed by signal 0");
+        assert_eq!(Exit::Unknown.to_string(), "exit code unknown, as it was adopted");
     }
 
     #[test]
     fn only_code_zero_is_a_success() {
         assert!(Exit::Code(0).is_success());
-        assert!(!Exit::Code(1).is_success() && !Exit::Signal(15).is_success());
+        assert!(!Exit::Code(1).is_success() && !Exit::Signal(15).is_success() && !Exit::Unknown.is_success());
     }
 }

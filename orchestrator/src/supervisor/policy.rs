@@ -9,6 +9,9 @@ pub const MIN_HANG_AFTER_MS: u64 = 300;
 /// An hour: no time of a policy is longer.
 const LONGEST_MS: u64 = 3_600_000;
 
+/// A day: deaths further apart than this have nothing to do with each other.
+const LONGEST_WINDOW_MS: u64 = 24 * LONGEST_MS;
+
 /// When a process that ended is started again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Restart {
@@ -33,9 +36,14 @@ pub struct ProcessPolicy {
     pub backoff_cap_ms: u64,
     /// Deaths before the first valid output, without a healthy run between, that end the run.
     pub start_limit: u32,
+    /// Restarts within `restart_window_ms` of a process that had been ready; one death more ends the run.
+    pub restart_limit: u32,
+    /// Over this time deaths of a process that had been ready are counted [ms].
+    pub restart_window_ms: u64,
     /// Time after its first valid output from which earlier deaths are forgotten [ms].
     pub healthy_after_ms: u64,
-    /// Longest time to attach, and once more to connect [ms].
+    /// Longest time to attach, once more to connect, and once more to the first output of a process that has all it
+    /// reads [ms].
     pub start_timeout_ms: u64,
     /// Time between the request to end and the kill [ms].
     pub grace_ms: u64,
@@ -53,9 +61,12 @@ impl ProcessPolicy {
             backoff_cap_ms: 5_000,
             // A wrong option or a missing file fails at once and every time: three tries tell it from bad luck.
             start_limit: 3,
+            // Backoff alone would let a process that dies a second after each start go on for ever.
+            restart_limit: 5,
+            restart_window_ms: 60_000,
             healthy_after_ms: 3_000,
             // An interpreter with a cold cache on a loaded machine needs seconds.
-            start_timeout_ms: 15_000,
+            start_timeout_ms: 10_000,
             grace_ms: 1_000,
             hang_after_ms: period_ms.saturating_mul(3).max(MIN_HANG_AFTER_MS),
         }
@@ -95,8 +106,14 @@ impl ProcessPolicy {
                 return Err(Invalid::new(key, value, format!("{least} to {LONGEST_MS} ms")));
             }
         }
-        if self.start_limit == 0 {
-            return Err(Invalid::new("start_limit", self.start_limit, "1 or more"));
+        if !(1..=LONGEST_WINDOW_MS).contains(&self.restart_window_ms) {
+            let allowed = format!("1 to {LONGEST_WINDOW_MS} ms");
+            return Err(Invalid::new("restart_window_ms", self.restart_window_ms, allowed));
+        }
+        for (key, limit) in [("start_limit", self.start_limit), ("restart_limit", self.restart_limit)] {
+            if limit == 0 {
+                return Err(Invalid::new(key, limit, "1 or more"));
+            }
         }
         Ok(())
     }
@@ -144,5 +161,7 @@ mod tests {
         );
         let policy = ProcessPolicy { start_limit: 0, ..ProcessPolicy::new(Role::Robot, 100) };
         assert_eq!(policy.validate().unwrap_err().key, "start_limit");
+        let policy = ProcessPolicy { restart_window_ms: 0, ..ProcessPolicy::new(Role::Robot, 100) };
+        assert_eq!(policy.validate().unwrap_err().key, "restart_window_ms");
     }
 }

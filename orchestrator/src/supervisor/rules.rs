@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use shared_types::{Phase, ProcessState, Role};
 
-use super::world::{World, policies};
+use super::world::{Found, World, policies};
 use super::{Action, Event, Exit, ProcessPolicy, Supervisor};
 
 const KILLED: Exit = Exit::Signal(9);
@@ -62,6 +62,24 @@ fn every_short_trace_keeps_the_rules_and_can_be_ended() {
     }
     // 1 + 9 + 81 + 729 + 6561 + 59049 traces from each of four beginnings.
     assert_eq!(traces, 4 * 66_430);
+}
+
+#[test]
+fn every_short_trace_after_an_adoption_keeps_the_rules_and_can_be_ended() {
+    let mut traces = 0;
+    let found = [Found::Alive, Found::Gone, Found::NeverStarted];
+    for phase in Phase::ALL {
+        for robot in found {
+            for controller in found {
+                let two = [Role::Robot, Role::Controller].map(|role| ProcessPolicy::new(role, 100));
+                let of = |role| if role == Role::Robot { robot } else { controller };
+                let world = World::adopted(two.into(), false, *phase, of);
+                explore(&world, 3, &mut traces);
+            }
+        }
+    }
+    // 1 + 9 + 81 + 729 traces from each of 4 phases and 9 findings.
+    assert_eq!(traces, 36 * 820);
 }
 
 /// One thing that the world can do.
@@ -165,6 +183,23 @@ proptest! {
         if driving {
             world.bring_up();
         }
+        for deed in deeds {
+            perform(&mut world, deed);
+        }
+        world.bring_down(obedient);
+    }
+
+    #[test]
+    fn no_adopted_run_breaks_the_rules_and_each_can_be_ended(
+        deeds in prop::collection::vec(any_deed(), 0..80),
+        found in prop::array::uniform5(prop::sample::select(vec![
+            Found::Alive, Found::Alive, Found::Alive, Found::Gone, Found::NeverStarted,
+        ])),
+        phase in prop::sample::select(Phase::ALL),
+        lockstep in prop::bool::weighted(0.2),
+        obedient: bool,
+    ) {
+        let mut world = World::adopted(policies(), lockstep, phase, |role| found[role.index()]);
         for deed in deeds {
             perform(&mut world, deed);
         }

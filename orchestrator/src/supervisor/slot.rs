@@ -1,5 +1,7 @@
 //! The life of the process of one role.
 
+use std::collections::VecDeque;
+
 use shared_types::{ProcessState, Role};
 
 use super::policy::{ProcessPolicy, nanoseconds};
@@ -92,7 +94,7 @@ pub(super) struct Alive {
     pub(super) reached: Option<ProcessState>,
     /// When it was first known to be ready.
     pub(super) ready_ns: Option<u64>,
-    /// Until when it must have attached or connected.
+    /// Until when it must have attached, connected, or had its first output.
     pub(super) start_deadline_ns: Option<u64>,
     /// When it last made progress.
     pub(super) progress_ns: u64,
@@ -100,6 +102,21 @@ pub(super) struct Alive {
     pub(super) ending: Option<Ending>,
     /// When it is killed, if it has not ended by then.
     pub(super) kill_ns: Option<u64>,
+}
+
+impl Alive {
+    /// A process that has said nothing yet and is asked for nothing.
+    pub(super) fn new(pid: u32, now_ns: u64) -> Self {
+        Self {
+            pid,
+            reached: None,
+            ready_ns: None,
+            start_deadline_ns: None,
+            progress_ns: now_ns,
+            ending: None,
+            kill_ns: None,
+        }
+    }
 }
 
 /// Why a process is being ended.
@@ -113,6 +130,17 @@ pub(super) enum Ending {
     Hung,
     /// It did not attach or connect in time.
     StartTimeout,
+    /// It had all it reads, and no output in time.
+    NoOutput,
+}
+
+/// A limit that a death has reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Limit {
+    /// Too many in a row before the first output.
+    Start,
+    /// Too many within the window.
+    Restart,
 }
 
 /// The process of one role with its history.
@@ -127,13 +155,23 @@ pub(super) struct Slot {
     pub(super) streak: u32,
     /// Deaths before readiness since the last healthy run.
     pub(super) failed_starts: u32,
+    /// Times of the deaths after readiness within the window [ns].
+    pub(super) deaths: VecDeque<u64>,
     pub(super) last_exit: Option<String>,
 }
 
 impl Slot {
     pub(super) fn new(policy: ProcessPolicy) -> Self {
-        let life = Life::Idle;
-        Self { policy, life, incarnation: 0, restarts: 0, streak: 0, failed_starts: 0, last_exit: None }
+        Self {
+            policy,
+            life: Life::Idle,
+            incarnation: 0,
+            restarts: 0,
+            streak: 0,
+            failed_starts: 0,
+            deaths: VecDeque::new(),
+            last_exit: None,
+        }
     }
 
     /// Whether there is a process, or is about to be one.
@@ -154,8 +192,13 @@ impl Slot {
         matches!(self.life, Life::Alive(Alive { reached, ending: None, .. }) if reached >= Some(state))
     }
 
-    /// Counts a death; true when the start limit is reached.
-    pub(super) fn count_death(&mut self, now_ns: u64, ready_ns: Option<u64>) -> bool {
+    /// Whether it lives, is ready, and nobody has asked it to end.
+    pub(super) fn is_ready(&self) -> bool {
+        self.has_reached(ProcessState::Ready)
+    }
+
+    /// Counts a death; the limit that it reaches, if it does.
+    pub(super) fn count_death(&mut self, now_ns: u64, ready_ns: Option<u64>) -> Option<Limit> {
         let healthy_ns = nanoseconds(self.policy.healthy_after_ms);
         if ready_ns.is_some_and(|ready_ns| now_ns.saturating_sub(ready_ns) >= healthy_ns) {
             self.streak = 0;
@@ -165,7 +208,19 @@ impl Slot {
         if ready_ns.is_none() {
             self.failed_starts = self.failed_starts.saturating_add(1);
         }
-        self.failed_starts >= self.policy.start_limit
+        let window_ns = nanoseconds(self.policy.restart_window_ms);
+        self.deaths.retain(|then_ns| now_ns.saturating_sub(*then_ns) < window_ns);
+        self.deaths.extend(ready_ns.map(|_| now_ns));
+        if self.failed_starts >= self.policy.start_limit {
+            return Some(Limit::Start);
+        }
+        (self.deaths.len() > self.policy.restart_limit as usize).then_some(Limit::Restart)
+    }
+
+    /// Forgets all deaths: another program fills the role.
+    pub(super) fn forget_deaths(&mut self) {
+        (self.streak, self.failed_starts, self.last_exit) = (0, 0, None);
+        self.deaths.clear();
     }
 
     /// When the process will be called hung, if it is watched for that.

@@ -2,7 +2,7 @@
 
 use shared_types::{Phase, ProcessState, Role};
 
-use super::world::{World, policies};
+use super::world::{Found, World, policies};
 use super::{Action, Event, Exit, ProcessPolicy, Restart, Supervisor, VisibleState};
 
 const KILLED: Exit = Exit::Signal(9);
@@ -126,6 +126,169 @@ fn three_deaths_before_the_first_output_end_the_run() {
     assert_eq!(state(&world, Role::Obstacles), VisibleState::Failed, "it stays visible who was the cause");
 }
 
+/// Lets a controller of a driving world be ready and die, `pause_ms` apart, until the run fails; counts the deaths.
+fn deaths_until_failure(pause_ms: u64) -> u32 {
+    let mut world = World::driving();
+    for deaths in 1..20 {
+        for _ in 0..pause_ms / 100 {
+            world.advance(100);
+            Role::ALL.iter().for_each(|role| world.progress(*role));
+        }
+        world.die(Role::Controller, KILLED);
+        if world.failure.is_some() {
+            let reason = "died 6 times within 60 s, last: killed by signal 9 (SIGKILL)".to_owned();
+            assert_eq!(world.failure, Some((Role::Controller, reason)));
+            assert_eq!(state(&world, Role::Controller), VisibleState::Failed);
+            return deaths;
+        }
+        world.clean(Role::Controller);
+        world.bring_up();
+    }
+    u32::MAX
+}
+
+#[test]
+fn who_becomes_ready_and_soon_dies_is_given_up_after_five_restarts_in_a_minute() {
+    assert_eq!(deaths_until_failure(1_000), 6);
+    assert_eq!(deaths_until_failure(9_000), 6, "healthy runs between cost no pause and count all the same");
+}
+
+#[test]
+fn deaths_that_are_far_apart_end_no_run() {
+    assert_eq!(deaths_until_failure(13_000), u32::MAX);
+}
+
+#[test]
+fn another_program_in_the_role_starts_without_its_deaths() {
+    let mut world = World::driving();
+    for _ in 0..5 {
+        world.die(Role::Controller, KILLED);
+        world.clean(Role::Controller);
+        world.bring_up();
+    }
+    // The world knows nothing of exchanges.
+    let World { mut supervisor, now_ns, .. } = world;
+    let (role, incarnation) = (Role::Controller, supervisor.next_incarnation());
+    supervisor.handle(now_ns, Event::Replaced { role, pid: 7, incarnation });
+    supervisor.handle(now_ns, Event::Exited { role, incarnation, exit: KILLED });
+    assert_eq!(supervisor.failure(), None);
+}
+
+#[test]
+fn who_goes_round_without_an_output_is_killed_and_counted_as_a_failed_start() {
+    let mut world = World::driving();
+    let role = Role::Controller;
+    for attempt in 1..=3 {
+        world.die(role, KILLED);
+        if attempt == 1 {
+            // It had been ready, so this one was no failed start.
+            assert_eq!(world.failure, None);
+        }
+        world.clean(role);
+        world.advance(1_000);
+        world.send(Event::Tick);
+        world.answer(role, true);
+        world.report(role, ProcessState::Attached);
+        world.report(role, ProcessState::Connected);
+        for _ in 0..99 {
+            world.advance(100);
+            Role::ALL.iter().for_each(|role| world.progress(*role));
+            world.send(Event::Tick);
+        }
+        assert!(!world.place(role).process.as_ref().unwrap().killed);
+        assert_eq!(state(&world, role), VisibleState::Starting);
+        world.advance(100);
+        world.send(Event::Tick);
+        assert!(world.place(role).process.as_ref().unwrap().killed);
+    }
+    world.die(role, KILLED);
+    let reason = "died 3 times before its first output, last: had no output within 10000 ms".to_owned();
+    assert_eq!(world.failure, Some((role, reason)));
+}
+
+#[test]
+fn who_waits_for_others_is_not_blamed_for_having_no_output() {
+    let mut world = World::driving();
+    for role in [Role::Estimator, Role::Controller] {
+        world.die(role, KILLED);
+        world.clean(role);
+        world.answer(role, true);
+        world.report(role, ProcessState::Attached);
+        world.report(role, ProcessState::Connected);
+    }
+    world.actions.clear();
+    for _ in 0..100 {
+        world.advance(100);
+        Role::ALL.iter().for_each(|role| world.progress(*role));
+        world.send(Event::Tick);
+    }
+    assert_eq!(world.actions, [Action::Kill { role: Role::Estimator }], "the controller has no pose");
+}
+
+#[test]
+fn an_adopted_run_goes_on_where_it_was() {
+    let mut world = World::adopted(policies(), false, Phase::Driving, |role| match role {
+        Role::Obstacles => Found::Gone,
+        _ => Found::Alive,
+    });
+    assert_eq!(world.actions, [Action::CleanUp { role: Role::Obstacles }], "nobody else is touched");
+    assert_eq!(state(&world, Role::Controller), VisibleState::Starting, "it has not been heard yet");
+    for role in Role::ALL {
+        world.report(*role, ProcessState::Ready);
+    }
+    let view = world.supervisor.process(Role::Controller).unwrap();
+    assert_eq!((view.state, view.restarts, view.pid), (VisibleState::Ready, 2, Some(1013)));
+    world.clean(Role::Obstacles);
+    assert_eq!(world.place(Role::Obstacles).pending, Some(100), "numbers go on");
+    world.die(Role::Controller, Exit::Unknown);
+    world.clean(Role::Controller);
+    assert_eq!(world.place(Role::Controller).pending, Some(101));
+    world.bring_up();
+    world.bring_down(true);
+}
+
+#[test]
+fn an_adopted_process_that_hangs_is_found_although_it_was_never_heard() {
+    let mut world = World::adopted(policies(), false, Phase::Driving, |_| Found::Alive);
+    for _ in 0..3 {
+        world.advance(100);
+        Role::ALL[1..].iter().for_each(|role| world.progress(*role));
+        world.send(Event::Tick);
+    }
+    assert_eq!(world.actions, [Action::Kill { role: Role::Robot }]);
+}
+
+#[test]
+fn an_adopted_start_is_brought_to_its_end() {
+    let mut world = World::adopted(policies(), false, Phase::Starting, |role| match role {
+        Role::Robot => Found::NeverStarted,
+        _ => Found::Alive,
+    });
+    assert_eq!(world.place(Role::Robot).pending, Some(100));
+    world.bring_up();
+    assert_eq!(world.phases, [Phase::Starting, Phase::Connecting, Phase::Driving]);
+}
+
+#[test]
+fn a_robot_that_ended_while_nobody_watched_ends_the_adopted_run() {
+    let mut world = World::adopted(policies(), false, Phase::Driving, |role| match role {
+        Role::Robot => Found::Gone,
+        _ => Found::Alive,
+    });
+    assert_eq!(world.failure, Some((Role::Robot, "ended while no orchestrator watched".to_owned())));
+    world.bring_down(true);
+}
+
+#[test]
+fn a_run_that_was_ending_is_ended_by_the_one_who_adopts_it() {
+    let mut world = World::adopted(policies(), false, Phase::Stopping, |role| match role {
+        Role::Robot | Role::Actuator => Found::Alive,
+        _ => Found::Gone,
+    });
+    assert_eq!(terminated(&world), [Role::Actuator]);
+    world.bring_down(true);
+}
+
 #[test]
 fn a_command_that_cannot_be_started_ends_the_run_with_its_name() {
     let mut world = World::new(policies(), false);
@@ -203,7 +366,7 @@ fn a_deadline_is_named_for_each_thing_that_is_due() {
     world.send(Event::Start);
     world.answer(Role::Robot, true);
     let start_ns = world.now_ns;
-    assert_eq!(world.supervisor.next_deadline(), Some(start_ns + 15_000_000_000), "start time-out");
+    assert_eq!(world.supervisor.next_deadline(), Some(start_ns + 10_000_000_000), "start time-out");
     let mut world = World::driving();
     let now_ns = world.now_ns;
     assert_eq!(world.supervisor.next_deadline(), Some(now_ns + 300_000_000), "hang");
@@ -216,7 +379,7 @@ fn a_process_that_does_not_attach_in_time_is_killed_and_counted() {
     let mut world = World::new(policies(), false);
     world.send(Event::Start);
     world.answer(Role::Actuator, true);
-    world.advance(14_999);
+    world.advance(9_999);
     world.send(Event::Tick);
     assert!(!world.place(Role::Actuator).process.as_ref().unwrap().killed);
     world.advance(1);
@@ -246,14 +409,14 @@ fn who_does_not_connect_in_time_is_killed() {
     Role::ALL.iter().for_each(|role| world.report(*role, ProcessState::Attached));
     Role::ALL[1..].iter().for_each(|role| world.report(*role, ProcessState::Connected));
     world.actions.clear();
-    world.advance(14_999);
+    world.advance(9_999);
     world.send(Event::Tick);
     assert!(world.actions.is_empty(), "nobody is hung before the loop drives");
     world.advance(1);
     world.send(Event::Tick);
     assert_eq!(world.actions, [Action::Kill { role: Role::Robot }]);
     world.die(Role::Robot, KILLED);
-    assert_eq!(world.failure, Some((Role::Robot, "did not start within 15000 ms".to_owned())));
+    assert_eq!(world.failure, Some((Role::Robot, "did not start within 10000 ms".to_owned())));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What is due by the clock: restarts, start time-outs, hangs and kills.
 
-use shared_types::Phase;
+use shared_types::{Phase, ProcessState, ROLES, Role, Topic};
 
 use super::policy::nanoseconds;
 use super::slot::{Ending, Life};
@@ -25,9 +25,14 @@ impl Supervisor {
                     if due(alive.kill_ns) {
                         actions.push(warn(format!("{role} does not end and is killed")));
                     } else if due(alive.start_deadline_ns) {
-                        alive.ending = Some(Ending::StartTimeout);
+                        let connected = alive.reached >= Some(ProcessState::Connected);
+                        let (ending, what) = match connected {
+                            true => (Ending::NoOutput, "had no output"),
+                            false => (Ending::StartTimeout, "did not start"),
+                        };
+                        alive.ending = Some(ending);
                         let limit = policy.start_timeout_ms;
-                        actions.push(warn(format!("{role} did not start within {limit} ms and is killed")));
+                        actions.push(warn(format!("{role} {what} within {limit} ms and is killed")));
                     } else if due(hang_deadline_ns) {
                         alive.ending = Some(Ending::Hung);
                         let limit = policy.hang_after_ms;
@@ -40,6 +45,29 @@ impl Supervisor {
                     actions.push(Action::Kill { role });
                 }
                 _ => {}
+            }
+        }
+    }
+
+    /// Starts the clock for the first output of who has all it reads, and stops it for who has not: a process
+    /// without inputs has nothing to say.
+    pub(super) fn watch_first_outputs(&mut self, now_ns: u64) {
+        if self.phase != Phase::Driving {
+            return;
+        }
+        let mut missing = [false; ROLES];
+        self.slots.iter().for_each(|slot| missing[slot.policy.role.index()] = !slot.is_ready());
+        for slot in &mut self.slots {
+            let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
+            let served = feeders(slot.policy.role).all(|feeder| !missing[feeder.index()]);
+            if let Life::Alive(alive) = &mut slot.life
+                && alive.ending.is_none()
+                && alive.reached == Some(ProcessState::Connected)
+            {
+                match served {
+                    true => _ = alive.start_deadline_ns.get_or_insert(deadline_ns),
+                    false => alive.start_deadline_ns = None,
+                }
             }
         }
     }
@@ -61,4 +89,9 @@ impl Supervisor {
             }
         }
     }
+}
+
+/// Whose output a process needs for its first one. What was sent to the wheels is of the scan before.
+pub(super) fn feeders(role: Role) -> impl Iterator<Item = Role> {
+    role.reads().iter().filter(|topic| **topic != Topic::Actuation).filter_map(|topic| topic.writer())
 }

@@ -3,6 +3,7 @@
 use shared_types::{Phase, ProcessState, Role};
 
 use super::policy::nanoseconds;
+use super::watch::feeders;
 use super::{Action, Event, Exit, ProcessPolicy, Supervisor};
 
 /// What the world knows of one role, by its own account.
@@ -20,12 +21,17 @@ pub(super) struct Place {
     pub(super) spawns: u32,
     /// Deaths before readiness without a healthy run between.
     dead_starts: u32,
+    /// Times of all deaths after readiness that nobody asked for [ns].
+    deaths: Vec<u64>,
+    /// Since when it has had all it reads and no output [ns].
+    mute_since_ns: Option<u64>,
 }
 
 /// A living process.
 #[derive(Debug, Clone)]
 pub(super) struct Process {
     pub(super) incarnation: u32,
+    reached: Option<ProcessState>,
     ready_ns: Option<u64>,
     pub(super) terminated_ns: Option<u64>,
     pub(super) killed: bool,
@@ -48,7 +54,56 @@ pub(super) struct World {
     pub(super) actions: Vec<Action>,
 }
 
+impl Process {
+    fn new(incarnation: u32) -> Self {
+        Self { incarnation, reached: None, ready_ns: None, terminated_ns: None, killed: false }
+    }
+
+    fn is_asked_to_end(&self) -> bool {
+        self.killed || self.terminated_ns.is_some()
+    }
+}
+
+/// What an orchestrator finds of a role when it adopts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Found {
+    Alive,
+    Gone,
+    NeverStarted,
+}
+
 impl World {
+    /// A world whose orchestrator died in `phase`; all incarnations so far are below 100.
+    pub(super) fn adopted(
+        policies: Vec<ProcessPolicy>,
+        lockstep: bool,
+        phase: Phase,
+        found: impl Fn(Role) -> Found,
+    ) -> Self {
+        let mut world = Self::new(policies, lockstep);
+        world.last_incarnation = 99;
+        world.phases = vec![phase.min(Phase::Driving)];
+        for (role, incarnation) in world.roles().into_iter().zip(10..) {
+            let place = &mut world.places[role.index()];
+            let pid = match found(role) {
+                Found::NeverStarted => continue,
+                Found::Gone => {
+                    place.dirty = true;
+                    None
+                }
+                Found::Alive => {
+                    let reached = (phase == Phase::Driving).then_some(ProcessState::Connected);
+                    place.process = Some(Process { reached, ..Process::new(incarnation) });
+                    Some(1000 + incarnation)
+                }
+            };
+            (place.granted, place.spawns) = (incarnation, 1);
+            world.send(Event::Adopted { role, pid, incarnation, restarts: 2 });
+        }
+        world.send(Event::Resume { phase, last_incarnation: 99 });
+        world
+    }
+
     pub(super) fn new(policies: Vec<ProcessPolicy>, lockstep: bool) -> Self {
         let supervisor = Supervisor::new(policies.clone());
         Self {
@@ -94,19 +149,21 @@ impl World {
             self.stopping = true;
         }
         let ticked = event == Event::Tick;
+        self.forgive_first_outputs();
         for action in self.supervisor.handle(self.now_ns, event) {
             self.take(action);
         }
         if ticked {
             self.check_kills();
         }
+        self.forgive_first_outputs();
     }
 
     pub(super) fn answer(&mut self, role: Role, started: bool) {
         let place = &mut self.places[role.index()];
         let Some(incarnation) = place.pending.take() else { return };
         if started {
-            place.process = Some(Process { incarnation, ready_ns: None, terminated_ns: None, killed: false });
+            place.process = Some(Process::new(incarnation));
             self.send(Event::Spawned { role, pid: 1000 + incarnation, incarnation });
         } else {
             place.dead_starts += 1;
@@ -120,6 +177,9 @@ impl World {
         let Some(process) = &mut self.places[role.index()].process else { return };
         if state == ProcessState::Ready {
             process.ready_ns.get_or_insert(now_ns);
+        }
+        if state != ProcessState::Ending {
+            process.reached = process.reached.max(Some(state));
         }
         let incarnation = process.incarnation;
         self.send(Event::StateReported { role, incarnation, state });
@@ -137,6 +197,9 @@ impl World {
         let Some(process) = place.process.take() else { return };
         place.dirty = true;
         let restart_asked = process.terminated_ns.is_some();
+        if !restart_asked && process.ready_ns.is_some() {
+            place.deaths.push(self.now_ns);
+        }
         match process.ready_ns {
             Some(ready_ns) if self.now_ns - ready_ns >= healthy_ns && !restart_asked => place.dead_starts = 0,
             Some(_) => {}
@@ -232,8 +295,12 @@ impl World {
                 self.places[role.index()].granted = incarnation;
             }
             Action::Spawn { role, incarnation } => {
-                let limit = self.policy(role).start_limit;
+                let ProcessPolicy { start_limit: limit, restart_limit, restart_window_ms, .. } = self.policy(role);
+                let now_ns = self.now_ns;
                 let place = &mut self.places[role.index()];
+                let recent = |then_ns: &&u64| now_ns - **then_ns < nanoseconds(restart_window_ms);
+                let deaths = place.deaths.iter().filter(recent).count();
+                assert!(deaths <= restart_limit as usize, "{role} is restarted too often");
                 assert!(!self.stopping, "{role} is started although the run ends");
                 assert!(place.process.is_none() && place.pending.is_none(), "two incarnations of {role}");
                 assert!(!place.dirty, "{role} is started before its remains are cleaned up");
@@ -290,6 +357,34 @@ impl World {
                 let over = asked_ns + nanoseconds(policy.grace_ms) <= self.now_ns;
                 assert!(killed || !over, "{} ignores the request and lives", policy.role);
             }
+            let Place { process: Some(process), mute_since_ns: Some(since_ns), .. } = self.place(policy.role)
+            else {
+                continue;
+            };
+            let over = since_ns + nanoseconds(policy.start_timeout_ms) <= self.now_ns;
+            let ended = process.is_asked_to_end();
+            assert!(ended || !over, "{} has all it reads, says nothing and lives", policy.role);
+        }
+    }
+
+    /// Counts anew how long each process has had all it reads and no output.
+    fn forgive_first_outputs(&mut self) {
+        let is_ready = |role: Role| {
+            let place = &self.places[role.index()];
+            let ready = |process: &Process| process.ready_ns.is_some() && !process.is_asked_to_end();
+            !self.policies.iter().any(|policy| policy.role == role) || place.process.as_ref().is_some_and(ready)
+        };
+        let driving = self.supervisor.phase() == Phase::Driving;
+        let mute = Role::ALL.iter().map(|role| {
+            let waits = |process: &Process| {
+                process.reached == Some(ProcessState::Connected) && !process.is_asked_to_end()
+            };
+            let place = &self.places[role.index()];
+            driving && place.process.as_ref().is_some_and(waits) && feeders(*role).all(is_ready)
+        });
+        let mute: Vec<bool> = mute.collect();
+        for (place, mute) in self.places.iter_mut().zip(mute) {
+            place.mute_since_ns = mute.then(|| place.mute_since_ns.unwrap_or(self.now_ns));
         }
     }
 

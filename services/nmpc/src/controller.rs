@@ -35,6 +35,10 @@ const FAR_OUTSIDE_M: f64 = 1.0;
 const OVERLAP_M: f64 = 0.03;
 /// `ControllerState::arrival` of a robot that has landed.
 const LANDED: u32 = 1;
+/// `ControllerState::arrival` of a robot that drives on commands which this controller knows nothing of.
+const STATE_LOST: u32 = 3;
+/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
+const REST_MPS: f64 = 0.02;
 /// `ControllerState::arrival` of a robot that has passed the goal.
 const PASSED: u32 = 2;
 
@@ -103,6 +107,15 @@ impl Controller {
         }
     }
 
+    /// Begins with stops: the robot drives, and what was decided before is lost. When it rests, all is planned afresh.
+    ///
+    /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
+    /// robot lands again.
+    pub fn start_in_stop(&mut self) {
+        self.state = ControllerState { arrival: STATE_LOST, ..ControllerState::default() };
+        self.sides = Sides::default();
+    }
+
     /// The command for one scan. `solve_ns` and the stamps of the header are left to the caller.
     pub fn step(&mut self, pose: &Pose, obstacles: &Obstacles, budget: &Budget) -> Command {
         let mut command = Command {
@@ -131,6 +144,12 @@ impl Controller {
     ) -> Result<Choice, StopReason> {
         if self.state.arrival == LANDED {
             return Err(StopReason::Landed);
+        }
+        if self.state.arrival == STATE_LOST {
+            if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
+                return Err(StopReason::StateLost);
+            }
+            self.state.arrival = 0;
         }
         let initial = self.read(pose, obstacles)?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;

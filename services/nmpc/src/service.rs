@@ -16,13 +16,19 @@ pub fn run() -> anyhow::Result<()> {
     let poses = process.input::<Pose>()?;
     let obstacles = process.input::<Obstacles>()?;
     let commands = process.output::<Command>()?;
-    match process.resume()? {
-        Handover::State(state) => controller.resume(&state),
-        // Pose and obstacles are all it needs to plan afresh, and only a verified plan is driven.
-        Handover::FirstStart | Handover::Lost => {}
-    }
+    let handover = process.resume()?;
     if !process.start()? {
         return Ok(());
+    }
+    match handover {
+        Handover::State(state) => controller.resume(&state),
+        Handover::FirstStart => {}
+        Handover::Lost if process.is_in_charge() => {
+            tracing::warn!("no fresh state to resume from: the robot has to rest first");
+            controller.start_in_stop();
+        }
+        // Beside another one it plans afresh: only who agrees with that one takes over.
+        Handover::Lost => {}
     }
     let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
     while process.wait_joined()? {

@@ -32,7 +32,7 @@ macro_rules! described {
 described! {
     /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
     pub struct ControllerState {
-        /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal
+        /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else
         pub arrival: u32,
         /// Scans since the path was found blocked, from 1; 0 when it is not
         pub blocked_scans: u32,

@@ -191,3 +191,23 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn without_the_state_of_the_one_before_it_stops_until_the_robot_rests() {
+    let mut controller = controller();
+    controller.start_in_stop();
+    let moving = |scan, speed| Pose { speed_mps: speed, predicted_speed_mps: speed, ..pose(scan, 0.0, 0.0) };
+    for (scan, speed) in [(1, 0.9), (2, f64::NAN), (3, 0.4)] {
+        let command = controller.step(&moving(scan, speed), &obstacles(scan, &[]), &BUDGET);
+        assert!(is_stop(&command, StopReason::StateLost), "{command:?}");
+    }
+    // A controller that takes over from this one has to wait as well.
+    let mut next = self::controller();
+    next.resume(&controller.state());
+    let command = next.step(&moving(4, 0.1), &obstacles(4, &[]), &BUDGET);
+    assert!(is_stop(&command, StopReason::StateLost));
+    let command = next.step(&moving(5, 0.0), &obstacles(5, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Drive.wire());
+    let command = next.step(&moving(6, 0.1), &obstacles(6, &[]), &BUDGET);
+    assert_eq!(command.kind, CommandKind::Drive.wire(), "it rested once");
+}

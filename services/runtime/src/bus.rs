@@ -1,7 +1,8 @@
 //! The services of one system on iceoryx2: created in one place, opened everywhere else.
 //!
 //! Only the orchestrator creates, so a process that starts first can't create a topic with other sizes, and
-//! the order of starts is irrelevant.
+//! the order of starts is irrelevant. A service lives as long as anyone has it open, so it outlives the
+//! orchestrator that created it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -37,7 +38,7 @@ const OPEN_RETRY: Duration = Duration::from_secs(5);
 pub struct Bus {
     node: Node<ipc::Service>,
     bells: Arc<Bells>,
-    created: Vec<Box<dyn std::fmt::Debug>>,
+    held: Vec<Box<dyn std::fmt::Debug>>,
 }
 
 impl Bus {
@@ -47,18 +48,37 @@ impl Bus {
     /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full, and
     /// [`RuntimeError::File`] when the layouts of the samples can't be written beside it.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
+        Self::with_topics(domain, false)
+    }
+
+    /// Opens the services of a system that lost its orchestrator, and creates those that nobody keeps any more.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when iceoryx2
+    /// refuses.
+    pub fn take_over(domain: &Domain) -> Result<Self, RuntimeError> {
+        Self::with_topics(domain, true)
+    }
+
+    fn with_topics(domain: &Domain, take_over: bool) -> Result<Self, RuntimeError> {
         let mut bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
-        layouts::write(domain)?;
-        bus.create_topic::<Scan>()?;
-        bus.create_topic::<Odometry>()?;
-        bus.create_topic::<Pose>()?;
-        bus.create_topic::<Obstacles>()?;
-        bus.create_topic::<Command>()?;
-        bus.create_topic::<Actuation>()?;
-        bus.create_topic::<Heartbeat>()?;
-        bus.create_topic::<Directive>()?;
-        bus.create_topic::<Checkpoint>()?;
-        bus.create_topic::<Truth>()?;
+        if take_over {
+            layouts::verify_all(domain)?;
+            // The orchestrator that died still holds ports, of which there are few for directives.
+            bus.clean_up_dead_processes();
+        } else {
+            layouts::write(domain)?;
+        }
+        bus.topic::<Scan>(take_over)?;
+        bus.topic::<Odometry>(take_over)?;
+        bus.topic::<Pose>(take_over)?;
+        bus.topic::<Obstacles>(take_over)?;
+        bus.topic::<Command>(take_over)?;
+        bus.topic::<Actuation>(take_over)?;
+        bus.topic::<Heartbeat>(take_over)?;
+        bus.topic::<Directive>(take_over)?;
+        bus.topic::<Checkpoint>(take_over)?;
+        bus.topic::<Truth>(take_over)?;
         Ok(bus)
     }
 
@@ -79,7 +99,7 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|reason| RuntimeError::bus("join the bus", reason))?;
-        Ok(Self { node, bells, created: Vec::new() })
+        Ok(Self { node, bells, held: Vec::new() })
     }
 
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.
@@ -119,34 +139,56 @@ impl Bus {
         retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 
-    fn create_topic<S: Sample>(&mut self) -> Result<(), RuntimeError> {
+    /// Keeps a topic alive although nothing is written or read here, whatever becomes of the orchestrator.
+    pub(crate) fn hold<S: Sample>(&mut self) -> Result<(), RuntimeError> {
+        let (samples, events) = (self.samples::<S>()?, self.events(S::TOPIC)?);
+        self.held.push(Box::new(samples));
+        self.held.push(Box::new(events));
+        Ok(())
+    }
+
+    fn topic<S: Sample>(&mut self, take_over: bool) -> Result<(), RuntimeError> {
         let quality = quality(S::TOPIC);
-        let action = || format!("create topic {}", S::TOPIC);
-        let samples = self
-            .node
-            .service_builder(&service_name(S::TOPIC)?)
-            .publish_subscribe::<Wire<S>>()
-            .max_publishers(quality.publishers)
-            .max_subscribers(quality.subscribers)
-            .subscriber_max_buffer_size(quality.buffer)
-            .subscriber_max_borrowed_samples(quality.borrowed)
-            .history_size(quality.history)
-            .enable_safe_overflow(true)
-            .max_nodes(NODES)
-            .create()
-            .map_err(|reason| RuntimeError::bus(action(), reason))?;
-        let events = self
-            .node
-            .service_builder(&service_name(S::TOPIC)?)
-            .event()
-            .max_notifiers(EVENT_PORTS)
-            .max_listeners(EVENT_PORTS)
-            .max_nodes(NODES)
-            .event_id_max_value(15)
-            .create()
-            .map_err(|reason| RuntimeError::bus(action(), reason))?;
-        self.created.push(Box::new(samples));
-        self.created.push(Box::new(events));
+        let name = service_name(S::TOPIC)?;
+        let samples = || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<Wire<S>>()
+                .max_publishers(quality.publishers)
+                .max_subscribers(quality.subscribers)
+                .subscriber_max_buffer_size(quality.buffer)
+                .subscriber_max_borrowed_samples(quality.borrowed)
+                .history_size(quality.history)
+                .enable_safe_overflow(true)
+                .max_nodes(NODES)
+        };
+        let events = || {
+            self.node
+                .service_builder(&name)
+                .event()
+                .max_notifiers(EVENT_PORTS)
+                .max_listeners(EVENT_PORTS)
+                .max_nodes(NODES)
+                .event_id_max_value(15)
+        };
+        let (samples, events) = if take_over {
+            let error = |reason: &dyn std::fmt::Debug| {
+                RuntimeError::bus(format!("take over topic {}", S::TOPIC), reason)
+            };
+            (
+                retry(|| samples().open_or_create()).map_err(|reason| error(&reason))?,
+                retry(|| events().open_or_create()).map_err(|reason| error(&reason))?,
+            )
+        } else {
+            let error =
+                |reason: &dyn std::fmt::Debug| RuntimeError::bus(format!("create topic {}", S::TOPIC), reason);
+            (
+                samples().create().map_err(|reason| error(&reason))?,
+                events().create().map_err(|reason| error(&reason))?,
+            )
+        };
+        self.held.push(Box::new(samples));
+        self.held.push(Box::new(events));
         Ok(())
     }
 

@@ -79,6 +79,27 @@ impl Domain {
         }
     }
 
+    /// Removes all files of the system: those of the bus and its directory.
+    ///
+    /// Only for the one who holds the lock of the system, while no process of it is alive.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] for a file that could not be removed.
+    pub fn remove(&self) -> Result<(), RuntimeError> {
+        self.remove_bus_files()?;
+        match std::fs::remove_dir_all(&self.directory) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(RuntimeError::File { path: self.directory.clone(), source });
+            }
+            _ => {}
+        }
+        if let Some(parent) = self.directory.parent() {
+            // Stays while other systems of this user run.
+            let _ = std::fs::remove_dir(parent);
+        }
+        Ok(())
+    }
+
     /// Settings of the bus for this domain; files in the user's or the machine's configuration are not read.
     pub(crate) fn config(&self) -> Result<Config, RuntimeError> {
         let mut config = Config::default();

@@ -31,6 +31,11 @@ pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), 
     difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
 }
 
+/// Compares the layouts of a running system to those of this build: the orchestrator, when it adopts.
+pub(crate) fn verify_all(domain: &Domain) -> Result<(), RuntimeError> {
+    Role::ALL.iter().try_for_each(|role| verify(domain, *role, &Layouts::built_in()))
+}
+
 /// Writes the layouts of the system: the orchestrator, when it creates the bus.
 pub(crate) fn write(domain: &Domain) -> Result<(), RuntimeError> {
     let path = file(domain);

@@ -34,10 +34,12 @@ mod ear;
 mod environment;
 mod error;
 mod handover;
+mod identity;
 mod input;
 mod layouts;
 mod logging;
 mod observer;
+mod orphan;
 mod output;
 mod process;
 mod quality;
@@ -56,10 +58,14 @@ pub use domain::Domain;
 pub use environment::{INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
 pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
+pub use identity::{
+    Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks,
+};
 pub use input::{Input, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
-pub use logging::start_logging;
+pub use logging::{Priority, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Voice};
+pub use orphan::{LOCK_FILE, LEAVING};
 pub use output::Output;
 pub use process::Process;
 pub use realtime::{Realtime, Scheduler};

@@ -16,6 +16,7 @@ use crate::counters::{Counters, count};
 use crate::ear::Ear;
 use crate::handover::{self, Handover};
 use crate::input::{Drain, Input};
+use crate::orphan::{self, Janitor};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
 use crate::wake::wait_for;
@@ -75,6 +76,8 @@ pub struct Process {
     directive_seen_ns: u64,
     rung: u32,
     listens: bool,
+    // Dropped last, when nothing of this process is on the bus any more.
+    janitor: Janitor,
 }
 
 /// What a process sleeps for.
@@ -108,7 +111,9 @@ impl Process {
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
         realtime.apply_timer_slack();
-        let bus = Bus::open(&domain, role.name())?;
+        let mut bus = Bus::open(&domain, role.name())?;
+        // Opened for writing with the first checkpoint; until then the orchestrator may die.
+        bus.hold::<Checkpoint>()?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
         let shared = Rc::new(Shared {
@@ -138,6 +143,7 @@ impl Process {
             listens: false,
             realtime,
             bells,
+            janitor: Janitor::new(&domain),
             domain,
             settings,
             run,
@@ -168,6 +174,11 @@ impl Process {
     /// The newest word of the orchestrator.
     pub fn directive(&self) -> Directive {
         *self.shared.directive.borrow()
+    }
+
+    /// Whether the outputs of this process count, now or from a scan on that was told; known from [`Process::start`] on.
+    pub fn is_in_charge(&self) -> bool {
+        self.directive().authority[self.shared.role.index()].incarnation == self.shared.incarnation
     }
 
     /// Opens a topic for reading; samples arrive from [`Process::start`] on.
@@ -364,9 +375,11 @@ impl Process {
         for input in &self.inputs {
             input.drain()?;
         }
-        let orphaned = monotonic_ns().saturating_sub(self.directive_seen_ns) > self.run.orphan_timeout_ns;
+        let alone_ns = monotonic_ns().saturating_sub(self.directive_seen_ns);
+        let orphaned = alone_ns > orphan::limit_ns(self.shared.role, self.run.orphan_timeout_ns);
         if orphaned {
-            tracing::error!("no orchestrator for {} s: ending", self.run.orphan_timeout_ns / 1_000_000_000);
+            tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);
+            self.janitor.is_orphaned();
         }
         let goes_on = !self.shutdown.requested() && !orphaned;
         if !goes_on {

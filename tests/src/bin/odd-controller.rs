@@ -1,6 +1,6 @@
 //! The controller with a fault, for tests of exchanges.
 //!
-//! `odd-controller none | nan | steer | late | hang-after N | exit-after N`
+//! `odd-controller none | nan | steer | late | mute | hang-after N | exit-after N`
 
 use runtime::{Handover, Process, RuntimeError, join, wait_for};
 use shared_types::{Command, Obstacles, Pose, Role};
@@ -15,6 +15,7 @@ enum Fault {
     NotANumber,
     SteersMore,
     Late,
+    Mute,
     HangsAfter(u64),
     ExitsAfter(u64),
 }
@@ -22,7 +23,7 @@ enum Fault {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let fault =
-        fault(&arguments).ok_or("usage: odd-controller none|nan|steer|late|hang-after N|exit-after N")?;
+        fault(&arguments).ok_or("usage: odd-controller none|nan|steer|late|mute|hang-after N|exit-after N")?;
     run(fault)
 }
 
@@ -33,6 +34,7 @@ fn fault(arguments: &[String]) -> Option<Fault> {
         "nan" => Fault::NotANumber,
         "steer" => Fault::SteersMore,
         "late" => Fault::Late,
+        "mute" => Fault::Mute,
         "hang-after" => Fault::HangsAfter(number()?),
         "exit-after" => Fault::ExitsAfter(number()?),
         _ => return None,
@@ -64,6 +66,7 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
                 Fault::Late => {
                     wait_for(&[], LATE_NS);
                 }
+                Fault::Mute => continue,
                 Fault::HangsAfter(limit) if count > limit => hang(),
                 Fault::ExitsAfter(limit) if count > limit => return Err(gone().into()),
                 Fault::None | Fault::HangsAfter(_) | Fault::ExitsAfter(_) => {}

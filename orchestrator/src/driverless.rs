@@ -1,0 +1,105 @@
+//! `status` and `stop` of a system whose orchestrator died while its processes go on.
+
+use std::time::Duration;
+
+use runtime::{Bus, Domain, monotonic_ns};
+use shared_types::{ProcessState, Role};
+
+use crate::child::usage_of;
+use crate::control::{ProcessStatus, Status};
+use crate::lock::SystemLock;
+use crate::roster::RunFile;
+use crate::supervisor::Event;
+use crate::survivors::Survivors;
+use crate::vitals::Vitals;
+
+/// State of a system whose orchestrator died, in `status`.
+pub(crate) const DRIVERLESS: &str = "driverless";
+
+/// Heartbeats are listened to for this long: five of each process that lives [ns].
+const LISTEN_NS: u64 = 500_000_000;
+
+/// The state of a system without an orchestrator; `None` when nothing of it lives.
+pub(crate) fn status(domain: &Domain) -> Option<Status> {
+    let survivors = Survivors::find(domain);
+    if survivors.is_empty() {
+        return None;
+    }
+    let cpu = |pid: u32| usage_of(pid).map_or(0.0, |usage| usage.cpu_s);
+    let before: Vec<f64> = survivors.listed.iter().map(|(_, process)| cpu(process.pid())).collect();
+    let began_ns = monotonic_ns();
+    let heard = listen(domain);
+    let elapsed_s = (monotonic_ns() - began_ns) as f64 * 1e-9;
+    let mut scan = 0;
+    let rows = survivors.listed.iter().zip(before).map(|((row, process), before_s)| {
+        let incarnation = row.identity.incarnation;
+        let (state, rate_hz, last_sample_age_ms) = match &heard {
+            Some((vitals, states)) => {
+                scan = scan.max(vitals.scan_of(incarnation));
+                let (rate_hz, age_ms) = vitals.rate_and_age(incarnation);
+                let ready = states.contains(&(incarnation, ProcessState::Ready));
+                let heard = states.iter().any(|(of, _)| *of == incarnation);
+                (if ready { "ready" } else if heard { "starting" } else { "hung" }, rate_hz, age_ms)
+            }
+            None => ("ready", 0.0, 0.0),
+        };
+        let usage = usage_of(process.pid());
+        ProcessStatus {
+            role: row.role.clone(),
+            implementation: row.entry.label(),
+            pid: process.pid().cast_signed(),
+            state: state.to_owned(),
+            restarts: row.role.parse().ok().and_then(|role| survivors.roster.of(role)).map_or(0, |row| row.restarts),
+            rate_hz,
+            last_sample_age_ms,
+            cpu_percent: 100.0 * (cpu(process.pid()) - before_s).max(0.0) / elapsed_s.max(1e-3),
+            memory_kib: usage.map_or(0, |usage| usage.memory_kib),
+            last_words: Vec::new(),
+        }
+    });
+    let mut processes: Vec<_> = rows.collect();
+    processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
+    Some(Status {
+        system_id: domain.system_id().to_owned(),
+        state: DRIVERLESS.to_owned(),
+        scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
+        scan,
+        processes,
+    })
+}
+
+/// Ends a system without an orchestrator and removes its files; false when nothing of it was alive.
+///
+/// # Errors
+/// An orchestrator that has just come, and errors of the file system.
+pub(crate) fn stop(domain: &Domain) -> anyhow::Result<bool> {
+    if !domain.directory().exists() {
+        return Ok(false);
+    }
+    let mut lock = SystemLock::take(domain)?;
+    let survivors = Survivors::find(domain);
+    let was_alive = !survivors.is_empty();
+    survivors.end(domain);
+    lock.own();
+    Ok(was_alive)
+}
+
+/// What processes say of themselves in half a second; `None` when the bus cannot be joined.
+fn listen(domain: &Domain) -> Option<(Vitals, Vec<(u32, ProcessState)>)> {
+    let bus = Bus::open(domain, "status").ok()?;
+    let mut vitals = Vitals::new(&bus).ok()?;
+    let mut states = Vec::new();
+    let deadline_ns = monotonic_ns() + LISTEN_NS;
+    while monotonic_ns() < deadline_ns {
+        let heard = vitals.poll(None, |event| {
+            if let Event::StateReported { incarnation, state, .. } = event
+                && !states.contains(&(incarnation, state))
+            {
+                states.push((incarnation, state));
+            }
+        });
+        heard.ok()?;
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Some((vitals, states))
+}
