@@ -62,7 +62,9 @@ pub(crate) fn take_over(
     };
     let (run, plan) = RunFile::read(domain).map_err(|error| refused(format!("{error:#}")))?;
     if run.lockstep {
-        return Err(refused("a run in lock-step ends with its orchestrator, as a gap changes the result".into()));
+        return Err(refused(
+            "a run in lock-step ends with its orchestrator, as a gap changes the result".into(),
+        ));
     }
     if survivors.roster.role.is_empty() {
         return Err(refused("nobody wrote down who fills its roles".to_owned()));
@@ -87,7 +89,9 @@ pub(crate) fn take_over(
     for role in Role::ALL.iter().copied() {
         let authority = &mut directive.authority[role.index()];
         let lives = |incarnation: u32| {
-            processes.iter().position(|(row, _)| row.role == role.name() && row.identity.incarnation == incarnation)
+            processes
+                .iter()
+                .position(|(row, _)| row.role == role.name() && row.identity.incarnation == incarnation)
         };
         let chosen = lives(authority.incarnation).or_else(|| {
             let previous = lives(authority.previous)?;

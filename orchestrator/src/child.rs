@@ -21,8 +21,8 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use runtime::{Identified, start_ticks};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
 };
@@ -186,7 +186,8 @@ impl Child {
             Origin::Started(process) => process,
             Origin::Adopted(system_id) => {
                 let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-                if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now)).is_ok_and(|ready| ready > 0)
+                if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now))
+                    .is_ok_and(|ready| ready > 0)
                 {
                     let pid = self.pid.as_raw_nonzero().get().cast_unsigned();
                     signal_group(system_id, pid, Signal::KILL);

@@ -39,7 +39,17 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
                 let (rate_hz, age_ms) = vitals.rate_and_age(incarnation);
                 let ready = states.contains(&(incarnation, ProcessState::Ready));
                 let heard = states.iter().any(|(of, _)| *of == incarnation);
-                (if ready { "ready" } else if heard { "starting" } else { "hung" }, rate_hz, age_ms)
+                (
+                    if ready {
+                        "ready"
+                    } else if heard {
+                        "starting"
+                    } else {
+                        "hung"
+                    },
+                    rate_hz,
+                    age_ms,
+                )
             }
             None => ("ready", 0.0, 0.0),
         };
@@ -49,7 +59,12 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
             implementation: row.entry.label(),
             pid: process.pid().cast_signed(),
             state: state.to_owned(),
-            restarts: row.role.parse().ok().and_then(|role| survivors.roster.of(role)).map_or(0, |row| row.restarts),
+            restarts: row
+                .role
+                .parse()
+                .ok()
+                .and_then(|role| survivors.roster.of(role))
+                .map_or(0, |row| row.restarts),
             rate_hz,
             last_sample_age_ms,
             cpu_percent: 100.0 * (cpu(process.pid()) - before_s).max(0.0) / elapsed_s.max(1e-3),

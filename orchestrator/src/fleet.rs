@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
+    Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns,
+    write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
@@ -152,15 +153,21 @@ impl Fleet {
         let candidate = self.candidate.iter().filter_map(|candidate| {
             row(&candidate.role, &candidate.entry, &candidate.child, candidate.incarnation)
         });
-        let leaving = self.leaving.iter().filter_map(|leaving| {
-            row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation)
-        });
+        let leaving = self
+            .leaving
+            .iter()
+            .filter_map(|leaving| row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation));
         members.chain(candidate).chain(leaving).collect()
     }
 
     /// How a role is started.
     pub(crate) fn entry(&self, role: Role) -> Option<&ProcessEntry> {
         self.members.get(&role).map(|member| &member.entry)
+    }
+
+    /// The incarnation that fills a role, or did last; 0 before the first.
+    pub(crate) fn incarnation(&self, role: Role) -> u32 {
+        self.members.get(&role).map_or(0, |member| member.incarnation)
     }
 
     /// Whether processes have come or gone since the last call.

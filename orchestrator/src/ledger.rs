@@ -136,7 +136,7 @@ impl Ledger {
         for (&scan_id, &entry) in &self.entries {
             self.settle(scan_id, entry, &mut report);
         }
-        report.published = if self.newest >= self.first { self.newest - self.first + 1 } else { 0 };
+        report.published = if self.newest >= self.first.max(1) { self.newest - self.first + 1 } else { 0 };
         report.unaccounted = report.published.saturating_sub(report.commanded + report.lost);
         report
     }
@@ -340,6 +340,7 @@ mod tests {
     #[test]
     fn an_account_can_begin_with_the_first_scan_that_is_seen() {
         let mut ledger = Ledger::new(0);
+        assert_eq!(ledger.report(), ScanReport::default());
         ledger.answered(499, 1);
         ledger.begin_at(500);
         ledger.published(500, 3);

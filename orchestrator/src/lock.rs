@@ -49,7 +49,9 @@ impl SystemLock {
             lock.read_to_string(&mut holder).with_context(context)?;
             if !holder.contains(LEAVING) || monotonic_ns() > deadline_ns {
                 let pid = holder.split_whitespace().next().unwrap_or("unknown").to_owned();
-                return Err(RuntimeError::AlreadyRunning { system_id: domain.system_id().to_owned(), pid }.into());
+                return Err(
+                    RuntimeError::AlreadyRunning { system_id: domain.system_id().to_owned(), pid }.into()
+                );
             }
             std::thread::sleep(std::time::Duration::from_millis(20));
         }

@@ -353,13 +353,15 @@ impl Session {
             }
             Action::RunFailed { role, reason } => {
                 let reason = format!("{role} ({}): {reason}", self.fleet.label(role));
-                if matches!(self.end, End::NotYet) {
+                if self.supervisor.phase() == Phase::Driving {
+                    self.decide(Outcome::Failed, &reason);
+                } else if self.end == End::NotYet {
                     self.recorder.run_ended();
                     self.end = End::Ending(Outcome::Failed, reason);
                     self.directive.stop = 1;
                     self.dirty = true;
-                    self.speak()?;
                 }
+                self.speak()?;
             }
             Action::AllStopped => {}
             Action::Log(severity, text) => match severity {

@@ -19,6 +19,8 @@
 //!   phase in which it was. Who ended meanwhile is treated as dead.
 //! * **Exchange.** A swap starts its process itself, under a number of [`Supervisor::next_incarnation`], and tells of
 //!   it when it has taken over ([`Event::Replaced`]); until then the supervisor knows the old one only.
+//! * **Failure.** Who failed is not started again, nor is anyone else. While the loop drives, the caller is given time to
+//!   bring the robot to rest before it asks for the stop.
 //! * **Stop.** Three waves: controller, obstacles and estimator; when they are gone the actuator, which blocks
 //!   the wheels as its last word; then the robot, which hears it. In each wave TERM, grace, KILL.
 //!
@@ -61,6 +63,8 @@ pub struct Supervisor {
     last_incarnation: u32,
     last_event_ns: Option<u64>,
     failure: Option<(Role, String)>,
+    /// Until when a run that failed while it drove waits for [`Event::StopRequested`].
+    halting_until_ns: Option<u64>,
     all_stopped: bool,
 }
 
@@ -81,6 +85,7 @@ impl Supervisor {
             last_incarnation: 0,
             last_event_ns: None,
             failure: None,
+            halting_until_ns: None,
             all_stopped: false,
         }
     }
@@ -120,7 +125,7 @@ impl Supervisor {
     pub fn next_deadline(&self) -> Option<u64> {
         let hangs =
             self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(Slot::hang_deadline_ns);
-        self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).min()
+        self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
     }
 
     /// What is to be done, in this order, now that `event` has happened at `now_ns`.
@@ -167,6 +172,11 @@ impl Supervisor {
         self.last_incarnation
     }
 
+    /// Whether nobody is started any more.
+    fn is_ending(&self) -> bool {
+        self.phase == Phase::Stopping || self.halting_until_ns.is_some()
+    }
+
     /// A number for a process that the caller starts itself, to be told of with [`Event::Replaced`].
     pub fn next_incarnation(&mut self) -> u32 {
         self.last_incarnation += 1;
@@ -201,7 +211,8 @@ impl Supervisor {
             return;
         }
         self.started = true;
-        self.last_incarnation = self.slots.iter().map(|slot| slot.incarnation).fold(last_incarnation, u32::max);
+        self.last_incarnation =
+            self.slots.iter().map(|slot| slot.incarnation).fold(last_incarnation, u32::max);
         self.phase = phase.min(Phase::Driving);
         if phase == Phase::Stopping {
             return self.stop(now_ns, actions);
@@ -249,14 +260,14 @@ impl Supervisor {
     }
 
     fn spawned(&mut self, now_ns: u64, role: Role, pid: u32, incarnation: u32, actions: &mut Vec<Action>) {
-        let phase = self.phase;
+        let ending = self.is_ending();
         let Some(slot) = self.slot(role) else { return };
         if slot.life != Life::Spawning || slot.incarnation != incarnation {
             return;
         }
         let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
         slot.life = Life::Alive(Alive {
-            start_deadline_ns: (phase != Phase::Stopping).then_some(deadline_ns),
+            start_deadline_ns: (!ending).then_some(deadline_ns),
             ..Alive::new(pid, now_ns)
         });
         actions.push(info(format!("{role} started as process {pid}, incarnation {incarnation}")));
@@ -331,7 +342,7 @@ impl Supervisor {
     }
 
     fn restart_requested(&mut self, now_ns: u64, role: Role, actions: &mut Vec<Action>) {
-        let (stopping, lockstep) = (self.phase == Phase::Stopping, self.lockstep);
+        let (stopping, lockstep) = (self.is_ending(), self.lockstep);
         let Some(index) = self.index(role) else { return };
         let slot = &mut self.slots[index];
         if stopping || lockstep || role == Role::Robot {

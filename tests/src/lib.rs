@@ -1,5 +1,6 @@
 //! What process tests share: a system of their own, conditions with a deadline, and a check that nothing is left.
 
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -7,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use orchestrator::control::{Reply, Request, Status, ask};
 use orchestrator::report::Report;
-use runtime::Domain;
-use shared_types::Role;
+use runtime::{Bus, Domain, Observer};
+use shared_types::{Role, Truth};
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
@@ -59,14 +60,35 @@ impl System {
 
     /// Starts a run in real time and waits until it drives.
     pub fn start(&mut self, arguments: &[&str]) {
-        let out = self.folder.join("out");
-        let log = std::fs::File::create(self.folder.join("stderr.txt")).expect("a log file");
-        let mut command = self.command(&["run", "--quiet", "--out"]);
-        command.arg(out).args(arguments).stdout(Stdio::null()).stderr(log);
+        self.launch(&[&["run", "--quiet", "--out", "out"], arguments].concat(), &[]);
+        self.wait_until_driving();
+    }
+
+    /// Takes over a run whose orchestrator was killed and waits until it drives.
+    pub fn adopt(&mut self, arguments: &[&str]) {
+        self.launch(&[&["adopt", "--quiet"], arguments].concat(), &[]);
+        self.wait_until_driving();
+    }
+
+    /// Starts an orchestrator with these variables and waits for nothing.
+    pub fn launch(&mut self, arguments: &[&str], environment: &[(&str, &str)]) {
+        let log = std::fs::OpenOptions::new().create(true).append(true).open(self.folder.join("stderr.txt"));
+        let mut command = self.command(arguments);
+        command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(log.expect("a log file"));
         self.running = Some(command.spawn().expect("the executable runs"));
+    }
+
+    /// Waits until the robot drives.
+    pub fn wait_until_driving(&self) {
         self.wait_until("the system drives", |system| {
             system.status().is_some_and(|status| status.state == "driving" && status.scan > 3)
         });
+    }
+
+    /// Kills the orchestrator (SIGKILL) and waits until it is gone.
+    pub fn kill_orchestrator(&mut self) {
+        self.signal(self.orchestrator(), rustix::process::Signal::KILL);
+        self.wait();
     }
 
     /// The state of the running system, if it answers.
@@ -171,6 +193,36 @@ impl Drop for System {
         let _ = self.domain.remove_bus_files();
         let _ = std::fs::remove_dir_all(self.domain.directory());
         let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// The truth of a robot, watched from outside of its system.
+pub struct Watch {
+    observer: Observer<Truth>,
+    seen: RefCell<Vec<Truth>>,
+    // Dropped last.
+    _bus: Bus,
+}
+
+impl Watch {
+    /// Watches from now on.
+    pub fn new(system: &System) -> Self {
+        let bus = Bus::open(system.domain(), "test").expect("a running system");
+        let observer = Observer::new(&bus).expect("the topic of the truth");
+        Self { observer, seen: RefCell::default(), _bus: bus }
+    }
+
+    /// The newest truth; polls the bus.
+    pub fn newest(&self) -> Option<Truth> {
+        let mut seen = self.seen.borrow_mut();
+        self.observer.poll(|truth| seen.push(*truth)).expect("the topic of the truth");
+        seen.last().copied()
+    }
+
+    /// All that was seen so far.
+    pub fn all(&self) -> Vec<Truth> {
+        let _ = self.newest();
+        self.seen.borrow().clone()
     }
 }
 

@@ -4,7 +4,7 @@ use emulator::Outcome;
 use shared_types::{Authority, ROLES, Role};
 
 use super::{End, Session};
-use crate::roster::{Right, Roster, RoleRow};
+use crate::roster::{Right, RoleRow, Roster};
 
 /// What is compared to see whether something new has to be written down: phase, stop, authority, how the run ends.
 pub(crate) type Word = (u32, u32, [Authority; ROLES], bool);
@@ -35,7 +35,8 @@ impl Session {
         let row = |role: &Role| {
             let view = self.supervisor.process(*role)?;
             let entry = self.fleet.entry(*role)?.clone();
-            let (incarnation, restarts) = (view.incarnation, view.restarts);
+            // The last one that was really started: the supervisor gives numbers to all before the first exists.
+            let (incarnation, restarts) = (self.fleet.incarnation(*role), view.restarts);
             Some(RoleRow { role: role.name().to_owned(), incarnation, restarts, entry })
         };
         Roster {

@@ -6,9 +6,12 @@ use super::policy::nanoseconds;
 use super::slot::{Ending, Life, Limit, Slot};
 use super::{Action, Exit, Restart, Severity, Supervisor, info, warn};
 
+/// A caller that does not ask for the stop of a failed run within this time is not waited for [ms].
+const HALT_MS: u64 = 3_000;
+
 impl Supervisor {
     pub(super) fn spawn_failed(&mut self, now_ns: u64, role: Role, error: String, actions: &mut Vec<Action>) {
-        let (stopping, lockstep) = (self.phase == Phase::Stopping, self.lockstep);
+        let (stopping, lockstep) = (self.is_ending(), self.lockstep);
         let Some(slot) = self.slot(role) else { return };
         if slot.life != Life::Spawning {
             return;
@@ -46,7 +49,7 @@ impl Supervisor {
         exit: Exit,
         actions: &mut Vec<Action>,
     ) {
-        let (stopping, lockstep) = (self.phase == Phase::Stopping, self.lockstep);
+        let (stopping, lockstep) = (self.is_ending(), self.lockstep);
         let Some(slot) = self.slot(role) else { return };
         if !slot.is_live() || slot.incarnation != incarnation {
             return;
@@ -115,7 +118,13 @@ impl Supervisor {
         actions.push(Action::Log(Severity::Error, format!("{role} {reason}: the run ends")));
         actions.push(Action::RunFailed { role, reason: reason.clone() });
         self.failure = Some((role, reason));
-        self.stop(now_ns, actions);
+        let robot_lives = self.slots.iter().any(|slot| slot.policy.role == Role::Robot && slot.is_live());
+        if self.phase == Phase::Driving && robot_lives && !self.lockstep {
+            self.halting_until_ns = Some(now_ns.saturating_add(nanoseconds(HALT_MS)));
+            self.start_nobody();
+        } else {
+            self.stop(now_ns, actions);
+        }
     }
 
     pub(super) fn stop(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
@@ -123,7 +132,14 @@ impl Supervisor {
             return;
         }
         self.phase = Phase::Stopping;
+        self.halting_until_ns = None;
         actions.push(Action::Announce(Phase::Stopping));
+        self.start_nobody();
+        self.continue_stop(now_ns, actions);
+    }
+
+    /// Gives up what was about to be started, and waits for nobody's start.
+    fn start_nobody(&mut self) {
         for slot in &mut self.slots {
             match &mut slot.life {
                 Life::Alive(alive) => alive.start_deadline_ns = None,
@@ -133,7 +149,6 @@ impl Supervisor {
                 }
             }
         }
-        self.continue_stop(now_ns, actions);
     }
 
     /// Ends the processes of the first wave that still has any.

@@ -127,7 +127,8 @@ pub enum Action {
     },
     /// Tell all processes the new phase.
     Announce(Phase),
-    /// The run cannot go on; all processes are being stopped. Comes at most once.
+    /// The run cannot go on; nobody is started any more. Comes at most once. While the loop drives, bring the robot to
+    /// rest and then ask for the stop with [`Event::StopRequested`]; else all processes are being stopped already.
     RunFailed {
         /// The role whose process is the cause.
         role: Role,

@@ -154,6 +154,36 @@ fn who_becomes_ready_and_soon_dies_is_given_up_after_five_restarts_in_a_minute()
 }
 
 #[test]
+fn a_run_that_fails_while_it_drives_waits_until_the_robot_rests_but_not_for_ever() {
+    let fail = |world: &mut World| {
+        world.die(Role::Estimator, KILLED);
+        world.die(Role::Controller, Exit::Code(0));
+        assert_eq!(world.failure.as_ref().map(|(role, _)| *role), Some(Role::Controller));
+        world.clean(Role::Estimator);
+        world.send(Event::RestartRequested { role: Role::Obstacles });
+    };
+    let mut world = World::driving();
+    fail(&mut world);
+    assert!(world.supervisor.phase() == Phase::Driving && terminated(&world).is_empty());
+    world.die(Role::Obstacles, KILLED);
+    assert_eq!(world.place(Role::Obstacles).spawns, 1, "nobody is started any more");
+    world.send(Event::StopRequested);
+    assert_eq!(terminated(&world), [Role::Actuator]);
+    world.bring_down(true);
+    assert_eq!(state(&world, Role::Controller), VisibleState::Failed);
+
+    let mut world = World::driving();
+    fail(&mut world);
+    for _ in 0..30 {
+        world.advance(100);
+        Role::ALL.iter().for_each(|role| world.progress(*role));
+        world.send(Event::Tick);
+    }
+    assert_eq!(world.supervisor.phase(), Phase::Stopping, "who asked for nothing is not waited for");
+    world.bring_down(true);
+}
+
+#[test]
 fn deaths_that_are_far_apart_end_no_run() {
     assert_eq!(deaths_until_failure(13_000), u32::MAX);
 }

@@ -11,6 +11,9 @@ const KILL_AGAIN_AFTER_MS: u64 = 1_000;
 
 impl Supervisor {
     pub(super) fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if self.halting_until_ns.is_some_and(|until_ns| until_ns <= now_ns) {
+            self.stop(now_ns, actions);
+        }
         for index in 0..self.slots.len() {
             let hang_deadline_ns = match self.phase {
                 Phase::Driving => self.slots[index].hang_deadline_ns(),
@@ -52,7 +55,7 @@ impl Supervisor {
     /// Starts the clock for the first output of who has all it reads, and stops it for who has not: a process
     /// without inputs has nothing to say.
     pub(super) fn watch_first_outputs(&mut self, now_ns: u64) {
-        if self.phase != Phase::Driving {
+        if self.phase != Phase::Driving || self.is_ending() {
             return;
         }
         let mut missing = [false; ROLES];

@@ -243,7 +243,7 @@ impl World {
                 }
             }
             let all_ready = self.supervisor.processes().all(|view| view.state.name() == "ready");
-            if self.supervisor.phase() == Phase::Stopping || all_ready {
+            if self.stopping || all_ready {
                 return;
             }
             if let Some(deadline_ns) = self.supervisor.next_deadline() {
@@ -295,7 +295,8 @@ impl World {
                 self.places[role.index()].granted = incarnation;
             }
             Action::Spawn { role, incarnation } => {
-                let ProcessPolicy { start_limit: limit, restart_limit, restart_window_ms, .. } = self.policy(role);
+                let ProcessPolicy { start_limit: limit, restart_limit, restart_window_ms, .. } =
+                    self.policy(role);
                 let now_ns = self.now_ns;
                 let place = &mut self.places[role.index()];
                 let recent = |then_ns: &&u64| now_ns - **then_ns < nanoseconds(restart_window_ms);
@@ -372,7 +373,8 @@ impl World {
         let is_ready = |role: Role| {
             let place = &self.places[role.index()];
             let ready = |process: &Process| process.ready_ns.is_some() && !process.is_asked_to_end();
-            !self.policies.iter().any(|policy| policy.role == role) || place.process.as_ref().is_some_and(ready)
+            !self.policies.iter().any(|policy| policy.role == role)
+                || place.process.as_ref().is_some_and(ready)
         };
         let driving = self.supervisor.phase() == Phase::Driving;
         let mute = Role::ALL.iter().map(|role| {

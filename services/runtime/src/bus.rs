@@ -180,8 +180,9 @@ impl Bus {
                 retry(|| events().open_or_create()).map_err(|reason| error(&reason))?,
             )
         } else {
-            let error =
-                |reason: &dyn std::fmt::Debug| RuntimeError::bus(format!("create topic {}", S::TOPIC), reason);
+            let error = |reason: &dyn std::fmt::Debug| {
+                RuntimeError::bus(format!("create topic {}", S::TOPIC), reason)
+            };
             (
                 samples().create().map_err(|reason| error(&reason))?,
                 events().create().map_err(|reason| error(&reason))?,

@@ -58,14 +58,12 @@ pub use domain::Domain;
 pub use environment::{INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
 pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
-pub use identity::{
-    Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks,
-};
+pub use identity::{Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks};
 pub use input::{Input, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Voice};
-pub use orphan::{LOCK_FILE, LEAVING};
+pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use process::Process;
 pub use realtime::{Realtime, Scheduler};

@@ -22,8 +22,8 @@ enum Fault {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let fault =
-        fault(&arguments).ok_or("usage: odd-controller none|nan|steer|late|mute|hang-after N|exit-after N")?;
+    let fault = fault(&arguments)
+        .ok_or("usage: odd-controller none|nan|steer|late|mute|hang-after N|exit-after N")?;
     run(fault)
 }
 

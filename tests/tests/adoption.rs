@@ -1,0 +1,413 @@
+//! The orchestrator is killed: the robot drives on, another one takes over, or all comes to rest and ends by itself.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::{Command, Stdio};
+
+use emulator::Outcome;
+use orchestrator::control::Status;
+use orchestrator::report::Report;
+use rustix::process::Signal;
+use scanloop_tests::{System, Watch, processes_of};
+use shared_types::{Role, Truth};
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
+
+/// True wheels are blocked at the latest three scan periods after the last actuation.
+const LONGEST_BLIND_S: f64 = 0.3;
+
+/// A system that drives and whose orchestrator was killed.
+fn driverless(arguments: &[&str]) -> (System, Watch) {
+    let mut system = System::new(EXECUTABLE);
+    system.start(arguments);
+    let watch = Watch::new(&system);
+    system.kill_orchestrator();
+    (system, watch)
+}
+
+/// Process ids of all roles.
+fn pids(status: &Status) -> Vec<i32> {
+    status.processes.iter().map(|process| process.pid).collect()
+}
+
+/// The rows of `status` of a system without an orchestrator.
+fn driverless_status(system: &System) -> Status {
+    let output = system.run(&["status", "--json"]);
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
+}
+
+fn pid_of(status: &Status, role: Role) -> i32 {
+    status.processes.iter().find(|process| process.role == role.name()).unwrap().pid
+}
+
+fn wait_for_truth(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
+    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
+    watch.newest().unwrap()
+}
+
+/// Waits for the end of an adopted run that reaches its goal.
+fn assert_reached(mut system: System) -> Report {
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Reached);
+    assert!(report.adopted && report.adopted_from_scan > Some(3), "{:?}", report.adopted_from_scan);
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    assert!(!report.drive.collided && report.drive.longest_blind_s <= LONGEST_BLIND_S, "{:?}", report.drive);
+    system.assert_nothing_left();
+    report
+}
+
+fn stderr(output: &std::process::Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let before = pids(&system.status().unwrap());
+    let watch = Watch::new(&system);
+    system.kill_orchestrator();
+    let from = wait_for_truth(&system, &watch, "the truth goes on", |_| true);
+    let later = wait_for_truth(&system, &watch, "ten scans", |truth| {
+        truth.header.scan_id >= from.header.scan_id + 10
+    });
+    assert!(later.blocked == 0 && later.speed_mps > 0.5 && later.x_m > from.x_m + 0.5, "{later:?}");
+    system.adopt(&[]);
+    assert_eq!(pids(&system.status().unwrap()), before);
+    let report = assert_reached(system);
+    assert_eq!((report.scans.lost, report.scans.duplicates), (0, 0), "{:?}", report.scans);
+    let first = report.adopted_from_scan.unwrap();
+    assert!(first > later.header.scan_id && report.scans.commanded > 20, "{first}: {:?}", report.scans);
+    assert!(report.processes.iter().all(|process| process.restarts == 0), "{:?}", report.processes);
+}
+
+#[test]
+fn an_adopted_run_is_supervised_like_any_other() {
+    let (mut system, watch) = driverless(&["endless", "--set", "timeout_s=600"]);
+    system.adopt(&[]);
+    let restarted = |system: &System, role: Role, before: i32| {
+        system.wait_until("a successor", |system| {
+            system.status().is_some_and(|status| {
+                status.processes.iter().any(|process| {
+                    process.role == role.name()
+                        && process.pid != before
+                        && process.pid != 0
+                        && process.state == "ready"
+                        && process.restarts > 0
+                })
+            })
+        });
+    };
+    for (role, signal) in [(Role::Controller, Signal::KILL), (Role::Obstacles, Signal::STOP)] {
+        let pid = system.pid(role);
+        system.signal(pid, signal);
+        restarted(&system, role, pid);
+    }
+    assert!(system.stderr().contains("exit code unknown, as it was adopted"), "{}", system.stderr());
+    let estimator = system.pid(Role::Estimator);
+    assert_eq!(system.run(&["restart", "estimator"]).status.code(), Some(0));
+    restarted(&system, Role::Estimator, estimator);
+    let swapped = system.run(&["swap", "actuator", "--to", "actuation", "--shadow-scans", "3"]);
+    assert_eq!(swapped.status.code(), Some(0), "{}", stderr(&swapped));
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
+    // And once more, with processes of which some were adopted twice.
+    let before = pids(&system.status().unwrap());
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    assert_eq!(pids(&system.status().unwrap()), before);
+    let status = system.status().unwrap();
+    let restarts: Vec<u32> = status.processes.iter().map(|process| process.restarts).collect();
+    assert_eq!(restarts, [0, 1, 1, 1, 0], "they are remembered");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1));
+    let report = system.report();
+    assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0));
+    assert_eq!(report.drive.final_speed_mps, 0.0);
+    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S && !report.drive.collided);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
+    let (mut system, watch) = driverless(&["corridor"]);
+    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    system.signal(controller, Signal::KILL);
+    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
+    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S);
+    system.adopt(&[]);
+    let report = assert_reached(system);
+    assert_eq!(report.processes[Role::Controller.index()].restarts, 1);
+}
+
+#[test]
+fn a_controller_without_a_fresh_state_lets_the_robot_rest_before_it_drives() {
+    let mut system = System::new(EXECUTABLE);
+    // At 5 Hz a hang is found after 0.6 s: no state is then younger than half a second.
+    system.start(&["corridor", "--set", "rate_hz=5"]);
+    let watch = Watch::new(&system);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    let pid = system.pid(Role::Controller);
+    system.signal(pid, Signal::STOP);
+    let rests = |truth: &Truth| truth.blocked == 1 && truth.speed_mps == 0.0;
+    let rest = wait_for_truth(&system, &watch, "it rests", rests);
+    wait_for_truth(&system, &watch, "it drives again", |truth| {
+        truth.header.scan_id > rest.header.scan_id && truth.blocked == 0 && truth.speed_mps > 0.5
+    });
+    let log = std::fs::read_to_string(system.folder().join("out/logs/controller.log")).unwrap();
+    assert!(log.contains("the robot has to rest first"), "{log}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let report = system.report();
+    assert_eq!((report.scans.unaccounted, report.drive.collided), (0, false));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn there_is_nothing_to_adopt_or_someone_drives_already() {
+    let mut system = System::new(EXECUTABLE);
+    for arguments in [["adopt", "--quiet"], ["run", "--adopt"]] {
+        let output = system.run(&arguments);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains("has no processes that could be adopted"), "{}", stderr(&output));
+    }
+    system.assert_nothing_left();
+    let mixed = system.run(&["run", "--adopt", "corridor"]);
+    assert_eq!(mixed.status.code(), Some(2), "{}", stderr(&mixed));
+    system.start(&["--duration", "2"]);
+    let output = system.run(&["adopt"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("is already running"), "{}", stderr(&output));
+    system.wait();
+    assert_eq!(system.report().outcome, Outcome::Timeout);
+    system.assert_nothing_left();
+    // With nothing to adopt it starts.
+    let output = system.run(&["run", "--adopt-or-start", "--quiet", "--duration", "1", "free"]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
+    let (mut system, watch) = driverless(&["corridor"]);
+    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    system.signal(controller, Signal::KILL);
+    wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    // What is left of it in the list now names a process of another system, with its true start time.
+    let mut stranger = Command::new("sleep");
+    stranger.arg("600").env("SCANLOOP_SYSTEM_ID", "another").env("SCANLOOP_INCARNATION", "4");
+    let mut stranger = stranger.stdin(Stdio::null()).spawn().unwrap();
+    let list = system.domain().directory().join(runtime::PROCESSES_FILE);
+    let text = std::fs::read_to_string(&list).unwrap();
+    let (before, after) = text.split_once(&format!("pid = {controller}\n")).unwrap();
+    let after = after.split_once('\n').unwrap().1;
+    let ticks = runtime::start_ticks(stranger.id()).unwrap();
+    std::fs::write(&list, format!("{before}pid = {}\nstart_ticks = {ticks}\n{after}", stranger.id()))
+        .unwrap();
+    system.adopt(&[]);
+    let said = system.stderr();
+    let name = format!("controller: process {} is a stranger: its SCANLOOP_SYSTEM_ID is", stranger.id());
+    assert!(said.contains(&name), "{said}");
+    assert!(
+        system.status().unwrap().processes.iter().all(|process| process.pid != stranger.id().cast_signed())
+    );
+    let report = assert_reached(system);
+    assert_eq!(report.processes[Role::Controller.index()].restarts, 1);
+    assert!(stranger.try_wait().unwrap().is_none(), "the stranger lives");
+    stranger.kill().unwrap();
+    stranger.wait().unwrap();
+}
+
+/// Kills the orchestrator when the exchange of the controller is as far as `state` says; returns both process ids,
+/// the one in charge first.
+fn kill_within_exchange(system: &mut System, state: &str) -> [i32; 2] {
+    let mut swap = system.command(&["swap", "controller", "--to", "nmpc", "--standby-scans", "50"]);
+    let mut swap = swap.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let rows = |system: &System| -> Vec<(i32, String)> {
+        let processes = system.status().map(|status| status.processes).unwrap_or_default();
+        let rows = processes.into_iter().filter(|process| process.role == "controller");
+        rows.map(|process| (process.pid, process.state)).collect()
+    };
+    system.wait_until(state, |system| rows(system).get(1).is_some_and(|(_, of)| of == state));
+    let rows = rows(system);
+    system.kill_orchestrator();
+    swap.wait().unwrap();
+    [rows[0].0, rows[1].0]
+}
+
+#[test]
+fn an_exchange_that_lost_its_orchestrator_ends_with_who_is_in_charge() {
+    for state in ["shadow", "standby"] {
+        let mut system = System::new(EXECUTABLE);
+        system.start(&["corridor"]);
+        let [in_charge, other] = kill_within_exchange(&mut system, state);
+        system.adopt(&[]);
+        assert_eq!(system.pid(Role::Controller), in_charge, "{state}");
+        system.wait_until("the other one has ended", |system| {
+            !processes_of(system.domain().system_id()).contains(&other)
+        });
+        assert!(
+            system.stderr().contains(&format!("controller {other} fills no role")),
+            "{}",
+            system.stderr()
+        );
+        let report = assert_reached(system);
+        assert_eq!((report.scans.lost, report.scans.duplicates), (0, 0), "{state}: {:?}", report.scans);
+    }
+}
+
+#[test]
+fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
+    let mut system = System::new(EXECUTABLE);
+    system.launch(&["run", "--quiet", "--out", "out", "free"], &[]);
+    system.wait_until("some process", |system| !processes_of(system.domain().system_id()).is_empty());
+    system.wait_until("it was written down", |system| {
+        system.domain().directory().join(runtime::PROCESSES_FILE).exists()
+    });
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    assert_eq!((system.report().outcome, system.report().scans.unaccounted), (Outcome::Reached, 0));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn status_and_stop_work_without_an_orchestrator() {
+    let (system, watch) = driverless(&["corridor"]);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    let status = driverless_status(&system);
+    assert_eq!((status.state.as_str(), status.scenario.as_str()), ("driverless", "corridor"));
+    assert!(status.scan > 3);
+    for process in &status.processes {
+        assert_eq!(process.state, "ready", "{process:?}");
+        assert!(
+            process.memory_kib > 1000 && process.rate_hz > 5.0 && process.cpu_percent < 100.0,
+            "{process:?}"
+        );
+    }
+    let roles: Vec<&str> = status.processes.iter().map(|process| process.role.as_str()).collect();
+    assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
+    let stopped = system.run(&["stop"]);
+    assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));
+    let last = watch.newest().unwrap();
+    assert_eq!((last.blocked, last.speed_mps, last.collided), (1, 0.0, 0));
+    assert!(last.longest_blind_s <= LONGEST_BLIND_S);
+    system.assert_nothing_left();
+    assert_eq!(system.run(&["stop"]).status.code(), Some(2));
+    assert_eq!(system.run(&["status"]).status.code(), Some(2));
+}
+
+#[test]
+fn a_new_run_stops_the_robot_of_an_old_one_first() {
+    let (system, watch) = driverless(&["corridor"]);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    let new = system.run(&["run", "--quiet", "--out", "new", "--lockstep", "free"]);
+    assert_eq!(new.status.code(), Some(0), "{}", stderr(&new));
+    assert!(stderr(&new).contains("an earlier run lost its orchestrator"), "{}", stderr(&new));
+    let last = watch.newest().unwrap();
+    assert_eq!((last.blocked, last.speed_mps), (1, 0.0));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
+    let (system, watch) = driverless(&["endless", "--set", "orphan_timeout_s=2"]);
+    wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
+    wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
+    system.wait_until("all processes have ended", |system| {
+        processes_of(system.domain().system_id()).is_empty()
+    });
+    let last = watch.newest().unwrap();
+    assert_eq!((last.blocked, last.collided), (1, 0));
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
+    let (system, watch) = driverless(&["endless", "--set", "orphan_timeout_s=1"]);
+    drop(watch);
+    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    system.signal(controller, Signal::STOP);
+    system.wait_until("all processes have ended", |system| {
+        processes_of(system.domain().system_id()).is_empty()
+    });
+    system.assert_nothing_left();
+}
+
+#[test]
+fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans() {
+    let (system, watch) = driverless(&["corridor"]);
+    let status = driverless_status(&system);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
+        system.signal(pid_of(&status, role), Signal::KILL);
+    }
+    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
+    assert_eq!((blocked.dead_man, blocked.collided), (0, 0), "the actuator did it");
+    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S, "{blocked:?}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
+    let (system, watch) = driverless(&["corridor"]);
+    let actuator = pid_of(&driverless_status(&system), Role::Actuator);
+    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    system.signal(actuator, Signal::KILL);
+    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    assert!(blocked.header.scan_id <= blocked.actuation_scan + 3, "{blocked:?}");
+    assert_eq!((blocked.dead_man, blocked.collided), (1, 0));
+    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S, "{blocked:?}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.assert_nothing_left();
+}
+
+/// The built-in system with a controller that does `what`, and some keys more in its entry.
+fn with_odd_controller(system: &System, what: &[&str], keys: &str) -> String {
+    let path = system.folder().join("system.toml");
+    let command: Vec<String> = what.iter().map(|word| format!("{word:?}")).collect();
+    let roles =
+        [("robot", "emulator"), ("estimator", "ekf"), ("obstacles", "ellipses"), ("actuator", "actuation")];
+    let mut text = String::new();
+    for (role, implementation) in roles {
+        text += &format!("[[process]]\nrole = \"{role}\"\nimplementation = \"{implementation}\"\n");
+    }
+    text += &format!("[[process]]\nrole = \"controller\"\ncommand = [{}]\n{keys}\n", command.join(", "));
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+/// Runs with such a controller until the run fails because of it; returns what was said.
+fn fails(what: &[&str], keys: &str) -> String {
+    let mut system = System::new(EXECUTABLE);
+    let file = with_odd_controller(&system, what, keys);
+    system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", &file], &[]);
+    assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!((report.outcome, report.drive.final_speed_mps), (Outcome::Failed, 0.0));
+    assert_eq!(report.processes[Role::Controller.index()].state, "failed");
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    system.assert_nothing_left();
+    system.stderr()
+}
+
+#[test]
+fn a_process_that_is_ready_and_dies_again_and_again_ends_the_run() {
+    let said = fails(&[ODD, "exit-after", "2"], "restart_limit = 2\nrestart_window_s = 30.0");
+    assert!(said.contains("died 3 times within 30 s, last: exit code 1"), "{said}");
+}
+
+#[test]
+fn a_process_that_works_and_says_nothing_ends_the_run() {
+    let said = fails(&[ODD, "mute"], "start_limit = 2\nstart_timeout_s = 0.6");
+    assert!(
+        said.contains("died 2 times before its first output, last: had no output within 600 ms"),
+        "{said}"
+    );
+}
