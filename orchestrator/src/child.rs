@@ -273,6 +273,13 @@ impl Drop for Child {
     }
 }
 
+/// Whether a process has work to do, on a processor or waiting for one or for memory, and its processor time [s].
+pub(crate) fn is_runnable(pid: u32) -> Option<(bool, f64)> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let state = stat.rsplit_once(')')?.1.trim_start().chars().next()?;
+    Some((matches!(state, 'R' | 'D'), usage_of(pid)?.cpu_s))
+}
+
 /// What a process has used so far; `None` when there is none.
 pub(crate) fn usage_of(pid: u32) -> Option<Usage> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;

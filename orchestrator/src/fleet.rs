@@ -12,7 +12,7 @@ use runtime::{
 };
 use shared_types::{Checkpoint, Role};
 
-use crate::child::{Child, Launch};
+use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
@@ -24,6 +24,10 @@ use crate::system::{ProcessEntry, System};
 const LAST_WORDS: usize = 10;
 /// A share of a processor is measured over at least this long, however often it is asked for [ns].
 const LOAD_WINDOW_NS: u64 = 200_000_000;
+
+/// A process that has used this much time on a processor without progress is not starved [s]: a quarter of the
+/// shortest hang limit, and three times what a scan takes at most.
+const STARVED_CPU_S: f64 = 0.075;
 
 /// All processes of one run.
 pub(crate) struct Fleet {
@@ -48,6 +52,8 @@ struct Member {
     last_words: Vec<String>,
     usage: Option<Spent>,
     last_pid: u32,
+    /// An incarnation that makes no progress, and its processor time when that was noticed [s].
+    suspect: Option<(u32, f64)>,
 }
 
 /// A process that is to take the place of another.
@@ -110,6 +116,7 @@ impl Fleet {
                 last_words: Vec::new(),
                 usage: None,
                 last_pid: 0,
+                suspect: None,
             };
             members.insert(role, member);
         }
@@ -371,6 +378,32 @@ impl Fleet {
     /// Last lines of the process of a role before it ended.
     pub(crate) fn last_words(&self, role: Role) -> &[String] {
         self.members.get(&role).map_or(&[], |member| &member.last_words)
+    }
+
+    /// Whether a process that makes no progress would, if it got a processor; asked the first time before it is judged.
+    ///
+    /// One that sleeps or was stopped is not starved, nor is one that has used a good part of a hang limit since.
+    pub(crate) fn is_starved(&mut self, role: Role, incarnation: u32) -> bool {
+        let Some(member) = self.members.get_mut(&role) else { return false };
+        let now = member.child.as_ref().and_then(|child| is_runnable(child.pid()));
+        let Some((runnable, cpu_s)) = now else { return false };
+        match member.suspect {
+            Some((suspect, before_s)) if suspect == incarnation => {
+                runnable && cpu_s - before_s < STARVED_CPU_S
+            }
+            _ => {
+                member.suspect = Some((incarnation, cpu_s));
+                runnable
+            }
+        }
+    }
+
+    /// All others make progress.
+    pub(crate) fn forget_suspects(&mut self, but: impl Fn(Role) -> bool) {
+        self.members
+            .iter_mut()
+            .filter(|(role, _)| !but(**role))
+            .for_each(|(_, member)| member.suspect = None);
     }
 
     /// Implementation or command of a role.

@@ -138,6 +138,11 @@ impl Samples {
         self.newest_scan
     }
 
+    /// The newest truth, also of a scan that is not complete.
+    pub(crate) fn newest_truth(&self) -> Option<&Truth> {
+        self.truths.waiting.back()
+    }
+
     /// The newest scan answered.
     pub(crate) fn answered_scan(&self) -> u64 {
         self.answered_scan

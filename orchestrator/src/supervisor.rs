@@ -28,7 +28,8 @@
 //! recognised and ignored. Assumptions, and where they fail: times do not go backwards (an earlier time only
 //! delays what is due); the caller sends [`Event::Tick`] after all other events at hand, else a process may be
 //! judged by news that is still in the queue. A caller that was itself stopped for long judges nobody: after a
-//! gap of two hang limits between events, all processes get a fresh limit.
+//! gap of two hang limits between events, all processes get a fresh limit. Who would run but gets no processor is
+//! not hung, for ten limits at most.
 
 mod death;
 mod event;
@@ -121,6 +122,18 @@ impl Supervisor {
         self.slots.iter().find(|slot| slot.policy.role == role).map(Slot::view)
     }
 
+    /// Processes that have made no progress for half of the time after which they are hung: role, incarnation, and
+    /// whether the whole time is over. Tell with [`Event::Starved`] who of the latter does not get a processor.
+    pub fn suspects(&self, now_ns: u64) -> impl Iterator<Item = (Role, u32, bool)> {
+        let watched = self.slots.iter().filter(|_| self.phase == Phase::Driving);
+        watched.filter_map(move |slot| {
+            let deadline_ns = slot.hang_deadline_ns()?;
+            let half_ns = nanoseconds(slot.policy.hang_after_ms) / 2;
+            let suspected = deadline_ns <= now_ns.saturating_add(half_ns);
+            suspected.then_some((slot.policy.role, slot.incarnation, deadline_ns <= now_ns))
+        })
+    }
+
     /// When the next [`Event::Tick`] is due at the latest [ns].
     pub fn next_deadline(&self) -> Option<u64> {
         let hangs =
@@ -152,6 +165,7 @@ impl Supervisor {
                     alive.progress_ns = now_ns;
                 }
             }
+            Event::Starved { role, incarnation } => self.starved(now_ns, role, incarnation),
             Event::Exited { role, incarnation, exit } => {
                 self.exited(now_ns, role, incarnation, exit, &mut actions)
             }

@@ -68,6 +68,9 @@ impl System {
     pub fn adopt(&mut self, arguments: &[&str]) {
         self.launch(&[&["adopt", "--quiet"], arguments].concat(), &[]);
         self.wait_until_driving();
+        // Until it has heard everyone's state.
+        let scan = self.status().map_or(0, |status| status.scan);
+        self.wait_until("it watches", |system| system.status().is_some_and(|status| status.scan > scan + 2));
     }
 
     /// Starts an orchestrator with these variables and waits for nothing.

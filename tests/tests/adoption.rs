@@ -100,7 +100,7 @@ fn an_adopted_run_is_supervised_like_any_other() {
             })
         });
     };
-    for (role, signal) in [(Role::Controller, Signal::KILL), (Role::Obstacles, Signal::STOP)] {
+    for (role, signal) in [(Role::Obstacles, Signal::KILL), (Role::Controller, Signal::STOP)] {
         let pid = system.pid(role);
         system.signal(pid, signal);
         restarted(&system, role, pid);

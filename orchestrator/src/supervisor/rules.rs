@@ -88,6 +88,7 @@ enum Deed {
     Answer(Role, bool),
     Report(Role, ProcessState),
     Progress(Role),
+    Starve(Role),
     Die(Role, Exit),
     Clean(Role),
     Wait(u64),
@@ -135,6 +136,7 @@ fn any_deed() -> impl Strategy<Value = Deed> {
         8 => (any_role(), prop::bool::weighted(0.9)).prop_map(|(role, started)| Deed::Answer(role, started)),
         12 => (any_role(), any_state()).prop_map(|(role, state)| Deed::Report(role, state)),
         6 => any_role().prop_map(Deed::Progress),
+        2 => any_role().prop_map(Deed::Starve),
         6 => (any_role(), any_exit()).prop_map(|(role, exit)| Deed::Die(role, exit)),
         8 => any_role().prop_map(Deed::Clean),
         6 => (0_u64..5_000).prop_map(Deed::Wait),
@@ -150,6 +152,10 @@ fn perform(world: &mut World, deed: Deed) {
         Deed::Answer(role, started) => world.answer(role, started),
         Deed::Report(role, state) => world.report(role, state),
         Deed::Progress(role) => world.progress(role),
+        Deed::Starve(role) => {
+            let incarnation = world.incarnation(role);
+            world.send(Event::Starved { role, incarnation });
+        }
         Deed::Die(role, exit) => world.die(role, exit),
         Deed::Clean(role) => world.clean(role),
         Deed::Wait(milliseconds) => {

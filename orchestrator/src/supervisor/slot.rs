@@ -6,6 +6,9 @@ use shared_types::{ProcessState, Role};
 
 use super::policy::{ProcessPolicy, nanoseconds};
 
+/// A process that does not get a processor for so many hang limits is killed all the same.
+const MOST_EXCUSES: u64 = 10;
+
 /// What a process is doing, in the words of `scanloop status`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum VisibleState {
@@ -98,6 +101,8 @@ pub(super) struct Alive {
     pub(super) start_deadline_ns: Option<u64>,
     /// When it last made progress.
     pub(super) progress_ns: u64,
+    /// Until when it is not called hung, because it does not get a processor.
+    pub(super) excused_ns: u64,
     /// Why it is being ended, if it is.
     pub(super) ending: Option<Ending>,
     /// When it is killed, if it has not ended by then.
@@ -113,6 +118,7 @@ impl Alive {
             ready_ns: None,
             start_deadline_ns: None,
             progress_ns: now_ns,
+            excused_ns: 0,
             ending: None,
             kill_ns: None,
         }
@@ -227,7 +233,9 @@ impl Slot {
     pub(super) fn hang_deadline_ns(&self) -> Option<u64> {
         match self.life {
             Life::Alive(alive) if self.has_reached(ProcessState::Connected) => {
-                Some(alive.progress_ns.saturating_add(nanoseconds(self.policy.hang_after_ms)))
+                let limit_ns = nanoseconds(self.policy.hang_after_ms);
+                let at_last_ns = alive.progress_ns.saturating_add(limit_ns.saturating_mul(MOST_EXCUSES));
+                Some(alive.progress_ns.saturating_add(limit_ns).max(alive.excused_ns).min(at_last_ns))
             }
             _ => None,
         }

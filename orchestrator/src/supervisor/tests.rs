@@ -390,6 +390,29 @@ fn a_process_without_progress_is_killed_and_comes_back() {
 }
 
 #[test]
+fn a_process_that_gets_no_processor_is_not_hung_but_not_for_ever() {
+    let mut world = World::driving();
+    let (role, incarnation) = (Role::Controller, world.incarnation(Role::Controller));
+    let mut waited_ms = 0;
+    while world.actions.is_empty() {
+        world.advance(10);
+        waited_ms += 10;
+        Role::ALL.iter().filter(|other| **other != role).for_each(|other| world.progress(*other));
+        let suspects: Vec<_> = world.supervisor.suspects(world.now_ns).collect();
+        match waited_ms {
+            ..150 => assert_eq!(suspects, []),
+            150..300 => assert_eq!(suspects, [(role, incarnation, false)]),
+            _ => assert_eq!(suspects.len(), 1),
+        }
+        if suspects.iter().any(|(.., is_over)| *is_over) {
+            world.send(Event::Starved { role, incarnation });
+        }
+        world.send(Event::Tick);
+    }
+    assert_eq!((world.actions.as_slice(), waited_ms), (&[Action::Kill { role }][..], 3_000));
+}
+
+#[test]
 fn a_deadline_is_named_for_each_thing_that_is_due() {
     let mut world = World::new(policies(), false);
     assert_eq!(world.supervisor.next_deadline(), None);

@@ -85,6 +85,14 @@ impl Supervisor {
         }
     }
 
+    pub(super) fn starved(&mut self, now_ns: u64, role: Role, incarnation: u32) {
+        let Some(slot) = self.slot(role) else { return };
+        let again_ns = nanoseconds(slot.policy.hang_after_ms) / 6;
+        if let Some(alive) = slot.alive(incarnation) {
+            alive.excused_ns = now_ns.saturating_add(again_ns);
+        }
+    }
+
     pub(super) fn refresh_progress(&mut self, now_ns: u64) {
         for slot in &mut self.slots {
             if let Life::Alive(alive) = &mut slot.life {
