@@ -85,6 +85,7 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
 
 #[test]
 fn an_adopted_run_is_supervised_like_any_other() {
+    // Roles that find back without the state of the one before: a busy machine takes longer than half a second.
     let (mut system, watch) = driverless(&["endless", "--set", "timeout_s=600"]);
     system.adopt(&[]);
     let restarted = |system: &System, role: Role, before: i32| {
@@ -100,15 +101,15 @@ fn an_adopted_run_is_supervised_like_any_other() {
             })
         });
     };
-    for (role, signal) in [(Role::Obstacles, Signal::KILL), (Role::Controller, Signal::STOP)] {
+    for (role, signal) in [(Role::Controller, Signal::KILL), (Role::Actuator, Signal::STOP)] {
         let pid = system.pid(role);
         system.signal(pid, signal);
         restarted(&system, role, pid);
     }
     assert!(system.stderr().contains("exit code unknown, as it was adopted"), "{}", system.stderr());
-    let estimator = system.pid(Role::Estimator);
-    assert_eq!(system.run(&["restart", "estimator"]).status.code(), Some(0));
-    restarted(&system, Role::Estimator, estimator);
+    let controller = system.pid(Role::Controller);
+    assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(0));
+    restarted(&system, Role::Controller, controller);
     let swapped = system.run(&["swap", "actuator", "--to", "actuation", "--shadow-scans", "3"]);
     assert_eq!(swapped.status.code(), Some(0), "{}", stderr(&swapped));
     wait_for_truth(&system, &watch, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
@@ -119,7 +120,7 @@ fn an_adopted_run_is_supervised_like_any_other() {
     assert_eq!(pids(&system.status().unwrap()), before);
     let status = system.status().unwrap();
     let restarts: Vec<u32> = status.processes.iter().map(|process| process.restarts).collect();
-    assert_eq!(restarts, [0, 1, 1, 1, 0], "they are remembered");
+    assert_eq!(restarts, [0, 0, 0, 2, 1], "they are remembered");
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     assert_eq!(system.wait().code(), Some(1));
     let report = system.report();

@@ -340,10 +340,16 @@ impl Process {
         if !environment::is_restart() {
             return Ok(Handover::FirstStart);
         }
-        let checkpoint = handover::read(&self.domain, self.shared.role)?;
-        let age_ns = |checkpoint: &Checkpoint| monotonic_ns().saturating_sub(checkpoint.issued_ns);
-        let fresh = checkpoint.filter(|checkpoint| age_ns(checkpoint) <= CHECKPOINT_AGE_NS);
-        Ok(fresh.map_or(Handover::Lost, Handover::State))
+        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else {
+            tracing::warn!("the process before this one left no state");
+            return Ok(Handover::Lost);
+        };
+        let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
+        if age_ns > CHECKPOINT_AGE_NS {
+            tracing::warn!("the state of the process before this one is {} ms old", age_ns / 1_000_000);
+            return Ok(Handover::Lost);
+        }
+        Ok(Handover::State(checkpoint))
     }
 
     fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {
