@@ -1,7 +1,7 @@
 //! One orchestrator per system: the lock, and who cleans up.
 
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::os::unix::fs::MetadataExt;
 
 use anyhow::Context;
@@ -32,7 +32,11 @@ impl SystemLock {
         loop {
             std::fs::create_dir_all(domain.directory()).with_context(context)?;
             let opened = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path);
-            let mut lock = opened.with_context(context)?;
+            let mut lock = match opened {
+                // Another system that ends just now may have removed the folder above that of ours.
+                Err(error) if error.kind() == ErrorKind::NotFound && monotonic_ns() < deadline_ns => continue,
+                opened => opened.with_context(context)?,
+            };
             if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
                 // Whoever held it before may have removed the file meanwhile: then this lock is worth nothing.
                 let same = std::fs::metadata(&path).is_ok_and(|there| {

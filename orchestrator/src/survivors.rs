@@ -9,6 +9,7 @@ use runtime::{Domain, Identified, Identity, NotOurs, identify, monotonic_ns, pro
 use rustix::process::Signal;
 use shared_types::Role;
 
+use crate::lock::SystemLock;
 use crate::roster::{ProcessRow, Roster};
 
 /// From the last word of the actuator until the wheels rest: 2 m/s at 5 m/s^2, and something for a busy machine [ns].
@@ -84,6 +85,18 @@ impl Survivors {
         }
         end_all(domain, robot, grace_ns);
     }
+}
+
+/// Takes the lock of a system, ends what an earlier run left and removes its files.
+///
+/// # Errors
+/// An orchestrator that lives, and errors of the file system.
+pub(crate) fn clear(domain: &Domain) -> anyhow::Result<SystemLock> {
+    let mut lock = SystemLock::take(domain)?;
+    Survivors::find(domain).end(domain);
+    lock.own();
+    domain.remove_bus_files()?;
+    Ok(lock)
 }
 
 /// TERM, grace, KILL; also for what they started.

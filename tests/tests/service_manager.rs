@@ -1,5 +1,4 @@
 //! What systemd and its journal are told.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;

@@ -29,6 +29,7 @@ use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::exit::{Exit, Failure};
 use crate::lock::SystemLock;
+use crate::survivors::clear;
 
 /// A process that has not reached a state of the start barrier after this time does not reach it [ns].
 pub(crate) const START_NS: u64 = 30_000_000_000;
@@ -101,15 +102,15 @@ pub(crate) struct Stand<'a> {
     voice: Voice<Directive>,
     pub(crate) bus: Bus,
     pub(crate) domain: Domain,
-    lock: SystemLock,
+    // Dropped last: removes what the ports above used.
+    _lock: SystemLock,
 }
 
 impl<'a> Stand<'a> {
     pub(super) fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
         let drive = suite.drive(setup.course)?;
         let domain = Domain::new(&format!("c{}-{number}", std::process::id()))?;
-        // Another system that ends just now may remove the folder above that of ours.
-        let lock = SystemLock::acquire(&domain).or_else(|_| SystemLock::acquire(&domain))?;
+        let lock = clear(&domain)?;
         write_settings(&domain, &drive, setup)?;
         let bus = Bus::create(&domain)?;
         let mut directive =
@@ -144,7 +145,7 @@ impl<'a> Stand<'a> {
             dirty: true,
             bus,
             domain,
-            lock,
+            _lock: lock,
         })
     }
 
@@ -161,7 +162,6 @@ impl<'a> Stand<'a> {
         ];
         let launch = Launch { command: self.suite.command.clone(), environment, directory: None };
         let child = Child::spawn(&launch, &self.log).map_err(Failure::process)?;
-        self.lock.register(role, child.pid().cast_signed(), self.incarnation)?;
         self.child = Some(child);
         Ok(())
     }

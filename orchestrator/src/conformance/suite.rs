@@ -12,9 +12,8 @@ use shared_types::Role;
 use super::case::Trouble;
 use super::drive::{Course, Drive};
 use super::stand::Stand;
-use crate::child::start_ticks;
-use crate::lock::SystemLock;
 use crate::run::SettingsFile;
+use crate::survivors::clear;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -110,9 +109,9 @@ fn sweep() -> anyhow::Result<()> {
     for system in systems.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
         let suite = system.strip_prefix('c').and_then(|rest| rest.split_once('-'));
         let pid = suite.and_then(|(pid, _)| pid.parse().ok());
-        if pid.is_some_and(|pid| start_ticks(pid).is_none()) {
-            // Taking the lock ends what still runs, giving it back removes the files.
-            drop(SystemLock::acquire(&Domain::new(&system)?));
+        if pid.is_some_and(|pid| runtime::start_ticks(pid).is_none()) {
+            // What still runs is ended; giving the lock back removes the files.
+            drop(clear(&Domain::new(&system)?));
         }
     }
     Ok(())
