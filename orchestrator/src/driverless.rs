@@ -7,6 +7,7 @@ use shared_types::{ProcessState, Role};
 
 use crate::child::usage_of;
 use crate::control::{ProcessStatus, Status};
+use crate::ledger::Books;
 use crate::lock::SystemLock;
 use crate::roster::RunFile;
 use crate::supervisor::Event;
@@ -104,9 +105,10 @@ fn listen(domain: &Domain) -> Option<(Vitals, Vec<(u32, ProcessState)>)> {
     let bus = Bus::open(domain, "status").ok()?;
     let mut vitals = Vitals::new(&bus).ok()?;
     let mut states = Vec::new();
+    let mut books = Books::midway();
     let deadline_ns = monotonic_ns() + LISTEN_NS;
     while monotonic_ns() < deadline_ns {
-        let heard = vitals.poll(None, |event| {
+        let heard = vitals.poll(None, &mut books, |event| {
             if let Event::StateReported { incarnation, state, .. } = event
                 && !states.contains(&(incarnation, state))
             {

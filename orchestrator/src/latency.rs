@@ -14,7 +14,7 @@
 //! reaction time minus all compute: hops and publications, that is what five processes cost more than one.
 //!
 //! This holds for stamps of one clock. In lock-step the clock is simulated and stamps say nothing about this
-//! computer: nothing is recorded then. An answer whose chain has a hole (a controller that acted without
+//! computer: only complete chains are counted then. An answer whose chain has a hole (a controller that acted without
 //! obstacles) counts in reaction time and data age, not in the stages, so a slow case never hides.
 
 use shared_types::{Header, Role, StageStamps};
@@ -96,6 +96,7 @@ pub fn data_age_ns(header: &Header) -> Option<u64> {
 #[derive(Debug, Clone)]
 pub struct Latencies {
     simulated: bool,
+    complete: u64,
     incomplete: u64,
     reaction: Distribution,
     data_age: Distribution,
@@ -112,7 +113,7 @@ struct StageDistributions {
 }
 
 impl Latencies {
-    /// No values yet. With `simulated` stamps nothing will be recorded.
+    /// No values yet. With `simulated` stamps chains are counted and no times recorded.
     pub fn new(simulated: bool) -> Self {
         let stage = || StageDistributions {
             hop: Distribution::of_times(),
@@ -122,6 +123,7 @@ impl Latencies {
         };
         Self {
             simulated,
+            complete: 0,
             incomplete: 0,
             reaction: Distribution::of_times(),
             data_age: Distribution::of_times(),
@@ -132,6 +134,8 @@ impl Latencies {
 
     /// Records the way of one actuation that answers a scan.
     pub fn record(&mut self, header: &Header) {
+        let attribution = attribute(header);
+        *if attribution.is_ok() { &mut self.complete } else { &mut self.incomplete } += 1;
         if self.simulated {
             return;
         }
@@ -141,9 +145,8 @@ impl Latencies {
         if let Some(data_age_ns) = data_age_ns(header) {
             self.data_age.record(data_age_ns);
         }
-        match attribute(header) {
-            Ok(attribution) => self.record_attribution(&attribution),
-            Err(_) => self.incomplete += 1,
+        if let Ok(attribution) = attribution {
+            self.record_attribution(&attribution);
         }
     }
 
@@ -179,6 +182,7 @@ impl Latencies {
             waits: per_stage(|stage| &stage.wait),
             publications: per_stage(|stage| &stage.publish),
             simulated: self.simulated,
+            complete_chains: self.complete,
             incomplete_chains: self.incomplete,
         }
     }
@@ -284,6 +288,7 @@ pub(crate) mod tests {
             (report.scan_to_actuation.count, report.data_age.count, report.incomplete_chains),
             (0, 0, 0)
         );
+        assert_eq!(report.complete_chains, 1);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What became of every scan.
+//! What became of every scan, here; and of every sample of every topic, in [`Books`].
 //!
 //! Scans are numbered without gaps from the first on, so each number between the first and the newest seen is a
 //! scan that was published. It was *commanded* when an actuation answered it, *late* too when that came after
@@ -11,16 +11,36 @@
 //!
 //! Only the newest [`WINDOW`] scans are kept one by one; older ones are added up and take no memory.
 
+mod books;
+mod fault;
+#[cfg(test)]
+mod model;
+mod stream;
+mod sweep;
+mod topic;
+
 use std::collections::BTreeMap;
 
 use shared_types::{BlockReason, Role};
 
 use crate::report::ScanReport;
 
+pub use self::books::{ACCOUNTS, Books};
+pub use self::fault::{Fault, Kind};
+pub use self::topic::{TopicLedger, Word};
+
+/// A sample that has been on its way for this long does not come any more: four heartbeats, and four times the
+/// longest sleep of a process [ns].
+pub(crate) const PATIENCE_NS: u64 = 400_000_000;
+
 /// Reason of scans whose way led through a process that had died or hung.
 pub const PROCESS_RESTARTED: &str = "process_restarted";
 /// Reason of scans that no valid command answered although all processes were there.
 pub const NO_COMMAND: &str = "no_command";
+/// Reason of scans that a robot was held up for so long that it did not make them.
+pub const ROBOT_HELD_UP: &str = "robot_held_up";
+/// Reason of scans that the orchestrator was held up for so long that it has seen neither them nor their answers.
+pub const NOT_OBSERVED: &str = "not_observed";
 /// Reason of scans in flight when the run ended.
 pub const RUN_ENDED: &str = "run_ended";
 
@@ -44,6 +64,7 @@ pub struct Ledger {
 struct Entry {
     published_ns: Option<u64>,
     answered_ns: Option<u64>,
+    excuse: Option<&'static str>,
 }
 
 /// Scans from `from` up to `until` that stay without an answer are lost for `reason`.
@@ -86,6 +107,13 @@ impl Ledger {
     pub fn published(&mut self, scan_id: u64, published_ns: u64) {
         if let Some(entry) = self.entry(scan_id) {
             entry.published_ns.get_or_insert(published_ns);
+        }
+    }
+
+    /// Notes why nothing needs to be known of a scan: the reason if nothing answers it.
+    pub fn excused(&mut self, scan_id: u64, reason: &'static str) {
+        if let Some(entry) = self.entry(scan_id) {
+            entry.excuse = Some(reason);
         }
     }
 
@@ -170,8 +198,9 @@ impl Ledger {
 
     fn settle(&self, scan_id: u64, entry: Entry, report: &mut ScanReport) {
         let Some(answered_ns) = entry.answered_ns else {
+            let reason = entry.excuse.map_or_else(|| self.reason(scan_id), ToOwned::to_owned);
             report.lost += 1;
-            *report.lost_reasons.entry(self.reason(scan_id)).or_default() += 1;
+            *report.lost_reasons.entry(reason).or_default() += 1;
             return;
         };
         report.commanded += 1;
@@ -280,6 +309,14 @@ mod tests {
         ledger.published(9, 9 * PERIOD_NS);
         ledger.answered(9, 9 * PERIOD_NS + 1);
         assert_eq!(reasons(&ledger.report()), [(PROCESS_RESTARTED, 3)]);
+    }
+
+    #[test]
+    fn a_scan_with_an_excuse_is_lost_for_it_unless_it_was_answered() {
+        let mut ledger = ledger(4, &[2, 3]);
+        ledger.excused(2, ROBOT_HELD_UP);
+        ledger.excused(4, NOT_OBSERVED);
+        assert_eq!(reasons(&ledger.report()), [(NO_COMMAND, 1), (ROBOT_HELD_UP, 1)]);
     }
 
     #[test]

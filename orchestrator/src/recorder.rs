@@ -19,7 +19,7 @@ use crate::latency::{self, Latencies};
 use crate::ledger::Ledger;
 use crate::picture::{Drive, Ellipse, Moment};
 use crate::progress::View;
-use crate::report::{DriveReport, Outcome, ProcessReport, Report, SCHEMA};
+use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, SCHEMA};
 use crate::swap::Certificate;
 
 pub use self::rows::MAX_ROWS;
@@ -56,6 +56,8 @@ pub struct Ending {
     pub processes: Vec<ProcessReport>,
     /// Exchanges of processes.
     pub swaps: Vec<Certificate>,
+    /// Account of all samples.
+    pub ledger: LedgerReport,
 }
 
 /// Everything that is remembered of one run.
@@ -99,6 +101,11 @@ impl Recorder {
     /// A scan was published at that time [ns]; for a robot that tells no truth.
     pub fn scan_published(&mut self, scan_id: u64, published_ns: u64) {
         self.ledger.published(scan_id, published_ns);
+    }
+
+    /// Nothing needs to be known of a scan, for that reason.
+    pub fn scan_excused(&mut self, scan_id: u64, reason: &'static str) {
+        self.ledger.excused(scan_id, reason);
     }
 
     /// What the robot really did up to a scan; it says too that the scan was published.
@@ -240,6 +247,7 @@ impl Recorder {
             adopted_from_scan: (self.info.first_scan == 0).then(|| self.ledger.first()),
             duration_s: self.duration_s(),
             scans: self.ledger.report(),
+            ledger: ending.ledger.clone(),
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
             controller: self.tally.controller(),

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
 use crate::figures::Figures;
+use crate::ledger::Fault;
 use crate::swap::Certificate;
 
 pub use self::write::write_atomically;
@@ -48,6 +49,8 @@ pub struct Report {
     pub duration_s: f64,
     /// Account of all scans.
     pub scans: ScanReport,
+    /// Account of all samples.
+    pub ledger: LedgerReport,
     /// Where the time went [us].
     pub latency_us: LatencyReport,
     /// What the robot really did.
@@ -106,6 +109,52 @@ pub struct ScanReport {
     pub lost_reasons: BTreeMap<String, u64>,
 }
 
+/// Account of all samples of all topics.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LedgerReport {
+    /// How often the books were closed.
+    pub closings: u64,
+    /// Samples that are missing without a reason; must be 0.
+    pub residual: u64,
+    /// Samples that came twice; must be 0.
+    pub duplicates: u64,
+    /// Samples that came after a later one; must be 0.
+    pub reordered: u64,
+    /// Samples that the orchestrator looked for too late; their readers account for them.
+    pub unobserved: u64,
+    /// The account per topic and role that reads it.
+    pub topics: Vec<LedgerRow>,
+    /// What was found wrong, sample by sample; at most a thousand.
+    pub faults: Vec<Fault>,
+}
+
+/// Account of one topic at one reader: `published = used + replaced + lost + in_flight + residual`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LedgerRow {
+    /// Name of the topic.
+    pub topic: String,
+    /// Role that reads it.
+    pub reader: String,
+    /// Samples published, once per process that was to get them.
+    pub published: u64,
+    /// Samples used.
+    pub used: u64,
+    /// Samples that a rule drops: a newer one was used, too old, without authority, bad content.
+    pub replaced: u64,
+    /// Samples that went with a process that died.
+    pub lost: u64,
+    /// Samples on their way or waiting at the end.
+    pub in_flight: u64,
+    /// Samples that nothing explains; must be 0.
+    pub residual: u64,
+    /// Samples that came twice, beside the account; must be 0.
+    pub duplicates: u64,
+    /// Samples that came after a later one and were dropped, part of the residual; must be 0.
+    pub reordered: u64,
+}
+
 /// Distributions of times along the way from scan to actuation [us].
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -122,8 +171,10 @@ pub struct LatencyReport {
     pub waits: PerStage,
     /// From the result until it was published.
     pub publications: PerStage,
-    /// Stamps are of a simulated clock; nothing was recorded.
+    /// Stamps are of a simulated clock; no time was recorded.
     pub simulated: bool,
+    /// Answers with stamps of all stages.
+    pub complete_chains: u64,
     /// Answers without stamps of all stages; they count in the first two distributions only.
     pub incomplete_chains: u64,
 }
@@ -317,6 +368,9 @@ mod tests {
             "/scans/lost",
             "/scans/unaccounted",
             "/scans/lost_reasons",
+            "/ledger/residual",
+            "/ledger/topics",
+            "/ledger/faults",
             "/latency_us/scan_to_actuation/p999",
             "/latency_us/stages/estimator/count",
             "/latency_us/stages/obstacles/count",

@@ -18,6 +18,7 @@ use crate::control::ControlSocket;
 use crate::digest::Digests;
 use crate::exit::{Exit, Failure};
 use crate::fleet::Fleet;
+use crate::ledger::Books;
 use crate::lock::SystemLock;
 use crate::picture;
 use crate::progress::Progress;
@@ -128,6 +129,7 @@ pub(crate) struct Beginning {
     pub fleet: Fleet,
     pub events: Vec<Event>,
     pub directive: Directive,
+    /// 0 when another orchestrator has begun.
     pub first_scan: u64,
 }
 
@@ -255,6 +257,8 @@ pub(crate) fn assemble(
     };
     Ok(Session {
         samples: Samples::new(&bus)?,
+        books: if first_scan == 0 { Books::midway() } else { Books::new(manner.lockstep) },
+        closed_ns: 0,
         vitals: Vitals::new(&bus)?,
         voice: Voice::new(&bus)?,
         digests: Digests::default(),

@@ -6,8 +6,10 @@
 
 use std::collections::VecDeque;
 
-use runtime::{Bus, Observer, RuntimeError};
-use shared_types::{Actuation, Command, Directive, Obstacles, Pose, Sample, Truth};
+use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
+use shared_types::{Actuation, Command, Directive, Fault, Obstacles, Odometry, Pose, Sample, Scan, Truth};
+
+use crate::ledger::Books;
 
 /// A scan without an answer is given up when this many newer scans have been published.
 const PATIENCE_SCANS: u64 = 3;
@@ -33,7 +35,7 @@ impl<S: Sample> Queue<S> {
         })
     }
 
-    fn poll(&mut self, directive: &Directive) -> Result<u64, RuntimeError> {
+    fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<u64, RuntimeError> {
         let Self { observer, waiting, aside, last } = self;
         // As the processes do: what was kept aside may count now, unless its scan was answered meanwhile.
         let kept = std::mem::take(aside);
@@ -55,7 +57,7 @@ impl<S: Sample> Queue<S> {
             waiting.push_back(*sample);
         };
         kept.iter().for_each(|sample| put(sample, true));
-        observer.poll(|sample| put(sample, false))
+        look(observer, books, |sample| put(sample, false))
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
@@ -65,6 +67,31 @@ impl<S: Sample> Queue<S> {
             None
         }
     }
+}
+
+/// Hands all valid samples of a topic to `each`, and all that came to the books; returns how many were invalid.
+fn look<S: Sample>(
+    observer: &Observer<S>,
+    books: &mut Books,
+    mut each: impl FnMut(&S),
+) -> Result<u64, RuntimeError> {
+    let now_ns = monotonic_ns();
+    let (mut came, mut invalid) = (0, 0);
+    books.look(S::TOPIC, now_ns);
+    while let Some((sample, check)) = observer.next()? {
+        came += 1;
+        if !matches!(check, Err(Fault::Layout { .. })) {
+            books.see(&sample, now_ns);
+        }
+        match check {
+            Ok(()) => each(&sample),
+            Err(_) => invalid += 1,
+        }
+    }
+    if came >= buffer(S::TOPIC) {
+        books.overflowed(S::TOPIC);
+    }
+    Ok(invalid)
 }
 
 /// Everything that belongs to one scan, or to none since the scan before.
@@ -78,6 +105,8 @@ pub(crate) struct ScanRecord {
 
 /// All topics of the loop.
 pub(crate) struct Samples {
+    scans: Observer<Scan>,
+    odometries: Observer<Odometry>,
     truths: Queue<Truth>,
     poses: Queue<Pose>,
     obstacles: Queue<Obstacles>,
@@ -95,6 +124,8 @@ impl Samples {
         let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
         let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
         Ok(Self {
+            scans: Observer::new(bus)?,
+            odometries: Observer::new(bus)?,
             truths: Queue::new(bus)?,
             poses,
             obstacles,
@@ -108,6 +139,8 @@ impl Samples {
 
     /// Makes the reading end of all connections.
     pub(crate) fn connect(&self) {
+        self.scans.connect();
+        self.odometries.connect();
         self.truths.observer.connect();
         self.poses.observer.connect();
         self.obstacles.observer.connect();
@@ -115,13 +148,15 @@ impl Samples {
         self.actuations.observer.connect();
     }
 
-    /// Takes what has come from the bus; the truth last, so that what precedes it on the way is there.
-    pub(crate) fn poll(&mut self, directive: &Directive) -> Result<(), RuntimeError> {
-        self.invalid += self.truths.poll(directive)?;
-        self.invalid += self.poses.poll(directive)?;
-        self.invalid += self.obstacles.poll(directive)?;
-        self.invalid += self.commands.poll(directive)?;
-        self.invalid += self.actuations.poll(directive)?;
+    /// Takes what has come from the bus, and notes all of it in the books.
+    pub(crate) fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<(), RuntimeError> {
+        self.invalid += self.truths.poll(directive, books)?;
+        self.invalid += look(&self.scans, books, |_| ())?;
+        self.invalid += look(&self.odometries, books, |_| ())?;
+        self.invalid += self.poses.poll(directive, books)?;
+        self.invalid += self.obstacles.poll(directive, books)?;
+        self.invalid += self.commands.poll(directive, books)?;
+        self.invalid += self.actuations.poll(directive, books)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }

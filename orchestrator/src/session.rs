@@ -5,6 +5,7 @@
 //! Nothing of the driving depends on it: the processes talk to each other, and go on when it hangs or dies.
 
 mod account;
+mod audit;
 mod swapping;
 
 use std::time::Instant;
@@ -16,7 +17,7 @@ use shared_types::{Authority, Directive, Phase, ProcessState, Role};
 use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
 use crate::digest::Digests;
 use crate::fleet::Fleet;
-use crate::ledger::PROCESS_RESTARTED;
+use crate::ledger::{Books, PROCESS_RESTARTED};
 use crate::progress::{COLUMNS, ProcessWord, Progress, line};
 use crate::recorder::{Ending, Recorder};
 use crate::report::{Outcome, ProcessReport};
@@ -54,6 +55,8 @@ pub(crate) struct Session {
     pub(crate) control: ControlSocket,
     pub(crate) referee: Referee,
     pub(crate) samples: Samples,
+    pub(crate) books: Books,
+    pub(crate) closed_ns: u64,
     pub(crate) digests: Digests,
     pub(crate) vitals: Vitals,
     pub(crate) voice: Voice<Directive>,
@@ -97,12 +100,13 @@ impl Session {
         }
         while !self.supervisor.is_finished() {
             self.sleep();
-            self.samples.poll(&self.directive)?;
+            self.samples.poll(&self.directive, &mut self.books)?;
             self.observe_swap()?;
             self.take_heartbeats()?;
             self.reap()?;
             self.serve()?;
             self.record(false)?;
+            self.audit();
             self.advance_end()?;
             self.advance_swap()?;
             // Starts and clean-ups take long on a busy machine: nobody is judged by news that waited meanwhile.
@@ -113,8 +117,10 @@ impl Session {
             self.speak()?;
             self.show();
         }
-        self.samples.poll(&self.directive)?;
+        self.take_heartbeats()?;
+        self.samples.poll(&self.directive, &mut self.books)?;
         self.record(true)?;
+        self.close_books(true);
         self.progress.finish();
         Ok(self.ending())
     }
@@ -139,7 +145,7 @@ impl Session {
 
     fn take_heartbeats(&mut self) -> anyhow::Result<()> {
         let mut events = Vec::new();
-        self.vitals.poll(self.swaps.beside(), |event| events.push(event))?;
+        self.vitals.poll(self.swaps.beside(), &mut self.books, |event| events.push(event))?;
         for event in events {
             if let Event::StateReported { incarnation, state, .. } = event {
                 self.swap_heard(incarnation, state);
@@ -166,6 +172,7 @@ impl Session {
 
     fn reap(&mut self) -> anyhow::Result<()> {
         for (role, incarnation, exit) in self.fleet.reap() {
+            self.books.ended(incarnation, monotonic_ns());
             if self.swap_ended(role, incarnation, exit)? {
                 continue;
             }
@@ -373,6 +380,7 @@ impl Session {
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
+                    self.books.driving();
                     self.directive.granted_scan = GRANT_AHEAD;
                     self.moved_ns = monotonic_ns();
                 }
@@ -486,6 +494,12 @@ impl Session {
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        Ending { outcome, reason, processes, swaps: self.swaps.certificates().to_vec() }
+        Ending {
+            outcome,
+            reason,
+            processes,
+            swaps: self.swaps.certificates().to_vec(),
+            ledger: self.books.report(),
+        }
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::figures::Figures;
-use crate::report::{DriveReport, LatencyReport, NO_OBSTACLE_M, Report, ScanReport};
+use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {
@@ -18,6 +18,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         format!("at most {estimate_error_max_m:.3} m, rms {estimate_error_rms_m:.3} m"),
     ));
     rows.push(("scans", scans(&report.scans)));
+    rows.push(("samples", samples(&report.ledger)));
     if !report.controller.status.is_empty() {
         rows.push(("solver", counts(report.controller.status.iter())));
     }
@@ -89,6 +90,30 @@ fn scans(scans: &ScanReport) -> String {
     text
 }
 
+/// What became of the samples of all topics at all of their readers, and what nothing explains.
+fn samples(ledger: &LedgerReport) -> String {
+    let sum = |field: fn(&LedgerRow) -> u64| ledger.topics.iter().map(field).sum::<u64>();
+    let mut text = format!(
+        "{} published, {} used, {} replaced, {} lost, {} in flight",
+        sum(|row| row.published),
+        sum(|row| row.used),
+        sum(|row| row.replaced),
+        sum(|row| row.lost),
+        sum(|row| row.in_flight)
+    );
+    for (count, what) in
+        [(ledger.residual, "MISSING"), (ledger.duplicates, "CAME TWICE"), (ledger.reordered, "OUT OF ORDER")]
+    {
+        if count > 0 {
+            text += &format!(", {count} {what}");
+        }
+    }
+    if let Some(fault) = ledger.faults.first() {
+        text += &format!(": {fault}");
+    }
+    text
+}
+
 /// `12 converged, 1 out of time`
 fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
@@ -126,6 +151,33 @@ fn latencies(text: &mut String, latency: &LatencyReport) {
             [figures.p50, figures.p90, figures.p99, figures.max].map(|value| value * 1e-3);
         line(text, format_args!("{name:<20} {p50:>9.3} {p90:>9.3} {p99:>9.3} {max:>9.3}"));
     }
+    if latency.complete_chains > 0 {
+        stages_table(text, latency);
+    }
+    let incomplete = match latency.incomplete_chains {
+        0 => String::new(),
+        count => format!(", {count} INCOMPLETE"),
+    };
+    line(text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+}
+
+/// Where each stage spends its time, medians.
+fn stages_table(text: &mut String, latency: &LatencyReport) {
+    line(
+        text,
+        format_args!("\n{:<20} {:>9} {:>9} {:>9} {:>9}", "p50 [ms]", "wait", "hop", "compute", "publish"),
+    );
+    let LatencyReport { stages, hops, waits, publications, .. } = latency;
+    let rows = [
+        ("estimator", [&waits.estimator, &hops.estimator, &stages.estimator, &publications.estimator]),
+        ("obstacles", [&waits.obstacles, &hops.obstacles, &stages.obstacles, &publications.obstacles]),
+        ("controller", [&waits.controller, &hops.controller, &stages.controller, &publications.controller]),
+        ("actuator", [&waits.actuator, &hops.actuator, &stages.actuator, &publications.actuator]),
+    ];
+    for (name, figures) in rows {
+        let [wait, hop, compute, publish] = figures.map(|figures| figures.p50 * 1e-3);
+        line(text, format_args!("  {name:<18} {wait:>9.3} {hop:>9.3} {compute:>9.3} {publish:>9.3}"));
+    }
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
@@ -147,6 +199,16 @@ mod tests {
         report.scans = ScanReport { published: 127, commanded: 126, lost: 1, ..ScanReport::default() };
         report.scans.lost_reasons = BTreeMap::from([("run_ended".to_owned(), 1)]);
         report.controller.status = BTreeMap::from([("converged".to_owned(), 127)]);
+        report.ledger.topics = vec![LedgerRow {
+            published: 127,
+            used: 120,
+            replaced: 4,
+            lost: 2,
+            in_flight: 1,
+            ..LedgerRow::default()
+        }];
+        report.latency_us.complete_chains = 126;
+        report.latency_us.hops.obstacles.p50 = 60.0;
         report.latency_us.stages.controller =
             Figures { count: 127, p50: 1234.5, p90: 2000.0, p99: 3000.0, p999: 4000.0, max: 12345.6 };
         report
@@ -164,6 +226,7 @@ to the goal     0.041 m
 clearance       smallest 0.351 m
 estimate error  at most 0.000 m, rms 0.000 m
 scans           127 published, 126 commanded, 0 late, 1 lost (1 run ended)
+samples         127 published, 120 used, 4 replaced, 2 lost, 1 in flight
 solver          127 converged
 
 latency [ms]               p50       p90       p99       max
@@ -174,6 +237,13 @@ scan to actuation            -         -         -         -
   actuator                   -         -         -         -
   transport                  -         -         -         -
 age of the data              -         -         -         -
+
+p50 [ms]                  wait       hop   compute   publish
+  estimator              0.000     0.000     0.000     0.000
+  obstacles              0.000     0.060     0.000     0.000
+  controller             0.000     0.000     1.234     0.000
+  actuator               0.000     0.000     0.000     0.000
+chains               126 complete
 
 files           out/corridor
 "
@@ -206,5 +276,24 @@ files           out/corridor
         let mut report = report();
         report.scans.unaccounted = 2;
         assert!(text(&report, None).contains("2 UNACCOUNTED"));
+    }
+
+    #[test]
+    fn samples_that_nothing_explains_are_shouted_and_named() {
+        let mut report = report();
+        report.ledger.residual = 1;
+        report.ledger.faults = vec![crate::ledger::Fault {
+            topic: "pose".to_owned(),
+            kind: crate::ledger::Kind::Missing,
+            incarnation: 2,
+            sequence: 17,
+            scan_id: 17,
+            noticed_by: "bus".to_owned(),
+        }];
+        report.latency_us.incomplete_chains = 3;
+        let text = text(&report, None);
+        let expected = ", 1 MISSING: pose number 17 of incarnation 2, for scan 17, is missing\n";
+        assert!(text.contains(expected), "{text}");
+        assert!(text.contains("126 complete, 3 INCOMPLETE"), "{text}");
     }
 }

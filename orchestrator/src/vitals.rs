@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{Checkpoint, Heartbeat, ProcessState, Role};
 
+use crate::ledger::Books;
 use crate::supervisor::Event;
 
 /// Rates are averages over this time [ns].
@@ -41,12 +42,13 @@ impl Vitals {
         })
     }
 
-    /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`.
+    /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`, and accounts to the books.
     ///
     /// The state of the incarnation `beside` is nobody's to go on from: it does not count, or not any more.
     pub(crate) fn poll(
         &mut self,
         beside: Option<u32>,
+        books: &mut Books,
         mut each: impl FnMut(Event),
     ) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
@@ -64,11 +66,15 @@ impl Vitals {
             else {
                 return;
             };
+            books.hear(heartbeat, monotonic_ns());
             let incarnation = heartbeat.header.incarnation;
             if !pulses.contains_key(&incarnation) {
                 pulses.retain(|_, pulse| heartbeat.issued_ns.saturating_sub(pulse.beat_ns) < FORGET_NS);
             }
             let pulse = pulses.entry(incarnation).or_default();
+            if state == ProcessState::Ending {
+                return;
+            }
             each(Event::StateReported { role, incarnation, state });
             if heartbeat.activations != pulse.activations {
                 pulse.activations = heartbeat.activations;

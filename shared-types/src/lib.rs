@@ -6,6 +6,7 @@
 //!
 //! Units are SI, angles are radians counter-clockwise, the frame is x forward along the track, y to the left.
 
+mod account;
 mod actuation;
 mod checkpoint;
 mod command;
@@ -24,6 +25,7 @@ mod supervision;
 mod topics;
 mod truth;
 
+pub use account::{Fate, InputAccount, Span, WRITERS};
 pub use actuation::{Actuation, ActuationKind, BlockReason};
 pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
 pub use command::{Command, CommandKind, Level, PLAN_NODES, PlanNode, SolveStatus, StopReason};
@@ -35,7 +37,7 @@ pub use layouts::{Deviation, Difference, LayoutRow, Layouts, NotALayout, differe
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
 pub use pose::{Alarm, Pose, Suspect};
-pub use role::{ROLES, Role, UnknownRole};
+pub use role::{PORTS, ROLES, Role, UnknownRole};
 pub use sample::Sample;
 pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
 pub use supervision::{Authority, Directive, Heartbeat, Phase, ProcessState};

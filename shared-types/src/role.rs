@@ -3,6 +3,9 @@
 use crate::Topic;
 use crate::sample::wire_enum;
 
+/// Most topics that a role reads, and most that it writes.
+pub const PORTS: usize = 2;
+
 /// Number of roles.
 pub const ROLES: usize = 5;
 
@@ -36,6 +39,17 @@ impl Role {
             Self::Obstacles => &[Topic::Scan, Topic::Pose],
             Self::Controller => &[Topic::Pose, Topic::Obstacles],
             Self::Actuator => &[Topic::Command],
+        }
+    }
+
+    /// The topic whose samples the role answers one by one: the input that comes last for a scan.
+    pub const fn answers(self) -> Option<Topic> {
+        match self {
+            Self::Robot => None,
+            Self::Estimator => Some(Topic::Odometry),
+            Self::Obstacles => Some(Topic::Pose),
+            Self::Controller => Some(Topic::Obstacles),
+            Self::Actuator => Some(Topic::Command),
         }
     }
 

@@ -1,7 +1,7 @@
 //! What processes tell the orchestrator, and what it tells them.
 
 use crate::sample::{layout, sample, wire_enum};
-use crate::{Fault, Header, ROLES, Role};
+use crate::{Fault, Header, InputAccount, PORTS, ROLES, Role};
 
 wire_enum! {
     /// What the whole system is doing.
@@ -89,7 +89,7 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(320, Heartbeat, 0xdd21_488c, "scanloop.Heartbeat.v1", check_heartbeat) {
+    pub struct Heartbeat(944, Heartbeat, 0x8540_5b86, "scanloop.Heartbeat.v2", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
         /// Role of the process, `Role`
@@ -124,8 +124,20 @@ sample! {
         pub undelivered: u64,
         /// Wake-ups by time-out
         pub timeouts: u64,
-        /// Unused, zero
-        pub reserved: u64,
+        /// When samples were last taken from the bus [ns of CLOCK_MONOTONIC]
+        pub looked_ns: u64,
+        /// Samples taken of the topic that the role answers
+        pub taken: u64,
+        /// Sum of their scan ids
+        pub taken_scans: u64,
+        /// Answers to them
+        pub answered: u64,
+        /// Sum of the scan ids of the answers
+        pub answered_scans: u64,
+        /// Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
+        pub written: [u64; PORTS],
+        /// What became of the samples per topic that the role reads, in the order of `Role::reads`
+        pub inputs: [InputAccount; PORTS],
     }
 }
 

@@ -313,7 +313,10 @@ impl Session {
                     self.speak()?;
                 }
             }
-            Action::KillNew => self.fleet.dismiss(),
+            Action::KillNew => {
+                self.books.ended(new, monotonic_ns());
+                self.fleet.dismiss();
+            }
             Action::Commit => {
                 if let Some(pid) = self.fleet.promote() {
                     self.handle(supervisor::Event::Replaced { role, pid, incarnation: new })?;

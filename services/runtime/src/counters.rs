@@ -2,46 +2,80 @@
 
 use std::cell::Cell;
 
-use shared_types::Heartbeat;
+use shared_types::{Heartbeat, InputAccount, PORTS, Role, Sample};
 
-/// Counters of one process, shared by its inputs and outputs.
+/// Counters of one process, shared by its inputs and outputs; what became of inputs stands in their accounts.
 #[derive(Debug, Default)]
 pub(crate) struct Counters {
     pub(crate) activations: Cell<u64>,
     pub(crate) published: Cell<u64>,
-    pub(crate) used: Cell<u64>,
-    pub(crate) replaced: Cell<u64>,
-    pub(crate) invalid: Cell<u64>,
-    pub(crate) stale: Cell<u64>,
-    pub(crate) duplicate: Cell<u64>,
-    pub(crate) reordered: Cell<u64>,
-    pub(crate) foreign: Cell<u64>,
-    pub(crate) missing: Cell<u64>,
     pub(crate) undelivered: Cell<u64>,
     pub(crate) timeouts: Cell<u64>,
     pub(crate) last_scan: Cell<u64>,
+    /// Something in an account is worth to be told before the next heartbeat is due.
+    pub(crate) news: Cell<bool>,
+    written: [Cell<u64>; PORTS],
+    taken: Cell<u64>,
+    taken_scans: Cell<u64>,
+    answered: Cell<u64>,
+    answered_scans: Cell<u64>,
 }
 
 /// Adds to one counter.
 pub(crate) fn count(counter: &Cell<u64>, more: u64) {
-    counter.set(counter.get() + more);
+    counter.set(counter.get().wrapping_add(more));
 }
 
 impl Counters {
+    /// Notes that `role` begins to work on a sample.
+    pub(crate) fn take<S: Sample>(&self, role: Role, sample: &S) {
+        if role.answers() == Some(S::TOPIC) {
+            count(&self.taken, 1);
+            count(&self.taken_scans, sample.header().scan_id);
+        }
+    }
+
+    /// Notes that `role` has numbered a sample of its own. It is an answer when a sample taken has none yet.
+    pub(crate) fn write<S: Sample>(&self, role: Role, sample: &S) {
+        let Some(port) = role.writes().iter().position(|topic| *topic == S::TOPIC) else { return };
+        let header = sample.header();
+        self.written[port].set(header.sequence);
+        // A role with several topics publishes one sample of each per scan; the first stands for all.
+        if port > 0 {
+            return;
+        }
+        self.last_scan.set(header.scan_id);
+        count(&self.published, 1);
+        if self.answered.get() < self.taken.get() {
+            count(&self.answered, 1);
+            count(&self.answered_scans, header.scan_id);
+        }
+    }
+
     /// Copies all counters into a heartbeat.
     pub(crate) fn fill(&self, heartbeat: &mut Heartbeat) {
         heartbeat.activations = self.activations.get();
         heartbeat.published = self.published.get();
-        heartbeat.used = self.used.get();
-        heartbeat.replaced = self.replaced.get();
-        heartbeat.invalid = self.invalid.get();
-        heartbeat.stale = self.stale.get();
-        heartbeat.duplicate = self.duplicate.get();
-        heartbeat.reordered = self.reordered.get();
-        heartbeat.foreign = self.foreign.get();
-        heartbeat.missing = self.missing.get();
         heartbeat.undelivered = self.undelivered.get();
         heartbeat.timeouts = self.timeouts.get();
         heartbeat.header.scan_id = self.last_scan.get();
+        heartbeat.written = self.written.each_ref().map(Cell::get);
+        heartbeat.taken = self.taken.get();
+        heartbeat.taken_scans = self.taken_scans.get();
+        heartbeat.answered = self.answered.get();
+        heartbeat.answered_scans = self.answered_scans.get();
     }
+}
+
+/// Puts the account of the `port`th input into a heartbeat, and adds it to the totals.
+pub(crate) fn add_account(heartbeat: &mut Heartbeat, port: usize, account: InputAccount) {
+    heartbeat.used += account.used;
+    heartbeat.replaced += account.replaced + account.overwritten;
+    heartbeat.invalid += account.invalid + account.unreadable;
+    heartbeat.stale += account.stale;
+    heartbeat.duplicate += account.duplicate;
+    heartbeat.reordered += account.reordered;
+    heartbeat.foreign += account.foreign;
+    heartbeat.missing += account.missing;
+    heartbeat.inputs[port] = account;
 }

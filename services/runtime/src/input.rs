@@ -7,12 +7,12 @@ use std::rc::Rc;
 
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::{Sample, Topic};
+use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
 
 use crate::bus::WireSubscriber;
-use crate::counters::count;
 use crate::ear::Ear;
 use crate::process::Shared;
+use crate::quality::buffer;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
@@ -36,7 +36,8 @@ impl<S: Sample> Deref for Taken<S> {
 /// Reads samples of one type.
 ///
 /// What never comes out: a sample of another layout or with bad content, of a producer without authority, a
-/// duplicate, a reordered one, one that is too old. Each is counted by its kind in the heartbeat.
+/// duplicate, a reordered one, one that is too old. Each is counted by its kind in the account of the input,
+/// which travels in the heartbeat.
 ///
 /// While one process takes over from another, the newest samples of the one that does not count are kept aside.
 /// When the directive gives their scans back to it they come out as if they had just arrived; and no scan that
@@ -51,13 +52,13 @@ struct Reader<S: Sample> {
     kept: RefCell<VecDeque<Taken<S>>>,
     aside: RefCell<VecDeque<Taken<S>>>,
     last: Cell<Last>,
+    account: RefCell<InputAccount>,
 }
 
 /// Of the sample accepted last.
 #[derive(Clone, Copy, Default)]
 struct Last {
     incarnation: u32,
-    sequence: u64,
     scan_id: u64,
 }
 
@@ -70,13 +71,14 @@ impl<S: Sample> Input<S> {
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
             last: Cell::default(),
+            account: RefCell::default(),
         })))
     }
 
     /// The oldest sample not yet taken.
     pub fn take(&self) -> Option<Taken<S>> {
         let sample = self.0.kept.borrow_mut().pop_front()?;
-        self.0.shared.taken(&*sample);
+        self.0.take(&sample);
         Some(sample)
     }
 
@@ -88,10 +90,9 @@ impl<S: Sample> Input<S> {
     /// The newest sample; older ones are dropped and counted as replaced.
     pub fn take_newest(&self) -> Option<Taken<S>> {
         let mut kept = self.0.kept.borrow_mut();
-        count(&self.0.shared.counters.replaced, kept.len().saturating_sub(1) as u64);
         let sample = kept.pop_back()?;
-        kept.clear();
-        self.0.shared.taken(&*sample);
+        kept.drain(..).for_each(|older| self.0.settle(Fate::Replaced, &older));
+        self.0.take(&sample);
         Some(sample)
     }
 
@@ -99,8 +100,7 @@ impl<S: Sample> Input<S> {
     fn take_scan(&self, scan_id: u64) -> Option<Taken<S>> {
         let mut kept = self.0.kept.borrow_mut();
         while kept.front().is_some_and(|sample| sample.header().scan_id < scan_id) {
-            kept.pop_front();
-            count(&self.0.shared.counters.replaced, 1);
+            self.0.settle_front(Fate::Replaced, &mut kept);
         }
         if kept.front().is_some_and(|sample| sample.header().scan_id == scan_id) {
             kept.pop_front()
@@ -122,8 +122,8 @@ pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(T
         kept.iter().rev().map(|sample| sample.header().scan_id).find(|scan_id| other.has_scan(*scan_id))?
     };
     let pair = (one.take_scan(scan_id)?, other.take_scan(scan_id)?);
-    one.0.shared.taken(&*pair.0);
-    other.0.shared.taken(&*pair.1);
+    one.0.take(&pair.0);
+    other.0.take(&pair.1);
     Some(pair)
 }
 
@@ -139,6 +139,8 @@ pub(crate) trait Drain {
     fn drain(&self) -> Result<(), RuntimeError>;
     /// Looks again at what was kept aside, now that the directive has changed.
     fn review(&self);
+    /// What became of all samples so far.
+    fn account(&self) -> InputAccount;
 }
 
 impl<S: Sample> Drain for Input<S> {
@@ -158,8 +160,15 @@ impl<S: Sample> Drain for Input<S> {
         let reader = &*self.0;
         reader.ear.clear();
         let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
+        let (before, mut received) = (*reader.account.borrow(), 0);
         while let Some(sample) = reader.subscriber.receive().map_err(error)? {
-            reader.offer(Taken(sample), false);
+            received += 1;
+            reader.arrive(Taken(sample));
+        }
+        // Samples are overwritten only when as many newer ones have come as the buffer holds.
+        let capacity = buffer(S::TOPIC);
+        if received >= capacity {
+            reader.account.borrow_mut().overflowed_since(&before, capacity as u64);
         }
         Ok(())
     }
@@ -168,70 +177,98 @@ impl<S: Sample> Drain for Input<S> {
         let waiting = std::mem::take(&mut *self.0.aside.borrow_mut());
         waiting.into_iter().for_each(|sample| self.0.offer(sample, true));
     }
+
+    fn account(&self) -> InputAccount {
+        let mut account = *self.0.account.borrow();
+        for sample in self.0.kept.borrow().iter().chain(self.0.aside.borrow().iter()) {
+            account.waiting += 1;
+            account.waiting_sum = account.waiting_sum.wrapping_add(sample.header().sequence);
+        }
+        account
+    }
 }
 
 impl<S: Sample> Reader<S> {
-    /// Keeps a sample that counts, keeps one aside that may count later, drops and counts any other.
-    fn offer(&self, sample: Taken<S>, was_aside: bool) {
-        let counters = &self.shared.counters;
-        if let Err(fault) = sample.check() {
-            count(&counters.invalid, 1);
-            tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
+    /// Notes that a sample came from the bus, and drops it when its number or its content is wrong.
+    fn arrive(&self, sample: Taken<S>) {
+        let check = sample.check();
+        if let Err(Fault::Layout { .. }) = check {
+            self.account.borrow_mut().unreadable += 1;
             return;
         }
+        let (fate, news) = {
+            let account = &mut *self.account.borrow_mut();
+            let (missing, header) = (account.missing, sample.header());
+            let is_new = account.from(header.incarnation).is_none();
+            let fate = account.arrive(header);
+            (fate, is_new || fate.is_some() || account.missing > missing)
+        };
+        if news && S::TOPIC.writer().is_some() {
+            self.shared.counters.news.set(true);
+        }
+        if let Some(fate) = fate {
+            self.settle(fate, &sample);
+        } else if let Err(fault) = check {
+            self.settle(Fate::Invalid, &sample);
+            tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
+        } else {
+            self.offer(sample, false);
+        }
+    }
+
+    /// Keeps a sample that counts, keeps one aside that may count later, drops any other.
+    fn offer(&self, sample: Taken<S>, was_aside: bool) {
         let header = sample.header();
+        let last = self.last.get();
         if let Some(writer) = S::TOPIC.writer() {
             let directive = self.shared.directive.borrow();
             if directive.stands_by(writer, header.incarnation, header.scan_id) {
-                return push(&self.aside, sample, ASIDE, &counters.foreign);
+                return self.push(&self.aside, sample, ASIDE, Fate::Foreign);
             }
-            if !directive.accepts(writer, header.incarnation, header.scan_id) {
-                return count(&counters.foreign, 1);
-            }
-            let last = self.last.get();
             // Outside of exchanges an actuator that was restarted blocks the wheels under an older scan.
             let other = was_aside || directive.is_exchanged(writer) && header.incarnation != last.incarnation;
-            if other && header.scan_id <= last.scan_id {
-                return count(&counters.duplicate, 1);
+            let answered_by_other = other && header.scan_id <= last.scan_id;
+            if answered_by_other || !directive.accepts(writer, header.incarnation, header.scan_id) {
+                return self.settle(Fate::Foreign, &sample);
             }
         }
-        if self.is_news(&sample) {
-            push(&self.kept, sample, KEPT, &counters.replaced);
-        }
-    }
-
-    /// Whether a sample of the producer in charge is neither repeated nor reordered nor old; counts why not.
-    fn is_news(&self, sample: &S) -> bool {
-        let counters = &self.shared.counters;
-        let (header, last) = (sample.header(), self.last.get());
-        if header.incarnation == last.incarnation {
-            if header.sequence <= last.sequence {
-                let repeated = header.sequence == last.sequence;
-                count(if repeated { &counters.duplicate } else { &counters.reordered }, 1);
-                return false;
-            }
-            count(&counters.missing, header.sequence - last.sequence - 1);
-        }
-        let (incarnation, sequence) = (header.incarnation, header.sequence);
         let scan_id = header.scan_id.max(last.scan_id);
-        self.last.set(Last { incarnation, sequence, scan_id });
-        if !self.shared.clock.is_simulated() && S::TOPIC.writer().is_some() {
-            let age = self.shared.clock.now_ns().saturating_sub(header.acquired_ns);
-            if header.acquired_ns > 0 && age > self.shared.max_age_ns {
-                count(&counters.stale, 1);
-                return false;
-            }
+        self.last.set(Last { incarnation: header.incarnation, scan_id });
+        if self.is_stale(&sample) {
+            return self.settle(Fate::Stale, &sample);
         }
-        true
+        self.push(&self.kept, sample, KEPT, Fate::Replaced);
     }
-}
 
-/// Puts a sample at the end; the oldest gives way and is counted when there are `most` already.
-fn push<S: Sample>(queue: &RefCell<VecDeque<Taken<S>>>, sample: Taken<S>, most: usize, dropped: &Cell<u64>) {
-    let mut queue = queue.borrow_mut();
-    if queue.len() == most {
-        queue.pop_front();
-        count(dropped, 1);
+    fn is_stale(&self, sample: &S) -> bool {
+        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() {
+            return false;
+        }
+        let acquired_ns = sample.header().acquired_ns;
+        acquired_ns > 0 && self.shared.clock.now_ns().saturating_sub(acquired_ns) > self.shared.max_age_ns
     }
-    queue.push_back(sample);
+
+    fn take(&self, sample: &S) {
+        self.settle(Fate::Used, sample);
+        self.shared.taken(sample);
+    }
+
+    fn settle(&self, fate: Fate, sample: &S) {
+        self.account.borrow_mut().settle(fate, sample.header());
+    }
+
+    fn settle_front(&self, fate: Fate, queue: &mut VecDeque<Taken<S>>) {
+        if let Some(sample) = queue.pop_front() {
+            self.settle(fate, &sample);
+        }
+    }
+
+    /// Puts a sample at the end; the oldest gives way to it when there are `most` already.
+    fn push(&self, queue: &RefCell<VecDeque<Taken<S>>>, sample: Taken<S>, most: usize, fate: Fate) {
+        let mut queue = queue.borrow_mut();
+        if queue.len() == most {
+            self.settle_front(fate, &mut queue);
+        }
+        queue.push_back(sample);
+    }
 }

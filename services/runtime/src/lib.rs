@@ -66,6 +66,7 @@ pub use observer::{Checked, Observer, Voice};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use process::Process;
+pub use quality::buffer;
 pub use realtime::{Realtime, Scheduler};
 pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};
 pub use shutdown::Shutdown;

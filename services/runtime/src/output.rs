@@ -37,8 +37,8 @@ impl<S: Sample> Output<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses; a reader that was not reached is counted, not an error.
     pub fn publish(&self, sample: &mut S) -> Result<(), RuntimeError> {
-        self.send(sample)?;
-        self.ringer.ring();
+        self.publish_silently(sample)?;
+        self.wake();
         Ok(())
     }
 
@@ -47,12 +47,14 @@ impl<S: Sample> Output<S> {
     /// # Errors
     /// As [`Output::publish`].
     pub fn publish_silently(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        self.complete(sample);
         self.send(sample)
     }
 
-    fn send(&self, sample: &mut S) -> Result<(), RuntimeError> {
+    /// The first step of [`Output::publish`]: the result is there. Everything of the header but its last stamp is
+    /// filled; from here on the number of the sample is used up.
+    pub fn complete(&self, sample: &mut S) {
         let shared = &*self.shared;
-        let computed_ns = shared.clock.now_ns();
         self.sequence.set(self.sequence.get() + 1);
         let header = sample.header_mut();
         header.layout = S::LAYOUT;
@@ -61,11 +63,19 @@ impl<S: Sample> Output<S> {
         if S::TOPIC.writer() == Some(shared.role) {
             let stage = header.stage_mut(shared.role);
             *stage = shared.stamps.get();
-            stage.computed_ns = computed_ns;
-            stage.published_ns = shared.clock.now_ns();
-            shared.counters.last_scan.set(header.scan_id);
-            // A role with several topics publishes one sample of each per scan; the first stands for all.
-            count(&shared.counters.published, u64::from(shared.role.writes().first() == Some(&S::TOPIC)));
+            stage.computed_ns = shared.clock.now_ns();
+            shared.counters.write(shared.role, sample);
+        }
+    }
+
+    /// The second step of [`Output::publish`]: sends a completed sample to all readers.
+    ///
+    /// # Errors
+    /// As [`Output::publish`].
+    pub fn send(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        let shared = &*self.shared;
+        if S::TOPIC.writer() == Some(shared.role) {
+            sample.header_mut().stage_mut(shared.role).published_ns = shared.clock.now_ns();
             shared.produced.set(true);
         }
         let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
@@ -75,6 +85,11 @@ impl<S: Sample> Output<S> {
             count(&shared.counters.undelivered, 1);
         }
         Ok(())
+    }
+
+    /// The last step of [`Output::publish`]: wakes the readers.
+    pub fn wake(&self) {
+        self.ringer.ring();
     }
 
     pub(crate) fn connect(&self) {

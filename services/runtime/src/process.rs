@@ -12,7 +12,7 @@ use shared_types::{
 };
 
 use crate::bell::{ANY, Bells, bit};
-use crate::counters::{Counters, count};
+use crate::counters::{Counters, add_account, count};
 use crate::ear::Ear;
 use crate::handover::{self, Handover};
 use crate::input::{Drain, Input};
@@ -52,7 +52,7 @@ impl Shared {
         self.taken_ns.set(now);
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
-        count(&self.counters.used, 1);
+        self.counters.take(self.role, sample);
     }
 }
 
@@ -74,6 +74,7 @@ pub struct Process {
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
+    looked_ns: u64,
     rung: u32,
     listens: bool,
     // Dropped last, when nothing of this process is on the bus any more.
@@ -138,6 +139,7 @@ impl Process {
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),
+            looked_ns: 0,
             // Whatever was rung before is found by the first look.
             rung: bells.role(role).look().wrapping_sub(1),
             listens: false,
@@ -354,7 +356,7 @@ impl Process {
 
     fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {
         let now = monotonic_ns();
-        let beats = now >= self.next_heartbeat_ns;
+        let beats = now >= self.next_heartbeat_ns || self.shared.counters.news.take();
         if beats {
             self.beat()?;
         }
@@ -371,17 +373,18 @@ impl Process {
         // Before anything is emptied: what comes later rings again.
         self.rung = self.bells.role(self.shared.role).look();
         self.listen_where_needed(beats);
+        self.looked_ns = monotonic_ns();
         self.directive.drain()?;
         if let Some(directive) = self.directive.take_newest() {
             *self.shared.directive.borrow_mut() = *directive;
-            self.directive_seen_ns = monotonic_ns();
+            self.directive_seen_ns = self.looked_ns;
             // Before anything newer is taken: what was kept aside comes first.
             self.inputs.iter().for_each(|input| input.review());
         }
         for input in &self.inputs {
             input.drain()?;
         }
-        let alone_ns = monotonic_ns().saturating_sub(self.directive_seen_ns);
+        let alone_ns = self.looked_ns.saturating_sub(self.directive_seen_ns);
         let orphaned = alone_ns > orphan::limit_ns(self.shared.role, self.run.orphan_timeout_ns);
         if orphaned {
             tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);
@@ -478,9 +481,15 @@ impl Process {
             state: self.state.wire(),
             pid: u64::from(std::process::id()),
             issued_ns: monotonic_ns(),
+            looked_ns: self.looked_ns,
             ..Heartbeat::default()
         };
         self.shared.counters.fill(&mut heartbeat);
+        for input in &self.inputs {
+            if let Some(port) = self.shared.role.reads().iter().position(|topic| *topic == input.topic()) {
+                add_account(&mut heartbeat, port, input.account());
+            }
+        }
         heartbeat
     }
 
@@ -488,5 +497,12 @@ impl Process {
         let mut heartbeat = self.heartbeat();
         self.next_heartbeat_ns = heartbeat.issued_ns + HEARTBEAT_NS;
         self.heartbeat.publish_silently(&mut heartbeat)
+    }
+}
+
+impl Drop for Process {
+    /// The last word says what became of the last samples; a process that is killed can't say it.
+    fn drop(&mut self) {
+        let _ = self.enter(ProcessState::Ending);
     }
 }

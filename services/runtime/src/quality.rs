@@ -22,13 +22,18 @@ pub(crate) const NODES: usize = 32;
 /// Processes that may notify or listen on one topic.
 pub(crate) const EVENT_PORTS: usize = 16;
 
+/// How many samples of one writer can wait at one reader of a topic: who finds fewer has missed none.
+pub fn buffer(topic: Topic) -> usize {
+    quality(topic).buffer
+}
+
 /// The sizes of a topic.
 pub(crate) fn quality(topic: Topic) -> Quality {
     let stream = Quality { publishers: 4, subscribers: 12, buffer: 16, borrowed: 12, history: 0 };
     match topic {
         Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
-        // The account of all scans is made from these two: 64 samples last 64 ms at 1 kHz.
-        Topic::Actuation | Topic::Truth => Quality { buffer: 64, ..stream },
+        // The account of all scans is made from these two: 256 samples last a quarter of a second at 1 kHz.
+        Topic::Actuation | Topic::Truth => Quality { buffer: 256, ..stream },
         Topic::Heartbeat => Quality { publishers: 16, subscribers: 6, ..stream },
         Topic::Directive => Quality { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },
         Topic::Checkpoint => Quality { publishers: 8, subscribers: 8, buffer: 4, borrowed: 2, history: 1 },

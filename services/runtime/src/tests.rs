@@ -114,12 +114,14 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     assert_eq!(say(&mut voice, 7, f64::NAN), None, "not a number");
     assert_eq!(say(&mut voice, 6, 3.0), None, "no authority");
     assert_eq!(say(&mut voice, 7, 4.0), Some(4.0));
-    assert_eq!(say(&mut echo, 7, 5.0), None, "older than what was taken");
-    let counters = &controller.counters;
-    assert_eq!((counters.duplicate.get(), counters.reordered.get()), (1, 1));
-    assert_eq!((counters.invalid.get(), counters.foreign.get()), (1, 1));
-    // The two dropped samples of the voice are missing in the numbers of what was accepted.
-    assert_eq!((counters.missing.get(), counters.used.get()), (2, 2));
+    assert_eq!(say(&mut echo, 7, 5.0), None, "its number has come before");
+    assert_eq!(say(&mut echo, 7, 6.0), None, "older than what was taken");
+    let account = input.account();
+    assert_eq!((account.duplicate, account.reordered), (2, 1));
+    assert_eq!((account.invalid, account.foreign), (1, 1));
+    // The voice's third number came under another incarnation; the echo brought it late.
+    assert_eq!((account.missing, account.used, account.open), (0, 2, 0));
+    assert_eq!(account.late, shared_types::Span { incarnation: 7, first: 3, last: 3, reserved: 0 });
 }
 
 #[test]
@@ -149,7 +151,7 @@ fn a_join_gives_the_newest_pair_of_one_scan_and_counts_what_it_replaced() {
     drop((pose, obstacles));
     publish(3);
     assert_eq!(join(&pose_input, &obstacle_input).unwrap().0.header.scan_id, 3);
-    assert_eq!(controller.counters.replaced.get(), 1);
+    assert_eq!(pose_input.account().replaced, 1);
 }
 
 #[test]
@@ -202,8 +204,13 @@ fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
     assert_eq!(taken(&input), [], "the exchange is over");
     authorise(&controller, &input, 7, 11, 11);
     assert_eq!(taken(&input), [], "what stood by is dropped at its end");
-    let counters = &controller.counters;
-    assert_eq!((counters.duplicate.get(), counters.reordered.get()), (1, 0), "the new one's 9 was answered");
+    let account = input.account();
+    assert_eq!((account.duplicate, account.reordered, account.missing), (0, 0, 0));
+    assert_eq!(
+        (account.used, account.foreign, account.open),
+        (4, 5, account.waiting),
+        "both of 9, 10 and 11"
+    );
 }
 
 #[test]
@@ -226,7 +233,7 @@ fn scans_that_the_new_one_left_open_are_answered_by_the_one_that_stood_by() {
     authorise(&controller, &input, 7, 11, 11);
     old.publish(&mut pose(14, 0.0)).unwrap();
     assert_eq!(taken(&input), [(12, 7), (13, 7), (14, 7)], "none is missing and none comes twice");
-    assert_eq!(controller.counters.duplicate.get(), 1);
+    assert_eq!(input.account().foreign, 3, "the old one's 10 and 11, the new one's 9");
     new.publish(&mut pose(15, 0.0)).unwrap();
     old.publish(&mut pose(15, 0.0)).unwrap();
     assert_eq!(taken(&input), [(15, 7)]);
@@ -248,4 +255,40 @@ fn the_new_one_answers_for_an_old_one_that_died_before_its_time() {
     assert_eq!(taken(&input), [(8, 7)]);
     authorise(&controller, &input, 11, 7, 9);
     assert_eq!(taken(&input), [(9, 11)]);
+}
+
+#[test]
+fn a_sample_that_was_numbered_and_never_sent_is_missing_at_the_reader() {
+    let lab = Lab::new();
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    input.drain().unwrap();
+    for scan_id in 1..=5 {
+        let mut pose = pose(scan_id, 0.0);
+        output.complete(&mut pose);
+        if scan_id != 3 {
+            output.send(&mut pose).unwrap();
+        }
+    }
+    assert_eq!(taken(&input).len(), 4);
+    let account = input.account();
+    assert_eq!((account.missing, account.hole.first, account.hole.last), (1, 3, 3));
+}
+
+#[test]
+fn what_a_full_buffer_overwrites_is_not_missing() {
+    let lab = Lab::new();
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
+    input.drain().unwrap();
+    for scan_id in 1..=40 {
+        output.publish(&mut pose(scan_id, 0.0)).unwrap();
+        if scan_id == 1 {
+            input.drain().unwrap();
+        }
+    }
+    assert_eq!(taken(&input).last(), Some(&(40, 7)));
+    let account = input.account();
+    assert_eq!((account.overwritten, account.missing), (23, 0), "1 taken, 16 in the buffer");
+    assert_eq!((account.replaced, account.used, account.open), (13, 4, 0));
 }

@@ -1,0 +1,306 @@
+//! The samples of one writer on one topic, as they came to the orchestrator.
+//!
+//! Numbers of a writer have no gaps, and its scans only grow. A gap is a sample that is missing, unless so many came
+//! at once that the orchestrator's buffer was full: then it is *unobserved*, and only its readers know of it.
+
+use std::collections::VecDeque;
+use std::ops::RangeInclusive;
+
+use shared_types::{Header, Topic};
+
+use super::PATIENCE_NS;
+use super::fault::{Fault, Kind};
+
+/// How many of the newest samples are remembered one by one.
+const RECENT: usize = 64;
+/// How many gaps are remembered, to tell a late sample from a repeated one.
+const HOLES: usize = 16;
+/// Most samples of one gap that are named one by one.
+pub(super) const NAMED: usize = 8;
+
+/// One writer's samples.
+#[derive(Debug, Clone)]
+pub(super) struct Stream {
+    topic: Topic,
+    incarnation: u32,
+    newest: u64,
+    newest_scan: u64,
+    claim: Option<Claim>,
+    holes: VecDeque<Hole>,
+    recent: VecDeque<Seen>,
+    /// The first number must be 1: everyone was connected before it was published.
+    pub(super) from_start: bool,
+    pub(super) unobserved: u64,
+    pub(super) ended_ns: Option<u64>,
+}
+
+/// A sample that came, between two looks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seen {
+    pub(super) sequence: u64,
+    pub(super) scan_id: u64,
+    /// The look before, when it had not come yet [ns].
+    pub(super) after_ns: u64,
+    /// The look that found it [ns].
+    pub(super) seen_ns: u64,
+}
+
+/// Numbers that did not come.
+#[derive(Debug, Clone, Copy)]
+struct Hole {
+    first: u64,
+    last: u64,
+    /// Scan of the sample before; 0 before the first scan.
+    after_scan: u64,
+    /// Scan of the sample after; 0 when none has come.
+    before_scan: u64,
+    seen_ns: u64,
+    is_told: bool,
+}
+
+impl Hole {
+    /// The scan of one of its numbers, where scans went on like numbers; else 0.
+    fn scan_of(&self, sequence: u64) -> u64 {
+        let scan_id = self.after_scan + 1 + (sequence - self.first);
+        let is_known = self.before_scan == 0 || self.before_scan == self.after_scan + self.count() + 1;
+        if is_known { scan_id } else { 0 }
+    }
+
+    fn count(&self) -> u64 {
+        self.last - self.first + 1
+    }
+
+    fn contains(&self, sequence: u64) -> bool {
+        (self.first..=self.last).contains(&sequence)
+    }
+}
+
+/// What the writer says it has numbered.
+#[derive(Debug, Clone, Copy)]
+struct Claim {
+    sequence: u64,
+    since_ns: u64,
+}
+
+impl Stream {
+    /// Nothing has come yet; unless `from_start`, what the writer published before `first` counts for nobody.
+    pub(super) fn new(topic: Topic, incarnation: u32, first: u64, from_start: bool) -> Self {
+        Self {
+            topic,
+            incarnation,
+            newest: if from_start { 0 } else { first - 1 },
+            newest_scan: 0,
+            claim: None,
+            holes: VecDeque::new(),
+            recent: VecDeque::with_capacity(RECENT),
+            from_start,
+            unobserved: 0,
+            ended_ns: None,
+        }
+    }
+
+    /// The largest number known to be used up.
+    pub(super) fn newest(&self) -> u64 {
+        self.newest
+    }
+
+    /// Notes a sample, found by the look at `seen_ns` and not by the one at `after_ns`. Its scan is to grow when it
+    /// `answers` one.
+    pub(super) fn see(
+        &mut self,
+        header: &Header,
+        answers: bool,
+        after_ns: u64,
+        seen_ns: u64,
+    ) -> Option<Fault> {
+        let Header { sequence, scan_id, .. } = *header;
+        let (topic, incarnation) = (self.topic, self.incarnation);
+        let fault = |kind| Fault::new(topic, kind, incarnation).sequence(sequence).scan(scan_id);
+        if sequence <= self.newest {
+            let is_late = self.fill_hole(sequence, scan_id);
+            return Some(fault(if is_late { Kind::Reordered } else { Kind::Duplicate }));
+        }
+        let found = match scan_id.cmp(&self.newest_scan) {
+            _ if !answers || self.newest_scan == 0 => None,
+            std::cmp::Ordering::Less => Some(fault(Kind::Reordered)),
+            std::cmp::Ordering::Equal => Some(fault(Kind::Duplicate)),
+            std::cmp::Ordering::Greater => None,
+        };
+        if sequence > self.newest + 1 {
+            self.open_hole(sequence - 1, scan_id, seen_ns);
+        }
+        self.newest = sequence;
+        if answers {
+            self.newest_scan = self.newest_scan.max(scan_id);
+        }
+        if self.recent.len() == RECENT {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(Seen { sequence, scan_id, after_ns, seen_ns });
+        found
+    }
+
+    /// Notes that the look at `seen_ns` found as many samples as can wait, or more; whether some were overwritten. A
+    /// gap means nothing then when `capacity` newer samples have followed it: it takes so many to overwrite one.
+    /// Returns the scans of which nothing was observed.
+    pub(super) fn overflowed(&mut self, seen_ns: u64, capacity: u64) -> Vec<RangeInclusive<u64>> {
+        let Self { newest, unobserved, holes, .. } = self;
+        let mut scans = Vec::new();
+        holes.retain(|hole| {
+            let counts = hole.seen_ns < seen_ns || *newest < hole.last + capacity;
+            if !counts {
+                *unobserved += hole.count();
+                scans.push(hole.after_scan + 1..=hole.before_scan.saturating_sub(1));
+            }
+            counts
+        });
+        scans
+    }
+
+    /// Notes that the writer said it has used up the numbers up to `sequence`.
+    pub(super) fn claimed(&mut self, sequence: u64, now_ns: u64) {
+        if sequence > self.newest && self.claim.is_none_or(|claim| claim.sequence <= self.newest) {
+            self.claim = Some(Claim { sequence, since_ns: now_ns });
+        }
+    }
+
+    /// Notes that the writer ended. What it still claims may have been lost with it when it was not asked to.
+    pub(super) fn ended(&mut self, now_ns: u64, is_death: bool) {
+        self.ended_ns.get_or_insert(now_ns);
+        if is_death {
+            self.claim = None;
+        }
+    }
+
+    /// What is certain to be missing after the look at `now_ns`; at the end of a run nothing is waited for.
+    pub(super) fn close(&mut self, now_ns: u64, is_last: bool) -> Vec<Fault> {
+        if let Some(Claim { sequence, since_ns }) = self.claim
+            && sequence > self.newest
+            && (is_last || now_ns.saturating_sub(since_ns) >= PATIENCE_NS)
+        {
+            self.open_hole(sequence, 0, now_ns);
+            self.newest = sequence;
+            self.claim = None;
+        }
+        let mut faults = Vec::new();
+        for hole in self.holes.iter_mut().filter(|hole| !hole.is_told) {
+            hole.is_told = true;
+            for sequence in (hole.first..=hole.last).take(NAMED) {
+                let fault = Fault::new(self.topic, Kind::Missing, self.incarnation);
+                faults.push(fault.sequence(sequence).scan(hole.scan_of(sequence)));
+            }
+        }
+        faults
+    }
+
+    /// The scan of a sample, where those around it came lately and tell; else 0.
+    pub(super) fn scan_of(&self, sequence: u64) -> u64 {
+        let after = self.recent.iter().position(|seen| seen.sequence >= sequence);
+        let Some(after) = after else { return 0 };
+        let (next, before) = (self.recent[after], after.checked_sub(1).map(|index| self.recent[index]));
+        match before {
+            _ if next.sequence == sequence => next.scan_id,
+            // Scans went on like the numbers.
+            Some(before)
+                if next.scan_id.checked_sub(before.scan_id) == Some(next.sequence - before.sequence) =>
+            {
+                before.scan_id + (sequence - before.sequence)
+            }
+            _ => 0,
+        }
+    }
+
+    /// When a sample came: itself, or one after it.
+    pub(super) fn arrival_of(&self, sequence: u64) -> Option<&Seen> {
+        self.recent.iter().find(|seen| seen.sequence >= sequence)
+    }
+
+    fn open_hole(&mut self, last: u64, before_scan: u64, seen_ns: u64) {
+        let first = self.newest + 1;
+        let after_scan = match self.recent.back() {
+            Some(seen) => seen.scan_id,
+            // The first of a writer, of whom only the numbers are known.
+            None => before_scan.saturating_sub(last + 2 - first),
+        };
+        if self.holes.len() == HOLES {
+            self.holes.pop_front();
+        }
+        self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_told: false });
+    }
+
+    /// Takes a late sample out of the gap it belongs to, if there is one.
+    fn fill_hole(&mut self, sequence: u64, scan_id: u64) -> bool {
+        let index = self.holes.iter().position(|hole| hole.contains(sequence));
+        let Some(hole) = index.and_then(|index| self.holes.remove(index)) else { return false };
+        if hole.first < sequence {
+            self.holes.push_back(Hole { last: sequence - 1, before_scan: scan_id, ..hole });
+        }
+        if sequence < hole.last {
+            self.holes.push_back(Hole { first: sequence + 1, after_scan: scan_id, ..hole });
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(sequence: u64, scan_id: u64) -> Header {
+        Header { incarnation: 2, sequence, scan_id, ..Header::default() }
+    }
+
+    /// What is noticed when these numbers come, each for the scan 10 later.
+    fn noticed(sequences: &[u64]) -> Vec<(Kind, u64, u64)> {
+        let mut stream = Stream::new(Topic::Pose, 2, 1, true);
+        let mut faults = Vec::new();
+        for &sequence in sequences {
+            faults.extend(stream.see(&header(sequence, sequence + 10), true, 0, 1));
+        }
+        faults.extend(stream.close(2, false));
+        faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
+    }
+
+    #[test]
+    fn one_that_is_dropped_repeated_or_exchanged_is_named() {
+        assert_eq!(noticed(&[1, 2, 3, 4]), []);
+        assert_eq!(noticed(&[1, 2, 4]), [(Kind::Missing, 3, 13)]);
+        assert_eq!(noticed(&[2, 3]), [(Kind::Missing, 1, 11)], "all were connected before the first");
+        assert_eq!(noticed(&[1, 2, 2, 3]), [(Kind::Duplicate, 2, 12)]);
+        assert_eq!(noticed(&[1, 3, 2, 4]), [(Kind::Reordered, 2, 12)]);
+    }
+
+    #[test]
+    fn scans_that_do_not_grow_are_noticed_under_any_number() {
+        let mut stream = Stream::new(Topic::Command, 2, 1, true);
+        assert_eq!(stream.see(&header(1, 5), true, 0, 1), None);
+        assert_eq!(stream.see(&header(2, 7), true, 0, 1), None);
+        assert_eq!(stream.see(&header(3, 6), true, 0, 1).unwrap().kind, Kind::Reordered);
+        assert_eq!(stream.see(&header(4, 7), true, 0, 1).unwrap().kind, Kind::Duplicate);
+        assert_eq!(stream.see(&header(5, 7), false, 0, 1), None, "a block that answers no scan");
+    }
+
+    #[test]
+    fn a_gap_behind_a_full_buffer_is_unobserved() {
+        let mut stream = Stream::new(Topic::Pose, 2, 1, true);
+        stream.see(&header(1, 1), true, 0, 1);
+        for sequence in (9..=30).filter(|sequence| *sequence != 20) {
+            stream.see(&header(sequence, sequence), true, 1, 2);
+        }
+        assert_eq!(stream.overflowed(2, 16), [2..=8]);
+        assert_eq!(stream.unobserved, 7);
+        let missing: Vec<u64> = stream.close(3, true).iter().map(|fault| fault.sequence).collect();
+        assert_eq!(missing, [20], "too few have followed it");
+    }
+
+    #[test]
+    fn a_number_that_was_used_up_must_come() {
+        let mut stream = Stream::new(Topic::Pose, 2, 1, true);
+        stream.see(&header(1, 1), true, 0, 1);
+        stream.claimed(2, 10);
+        assert_eq!(stream.close(10 + PATIENCE_NS - 1, false), []);
+        let faults = stream.close(10 + PATIENCE_NS, false);
+        assert_eq!((faults.len(), faults[0].sequence, faults[0].scan_id), (1, 2, 2));
+        assert_eq!(stream.see(&header(2, 2), true, 0, 1).unwrap().kind, Kind::Reordered, "it came late");
+    }
+}

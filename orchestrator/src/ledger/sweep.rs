@@ -1,0 +1,125 @@
+//! The robot publishes one sample per scan on each of its topics: what one of them lacks was dropped before it got
+//! a number.
+
+use std::collections::BTreeMap;
+
+use shared_types::Topic;
+
+use super::PATIENCE_NS;
+
+/// Topics of the robot; the truth only where it is told.
+const TOPICS: [Topic; 3] = [Topic::Odometry, Topic::Scan, Topic::Truth];
+const TRUTH: usize = 2;
+
+/// What came of each scan of one robot.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Sweep {
+    open: BTreeMap<u64, Scan>,
+    settled: u64,
+    tells_truth: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Scan {
+    came: [bool; TOPICS.len()],
+    since_ns: u64,
+}
+
+/// What is wrong with a scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Lack {
+    /// One topic lacks it.
+    Sample(Topic, u64),
+    /// All topics lack it: the robot did not make it.
+    Skipped(u64),
+}
+
+impl Sweep {
+    /// Nothing has come; the scan numbered `first` is the first that must.
+    pub(super) fn new(first: u64) -> Self {
+        Self { settled: first.saturating_sub(1), ..Self::default() }
+    }
+
+    /// Notes a sample of the robot.
+    pub(super) fn see(&mut self, topic: Topic, scan_id: u64, now_ns: u64) {
+        let Some(index) = TOPICS.iter().position(|of_robot| *of_robot == topic) else { return };
+        self.tells_truth |= index == TRUTH;
+        if scan_id > self.settled {
+            let scan = self.open.entry(scan_id).or_insert(Scan { came: [false; 3], since_ns: now_ns });
+            scan.came[index] = true;
+        }
+    }
+
+    /// Notes that samples may not have been observed: nothing is known of the scans so far.
+    pub(super) fn overflowed(&mut self) {
+        self.settled = self.open.last_key_value().map_or(self.settled, |(newest, _)| *newest);
+        self.open.clear();
+    }
+
+    /// What is certain to be lacking now: later scans are complete, or it was waited for.
+    pub(super) fn close(&mut self, now_ns: u64) -> Vec<Lack> {
+        let mut lacks = Vec::new();
+        let complete = |scan: &Scan| {
+            scan.came[..TRUTH].iter().all(|came| *came) && (scan.came[TRUTH] || !self.tells_truth)
+        };
+        let newest = self.open.iter().rev().find(|(_, scan)| complete(scan)).map_or(0, |(newest, _)| *newest);
+        while let Some((&scan_id, scan)) = self.open.first_key_value() {
+            if scan_id > newest && now_ns.saturating_sub(scan.since_ns) < PATIENCE_NS {
+                break;
+            }
+            lacks.extend((self.settled + 1..scan_id).map(Lack::Skipped));
+            let expected = if self.tells_truth { TOPICS.len() } else { TRUTH };
+            let missing = TOPICS.iter().zip(scan.came).take(expected).filter(|(_, came)| !came);
+            lacks.extend(missing.map(|(topic, _)| Lack::Sample(*topic, scan_id)));
+            self.settled = scan_id;
+            self.open.pop_first();
+        }
+        lacks
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sweep in which these scans came on all topics.
+    fn sweep(scans: &[u64]) -> Sweep {
+        let mut sweep = Sweep::new(1);
+        for &scan in scans {
+            TOPICS.iter().for_each(|topic| sweep.see(*topic, scan, 0));
+        }
+        sweep
+    }
+
+    #[test]
+    fn a_sample_that_one_topic_lacks_is_named() {
+        let mut sweep = sweep(&[1, 2]);
+        sweep.see(Topic::Truth, 3, 5);
+        sweep.see(Topic::Scan, 3, 5);
+        assert_eq!(sweep.close(6), [], "the odometry may be on its way");
+        assert_eq!(sweep.close(5 + PATIENCE_NS), [Lack::Sample(Topic::Odometry, 3)]);
+        assert_eq!(sweep.close(6 + PATIENCE_NS), []);
+    }
+
+    #[test]
+    fn a_scan_that_all_topics_lack_was_skipped() {
+        assert_eq!(sweep(&[1, 2, 4]).close(0), [Lack::Skipped(3)]);
+        assert_eq!(sweep(&[2]).close(0), [Lack::Skipped(1)]);
+    }
+
+    #[test]
+    fn a_robot_without_truth_lacks_none() {
+        let mut sweep = Sweep::new(1);
+        sweep.see(Topic::Scan, 1, 0);
+        sweep.see(Topic::Odometry, 1, 0);
+        assert_eq!(sweep.close(PATIENCE_NS), []);
+    }
+
+    #[test]
+    fn nothing_is_known_of_scans_behind_a_full_buffer() {
+        let mut sweep = sweep(&[1, 2]);
+        sweep.see(Topic::Scan, 9, 0);
+        sweep.overflowed();
+        assert_eq!(sweep.close(PATIENCE_NS), []);
+    }
+}

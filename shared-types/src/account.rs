@@ -1,0 +1,280 @@
+//! What became of the samples of one input: the reader's side of the ledger.
+//!
+//! A reader sees numbers without gaps from each writer, so it notices by itself what is missing, repeated or late.
+//! Everything that arrived gets exactly one fate; until then it is *open*, and must be waiting in the process.
+//! Numbers are added up beside their count, so a single sample without a fate is known by its number.
+
+use crate::Header;
+use crate::sample::layout;
+
+/// Writers of one topic that an account keeps apart: as many as may write a topic at a time.
+pub const WRITERS: usize = 4;
+
+layout! {
+    /// A run of sequence numbers of one writer.
+    pub struct Span(24) {
+        /// Incarnation of the writer; 0 for an entry that is not used
+        pub incarnation: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// First sequence number
+        pub first: u64,
+        /// Last sequence number
+        pub last: u64,
+    }
+}
+
+layout! {
+    /// What became of the samples of one input since its process started.
+    pub struct InputAccount(288) {
+        /// Numbers that arrived, per writer
+        pub writers: [Span; WRITERS],
+        /// The newest numbers that did not arrive
+        pub hole: Span,
+        /// The newest number that arrived twice
+        pub twice: Span,
+        /// The newest number that arrived after a later one
+        pub late: Span,
+        /// Samples that arrived, repeated ones included
+        pub arrived: u64,
+        /// Used
+        pub used: u64,
+        /// Replaced in the process by newer ones before they were used
+        pub replaced: u64,
+        /// Overwritten by newer ones in the buffer before they were taken from the bus
+        pub overwritten: u64,
+        /// Dropped because they were too old
+        pub stale: u64,
+        /// Dropped because their writer had no authority for their scan
+        pub foreign: u64,
+        /// Dropped because of their content
+        pub invalid: u64,
+        /// Dropped because their number had arrived before
+        pub duplicate: u64,
+        /// Dropped because a later number had arrived before
+        pub reordered: u64,
+        /// Numbers that never arrived although the buffer was not full
+        pub missing: u64,
+        /// Samples without a fate
+        pub open: u64,
+        /// Sum of the numbers of samples without a fate
+        pub open_sum: u64,
+        /// Samples that wait in the process; all that is open
+        pub waiting: u64,
+        /// Sum of the numbers of samples that wait
+        pub waiting_sum: u64,
+        /// Samples of another layout, whose numbers mean nothing
+        pub unreadable: u64,
+    }
+}
+
+/// What a reader does with a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    /// It is used.
+    Used,
+    /// A newer one is used instead.
+    Replaced,
+    /// It is too old.
+    Stale,
+    /// Its writer has no authority for its scan.
+    Foreign,
+    /// Its content may not be used.
+    Invalid,
+    /// Its number has arrived before.
+    Duplicate,
+    /// A later number has arrived before.
+    Reordered,
+}
+
+impl Span {
+    /// How many numbers it holds.
+    pub fn count(&self) -> u64 {
+        if self.incarnation == 0 { 0 } else { self.last - self.first + 1 }
+    }
+
+    /// Whether a number of a writer is one of them.
+    pub fn contains(&self, incarnation: u32, sequence: u64) -> bool {
+        self.incarnation == incarnation && (self.first..=self.last).contains(&sequence)
+    }
+
+    fn of(incarnation: u32, first: u64, last: u64) -> Self {
+        Self { incarnation, reserved: 0, first, last }
+    }
+}
+
+impl InputAccount {
+    /// Notes that a sample came from the bus; the fate it must have, if its number alone decides that.
+    pub fn arrive(&mut self, header: &Header) -> Option<Fate> {
+        let Header { incarnation, sequence, .. } = *header;
+        self.arrived += 1;
+        self.open += 1;
+        self.open_sum = self.open_sum.wrapping_add(sequence);
+        let Some(index) = self.writers.iter().position(|span| span.incarnation == incarnation) else {
+            // Incarnations grow: the smallest is the one that has been gone for longest, or an unused entry.
+            if let Some(oldest) = self.writers.iter_mut().min_by_key(|span| span.incarnation) {
+                *oldest = Span::of(incarnation, sequence, sequence);
+            }
+            return None;
+        };
+        let span = &mut self.writers[index];
+        if sequence > span.last {
+            if sequence > span.last + 1 {
+                self.hole = Span::of(incarnation, span.last + 1, sequence - 1);
+                self.missing += self.hole.count();
+            }
+            span.last = sequence;
+            return None;
+        }
+        if sequence < span.first {
+            span.first = sequence;
+        } else if self.hole.contains(incarnation, sequence) {
+            self.missing = self.missing.saturating_sub(1);
+            self.fill_hole(sequence);
+        } else {
+            self.twice = Span::of(incarnation, sequence, sequence);
+            return Some(Fate::Duplicate);
+        }
+        self.late = Span::of(incarnation, sequence, sequence);
+        Some(Fate::Reordered)
+    }
+
+    /// Notes what is done with a sample that arrived.
+    pub fn settle(&mut self, fate: Fate, header: &Header) {
+        self.open = self.open.saturating_sub(1);
+        self.open_sum = self.open_sum.wrapping_sub(header.sequence);
+        let count = match fate {
+            Fate::Used => &mut self.used,
+            Fate::Replaced => &mut self.replaced,
+            Fate::Stale => &mut self.stale,
+            Fate::Foreign => &mut self.foreign,
+            Fate::Invalid => &mut self.invalid,
+            Fate::Duplicate => &mut self.duplicate,
+            Fate::Reordered => &mut self.reordered,
+        };
+        *count += 1;
+    }
+
+    /// Notes that as many samples came since `before` as the buffer of the reader holds, or more: those that were
+    /// overwritten are not missing. One is overwritten only when `capacity` newer ones wait, so a gap that fewer
+    /// have followed stays.
+    pub fn overflowed_since(&mut self, before: &Self, capacity: u64) {
+        let newest = self.from(self.hole.incarnation).map_or(0, |span| span.last);
+        let stays = self.hole != before.hole && newest < self.hole.last.saturating_add(capacity);
+        let missing = before.missing + if stays { self.hole.count() } else { 0 };
+        self.overwritten += self.missing.saturating_sub(missing);
+        self.missing = self.missing.min(missing);
+        if !stays {
+            self.hole = before.hole;
+        }
+    }
+
+    /// The numbers that arrived from a writer.
+    pub fn from(&self, incarnation: u32) -> Option<&Span> {
+        self.writers.iter().find(|span| span.incarnation == incarnation && incarnation != 0)
+    }
+
+    /// Samples that were dropped or replaced because a rule says so.
+    pub fn by_policy(&self) -> u64 {
+        self.replaced + self.overwritten + self.stale + self.foreign + self.invalid
+    }
+
+    fn fill_hole(&mut self, sequence: u64) {
+        if self.hole.count() == 1 {
+            self.hole = Span::default();
+        } else if sequence == self.hole.first {
+            self.hole.first += 1;
+        } else if sequence == self.hole.last {
+            self.hole.last -= 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(incarnation: u32, sequence: u64) -> Header {
+        Header { incarnation, sequence, ..Header::default() }
+    }
+
+    /// An account after these numbers of writer 7 arrived, each used unless its number says otherwise.
+    fn account(sequences: &[u64]) -> InputAccount {
+        let mut account = InputAccount::default();
+        for &sequence in sequences {
+            let fate = account.arrive(&header(7, sequence)).unwrap_or(Fate::Used);
+            account.settle(fate, &header(7, sequence));
+        }
+        account
+    }
+
+    #[test]
+    fn numbers_without_gaps_are_all_used() {
+        let account = account(&[4, 5, 6]);
+        assert_eq!((account.arrived, account.used, account.missing, account.open), (3, 3, 0, 0));
+        assert_eq!(account.from(7), Some(&Span::of(7, 4, 6)));
+        assert_eq!(account.from(0), None);
+    }
+
+    #[test]
+    fn a_number_that_does_not_come_is_named() {
+        let account = account(&[1, 2, 4]);
+        assert_eq!((account.missing, account.hole), (1, Span::of(7, 3, 3)));
+    }
+
+    #[test]
+    fn two_that_change_places_are_one_late_and_none_missing() {
+        let account = account(&[1, 3, 2, 4]);
+        assert_eq!((account.missing, account.reordered, account.used), (0, 1, 3));
+        assert_eq!((account.late, account.hole), (Span::of(7, 2, 2), Span::default()));
+    }
+
+    #[test]
+    fn a_number_that_comes_twice_is_named() {
+        let account = account(&[1, 2, 2, 3]);
+        assert_eq!((account.duplicate, account.used, account.missing), (1, 3, 0));
+        assert_eq!(account.twice, Span::of(7, 2, 2));
+    }
+
+    #[test]
+    fn what_a_full_buffer_lost_is_overwritten_and_not_missing() {
+        let before = account(&[1, 2, 4]);
+        let mut after = before;
+        (9..=24).for_each(|sequence| assert_eq!(after.arrive(&header(7, sequence)), None));
+        after.overflowed_since(&before, 16);
+        assert_eq!((after.overwritten, after.missing, after.hole), (4, 1, Span::of(7, 3, 3)));
+    }
+
+    #[test]
+    fn a_gap_among_the_newest_is_missing_even_behind_a_full_buffer() {
+        let before = account(&[1]);
+        let mut after = before;
+        (9..=30).filter(|sequence| *sequence != 20).for_each(|sequence| {
+            after.arrive(&header(7, sequence));
+        });
+        after.overflowed_since(&before, 16);
+        assert_eq!((after.overwritten, after.missing, after.hole), (7, 1, Span::of(7, 20, 20)));
+    }
+
+    #[test]
+    fn one_without_a_fate_is_known_by_its_number() {
+        let mut account = account(&[1, 2]);
+        account.arrive(&header(7, 3));
+        account.arrive(&header(7, 4));
+        account.settle(Fate::Used, &header(7, 4));
+        assert_eq!((account.open, account.open_sum), (1, 3));
+    }
+
+    #[test]
+    fn writers_are_kept_apart_and_the_oldest_gives_way() {
+        let mut account = InputAccount::default();
+        for incarnation in 1..=5 {
+            for sequence in 1..=2 {
+                assert_eq!(account.arrive(&header(incarnation, sequence)), None);
+            }
+        }
+        assert_eq!(account.missing, 0);
+        assert_eq!(account.from(1), None);
+        assert_eq!(account.from(5), Some(&Span::of(5, 1, 2)));
+    }
+}

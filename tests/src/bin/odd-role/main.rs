@@ -1,0 +1,51 @@
+//! Any role of the loop with something hidden wrong about one of its samples, for tests of the ledger.
+//!
+//! `odd-role ROLE FAULT TOPIC SCAN` does wrong with the first sample for that scan or a later one, see [`Fault`], and
+//! writes to its log which scan and which number it was.
+//! `odd-role ROLE delay` waits in the middle of its work where [`scanloop_tests::planted`] says, and writes to its log
+//! how long it really was.
+//!
+//! The work itself is that of the built-in implementation.
+
+mod outlet;
+mod roles;
+
+use std::error::Error;
+
+use shared_types::{Role, Topic};
+
+use crate::outlet::Fault;
+
+/// What is wrong with this process.
+#[derive(Debug, Clone, Copy)]
+enum Trouble {
+    /// One sample of a topic is treated wrongly.
+    Sample(Fault, Topic, u64),
+    /// It waits at planted places.
+    Delay,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (role, trouble) = parse(&arguments)
+        .ok_or("usage: odd-role ROLE drop|omit|repeat|double|swap|mix TOPIC SCAN | delay")?;
+    match role {
+        Role::Robot => roles::robot(trouble),
+        Role::Estimator => roles::estimator(trouble),
+        Role::Obstacles => roles::obstacles(trouble),
+        Role::Controller => roles::controller(trouble),
+        Role::Actuator => roles::actuator(trouble),
+    }
+}
+
+fn parse(arguments: &[String]) -> Option<(Role, Trouble)> {
+    let [role, fault, rest @ ..] = arguments else { return None };
+    let role = role.parse().ok()?;
+    match (fault.as_str(), rest) {
+        ("delay", []) => Some((role, Trouble::Delay)),
+        (fault, [topic, scan]) => {
+            Some((role, Trouble::Sample(fault.parse().ok()?, topic.parse().ok()?, scan.parse().ok()?)))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,142 @@
+//! An output that can do wrong.
+
+use std::rc::Rc;
+use std::str::FromStr;
+
+use runtime::{Output, Process, RuntimeError, monotonic_ns};
+use scanloop_tests::{Place, planted};
+use shared_types::{Role, Sample};
+
+use crate::Trouble;
+
+/// What is done wrong with one sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Fault {
+    /// It gets a number and is not sent.
+    Drop,
+    /// It gets no number.
+    Omit,
+    /// It is sent twice under one number.
+    Repeat,
+    /// It is published twice under two numbers.
+    Double,
+    /// It is sent after the next one, numbers as they should be.
+    Swap,
+    /// It is published after the next one, numbers in the order of publication.
+    Mix,
+}
+
+impl FromStr for Fault {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Self, ()> {
+        Ok(match text {
+            "drop" => Self::Drop,
+            "omit" => Self::Omit,
+            "repeat" => Self::Repeat,
+            "double" => Self::Double,
+            "swap" => Self::Swap,
+            "mix" => Self::Mix,
+            _ => return Err(()),
+        })
+    }
+}
+
+/// Publishes the samples of one topic, one of them wrongly.
+pub(crate) struct Outlet<S: Sample> {
+    output: Rc<Output<S>>,
+    role: Role,
+    trouble: Trouble,
+    held: Option<S>,
+    taken_ns: u64,
+    planted_ns: u64,
+}
+
+impl<S: Sample> Outlet<S> {
+    pub(crate) fn new(process: &mut Process, role: Role, trouble: Trouble) -> Result<Self, RuntimeError> {
+        Ok(Self { output: process.output()?, role, trouble, held: None, taken_ns: 0, planted_ns: 0 })
+    }
+
+    /// The inputs for a scan are there and about to be taken.
+    pub(crate) fn before_take(&self, scan_id: u64) {
+        self.wait_at(Place::Take, scan_id);
+    }
+
+    /// The inputs were taken.
+    pub(crate) fn taken(&mut self, scan_id: u64) {
+        self.taken_ns = monotonic_ns();
+        self.planted_ns = self.wait_at(Place::Compute, scan_id);
+    }
+
+    /// Publishes a sample, or does it wrong.
+    pub(crate) fn publish(&mut self, sample: &mut S) -> Result<(), RuntimeError> {
+        let scan_id = sample.header().scan_id;
+        match self.trouble {
+            Trouble::Sample(fault, topic, at) if topic == S::TOPIC && scan_id >= at => {
+                self.trouble = Trouble::Sample(fault, topic, u64::MAX);
+                self.publish_wrongly(fault, sample)?;
+                eprintln!("wrong scan {scan_id} number {}", sample.header().sequence);
+                Ok(())
+            }
+            Trouble::Sample(Fault::Mix, ..) => {
+                self.output.publish(sample)?;
+                self.held.take().map_or(Ok(()), |mut held| self.output.publish(&mut held))
+            }
+            Trouble::Sample(..) => {
+                self.output.publish(sample)?;
+                self.held.take().map_or(Ok(()), |mut held| self.output.send(&mut held))
+            }
+            Trouble::Delay => self.publish_late(scan_id, sample),
+        }
+    }
+
+    fn publish_wrongly(&mut self, fault: Fault, sample: &mut S) -> Result<(), RuntimeError> {
+        match fault {
+            Fault::Drop => self.output.complete(sample),
+            Fault::Omit => {}
+            Fault::Repeat => {
+                self.output.publish(sample)?;
+                self.output.send(sample)?;
+            }
+            Fault::Double => {
+                self.output.publish(sample)?;
+                self.output.publish(sample)?;
+            }
+            Fault::Swap => {
+                self.output.complete(sample);
+                self.held = Some(*sample);
+            }
+            Fault::Mix => self.held = Some(*sample),
+        }
+        Ok(())
+    }
+
+    fn publish_late(&mut self, scan_id: u64, sample: &mut S) -> Result<(), RuntimeError> {
+        self.output.complete(sample);
+        if self.taken_ns > 0 {
+            let own_ns = monotonic_ns() - self.taken_ns - self.planted_ns;
+            eprintln!("computed scan {scan_id} ns {own_ns}");
+        }
+        self.wait_at(Place::Publish, scan_id);
+        self.output.send(sample)?;
+        self.wait_at(Place::Deliver, scan_id);
+        self.output.wake();
+        Ok(())
+    }
+
+    /// Waits there if it is planned, and says how long it really was [ns].
+    fn wait_at(&self, place: Place, scan_id: u64) -> u64 {
+        if !matches!(self.trouble, Trouble::Delay) {
+            return 0;
+        }
+        let Some(delay_ns) = planted(scan_id, self.role, place) else { return 0 };
+        let started = monotonic_ns();
+        // Busy, because a sleep is not exact.
+        while monotonic_ns() - started < delay_ns {
+            std::hint::spin_loop();
+        }
+        let waited_ns = monotonic_ns() - started;
+        eprintln!("planted scan {scan_id} ns {waited_ns}");
+        waited_ns
+    }
+}
