@@ -1,11 +1,16 @@
 //! `scanloop bench`: figures of the parts, each on inputs that are shipped or named, to be repeated by anybody.
 
+pub mod compare;
+pub mod latency;
+pub(crate) mod scheduling;
 pub mod solver;
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use self::compare::CompareArguments;
+use self::latency::LatencyArguments;
 use crate::exit::Exit;
 
 /// What to measure.
@@ -23,6 +28,25 @@ pub enum BenchCommand {
     /// counted); `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
     /// `ratio_p99`, `same`, `others`; `skipped`.
     Solver(SolverArguments),
+    /// Where the time from scan to actuation goes, under a rate, a scheduling and a load of your choice.
+    ///
+    /// Drives the scenario `endless` in real time, or with `--compute none` sends the same samples through five
+    /// processes that compute nothing. Measures the machine's own wake-ups first. All times are corrected and not
+    /// corrected for coordinated omission (docs/latency.md). Files of `--out`: `report.json`, `latency.hlog`,
+    /// `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`, `trace.json` for ui.perfetto.dev.
+    ///
+    /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`,
+    /// `complete_chains`, `scan_to_actuation_us`, `scan_to_actuation_corrected_us`, `data_age_us`, `transport_us`,
+    /// `stages_us`, `hops_us`, `publications_us`, `robot_lateness_us`, `wake_up_noise_us`, `stamps_us_per_stage`,
+    /// `smallest_visible_us`, `machine`, `intervals` (lines of a HdrHistogram log), and what was asked for.
+    Latency(LatencyArguments),
+    /// Whether one of two builds is slower, with a confidence interval and the smallest difference that would show.
+    ///
+    /// Either two files of `bench latency --json`, or two commands that are run in turns. Commands print JSON with
+    /// the figure that `--metric` names; with `--metric wall` their run time counts. JSON keys: `metric`, `a`, `b`,
+    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
+    /// figures that are no times `higher`, `lower`), `smallest_visible`, `text`, `others`.
+    Compare(CompareArguments),
 }
 
 /// Arguments of `bench solver`.
@@ -52,8 +76,10 @@ pub struct SolverArguments {
 ///
 /// # Errors
 /// Bad files and options, and what the benchmark itself could not do.
-pub(crate) fn bench(command: &BenchCommand) -> anyhow::Result<Exit> {
+pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<Exit> {
     match command {
         BenchCommand::Solver(arguments) => solver::solver(arguments),
+        BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
+        BenchCommand::Compare(arguments) => compare::compare(arguments),
     }
 }

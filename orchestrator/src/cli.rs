@@ -124,7 +124,7 @@ pub struct Choice {
 }
 
 /// Arguments of `run`.
-#[derive(Debug, Args)]
+#[derive(Debug, Args, Default)]
 pub struct RunArguments {
     /// A TOML file, or the name of a shipped scenario (`scanloop check --list` prints them).
     #[arg(value_name = "SCENARIO")]

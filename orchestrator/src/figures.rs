@@ -63,6 +63,11 @@ impl Distribution {
         self.histogram.len()
     }
 
+    /// The histogram behind the figures, in the unit of [`Distribution::record`].
+    pub fn histogram(&self) -> &Histogram<u64> {
+        &self.histogram
+    }
+
     /// The five figures of what was recorded so far.
     pub fn figures(&self) -> Figures {
         if self.histogram.is_empty() {

@@ -213,8 +213,16 @@ fn near(path: &Path) -> PathBuf {
     path.strip_prefix(here).unwrap_or(path).to_owned()
 }
 
-/// A run with nothing behind it.
-fn start(domain: &Domain, plan: &Plan, manner: Manner, lock: SystemLock) -> anyhow::Result<Session> {
+/// A run with nothing behind it, which no process has joined yet. Logs go to `logs` below `manner.out`.
+///
+/// # Errors
+/// Errors of the bus and of the file system.
+pub(crate) fn start(
+    domain: &Domain,
+    plan: &Plan,
+    manner: Manner,
+    lock: SystemLock,
+) -> anyhow::Result<Session> {
     write_settings(domain, plan, manner.lockstep)?;
     let Manner { out, lockstep, duration_s, .. } = manner.clone();
     RunFile { out, lockstep, duration_s, system: plan.system.clone() }.write(domain)?;
@@ -274,6 +282,7 @@ pub(crate) fn assemble(
         written: None,
         swaps: Swaps::default(),
         beginning: events,
+        on_scan: None,
         end: End::NotYet,
         dirty: true,
         said_ns: 0,

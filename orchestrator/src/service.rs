@@ -1,5 +1,6 @@
 //! `scanloop service NAME`: the built-in implementations.
 
+use crate::bench::latency;
 use crate::exit::{Exit, Failure};
 use crate::system::IMPLEMENTATIONS;
 
@@ -9,6 +10,9 @@ use crate::system::IMPLEMENTATIONS;
 /// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.
 pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     runtime::start_logging();
+    if let Some(ended) = latency::echo::run(name).or_else(|| latency::noise::run(name)) {
+        return ended.map(|()| Exit::Done);
+    }
     match name {
         "emulator" => emulator::service::run()?,
         "ekf" => estimator::service::run()?,

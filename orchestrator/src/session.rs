@@ -66,6 +66,8 @@ pub(crate) struct Session {
     pub(crate) swaps: Swaps,
     /// What the supervisor is told first: to start all, or who is there already.
     pub(crate) beginning: Vec<Event>,
+    /// Sees every recorded scan: for benches.
+    pub(crate) on_scan: Option<Box<dyn FnMut(&ScanRecord)>>,
     pub(crate) end: End,
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,
@@ -233,6 +235,9 @@ impl Session {
         {
             self.moved_ns = monotonic_ns();
             self.digest(&scan);
+            if let Some(on_scan) = &mut self.on_scan {
+                on_scan(&scan);
+            }
             scan.poses.iter().for_each(|pose| self.recorder.pose(pose));
             scan.obstacles.iter().for_each(|obstacles| self.recorder.obstacles(obstacles));
             scan.commands.iter().for_each(|command| self.recorder.command(command));

@@ -148,6 +148,7 @@ fn chart(settings: &Settings, answer: &Answer) -> Chart {
     };
     let velocities = [bounds.velocity_min_mps, bounds.velocity_max_mps];
     Chart {
+        logarithmic_x: false,
         title: format!(
             "Control-variable correlation: {:.2} deg at {} m/s, {:+} rad",
             answer.angle_deg, answer.velocity_mps, answer.steering_rad

@@ -318,6 +318,7 @@ fn count_chart(answer: &Answer, definition: &Definition) -> Chart {
         }
     };
     Chart {
+        logarithmic_x: false,
         title,
         subtitle: subtitle(answer),
         x: "number of intervals N".to_owned(),
@@ -338,6 +339,7 @@ fn horizon_chart(answer: &Answer, horizons: &Horizons) -> Chart {
     };
     let points = horizons.tried.iter().map(|(horizon, error)| [*horizon, *error]).collect();
     Chart {
+        logarithmic_x: false,
         title,
         subtitle: subtitle(answer),
         x: "horizon tf [s]".to_owned(),

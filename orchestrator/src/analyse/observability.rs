@@ -146,6 +146,7 @@ fn chart(answer: &Answer, measured: &[Measured]) -> Chart {
     };
     let smallest = answer.singular_values.iter().rev().find(|value| **value > 1e-9);
     Chart {
+        logarithmic_x: false,
         title: format!("Observability of ({}): rank {} of {STATES}", answer.measured.join(", "), answer.rank),
         subtitle: answer.reason.clone(),
         x: "velocity [m/s]".to_owned(),

@@ -44,6 +44,8 @@ pub struct Chart {
     pub x: String,
     /// Whether only whole numbers are written at the horizontal axis.
     pub whole: bool,
+    /// Whether the horizontal axis is logarithmic.
+    pub logarithmic_x: bool,
     /// Name of the vertical axis with its unit.
     pub y: String,
     /// Whether the vertical axis is logarithmic.
@@ -93,7 +95,8 @@ pub fn draw(chart: &Chart) -> Result<String, PictureError> {
 fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
     let place = |point: &[f64; 2]| {
         let value = if chart.logarithmic { point[1].log10() } else { point[1] };
-        (point[0].is_finite() && value.is_finite()).then_some((point[0], value))
+        let x = if chart.logarithmic_x { point[0].log10() } else { point[0] };
+        (x.is_finite() && value.is_finite()).then_some((x, value))
     };
     let all: Vec<(f64, f64)> = chart
         .curves
@@ -103,7 +106,7 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
         .filter_map(place)
         .collect();
     let limits: Vec<f64> =
-        chart.limits.iter().filter_map(|(_, value)| place(&[0.0, *value])).map(|(_, value)| value).collect();
+        chart.limits.iter().filter_map(|(_, value)| place(&[1.0, *value])).map(|(_, value)| value).collect();
     let (left, right) = range(all.iter().map(|point| point.0), 0.0);
     let heights = all.iter().map(|point| point.1).chain(limits.iter().copied());
     let (low, high) = range(heights, if chart.logarithmic { 0.15 } else { 0.06 });
@@ -125,6 +128,7 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
         .x_labels(14)
         .y_labels(8)
         .x_label_formatter(&|value| match value.fract().abs() > 1e-6 {
+            _ if chart.logarithmic_x => significant(10f64.powf(*value)),
             true if chart.whole => String::new(),
             _ if chart.whole => format!("{value:.0}"),
             _ => format!("{value:.decimals$}"),
@@ -162,6 +166,16 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
         axes.draw_series([ring]).map_err(PictureError::of)?;
     }
     Ok(())
+}
+
+/// A number with two significant digits.
+fn significant(value: f64) -> String {
+    if value >= 10.0 {
+        let unit = 10f64.powf(value.log10().floor() - 1.0);
+        format!("{:.0}", (value / unit).round() * unit)
+    } else {
+        format!("{value:.1}")
+    }
 }
 
 /// Smallest and largest value with a share of the range added at both ends.

@@ -25,9 +25,12 @@ use crate::wire::Wire;
 use crate::{Domain, RuntimeError, layouts};
 
 type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
+type Blobs = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type Events = event::PortFactory<ipc::Service>;
 
 pub(crate) type WirePublisher<S> = Publisher<ipc::Service, Wire<S>, ()>;
+pub(crate) type BlobPublisher = Publisher<ipc::Service, [u8], ()>;
+pub(crate) type BlobSubscriber = Subscriber<ipc::Service, [u8], ()>;
 pub(crate) type WireSubscriber<S> = Subscriber<ipc::Service, Wire<S>, ()>;
 
 /// How long to retry opening a service that another process is just cleaning up.
@@ -105,6 +108,44 @@ impl Bus {
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.
     pub fn clean_up_dead_processes(&self) -> u64 {
         self.node.try_cleanup_dead_nodes().cleanups
+    }
+
+    /// Creates the service for payloads beside a topic, see [`crate::BlobOutput`]: the orchestrator of a bench.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn create_blobs(&mut self, topic: Topic) -> Result<(), RuntimeError> {
+        let created = self
+            .node
+            .service_builder(&blob_name(topic)?)
+            .publish_subscribe::<[u8]>()
+            .max_publishers(2)
+            .max_subscribers(4)
+            .subscriber_max_buffer_size(4)
+            .subscriber_max_borrowed_samples(2)
+            .history_size(0)
+            .enable_safe_overflow(true)
+            .max_nodes(NODES)
+            .create()
+            .map_err(|reason| RuntimeError::bus(format!("create payloads of topic {topic}"), reason))?;
+        self.held.push(Box::new(created));
+        Ok(())
+    }
+
+    pub(crate) fn blob_publisher(&self, topic: Topic, bytes: usize) -> Result<BlobPublisher, RuntimeError> {
+        let created = self
+            .blobs(topic)?
+            .publisher_builder()
+            .initial_max_slice_len(bytes)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create();
+        created.map_err(|reason| RuntimeError::bus(format!("write payloads of topic {topic}"), reason))
+    }
+
+    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<BlobSubscriber, RuntimeError> {
+        let created = self.blobs(topic)?.subscriber_builder().create();
+        created.map_err(|reason| RuntimeError::bus(format!("read payloads of topic {topic}"), reason))
     }
 
     pub(crate) fn publisher<S: Sample>(&self) -> Result<(WirePublisher<S>, Samples<S>), RuntimeError> {
@@ -198,10 +239,21 @@ impl Bus {
         let open = || self.node.service_builder(&name).publish_subscribe::<Wire<S>>().open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", S::TOPIC), reason))
     }
+
+    fn blobs(&self, topic: Topic) -> Result<Blobs, RuntimeError> {
+        let name = blob_name(topic)?;
+        let open = || self.node.service_builder(&name).publish_subscribe::<[u8]>().open();
+        retry(open).map_err(|reason| RuntimeError::bus(format!("open payloads of topic {topic}"), reason))
+    }
 }
 
 fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
     ServiceName::new(topic.name()).map_err(|reason| RuntimeError::bus("name a topic", reason))
+}
+
+fn blob_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
+    let name = format!("{}-payload", topic.name());
+    ServiceName::new(&name).map_err(|reason| RuntimeError::bus("name a payload", reason))
 }
 
 /// Opening can collide with a clean-up by another process; that passes.

@@ -26,6 +26,7 @@
 
 mod allocations;
 mod bell;
+mod blob;
 mod bus;
 mod clock;
 mod counters;
@@ -52,6 +53,7 @@ mod wake;
 mod wire;
 
 pub use allocations::{CountingAllocator, allocations, counts_allocations};
+pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
 pub use domain::Domain;

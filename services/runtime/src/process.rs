@@ -211,6 +211,16 @@ impl Process {
         Ok(output)
     }
 
+    /// The bus of this process.
+    pub(crate) fn bus(&self) -> &Bus {
+        &self.bus
+    }
+
+    /// Makes one more end of connections when the start barrier says so.
+    pub(crate) fn connects(&mut self, end: Rc<dyn Connect>) {
+        self.outputs.push(end);
+    }
+
     /// Waits until all processes have opened their ports and all connections are made; false when asked to end.
     ///
     /// Without this barrier the first samples would be lost silently, because a publisher can't fill a

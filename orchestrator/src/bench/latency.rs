@@ -1,0 +1,177 @@
+//! `scanloop bench latency`: where the time from scan to actuation goes, with what it has to be read against.
+//!
+//! One run: look at the machine, measure its own wake-ups, start the five processes and drive (or answer at once),
+//! keep every scan, say what was found. The processes are those of `run`, on the same bus, under the same supervisor;
+//! the orchestrator records them as `run` does. What the figures are not: times of another machine, or of this one
+//! on another day. To compare two builds use `bench compare`.
+
+mod arguments;
+mod collector;
+pub(crate) mod echo;
+mod files;
+pub(crate) mod intervals;
+mod load;
+mod machine;
+pub(crate) mod noise;
+mod pictures;
+mod results;
+mod text;
+mod trace;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use anyhow::Context;
+use runtime::Domain;
+use shared_types::Role;
+
+pub use self::arguments::{Compute, LatencyArguments};
+use self::collector::Collector;
+use self::load::Load;
+use self::machine::{Machine, Ticks};
+use self::results::{Results, SCHEMA, Smallest};
+use crate::bench::compare::statistics::smallest_visible;
+use crate::bench::scheduling::Scheduling;
+use crate::cli::Choice;
+use crate::exit::Exit;
+use crate::report::{Outcome, Report};
+use crate::run::{Manner, Plan, out_folder, start};
+use crate::survivors::clear;
+
+/// What is driven: 10 km, nearly three hours.
+const SCENARIO: &str = "endless";
+
+/// Runs the bench.
+///
+/// # Errors
+/// Bad arguments, scheduling that the kernel refuses, and what `run` fails with.
+pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
+    arguments.check()?;
+    let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
+    let scheduling = Scheduling::of(&plan.system.realtime);
+    let domain = Domain::new(system_id)?;
+    // Without --out logs live as long as the system.
+    let logs = match &arguments.out {
+        Some(out) => out_folder(out.clone())?,
+        None => domain.directory().to_owned(),
+    };
+    let lock = clear(&domain)?;
+    let manner =
+        Manner { lockstep: false, duration_s: Some(arguments.duration), quiet: arguments.quiet, out: logs };
+    let mut session = start(&domain, &plan, manner, lock)?;
+    if arguments.payload.is_some() {
+        for topic in echo::PAYLOAD_TOPICS {
+            session.bus.create_blobs(topic)?;
+        }
+    }
+    let load = if arguments.load { Some(Load::start()?) } else { None };
+    let mut machine = Machine::look(&scheduling, load.as_ref().map_or(0, Load::count));
+    let stamps_us_per_stage = noise::stamp_cost_us();
+    let noise = noise::measure(plan.system.period_ns(), arguments.duration, &scheduling)?;
+
+    let expected_scans = (arguments.rate * arguments.duration) as u64;
+    let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
+    let fed = Rc::clone(&collector);
+    session.on_scan = Some(Box::new(move |scan| fed.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    let before = Ticks::now();
+    let ending = session.drive()?;
+    machine.note_use(before, Ticks::now());
+    let report = session.finish().0.report(&ending);
+    drop(load);
+
+    let mut collector = collector.borrow_mut();
+    let interval_scans = collector.interval_scans();
+    let intervals = collector.take_lines();
+    let results = Results {
+        payload_bytes: arguments.payload,
+        compute: arguments.compute.name(),
+        rate_hz: arguments.rate,
+        scan_to_actuation_corrected_us: collector.corrected.figures(),
+        robot_lateness_us: collector.lateness.figures(),
+        complete_chains: collector.complete,
+        wake_up_noise_us: noise.figures(),
+        stamps_us_per_stage,
+        smallest_visible_us: smallest(&intervals),
+        machine,
+        interval_scans,
+        intervals,
+        ..of_report(&report)
+    };
+    eprint!("{}", text::text(&results));
+    if let Some(out) = &arguments.out {
+        files::write(out, &results, &collector, &noise)?;
+        eprintln!("{:<18} {}", "files", out.display());
+    }
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&results)?);
+    }
+    Ok(match report.outcome {
+        Outcome::Timeout => Exit::Done,
+        outcome => {
+            eprintln!("the drive ended early: {outcome}: {}", report.reason);
+            match outcome.exit_code() {
+                3 => Exit::Collision,
+                4 => Exit::ProcessFailed,
+                _ => Exit::NotReached,
+            }
+        }
+    })
+}
+
+/// The system to be measured: that of `run`, or its echo, run as the scheduling asks.
+fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result<Plan> {
+    let mut choice: Choice = arguments.choice.clone();
+    choice.overrides.push(format!("rate_hz={}", arguments.rate));
+    let mut plan = Plan::read(Some(SCENARIO), &choice)?;
+    scheduling.apply(&mut plan.system.realtime);
+    let this = std::env::current_exe().context("path of this executable")?;
+    let this = this.to_string_lossy().into_owned();
+    for entry in &mut plan.system.processes {
+        let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
+        if arguments.compute == Compute::None {
+            entry.implementation = None;
+            entry.command =
+                Some([vec![this.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
+        }
+    }
+    Ok(plan)
+}
+
+/// What the report of the run says.
+fn of_report(report: &Report) -> Results {
+    let (scans, latency) = (&report.scans, &report.latency_us);
+    let stages = &latency.stages;
+    Results {
+        schema: SCHEMA,
+        duration_s: report.duration_s,
+        outcome: report.outcome.to_string(),
+        reason: report.reason.clone(),
+        published: scans.published,
+        commanded: scans.commanded,
+        late: scans.late,
+        lost: scans.lost,
+        lost_reasons: scans.lost_reasons.clone(),
+        unaccounted: scans.unaccounted,
+        duplicates: scans.duplicates,
+        scan_to_actuation_us: latency.scan_to_actuation,
+        data_age_us: latency.data_age,
+        transport_us: stages.transport,
+        stages_us: crate::report::PerStage {
+            estimator: stages.estimator,
+            obstacles: stages.obstacles,
+            controller: stages.controller,
+            actuator: stages.actuator,
+        },
+        hops_us: latency.hops.clone(),
+        publications_us: latency.publications.clone(),
+        ..Results::default()
+    }
+}
+
+/// From what the run shows of itself: transport hardly depends on the place of the drive.
+fn smallest(lines: &[String]) -> Smallest {
+    let read = |series| intervals::read(lines, series).unwrap_or_default();
+    let (reaction, transport) = (read("scan_to_actuation"), read("transport"));
+    let us = |quantile| smallest_visible(&reaction, &transport, quantile).map(|time_ns| time_ns * 1e-3);
+    Smallest { p50: us(0.5), p99: us(0.99) }
+}

@@ -1,0 +1,68 @@
+//! Other work on every processor, as long as the value lives.
+//!
+//! One thread for each processor of the machine that this process may use, pinned to it, counting without a system
+//! call and without touching memory: what it takes is time on the processor, as much as the scheduler gives it.
+//! Threads of this process end with it, whatever happens.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// Busy loops; dropping it ends them.
+pub(crate) struct Load {
+    end: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Load {
+    /// Starts one loop on each processor.
+    ///
+    /// # Errors
+    /// When the kernel does not tell the processors or refuses a thread.
+    pub(crate) fn start() -> anyhow::Result<Self> {
+        let allowed = sched_getaffinity(None)?;
+        let mut load = Self { end: Arc::new(AtomicBool::new(false)), threads: Vec::new() };
+        for cpu in (0..CpuSet::MAX_CPU).filter(|&cpu| allowed.is_set(cpu)) {
+            let end = Arc::clone(&load.end);
+            let thread = std::thread::Builder::new().name(format!("load-{cpu}")).spawn(move || {
+                let mut one = CpuSet::new();
+                one.set(cpu);
+                // Where it can't be pinned it is still load.
+                let _ = sched_setaffinity(None, &one);
+                while !end.load(Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            })?;
+            load.threads.push(thread);
+        }
+        Ok(load)
+    }
+
+    /// How many loops there are.
+    pub(crate) fn count(&self) -> usize {
+        self.threads.len()
+    }
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_is_one_loop_for_each_processor_and_it_ends() {
+        let load = Load::start().unwrap();
+        assert_eq!(load.count(), sched_getaffinity(None).unwrap().count() as usize);
+        drop(load);
+    }
+}

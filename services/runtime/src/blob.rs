@@ -1,0 +1,110 @@
+//! Bytes of any number that travel beside the samples of a topic: the payload of a transport bench.
+//!
+//! A blob is published before the sample that it belongs to, without waking anyone, and starts with the scan's
+//! number; the reader takes it when it has taken the sample. So the samples keep their types and all accounting, and
+//! a hop carries as many bytes as asked for. Blobs are written into shared memory once and read in place.
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+use iceoryx2::port::update_connections::UpdateConnections;
+use shared_types::Topic;
+
+use crate::bus::{BlobPublisher, BlobSubscriber};
+use crate::output::Connect;
+use crate::{Process, RuntimeError};
+
+/// Smallest blob: the number of its scan [bytes].
+pub const SMALLEST_BLOB: usize = 8;
+/// Blobs of this many older scans are skipped before a reader gives up on one.
+const KEPT: usize = 4;
+
+/// Publishes blobs beside one topic.
+pub struct BlobOutput {
+    publisher: BlobPublisher,
+    content: RefCell<Vec<u8>>,
+    topic: Topic,
+}
+
+/// Takes blobs that came beside one topic.
+pub struct BlobInput {
+    subscriber: BlobSubscriber,
+    read: Cell<u64>,
+    topic: Topic,
+}
+
+impl Process {
+    /// Opens the blobs beside `topic` for writing, `bytes` each; the orchestrator has to have created them.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn blob_output(&mut self, topic: Topic, bytes: usize) -> Result<Rc<BlobOutput>, RuntimeError> {
+        let publisher = self.bus().blob_publisher(topic, bytes.max(SMALLEST_BLOB))?;
+        let content = RefCell::new(vec![0; bytes.max(SMALLEST_BLOB)]);
+        let output = Rc::new(BlobOutput { publisher, content, topic });
+        self.connects(Rc::clone(&output) as Rc<dyn Connect>);
+        Ok(output)
+    }
+
+    /// Opens the blobs beside `topic` for reading.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn blob_input(&mut self, topic: Topic) -> Result<Rc<BlobInput>, RuntimeError> {
+        let subscriber = self.bus().blob_subscriber(topic)?;
+        let input = Rc::new(BlobInput { subscriber, read: Cell::default(), topic });
+        self.connects(Rc::clone(&input) as Rc<dyn Connect>);
+        Ok(input)
+    }
+}
+
+impl BlobOutput {
+    /// Copies one blob for a scan into shared memory and publishes it, without waking anyone.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn publish(&self, scan_id: u64) -> Result<(), RuntimeError> {
+        let error = |reason: &dyn std::fmt::Debug| {
+            RuntimeError::bus(format!("publish a payload beside topic {}", self.topic), reason)
+        };
+        let mut content = self.content.borrow_mut();
+        content[..SMALLEST_BLOB].copy_from_slice(&scan_id.to_le_bytes());
+        let loaned = self.publisher.loan_slice_uninit(content.len()).map_err(|reason| error(&reason))?;
+        loaned.write_from_slice(&content).send().map_err(|reason| error(&reason))?;
+        Ok(())
+    }
+}
+
+impl BlobInput {
+    /// Takes the blob of a scan and reads one byte of each cache line of it; false when it is not there.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when receiving fails.
+    pub fn take(&self, scan_id: u64) -> Result<bool, RuntimeError> {
+        for _ in 0..KEPT {
+            let received = self.subscriber.receive().map_err(|reason| {
+                RuntimeError::bus(format!("receive a payload beside topic {}", self.topic), reason)
+            })?;
+            let Some(sample) = received else { return Ok(false) };
+            let (number, _) = sample.payload().split_at(SMALLEST_BLOB);
+            if number == scan_id.to_le_bytes() {
+                let sum = sample.payload().iter().step_by(64).fold(0_u64, |sum, byte| sum + u64::from(*byte));
+                self.read.set(std::hint::black_box(sum));
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+}
+
+impl Connect for BlobOutput {
+    fn connect(&self) {
+        let _ = self.publisher.update_connections();
+    }
+}
+
+impl Connect for BlobInput {
+    fn connect(&self) {
+        let _ = self.subscriber.update_connections();
+    }
+}
