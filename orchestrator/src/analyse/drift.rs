@@ -101,6 +101,7 @@ fn chart() -> Chart {
         dots: false,
     };
     Chart {
+        logarithmic_x: false,
         title: "What the forms of the correction leave of a steering offset of 0.0098 rad".to_owned(),
         subtitle: "\"moving\" is \"time\" here, as the robot never rests".to_owned(),
         x: "time [s]".to_owned(),
