@@ -1,8 +1,46 @@
 #!/usr/bin/env bash
-# Makes the virtual environment that `scanloop bench solver --peer` runs CasADi (with IPOPT) in: benches/peers/.venv
-# About 100 MB from PyPI. Needs Python 3 with venv; a C compiler makes the peers faster and is used when there is one.
+# Installs what the benches are compared with, into folders below this one only.
+#
+#   setup.sh          casadi: the virtual environment that `scanloop bench solver --peer` runs CasADi (with IPOPT) in, about
+#                     100 MB from PyPI. Needs Python 3 with venv; a C compiler makes the peers faster when there is one.
+#   setup.sh zenoh    the program behind `zenoh` and `zenoh-shm` of `scanloop bench transport`, from crates.io
+#   setup.sh zeromq   the program behind `zeromq`, from crates.io; compiles libzmq, needs a C++ compiler
+#   setup.sh dora     the program behind `dora`, from crates.io, and dora's own program from PyPI (with venv)
+#   setup.sh all      all of them
+#
+# Zenoh and dora take some minutes each. CARGO_BUILD_JOBS=1 leaves the other processors alone.
 set -euo pipefail
 cd "$(dirname "$0")"
-[ -x .venv/bin/python ] || python3 -m venv .venv
-.venv/bin/python -m pip install --quiet "casadi==3.8.2"
-.venv/bin/python -c "import casadi; print('casadi', casadi.__version__)"
+export CARGO_TARGET_DIR="$PWD/target"
+
+environment() { # FOLDER PACKAGE...
+    [ -x "$1/bin/python" ] || python3 -m venv "$1"
+    "$1/bin/python" -m pip install --quiet "${@:2}"
+}
+
+install() {
+    case "$1" in
+        casadi)
+            environment .venv "casadi==3.8.2"
+            .venv/bin/python -c "import casadi; print('casadi', casadi.__version__)"
+            ;;
+        zenoh | zeromq)
+            (cd "$1" && cargo build --release)
+            ;;
+        dora)
+            (cd dora && cargo build --release)
+            environment dora/.venv "dora-rs-cli==1.1.0"
+            dora/.venv/bin/dora --version
+            ;;
+        *)
+            echo "unknown peer \`$1\`: expected casadi, zenoh, zeromq, dora or all" >&2
+            exit 2
+            ;;
+    esac
+}
+
+[ $# -gt 0 ] || set -- casadi
+[ "$1" != all ] || set -- casadi zeromq zenoh dora
+for name in "$@"; do
+    install "$name"
+done

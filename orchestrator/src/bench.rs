@@ -4,6 +4,7 @@ pub mod compare;
 pub mod latency;
 pub(crate) mod scheduling;
 pub mod solver;
+pub mod transport;
 
 use std::path::PathBuf;
 
@@ -47,6 +48,17 @@ pub enum BenchCommand {
     /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
     /// figures that are no times `higher`, `lower`), `smallest_visible`, `text`, `others`.
     Compare(CompareArguments),
+    /// What four hops between five processes cost over other transports, as ratios to ours.
+    ///
+    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold with
+    /// 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command that
+    /// builds them.
+    ///
+    /// JSON: one object for one `--rate`, a list of them for several. Keys: `rate_hz`, `hops`, `payload_bytes` (a number, or
+    /// one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`, `confidence`, `transports` with `name`,
+    /// `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`, `ratio_p50_interval`, `verdict_p50`, the same for p99; `polling`,
+    /// the same for processes that poll when both policies are measured; `skipped` with `name`, `reason`.
+    Transport(transport::TransportArguments),
 }
 
 /// Arguments of `bench solver`.
@@ -81,5 +93,6 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
         BenchCommand::Solver(arguments) => solver::solver(arguments),
         BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
         BenchCommand::Compare(arguments) => compare::compare(arguments),
+        BenchCommand::Transport(arguments) => transport::transport(arguments),
     }
 }

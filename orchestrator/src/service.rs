@@ -19,6 +19,11 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "ellipses" => obstacles::service::run()?,
         "nmpc" => nmpc::service::run()?,
         "actuation" => actuation::service::run()?,
+        // No role of the loop: a process of `scanloop bench transport`.
+        "hop" => hops::hop().map_err(|error| match error {
+            hops::HopError::NotInAChain => Failure::bad_input(error),
+            other => other.into(),
+        })?,
         _ => {
             let known: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
             return Err(Failure::bad_input(format!(

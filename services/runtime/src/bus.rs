@@ -20,7 +20,7 @@ use shared_types::{
 };
 
 use crate::bell::Bells;
-use crate::quality::{EVENT_PORTS, NODES, quality};
+use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
 use crate::wire::Wire;
 use crate::{Domain, RuntimeError, layouts};
 
@@ -64,14 +64,15 @@ impl Bus {
     }
 
     fn with_topics(domain: &Domain, take_over: bool) -> Result<Self, RuntimeError> {
-        let mut bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
-        if take_over {
+        let mut bus = if take_over {
+            let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
             layouts::verify_all(domain)?;
             // The orchestrator that died still holds ports, of which there are few for directives.
             bus.clean_up_dead_processes();
+            bus
         } else {
-            layouts::write(domain)?;
-        }
+            Self::create_empty(domain)?
+        };
         bus.topic::<Scan>(take_over)?;
         bus.topic::<Odometry>(take_over)?;
         bus.topic::<Pose>(take_over)?;
@@ -82,6 +83,16 @@ impl Bus {
         bus.topic::<Directive>(take_over)?;
         bus.topic::<Checkpoint>(take_over)?;
         bus.topic::<Truth>(take_over)?;
+        Ok(bus)
+    }
+
+    /// A system without topics, for tools that create their own with [`Bus::create_topic_for`].
+    ///
+    /// # Errors
+    /// As [`Bus::create`].
+    pub fn create_empty(domain: &Domain) -> Result<Self, RuntimeError> {
+        let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
+        layouts::write(domain)?;
         Ok(bus)
     }
 
@@ -188,8 +199,20 @@ impl Bus {
         Ok(())
     }
 
+    /// Creates the topic of `S` with room for `readers` instead of the usual number, because large samples times many
+    /// readers are much memory; keeps it for as long as the value lives.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
+        self.sized_topic::<S>(Quality { subscribers: readers, ..quality(S::TOPIC) }, false)
+    }
+
     fn topic<S: Sample>(&mut self, take_over: bool) -> Result<(), RuntimeError> {
-        let quality = quality(S::TOPIC);
+        self.sized_topic::<S>(quality(S::TOPIC), take_over)
+    }
+
+    fn sized_topic<S: Sample>(&mut self, quality: Quality, take_over: bool) -> Result<(), RuntimeError> {
         let name = service_name(S::TOPIC)?;
         let samples = || {
             self.node

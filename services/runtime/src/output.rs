@@ -1,4 +1,5 @@
 //! The writing end of a topic.
+#![expect(unsafe_code, reason = "samples written in place begin as bytes of older ones")]
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -51,6 +52,26 @@ impl<S: Sample> Output<S> {
         self.send(sample)
     }
 
+    /// [`Output::publish`] of a sample that `fill` writes where it will be read: for samples too large to be copied.
+    ///
+    /// What `fill` leaves as it is holds the bytes of an older sample.
+    ///
+    /// # Errors
+    /// As [`Output::publish`].
+    pub fn publish_in_place(&self, fill: impl FnOnce(&mut S)) -> Result<(), RuntimeError> {
+        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
+        // SAFETY: the bytes are shared memory, which the kernel hands out zeroed and samples were written to since: they
+        // have values, and a sample is `Pod`, so that all values are valid.
+        let mut loaned = unsafe { loaned.assume_init() };
+        let sample = &mut loaned.payload_mut().0;
+        fill(sample);
+        self.complete(sample);
+        self.stamp(sample);
+        self.account(loaned.send().map_err(|reason| bus_error::<S>("send", reason))?);
+        self.wake();
+        Ok(())
+    }
+
     /// The first step of [`Output::publish`]: the result is there. Everything of the header but its last stamp is
     /// filled; from here on the number of the sample is used up.
     pub fn complete(&self, sample: &mut S) {
@@ -73,18 +94,25 @@ impl<S: Sample> Output<S> {
     /// # Errors
     /// As [`Output::publish`].
     pub fn send(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        self.stamp(sample);
+        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
+        let delivered = loaned.write_payload(Wire(*sample)).send();
+        self.account(delivered.map_err(|reason| bus_error::<S>("send", reason))?);
+        Ok(())
+    }
+
+    fn stamp(&self, sample: &mut S) {
         let shared = &*self.shared;
         if S::TOPIC.writer() == Some(shared.role) {
             sample.header_mut().stage_mut(shared.role).published_ns = shared.clock.now_ns();
             shared.produced.set(true);
         }
-        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
-        let delivered =
-            loaned.write_payload(Wire(*sample)).send().map_err(|reason| bus_error::<S>("send", reason))?;
+    }
+
+    fn account(&self, delivered: usize) {
         if delivered < self.service.dynamic_config().number_of_subscribers() {
-            count(&shared.counters.undelivered, 1);
+            count(&self.shared.counters.undelivered, 1);
         }
-        Ok(())
     }
 
     /// The last step of [`Output::publish`]: wakes the readers.

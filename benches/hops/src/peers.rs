@@ -1,0 +1,47 @@
+//! Where the programs of the peers are, and what builds them.
+
+use std::path::{Path, PathBuf};
+
+use crate::Contender;
+
+/// The folder of the peers in the source tree.
+const FOLDER: &str = "benches/peers";
+
+/// Why a contender can't be run on this machine, with the command that changes that.
+pub(crate) fn missing(contender: Contender) -> Option<String> {
+    let name = setup_name(contender)?;
+    let built = program(contender).is_some() && (contender != Contender::Dora || dora().is_some());
+    (!built).then(|| format!("not built: run {FOLDER}/setup.sh {name}"))
+}
+
+/// The program of a peer; `None` when it is not built, or when the contender is one of ours.
+pub(crate) fn program(contender: Contender) -> Option<PathBuf> {
+    let program = folder()?.join("target/release").join(format!("{}-hop", setup_name(contender)?));
+    program.is_file().then_some(program)
+}
+
+/// dora's own program, which starts the processes of a dataflow.
+pub(crate) fn dora() -> Option<PathBuf> {
+    let program = folder()?.join("dora/.venv/bin/dora");
+    program.is_file().then_some(program)
+}
+
+/// What `setup.sh` calls the peer.
+fn setup_name(contender: Contender) -> Option<&'static str> {
+    match contender {
+        Contender::Zenoh | Contender::ZenohShm => Some("zenoh"),
+        Contender::Zeromq => Some("zeromq"),
+        Contender::Dora => Some("dora"),
+        _ => None,
+    }
+}
+
+/// The folder of the peers, found upwards from the working directory or from the executable.
+fn folder() -> Option<PathBuf> {
+    let executable = std::env::current_exe().ok();
+    let starts =
+        [std::env::current_dir().ok(), executable.as_deref().and_then(Path::parent).map(Path::to_owned)];
+    starts.into_iter().flatten().find_map(|start| {
+        start.ancestors().map(|folder| folder.join(FOLDER)).find(|folder| folder.join("setup.sh").exists())
+    })
+}

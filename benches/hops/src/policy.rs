@@ -1,0 +1,49 @@
+//! How a process waits for its next message.
+
+use serde::{Deserialize, Serialize};
+
+use crate::message::monotonic_ns;
+use crate::stage::Stage;
+
+/// Longest sleep: how late a process notices at most that the chain is closed. No multiple of a usual period, so that
+/// time-outs and messages do not meet.
+pub(crate) const LONGEST_WAIT_NS: u64 = 230_000_000;
+/// How long a process polls before and after the time at which a message is due [us]. Twice what a timer and a
+/// wake-up are late by, and less than half a period at 1 kHz.
+pub(crate) const POLL_US: u64 = 200;
+
+/// How a process waits for its next message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Policy {
+    /// It sleeps until the message wakes it.
+    Block,
+    /// It sleeps until shortly before the message is due, a period after the last one, then looks again and again,
+    /// giving the processor to others in between, and sleeps until it is woken when the message is late.
+    Poll,
+}
+
+impl Policy {
+    /// Name on the command line and in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Block => "block",
+            Self::Poll => "poll",
+        }
+    }
+
+    /// Waits once, for a message that is due at `due_ns`; the caller looks whether there is one.
+    pub(crate) fn wait(self, stage: &mut dyn Stage, due_ns: u64) {
+        let now = monotonic_ns();
+        if self == Self::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {
+            return stage.block(None);
+        }
+        let early = due_ns.saturating_sub(1000 * POLL_US);
+        if now < early {
+            return stage.block(Some(early - now));
+        }
+        while !stage.look() && monotonic_ns() < due_ns + 1000 * POLL_US {
+            std::thread::yield_now();
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! What every process of a chain does, whatever it goes through: send at a rate, pass on, or take latencies.
+
+use std::time::Duration;
+
+use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
+
+use crate::control::{Control, Word};
+use crate::message::{Arrival, Stamp, monotonic_ns};
+use crate::policy::LONGEST_WAIT_NS;
+use crate::{HopError, Setup};
+
+/// Time between two messages while the chain connects.
+const CONNECTING: Duration = Duration::from_millis(20);
+
+/// The ports of one process on one transport.
+pub trait Stage {
+    /// Sends a message of the size that belongs to this process; one that finds no room is lost.
+    ///
+    /// # Errors
+    /// What the transport refuses.
+    fn send(&mut self, stamp: Stamp) -> Result<(), HopError>;
+
+    /// The oldest message that this process has noticed, without a system call.
+    fn take(&mut self) -> Option<Arrival>;
+
+    /// Whether a message has come, without sleeping; [`Stage::take`] then has it.
+    fn look(&mut self) -> bool;
+
+    /// Sleeps until a message comes or that many nanoseconds have passed; `None` leaves the time to the transport.
+    fn block(&mut self, longest_ns: Option<u64>);
+}
+
+/// Runs one process of the chain until the driver closes it.
+///
+/// # Errors
+/// When the driver can't be reached, and what the transport refuses.
+pub fn run(stage: &mut dyn Stage, setup: &Setup) -> Result<(), HopError> {
+    let mut control = Control::connect(setup)?;
+    control.hello(setup)?;
+    if setup.is_first() {
+        send(stage, setup, &mut control)
+    } else if setup.is_last() {
+        receive(stage, setup, &mut control)
+    } else {
+        pass_on(stage, setup, &mut control)
+    }
+}
+
+/// Sends at the rate of the setup, regardless of what becomes of the messages.
+fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+    loop {
+        stage.send(Stamp::now(0))?;
+        match control.word(CONNECTING) {
+            Some(Word::Go) => break,
+            Some(Word::Close) => return Ok(()),
+            Some(Word::Finish) | None => {}
+        }
+    }
+    let start = monotonic_ns() + setup.period_ns;
+    for index in 0..setup.warm_up + setup.samples {
+        sleep_until(start + index * setup.period_ns);
+        stage.send(Stamp::now((index + 1).saturating_sub(setup.warm_up)))?;
+    }
+    control.say("sent")?;
+    control.linger();
+    Ok(())
+}
+
+fn pass_on(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+    let (mut due_ns, mut quiet) = (0, false);
+    loop {
+        if let Some(arrival) = stage.take() {
+            stage.send(arrival.stamp)?;
+            due_ns = arrival.received_ns + setup.period_ns;
+            quiet = false;
+        } else if std::mem::take(&mut quiet) {
+            if control.word(Duration::ZERO) == Some(Word::Close) {
+                return Ok(());
+            }
+        } else {
+            quiet = idle(stage, setup, due_ns);
+        }
+    }
+}
+
+fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
+    let mut latencies_ns = vec![0; setup.samples as usize];
+    let (mut due_ns, mut quiet, mut seen, mut reported) = (0, false, false, false);
+    loop {
+        let mut finished = false;
+        if let Some(Arrival { stamp, received_ns }) = stage.take() {
+            due_ns = received_ns + setup.period_ns;
+            quiet = false;
+            if !std::mem::replace(&mut seen, true) {
+                control.say("seen")?;
+            }
+            let place = stamp.sequence.checked_sub(1).and_then(|index| latencies_ns.get_mut(index as usize));
+            if let Some(latency) = place {
+                *latency = received_ns.saturating_sub(stamp.sent_ns).max(1);
+            }
+            finished = stamp.sequence == setup.samples;
+        } else if std::mem::take(&mut quiet) {
+            match control.word(Duration::ZERO) {
+                Some(Word::Close) => return Ok(()),
+                Some(Word::Finish) => finished = true,
+                Some(Word::Go) | None => {}
+            }
+        } else {
+            quiet = idle(stage, setup, due_ns);
+        }
+        if finished && !std::mem::replace(&mut reported, true) {
+            control.report(&latencies_ns)?;
+        }
+    }
+}
+
+/// Waits as the setup says; true when that took so long that the driver may be listened to if nothing has come.
+fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
+    let before = monotonic_ns();
+    setup.policy.wait(stage, due_ns);
+    monotonic_ns() - before > LONGEST_WAIT_NS / 3
+}
+
+/// Sleeps until a time of CLOCK_MONOTONIC.
+fn sleep_until(time_ns: u64) {
+    let time =
+        Timespec { tv_sec: (time_ns / 1_000_000_000) as i64, tv_nsec: (time_ns % 1_000_000_000) as i64 };
+    while clock_nanosleep_absolute(ClockId::Monotonic, &time).is_err() {}
+}

@@ -1,0 +1,215 @@
+//! What a chain needs before its processes start: shared memory, sockets, ports, a bus; gone when dropped.
+
+use std::net::{Ipv4Addr, TcpListener};
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::path::Path;
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use runtime::Domain;
+use rustix::event::{EventfdFlags, eventfd};
+use rustix::fs::{MemfdFlags, ftruncate, memfd_create};
+use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
+
+use crate::ring::Ring;
+use crate::setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup};
+use crate::{Contender, HopError, Plan, bus, listener, peers};
+
+/// First letter of the ids of the systems that chains make.
+const ID: char = 'h';
+
+/// Files of one chain: a domain of its own, with a directory for sockets and logs. Removed when dropped.
+#[derive(Debug)]
+pub(crate) struct Files(pub(crate) Domain);
+
+/// Everything that must exist before the processes of a chain start.
+pub(crate) struct Wiring {
+    // Fields are dropped in this order: the bus before its files.
+    system: Option<bus::System>,
+    _services: Option<listener::Services>,
+    descriptors: Vec<OwnedFd>,
+    /// What each hop goes through, see [`Setup::addresses`].
+    pub(crate) addresses: Vec<String>,
+}
+
+impl Files {
+    /// A new domain; first removes what drivers have left that were killed.
+    pub(crate) fn create() -> Result<Self, HopError> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let id = format!("{ID}{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+        let domain = Domain::new(&id).map_err(|error| HopError::transport("name a chain", error))?;
+        if let Some(parent) = domain.directory().parent() {
+            sweep(parent);
+        }
+        std::fs::create_dir_all(domain.directory()).map_err(HopError::system("make a directory"))?;
+        Ok(Self(domain))
+    }
+
+    /// Directory of the chain.
+    pub(crate) fn directory(&self) -> &Path {
+        self.0.directory()
+    }
+}
+
+impl Drop for Files {
+    fn drop(&mut self) {
+        let _ = self.0.remove_bus_files();
+        let _ = std::fs::remove_dir_all(self.0.directory());
+    }
+}
+
+impl Wiring {
+    /// Makes what the contender of the plan needs.
+    pub(crate) fn new(plan: &Plan, files: &Files) -> Result<Self, HopError> {
+        let mut wiring =
+            Self { system: None, _services: None, descriptors: Vec::new(), addresses: Vec::new() };
+        match plan.contender {
+            Contender::Iceoryx2 => {
+                let (period_ns, policy) = (plan.period_ns(), plan.policy);
+                wiring.system = Some(bus::System::create(files.0.clone(), plan.payload, period_ns, policy)?);
+            }
+            Contender::Iceoryx2Listener => {
+                wiring._services = Some(listener::Services::create(&files.0)?);
+                wiring.addresses.push(files.0.system_id().to_owned());
+            }
+            Contender::Floor | Contender::FloorFutex => {
+                for payload in plan.payload.bytes() {
+                    wiring.add_ring(payload, plan.contender == Contender::Floor)?;
+                }
+            }
+            Contender::UnixSocket => {
+                for _ in 0..HOPS {
+                    let pair =
+                        socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None);
+                    let (writer, reader) =
+                        pair.map_err(|error| HopError::system("make sockets")(error.into()))?;
+                    wiring.addresses.push(format!("{},{}", writer.as_raw_fd(), reader.as_raw_fd()));
+                    wiring.descriptors.extend([writer, reader]);
+                }
+            }
+            Contender::Zenoh | Contender::ZenohShm => wiring.addresses = free_ports()?,
+            Contender::Zeromq => {
+                let socket = |hop| format!("ipc://{}/hop{hop}", files.directory().display());
+                wiring.addresses = (0..HOPS).map(socket).collect();
+            }
+            Contender::Dora => {}
+        }
+        Ok(wiring)
+    }
+
+    /// Descriptors that the processes inherit.
+    pub(crate) fn descriptors(&self) -> Vec<RawFd> {
+        self.descriptors.iter().map(AsRawFd::as_raw_fd).collect()
+    }
+
+    /// The commands that start all processes; `setup` makes the setup of one.
+    pub(crate) fn commands(
+        &self,
+        plan: &Plan,
+        files: &Files,
+        setup: impl Fn(usize) -> Setup,
+    ) -> Result<Vec<Command>, HopError> {
+        if plan.contender == Contender::Dora {
+            return Ok(vec![dataflow(files, setup)?]);
+        }
+        (0..PROCESSES)
+            .map(|index| {
+                let mut command = match peers::program(plan.contender) {
+                    Some(program) => Command::new(program),
+                    None => Command::new(&plan.program),
+                };
+                if peers::program(plan.contender).is_none() {
+                    command.args(&plan.arguments);
+                }
+                if let Some(system) = &self.system {
+                    command.envs(system.environment(index));
+                }
+                command.env(SETUP_VARIABLE, setup(index).to_json()?);
+                Ok(command)
+            })
+            .collect()
+    }
+
+    /// Does what the driver has to do while the chain starts; to be called again and again.
+    pub(crate) fn assist(&mut self) -> Result<(), HopError> {
+        self.system.as_mut().map_or(Ok(()), bus::System::assist)
+    }
+
+    fn add_ring(&mut self, payload: usize, with_event: bool) -> Result<(), HopError> {
+        let error = |error: rustix::io::Errno| HopError::system("make shared memory")(error.into());
+        let memory = memfd_create("scanloop-hop", MemfdFlags::CLOEXEC).map_err(error)?;
+        ftruncate(&memory, Ring::bytes(payload) as u64).map_err(error)?;
+        let mut address = memory.as_raw_fd().to_string();
+        self.descriptors.push(memory);
+        if with_event {
+            let event = eventfd(0, EventfdFlags::CLOEXEC).map_err(error)?;
+            address.push_str(&format!(",{}", event.as_raw_fd()));
+            self.descriptors.push(event);
+        }
+        self.addresses.push(address);
+        Ok(())
+    }
+}
+
+/// Ports of the loopback that are free now, as Zenoh writes them.
+fn free_ports() -> Result<Vec<String>, HopError> {
+    let bound: Result<Vec<TcpListener>, _> =
+        (0..HOPS).map(|_| TcpListener::bind((Ipv4Addr::LOCALHOST, 0))).collect();
+    let bound = bound.map_err(HopError::system("find free ports"))?;
+    let address = |listener: &TcpListener| listener.local_addr().map(|address| format!("tcp/{address}"));
+    bound.iter().map(address).collect::<Result<_, _>>().map_err(HopError::system("find free ports"))
+}
+
+/// dora's program with a dataflow of five nodes: it starts the processes itself.
+fn dataflow(files: &Files, setup: impl Fn(usize) -> Setup) -> Result<Command, HopError> {
+    let missing = || HopError::transport("start dora", "not installed");
+    let (dora, node) =
+        (peers::dora().ok_or_else(missing)?, peers::program(Contender::Dora).ok_or_else(missing)?);
+    let mut text = String::from("nodes:\n");
+    for index in 0..PROCESSES {
+        text.push_str(&format!("  - id: hop{index}\n    path: {}\n", node.display()));
+        text.push_str(&format!("    env:\n      {SETUP_VARIABLE}: '{}'\n", setup(index).to_json()?));
+        if index > 0 {
+            let input = format!("    inputs:\n      message:\n        source: hop{}/message\n", index - 1);
+            text.push_str(&format!("{input}        queue_size: 16\n"));
+        }
+        if index < HOPS {
+            text.push_str("    outputs:\n      - message\n");
+        }
+    }
+    std::fs::write(files.directory().join("dataflow.yml"), text)
+        .map_err(HopError::system("write a dataflow"))?;
+    let mut command = Command::new(dora);
+    command.args(["run", "dataflow.yml"]).current_dir(files.directory());
+    Ok(command)
+}
+
+/// Removes what chains have left whose driver is gone.
+fn sweep(parent: &Path) {
+    let Ok(entries) = std::fs::read_dir(parent) else { return };
+    for name in entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
+        let driver = name.strip_prefix(ID).and_then(|rest| rest.split_once('-'));
+        let Some(pid) = driver.and_then(|(pid, _)| pid.parse::<u32>().ok()) else { continue };
+        if !Path::new(&format!("/proc/{pid}")).exists() {
+            drop(Domain::new(&name).map(Files));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_driver_has_left_is_removed_by_the_next() {
+        // No process has this number: the kernel's largest is 2^22.
+        let dead = Domain::new("h4999999-0").unwrap();
+        std::fs::create_dir_all(dead.directory()).unwrap();
+        let files = Files::create().unwrap();
+        assert!(!dead.directory().exists());
+        let directory = files.directory().to_owned();
+        assert!(directory.exists());
+        drop(files);
+        assert!(!directory.exists());
+    }
+}

@@ -1,0 +1,150 @@
+//! Options of `scanloop bench transport`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use hops::{BLOCK_BYTES, Contender, Payload, Policy, Scheduling};
+
+/// Arguments of `bench transport`.
+#[derive(Debug, Args)]
+pub struct TransportArguments {
+    /// Whom to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm, zeromq,
+    /// dora. Without it all.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub peers: Vec<Contender>,
+    /// Messages per second, 0.5 to 5000; one table each.
+    #[arg(long, value_name = "HZ", value_delimiter = ',', default_values_t = [10.0, 1000.0], value_parser = rate)]
+    pub rate: Vec<f64>,
+    /// Size of a message: `pipeline` for the samples of the loop, or 1k, 4k, 16k, 64k, 256k, 1M, 4M on every hop.
+    #[arg(long, value_name = "BYTES", default_value = "pipeline", value_parser = payload)]
+    pub payload: Payload,
+    /// How long each contender sends at each rate, all rounds together [s].
+    #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = duration)]
+    pub duration: f64,
+    /// How many messages each contender sends at each rate, all rounds together; instead of --duration.
+    #[arg(long, value_name = "N", conflicts_with = "duration", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    pub samples: Option<u64>,
+    /// In how many rounds; each starts the processes of every contender anew.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(3..=100))]
+    pub rounds: u64,
+    /// Scheduler of all processes of all contenders.
+    #[arg(long, value_name = "CLASS", default_value = "other")]
+    pub sched: Class,
+    /// Processors that all processes of all contenders may use, for example 0; without it all.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub cpu: Vec<usize>,
+    /// Keep every processor busy with a process that computes.
+    #[arg(long)]
+    pub load: bool,
+    /// How processes wait; without it both: `block` for all, `poll` for those that can.
+    #[arg(long, value_name = "HOW")]
+    pub policy: Option<Waiting>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Write `transport.json` and `transport.csv` (figures of every round) into this directory.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// The scheduler.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Class {
+    /// The default of the machine.
+    Other,
+    /// Real time: before all others.
+    Fifo,
+}
+
+/// How processes wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Waiting {
+    /// Asleep until a message wakes them.
+    Block,
+    /// Awake for a fifth of a millisecond before and after a message is due, else asleep.
+    Poll,
+}
+
+impl TransportArguments {
+    /// The scheduler.
+    pub(super) fn scheduling(&self) -> Scheduling {
+        match self.sched {
+            Class::Other => Scheduling::Other,
+            Class::Fifo => Scheduling::Fifo,
+        }
+    }
+
+    /// The policies, that of the main table first.
+    pub(super) fn policies(&self) -> Vec<Policy> {
+        match self.policy {
+            None => vec![Policy::Block, Policy::Poll],
+            Some(Waiting::Block) => vec![Policy::Block],
+            Some(Waiting::Poll) => vec![Policy::Poll],
+        }
+    }
+
+    /// The contenders in the order of the table; what all are compared with is always there.
+    pub(super) fn contenders(&self) -> Vec<Contender> {
+        let wanted = |contender: &Contender| {
+            *contender == Contender::Iceoryx2 || self.peers.is_empty() || self.peers.contains(contender)
+        };
+        Contender::ALL.into_iter().filter(wanted).collect()
+    }
+
+    /// Messages that each contender sends in one round.
+    pub(super) fn samples_per_round(&self, rate_hz: f64) -> u64 {
+        let all = self.samples.unwrap_or((self.duration * rate_hz).round() as u64);
+        all.div_ceil(self.rounds).max(1)
+    }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    within(text, 0.5, 5000.0)
+}
+
+fn duration(text: &str) -> Result<f64, String> {
+    within(text, 0.01, 86_400.0)
+}
+
+fn within(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (low..=high).contains(&number) => Ok(number),
+        _ => Err(format!("a number from {low} to {high} is allowed")),
+    }
+}
+
+fn payload(text: &str) -> Result<Payload, String> {
+    if text == "pipeline" {
+        return Ok(Payload::Pipeline);
+    }
+    let (digits, unit) = match text.to_ascii_lowercase().as_str() {
+        lower if lower.ends_with('k') => (&text[..text.len() - 1], 1 << 10),
+        lower if lower.ends_with('m') => (&text[..text.len() - 1], 1 << 20),
+        _ => (text, 1),
+    };
+    let bytes = digits.parse::<usize>().ok().and_then(|number| number.checked_mul(unit));
+    match bytes {
+        Some(bytes) if BLOCK_BYTES.contains(&bytes) => Ok(Payload::Block(bytes)),
+        _ => Err(format!("`pipeline` or one of {BLOCK_BYTES:?} bytes (1k to 4M) is allowed")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn message_sizes_are_read_with_and_without_unit() {
+        for (text, expected) in [
+            ("pipeline", Payload::Pipeline),
+            ("1024", Payload::Block(1024)),
+            ("64k", Payload::Block(65_536)),
+            ("4M", Payload::Block(4_194_304)),
+        ] {
+            assert_eq!(payload(text), Ok(expected), "{text}");
+        }
+        for text in ["", "k", "1000", "8M", "-1k", "99999999999999999999M"] {
+            assert!(payload(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! What a comparison has found, as text.
+
+use std::fmt::Write;
+
+use super::results::{Bytes, Results, Row};
+
+/// The tables of one rate.
+pub(super) fn text(results: &Results) -> String {
+    let mut text = String::new();
+    let bytes = match &results.payload_bytes {
+        Bytes::Same(bytes) => bytes.to_string(),
+        Bytes::Each(bytes) => bytes.map(|bytes| bytes.to_string()).join(", "),
+    };
+    let load = if results.load { ", every processor busy" } else { "" };
+    let _ = writeln!(
+        text,
+        "{} hops at {} Hz, {bytes} bytes, scheduling {}, processors {:?}{load}, {} rounds",
+        results.hops, results.rate_hz, results.scheduling, results.cpus, results.rounds
+    );
+    for rows in [&results.transports, &results.polling] {
+        if let Some(first) = rows.first() {
+            let _ = writeln!(
+                text,
+                "\n{:<18} {:>9} {:>9} {:>9} {:>7} {:>7}   ratio to iceoryx2 with its {:.0} % interval",
+                if first.policy == "poll" { "polling [us]" } else { "blocking [us]" },
+                "p50",
+                "p99",
+                "max",
+                "sent",
+                "lost",
+                100.0 * results.confidence,
+            );
+        }
+        for row in rows.iter() {
+            let _ = writeln!(
+                text,
+                "{:<18} {:>9.1} {:>9.1} {:>9.1} {:>7} {:>7}   p50 {}, p99 {}",
+                row.name,
+                row.latency_us.p50,
+                row.latency_us.p99,
+                row.latency_us.max,
+                row.sent,
+                row.lost,
+                said(row.verdict_p50, row.ratio_p50, row.ratio_p50_interval),
+                said(row.verdict_p99, row.ratio_p99, row.ratio_p99_interval),
+            );
+        }
+    }
+    for skipped in &results.skipped {
+        let _ = writeln!(text, "{:<18} skipped: {}", skipped.name, skipped.reason);
+    }
+    if let Some(floor) = results.transports.iter().find(|row: &&Row| row.name == "floor") {
+        let _ = writeln!(text, "\niceoryx2 is {:.2} times the floor in the median", 1.0 / floor.ratio_p50);
+    }
+    text
+}
+
+fn said(verdict: &str, ratio: f64, [low, high]: [f64; 2]) -> String {
+    match verdict {
+        "reference" => "1".to_owned(),
+        "no difference seen" if low < 0.01 || high > 100.0 => {
+            "no difference seen: too few rounds or too much noise".to_owned()
+        }
+        "no difference seen" => format!("no difference seen ({low:.2} to {high:.2})"),
+        _ => format!("{ratio:.2} ({low:.2} to {high:.2})"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ratio_is_said_only_where_its_interval_leaves_out_one() {
+        assert_eq!(said("slower", 3.0, [2.5, 3.5]), "3.00 (2.50 to 3.50)");
+        assert_eq!(said("no difference seen", 1.1, [0.9, 1.3]), "no difference seen (0.90 to 1.30)");
+        assert!(said("no difference seen", 1.1, [1e-9, 1e9]).contains("noise"));
+    }
+}
