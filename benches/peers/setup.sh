@@ -13,7 +13,7 @@ set -euo pipefail
 cd "$(dirname "$0")"
 export CARGO_TARGET_DIR="$PWD/target"
 
-environment() { # FOLDER PACKAGE...
+environment() { # FOLDER ARGUMENTS OF PIP...
     [ -x "$1/bin/python" ] || python3 -m venv "$1"
     "$1/bin/python" -m pip install --quiet "${@:2}"
 }
@@ -29,7 +29,7 @@ install() {
             ;;
         dora)
             (cd dora && cargo build --release)
-            environment dora/.venv "dora-rs-cli==1.1.0"
+            environment dora/.venv --no-deps "dora-rs-cli==1.1.0"
             dora/.venv/bin/dora --version
             ;;
         *)
