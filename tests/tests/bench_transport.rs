@@ -70,23 +70,9 @@ fn every_contender_of_ours_carries_the_pipelines_samples_under_both_policies() {
 fn large_messages_arrive_whole_over_every_contender_of_ours() {
     let system = System::new(EXECUTABLE);
     for payload in ["1k", "1M"] {
-        let (results, _) = bench(
-            &system,
-            &[
-                "--peers",
-                "floor,unix-socket,iceoryx2-listener",
-                "--payload",
-                payload,
-                "--rate",
-                "50",
-                "--samples",
-                "15",
-                "--rounds",
-                "3",
-                "--policy",
-                "block",
-            ],
-        );
+        let options = "--peers floor,unix-socket,iceoryx2-listener --rate 50 --samples 15 --rounds 3 --policy block --payload";
+        let arguments: Vec<&str> = options.split(' ').chain([payload]).collect();
+        let (results, _) = bench(&system, &arguments);
         let expected = if payload == "1k" { 1024 } else { 1_048_576 };
         assert_eq!(results["payload_bytes"], expected);
         assert!(results.get("polling").is_none(), "one policy was asked for: {results}");
@@ -95,34 +81,28 @@ fn large_messages_arrive_whole_over_every_contender_of_ours() {
 }
 
 #[test]
-fn several_rates_give_a_list_and_a_loaded_pinned_machine_is_said() {
+fn several_rates_give_a_list_and_all_processes_stay_where_they_are_pinned() {
     let system = System::new(EXECUTABLE);
     let first = first_processor().to_string();
-    let (results, text) = bench(
-        &system,
-        &[
-            "--peers",
-            "floor",
-            "--rate",
-            "50,100",
-            "--samples",
-            "6",
-            "--rounds",
-            "3",
-            "--policy",
-            "poll",
-            "--cpu",
-            &first,
-            "--load",
-        ],
-    );
+    let options = "--peers floor --rate 50,100 --samples 6 --rounds 3 --policy poll --cpu";
+    let arguments: Vec<&str> = options.split(' ').chain([first.as_str()]).collect();
+    let (results, _) = bench(&system, &arguments);
     let list = results.as_array().unwrap();
     assert_eq!(list.iter().map(|one| one["rate_hz"].as_f64().unwrap()).collect::<Vec<_>>(), [50.0, 100.0]);
     for one in list {
-        assert_eq!((&one["policy"], &one["load"]), (&Value::from("poll"), &Value::from(true)));
-        assert_eq!(one["cpus"].as_array().unwrap().len(), 1);
+        assert_eq!((&one["policy"], &one["load"]), (&Value::from("poll"), &Value::from(false)));
+        assert_eq!(one["cpus"], Value::from(vec![first_processor()]));
         assert_accounted(&one["transports"], 6);
     }
+}
+
+#[test]
+fn a_loaded_machine_is_said() {
+    let system = System::new(EXECUTABLE);
+    let options = "--peers floor --rate 100 --samples 3 --rounds 3 --policy block --load";
+    let (results, text) = bench(&system, &options.split(' ').collect::<Vec<_>>());
+    assert_eq!(results["load"], true);
+    assert_accounted(&results["transports"], 3);
     assert!(text.contains("every processor busy"), "{text}");
 }
 
@@ -130,21 +110,8 @@ fn several_rates_give_a_list_and_a_loaded_pinned_machine_is_said() {
 fn peers_that_are_not_built_are_skipped_with_the_command_that_builds_them() {
     // Polling is not for peers, so nothing of theirs is started even where they are built.
     let system = System::new(EXECUTABLE);
-    let (results, text) = bench(
-        &system,
-        &[
-            "--peers",
-            "zenoh,zenoh-shm,zeromq,dora",
-            "--rate",
-            "100",
-            "--samples",
-            "3",
-            "--rounds",
-            "3",
-            "--policy",
-            "poll",
-        ],
-    );
+    let options = "--peers zenoh,zenoh-shm,zeromq,dora --rate 100 --samples 3 --rounds 3 --policy poll";
+    let (results, text) = bench(&system, &options.split(' ').collect::<Vec<_>>());
     assert_eq!(names(&results["transports"]), ["iceoryx2"]);
     let skipped = results["skipped"].as_array().unwrap();
     assert_eq!(names(&results["skipped"]), ["zenoh", "zenoh-shm", "zeromq", "dora"]);
