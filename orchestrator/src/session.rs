@@ -40,6 +40,9 @@ const DRAIN_PATIENCE_NS: u64 = 300_000_000;
 /// In lock-step a scan that is not answered within this time of the machine's clock ends the run [ns].
 const LOCKSTEP_PATIENCE_NS: u64 = 20_000_000_000;
 
+/// Is told of every scan that was recorded.
+pub(crate) type ScanListener = Box<dyn FnMut(&ScanRecord)>;
+
 /// Everything a run is made of.
 pub(crate) struct Session {
     pub(crate) domain: Domain,
@@ -67,7 +70,7 @@ pub(crate) struct Session {
     /// What the supervisor is told first: to start all, or who is there already.
     pub(crate) beginning: Vec<Event>,
     /// Sees every recorded scan: for benches.
-    pub(crate) on_scan: Option<Box<dyn FnMut(&ScanRecord)>>,
+    pub(crate) on_scan: Option<ScanListener>,
     pub(crate) end: End,
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,

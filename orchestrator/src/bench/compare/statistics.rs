@@ -92,7 +92,7 @@ pub(crate) fn median(sorted: &[f64]) -> f64 {
 /// histograms. `None` when there are too few scans to say.
 pub(crate) fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<Difference> {
     let count = a.len().min(b.len());
-    let (a, b) = groups(&a[..count], &b[..count], quantile)?;
+    let [a, b] = groups(&a[..count], &b[..count], quantile)?;
     let mut differences: Vec<f64> = a
         .iter()
         .zip(&b)
@@ -115,7 +115,7 @@ pub(crate) fn smallest_visible(
     steady: &[Histogram<u64>],
     quantile: f64,
 ) -> Option<f64> {
-    let (series, steady) = groups(series, steady, quantile)?;
+    let [series, steady] = groups(series, steady, quantile)?;
     let machine: Vec<f64> = steady.iter().map(|group| group.value_at_quantile(quantile) as f64).collect();
     let explained = mean(steady.iter().map(|group| variance_of(group, quantile)));
     let drift = (variance(&machine) - explained).max(0.0);
@@ -133,16 +133,12 @@ fn half_width(variance: f64, sampling: f64, groups: usize) -> f64 {
 }
 
 /// Neighbouring stretches of both runs put together, into as many groups as have enough scans for the quantile.
-fn groups(
-    a: &[Histogram<u64>],
-    b: &[Histogram<u64>],
-    quantile: f64,
-) -> Option<(Vec<Histogram<u64>>, Vec<Histogram<u64>>)> {
+fn groups(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<[Vec<Histogram<u64>>; 2]> {
     let needed = BEYOND / (1.0 - quantile).min(quantile);
     (FEWEST_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {
         let (a, b) = (grouped(a, count), grouped(b, count));
         let enough = |groups: &[Histogram<u64>]| groups.iter().all(|group| group.len() as f64 >= needed);
-        (enough(&a) && enough(&b)).then_some((a, b))
+        (enough(&a) && enough(&b)).then_some([a, b])
     })
 }
 

@@ -6,7 +6,9 @@ struct Generator(u64);
 impl Generator {
     fn new(seed: u64) -> Self {
         let mut generator = Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-        (0..10).for_each(|_| drop(generator.uniform()));
+        for _ in 0..10 {
+            generator.uniform();
+        }
         generator
     }
 
