@@ -109,6 +109,7 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_GOAL_PASSED = 5, /* The goal was passed and cannot be reached any more. */
     SCANLOOP_STOP_REASON_NO_INPUT = 6, /* No input came in time. */
     SCANLOOP_STOP_REASON_SELF_CHECK = 7, /* The estimator suspects a wrong calibration. */
+    SCANLOOP_STOP_REASON_STATE_LOST = 8, /* The state of the process before was lost while the robot drove: it comes to rest first. */
 };
 
 /* What the robot is told. */
@@ -214,6 +215,62 @@ _Static_assert(offsetof(scanloop_plan_node, sideslip_rad) == 24, "scanloop_plan_
 _Static_assert(offsetof(scanloop_plan_node, yaw_rate_radps) == 32, "scanloop_plan_node.yaw_rate_radps");
 _Static_assert(offsetof(scanloop_plan_node, velocity_mps) == 40, "scanloop_plan_node.velocity_mps");
 _Static_assert(offsetof(scanloop_plan_node, steering_rad) == 48, "scanloop_plan_node.steering_rad");
+
+/* A part of samples. */
+typedef struct scanloop_span {
+    uint32_t incarnation; /* Incarnation of the writer; 0 for an entry that is not used */
+    uint32_t reserved; /* Unused, zero */
+    uint64_t first; /* First sequence number */
+    uint64_t last; /* Last sequence number */
+} scanloop_span;
+_Static_assert(sizeof(scanloop_span) == 24, "scanloop_span");
+_Static_assert(offsetof(scanloop_span, incarnation) == 0, "scanloop_span.incarnation");
+_Static_assert(offsetof(scanloop_span, reserved) == 4, "scanloop_span.reserved");
+_Static_assert(offsetof(scanloop_span, first) == 8, "scanloop_span.first");
+_Static_assert(offsetof(scanloop_span, last) == 16, "scanloop_span.last");
+
+/* A part of samples. */
+typedef struct scanloop_input_account {
+    scanloop_span writers[4]; /* Numbers that arrived, per writer */
+    scanloop_span hole; /* The newest numbers that did not arrive */
+    scanloop_span twice; /* The newest number that arrived twice */
+    scanloop_span late; /* The newest number that arrived after a later one */
+    uint64_t arrived; /* Samples that arrived, repeated ones included */
+    uint64_t used; /* Used */
+    uint64_t replaced; /* Replaced in the process by newer ones before they were used */
+    uint64_t overwritten; /* Overwritten by newer ones in the buffer before they were taken from the bus */
+    uint64_t stale; /* Dropped because they were too old */
+    uint64_t foreign; /* Dropped because their writer had no authority for their scan */
+    uint64_t invalid; /* Dropped because of their content */
+    uint64_t duplicate; /* Dropped because their number had arrived before */
+    uint64_t reordered; /* Dropped because a later number had arrived before */
+    uint64_t missing; /* Numbers that never arrived although the buffer was not full */
+    uint64_t open; /* Samples without a fate */
+    uint64_t open_sum; /* Sum of the numbers of samples without a fate */
+    uint64_t waiting; /* Samples that wait in the process; all that is open */
+    uint64_t waiting_sum; /* Sum of the numbers of samples that wait */
+    uint64_t unreadable; /* Samples of another layout, whose numbers mean nothing */
+} scanloop_input_account;
+_Static_assert(sizeof(scanloop_input_account) == 288, "scanloop_input_account");
+_Static_assert(offsetof(scanloop_input_account, writers) == 0, "scanloop_input_account.writers");
+_Static_assert(offsetof(scanloop_input_account, hole) == 96, "scanloop_input_account.hole");
+_Static_assert(offsetof(scanloop_input_account, twice) == 120, "scanloop_input_account.twice");
+_Static_assert(offsetof(scanloop_input_account, late) == 144, "scanloop_input_account.late");
+_Static_assert(offsetof(scanloop_input_account, arrived) == 168, "scanloop_input_account.arrived");
+_Static_assert(offsetof(scanloop_input_account, used) == 176, "scanloop_input_account.used");
+_Static_assert(offsetof(scanloop_input_account, replaced) == 184, "scanloop_input_account.replaced");
+_Static_assert(offsetof(scanloop_input_account, overwritten) == 192, "scanloop_input_account.overwritten");
+_Static_assert(offsetof(scanloop_input_account, stale) == 200, "scanloop_input_account.stale");
+_Static_assert(offsetof(scanloop_input_account, foreign) == 208, "scanloop_input_account.foreign");
+_Static_assert(offsetof(scanloop_input_account, invalid) == 216, "scanloop_input_account.invalid");
+_Static_assert(offsetof(scanloop_input_account, duplicate) == 224, "scanloop_input_account.duplicate");
+_Static_assert(offsetof(scanloop_input_account, reordered) == 232, "scanloop_input_account.reordered");
+_Static_assert(offsetof(scanloop_input_account, missing) == 240, "scanloop_input_account.missing");
+_Static_assert(offsetof(scanloop_input_account, open) == 248, "scanloop_input_account.open");
+_Static_assert(offsetof(scanloop_input_account, open_sum) == 256, "scanloop_input_account.open_sum");
+_Static_assert(offsetof(scanloop_input_account, waiting) == 264, "scanloop_input_account.waiting");
+_Static_assert(offsetof(scanloop_input_account, waiting_sum) == 272, "scanloop_input_account.waiting_sum");
+_Static_assert(offsetof(scanloop_input_account, unreadable) == 280, "scanloop_input_account.unreadable");
 
 /* A part of samples. */
 typedef struct scanloop_authority {
@@ -415,9 +472,15 @@ typedef struct scanloop_heartbeat {
     uint64_t missing; /* Sequence numbers that never arrived */
     uint64_t undelivered; /* Outputs that did not reach all of their readers */
     uint64_t timeouts; /* Wake-ups by time-out */
-    uint64_t reserved; /* Unused, zero */
+    uint64_t looked_ns; /* When samples were last taken from the bus [ns of CLOCK_MONOTONIC] */
+    uint64_t taken; /* Samples taken of the topic that the role answers */
+    uint64_t taken_scans; /* Sum of their scan ids */
+    uint64_t answered; /* Answers to them */
+    uint64_t answered_scans; /* Sum of the scan ids of the answers */
+    uint64_t written[2]; /* Sequence of the newest sample per topic that the role writes, in the order of `Role::writes` */
+    scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
 } scanloop_heartbeat;
-_Static_assert(sizeof(scanloop_heartbeat) == 320, "scanloop_heartbeat");
+_Static_assert(sizeof(scanloop_heartbeat) == 944, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
 _Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
 _Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
@@ -435,7 +498,13 @@ _Static_assert(offsetof(scanloop_heartbeat, foreign) == 280, "scanloop_heartbeat
 _Static_assert(offsetof(scanloop_heartbeat, missing) == 288, "scanloop_heartbeat.missing");
 _Static_assert(offsetof(scanloop_heartbeat, undelivered) == 296, "scanloop_heartbeat.undelivered");
 _Static_assert(offsetof(scanloop_heartbeat, timeouts) == 304, "scanloop_heartbeat.timeouts");
-_Static_assert(offsetof(scanloop_heartbeat, reserved) == 312, "scanloop_heartbeat.reserved");
+_Static_assert(offsetof(scanloop_heartbeat, looked_ns) == 312, "scanloop_heartbeat.looked_ns");
+_Static_assert(offsetof(scanloop_heartbeat, taken) == 320, "scanloop_heartbeat.taken");
+_Static_assert(offsetof(scanloop_heartbeat, taken_scans) == 328, "scanloop_heartbeat.taken_scans");
+_Static_assert(offsetof(scanloop_heartbeat, answered) == 336, "scanloop_heartbeat.answered");
+_Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 344, "scanloop_heartbeat.answered_scans");
+_Static_assert(offsetof(scanloop_heartbeat, written) == 352, "scanloop_heartbeat.written");
+_Static_assert(offsetof(scanloop_heartbeat, inputs) == 368, "scanloop_heartbeat.inputs");
 
 /* Topic directive, published ten times a second by the orchestrator, and at each change. */
 typedef struct scanloop_directive {
@@ -713,7 +782,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_velocity_mps", sent_velocity_mps),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
-    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v1"),
+    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v2"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.incarnation", header.incarnation),
@@ -741,7 +810,48 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "missing", missing),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "undelivered", undelivered),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "timeouts", timeouts),
-    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "reserved", reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "looked_ns", looked_ns),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "taken", taken),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "taken_scans", taken_scans),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "answered", answered),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "answered_scans", answered_scans),
+    SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "written", written),
+    SCANLOOP_STRUCTS("heartbeat", scanloop_heartbeat, "inputs", "InputAccount", inputs),
+    SCANLOOP_STRUCTS("heartbeat", scanloop_heartbeat, "inputs.writers", "Span", inputs[0].writers),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.writers.incarnation", inputs[0].writers[0].incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.writers.reserved", inputs[0].writers[0].reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.writers.first", inputs[0].writers[0].first),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.writers.last", inputs[0].writers[0].last),
+    SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "inputs.hole", "Span", inputs[0].hole),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.hole.incarnation", inputs[0].hole.incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.hole.reserved", inputs[0].hole.reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.hole.first", inputs[0].hole.first),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.hole.last", inputs[0].hole.last),
+    SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "inputs.twice", "Span", inputs[0].twice),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.twice.incarnation", inputs[0].twice.incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.twice.reserved", inputs[0].twice.reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.twice.first", inputs[0].twice.first),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.twice.last", inputs[0].twice.last),
+    SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "inputs.late", "Span", inputs[0].late),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.late.incarnation", inputs[0].late.incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.late.reserved", inputs[0].late.reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.late.first", inputs[0].late.first),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.late.last", inputs[0].late.last),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.arrived", inputs[0].arrived),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.used", inputs[0].used),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.replaced", inputs[0].replaced),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.overwritten", inputs[0].overwritten),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.stale", inputs[0].stale),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.foreign", inputs[0].foreign),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.invalid", inputs[0].invalid),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.duplicate", inputs[0].duplicate),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.reordered", inputs[0].reordered),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.missing", inputs[0].missing),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.open", inputs[0].open),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.open_sum", inputs[0].open_sum),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.waiting", inputs[0].waiting),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.waiting_sum", inputs[0].waiting_sum),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.unreadable", inputs[0].unreadable),
     SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v1"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),

@@ -105,6 +105,7 @@ class StopReason(enum.IntEnum):
     GOAL_PASSED = 5  # The goal was passed and cannot be reached any more.
     NO_INPUT = 6  # No input came in time.
     SELF_CHECK = 7  # The estimator suspects a wrong calibration.
+    STATE_LOST = 8  # The state of the process before was lost while the robot drove: it comes to rest first.
 
 
 class ActuationKind(enum.IntEnum):
@@ -185,6 +186,43 @@ class PlanNode(ctypes.Structure):
         ("yaw_rate_radps", ctypes.c_double),  # Yaw rate [rad/s]
         ("velocity_mps", ctypes.c_double),  # Velocity from this node to the next [m/s]
         ("steering_rad", ctypes.c_double),  # Steering angle from this node to the next [rad]
+    ]
+
+
+class Span(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("incarnation", ctypes.c_uint32),  # Incarnation of the writer; 0 for an entry that is not used
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("first", ctypes.c_uint64),  # First sequence number
+        ("last", ctypes.c_uint64),  # Last sequence number
+    ]
+
+
+class InputAccount(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("writers", Span * 4),  # Numbers that arrived, per writer
+        ("hole", Span),  # The newest numbers that did not arrive
+        ("twice", Span),  # The newest number that arrived twice
+        ("late", Span),  # The newest number that arrived after a later one
+        ("arrived", ctypes.c_uint64),  # Samples that arrived, repeated ones included
+        ("used", ctypes.c_uint64),  # Used
+        ("replaced", ctypes.c_uint64),  # Replaced in the process by newer ones before they were used
+        ("overwritten", ctypes.c_uint64),  # Overwritten by newer ones in the buffer before they were taken from the bus
+        ("stale", ctypes.c_uint64),  # Dropped because they were too old
+        ("foreign", ctypes.c_uint64),  # Dropped because their writer had no authority for their scan
+        ("invalid", ctypes.c_uint64),  # Dropped because of their content
+        ("duplicate", ctypes.c_uint64),  # Dropped because their number had arrived before
+        ("reordered", ctypes.c_uint64),  # Dropped because a later number had arrived before
+        ("missing", ctypes.c_uint64),  # Numbers that never arrived although the buffer was not full
+        ("open", ctypes.c_uint64),  # Samples without a fate
+        ("open_sum", ctypes.c_uint64),  # Sum of the numbers of samples without a fate
+        ("waiting", ctypes.c_uint64),  # Samples that wait in the process; all that is open
+        ("waiting_sum", ctypes.c_uint64),  # Sum of the numbers of samples that wait
+        ("unreadable", ctypes.c_uint64),  # Samples of another layout, whose numbers mean nothing
     ]
 
 
@@ -350,7 +388,7 @@ class Heartbeat(ctypes.Structure):
     """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
 
     TOPIC = "heartbeat"
-    LAYOUT = 0xdd21488c
+    LAYOUT = 0x85405b86
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -369,12 +407,18 @@ class Heartbeat(ctypes.Structure):
         ("missing", ctypes.c_uint64),  # Sequence numbers that never arrived
         ("undelivered", ctypes.c_uint64),  # Outputs that did not reach all of their readers
         ("timeouts", ctypes.c_uint64),  # Wake-ups by time-out
-        ("reserved", ctypes.c_uint64),  # Unused, zero
+        ("looked_ns", ctypes.c_uint64),  # When samples were last taken from the bus [ns of CLOCK_MONOTONIC]
+        ("taken", ctypes.c_uint64),  # Samples taken of the topic that the role answers
+        ("taken_scans", ctypes.c_uint64),  # Sum of their scan ids
+        ("answered", ctypes.c_uint64),  # Answers to them
+        ("answered_scans", ctypes.c_uint64),  # Sum of the scan ids of the answers
+        ("written", ctypes.c_uint64 * 2),  # Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
+        ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Heartbeat.v1"
+        return "scanloop.Heartbeat.v2"
 
 
 class Directive(ctypes.Structure):

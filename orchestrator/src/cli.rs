@@ -8,6 +8,7 @@ use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::conformance::ConformanceArguments;
+use crate::shadow::ShadowArguments;
 use crate::types::TypesArguments;
 
 /// Autonomous driving that closes the loop within one laser scan.
@@ -65,6 +66,14 @@ pub enum Command {
     /// `passed`, `failed` (required), `not_recommended`, `skipped`, `cases` with `name`, `level` (`required`,
     /// `recommended`), `outcome` (`passed`, `failed`, `skipped`), `reason`, `requirement`.
     Conformance(ConformanceArguments),
+    /// Let a process run beside the live one, with no authority ever, and compare both.
+    ///
+    /// Both get the same samples. The report has the share of scans answered, differences with intervals, and times of
+    /// both with intervals of their ratio. Ctrl-C ends it early, with the report so far. Exit code 1 when the process
+    /// ended by itself or fell silent. JSON keys: `role`, `live`, `shadow`, `outcome` (`completed`, `interrupted`,
+    /// `run_ended`, `died`, `silent`), `reason`, `scans`, `answered`, `answered_share`, `late`, `invalid`, `repeated`,
+    /// `compared`, `kind_differs`, `differences`, `reaction_ms`, `compute_ms`.
+    Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
         /// emulator, ekf, ellipses, nmpc or actuation.
@@ -170,18 +179,19 @@ pub struct AdoptArguments {
 #[derive(Debug, Args)]
 #[command(group = clap::ArgGroup::new("successor").required(true))]
 pub struct SwapArguments {
-    /// estimator, obstacles, controller or actuator.
+    /// robot, estimator, obstacles, controller or actuator.
     pub role: String,
-    /// A built-in implementation: ekf, ellipses, nmpc or actuation.
+    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
     pub to: Option<String>,
     /// Scans in a row on which the new process must agree with the old one.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    #[arg(long, visible_alias = "gate-scans", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub shadow_scans: u64,
     /// Scans after the change during which the old process stands by.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub standby_scans: u64,
-    /// Factor on the bounds of agreement, for one that drives differently on purpose.
+    /// Factor on the bounds of agreement, for one that drives differently on purpose: 0 to 1000; with 1000 agreement
+    /// is not judged, validity and timing only.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub tolerance: f64,
     /// Print the certificate as JSON to standard output.

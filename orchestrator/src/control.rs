@@ -10,6 +10,7 @@ use anyhow::Context;
 use runtime::{Domain, RuntimeError};
 use serde::{Deserialize, Serialize};
 
+use crate::shadow::ShadowReport;
 use crate::swap::Certificate;
 
 /// A client that does not finish its line within this time is dropped; the loop does not depend on it.
@@ -37,10 +38,19 @@ pub enum Request {
         /// Its number, from [`Reply::Accepted`].
         number: u64,
     },
+    /// Let a process run in the shadow of another.
+    Shadow(ShadowRequest),
+    /// What became of a shadow.
+    ShadowResult {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
+    /// End a shadow early.
+    ShadowEnd {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
 }
-
-/// Largest factor on the bounds of agreement: anything goes.
-pub const MOST_TOLERANCE: f64 = 1e6;
 
 /// An exchange that is asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,6 +69,19 @@ pub struct SwapRequest {
     pub tolerance: f64,
 }
 
+/// A shadow that is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ShadowRequest {
+    /// Name of the role.
+    pub role: String,
+    /// Built-in implementation; exactly one of this and `command`.
+    pub implementation: Option<String>,
+    /// Program and arguments.
+    pub command: Option<Vec<String>>,
+    /// How long it is to run [ms].
+    pub duration_ms: u64,
+}
+
 /// What it answers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -67,10 +90,12 @@ pub enum Reply {
     Done,
     /// The state of all processes.
     Status(Box<Status>),
-    /// An exchange has begun; ask for its result by this number.
+    /// An exchange or a shadow has begun; ask for its result by this number.
     Accepted(u64),
-    /// The exchange goes on.
+    /// It goes on.
     Pending,
+    /// What became of a shadow.
+    Shadow(Box<ShadowReport>),
     /// What became of an exchange.
     Certificate(Box<Certificate>),
     /// The request is refused, with the reason.

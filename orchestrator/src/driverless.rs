@@ -108,7 +108,7 @@ fn listen(domain: &Domain) -> Option<(Vitals, Vec<(u32, ProcessState)>)> {
     let mut books = Books::midway();
     let deadline_ns = monotonic_ns() + LISTEN_NS;
     while monotonic_ns() < deadline_ns {
-        let heard = vitals.poll(None, &mut books, |event| {
+        let heard = vitals.poll(&[], &mut books, |event| {
             if let Event::StateReported { incarnation, state, .. } = event
                 && !states.contains(&(incarnation, state))
             {

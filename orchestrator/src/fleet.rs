@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, monotonic_ns,
-    write_handover,
+    BESIDE_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE,
+    monotonic_ns, write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
@@ -33,7 +33,7 @@ const STARVED_CPU_S: f64 = 0.075;
 pub(crate) struct Fleet {
     domain: Domain,
     members: BTreeMap<Role, Member>,
-    candidate: Option<Candidate>,
+    beside: Vec<Candidate>,
     leaving: Vec<Leaving>,
     left: bool,
     machine: Machine,
@@ -56,7 +56,7 @@ struct Member {
     suspect: Option<(u32, f64)>,
 }
 
-/// A process that is to take the place of another.
+/// A process that runs beside the one that fills its role.
 struct Candidate {
     role: Role,
     entry: ProcessEntry,
@@ -121,7 +121,7 @@ impl Fleet {
             members.insert(role, member);
         }
         let (leaving, left, changed) = (Vec::new(), false, false);
-        Ok(Self { domain, members, candidate: None, leaving, left, changed, machine, _lock: lock })
+        Ok(Self { domain, members, beside: Vec::new(), leaving, left, changed, machine, _lock: lock })
     }
 
     /// A role that another orchestrator filled, with the process that fills it, if that lives.
@@ -157,14 +157,14 @@ impl Fleet {
         let members = self.members.iter().filter_map(|(role, member)| {
             row(role, &member.entry, member.child.as_ref()?, member.incarnation)
         });
-        let candidate = self.candidate.iter().filter_map(|candidate| {
+        let beside = self.beside.iter().filter_map(|candidate| {
             row(&candidate.role, &candidate.entry, &candidate.child, candidate.incarnation)
         });
         let leaving = self
             .leaving
             .iter()
             .filter_map(|leaving| row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation));
-        members.chain(candidate).chain(leaving).collect()
+        members.chain(beside).chain(leaving).collect()
     }
 
     /// How a role is started.
@@ -198,7 +198,7 @@ impl Fleet {
     ) -> anyhow::Result<u32> {
         let member = self.members.get(&role).context("no process of this role")?;
         let (entry, restart) = (member.entry.clone(), member.starts > 0);
-        let child = self.launch(role, &entry, incarnation, restart, checkpoint)?;
+        let child = self.launch(role, &entry, incarnation, restart, None, checkpoint)?;
         let pid = child.pid();
         let member = self.members.get_mut(&role).context("no process of this role")?;
         member.starts += 1;
@@ -216,6 +216,7 @@ impl Fleet {
         entry: &ProcessEntry,
         incarnation: u32,
         restart: bool,
+        beside: Option<u32>,
         checkpoint: Option<&Checkpoint>,
     ) -> anyhow::Result<Child> {
         let member = self.members.get(&role).context("no process of this role")?;
@@ -229,11 +230,12 @@ impl Fleet {
         };
         write_handover(&self.domain, role, checkpoint)?;
         let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
-        let environment = vec![
+        let mut environment = vec![
             variable(SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
             variable(INCARNATION_VARIABLE, incarnation.to_string()),
             variable(RESTART_VARIABLE, u8::from(restart).to_string()),
         ];
+        environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
         member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         self.changed = true;
@@ -251,23 +253,24 @@ impl Fleet {
         Some(ProcessEntry { implementation, command, ..member.entry.clone() })
     }
 
-    /// Starts a process beside the one that fills the role; it goes on from `checkpoint`.
-    pub(crate) fn spawn_candidate(
+    /// Starts a process beside the one that fills the role; it goes on from `checkpoint`, or a newer state.
+    pub(crate) fn spawn_beside(
         &mut self,
         role: Role,
         entry: ProcessEntry,
         incarnation: u32,
         checkpoint: Option<&Checkpoint>,
     ) -> anyhow::Result<()> {
-        let child = self.launch(role, &entry, incarnation, true, checkpoint)?;
+        let running = self.members.get(&role).map(|member| member.incarnation);
+        let child = self.launch(role, &entry, incarnation, true, running, checkpoint)?;
         let usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
-        self.candidate = Some(Candidate { role, entry, child, incarnation, usage });
+        self.beside.push(Candidate { role, entry, child, incarnation, usage });
         Ok(())
     }
 
-    /// The candidate fills its role from now on; the process before it is asked to end. Returns its id.
-    pub(crate) fn promote(&mut self) -> Option<u32> {
-        let Candidate { role, entry, child, incarnation, usage } = self.candidate.take()?;
+    /// The process of that incarnation fills its role from now on; the one before it is asked to end. Returns its id.
+    pub(crate) fn promote(&mut self, incarnation: u32) -> Option<u32> {
+        let Candidate { role, entry, child, usage, .. } = self.take_beside(incarnation)?;
         let member = self.members.get_mut(&role)?;
         let pid = child.pid();
         if let Some(old) = member.child.replace(child) {
@@ -282,18 +285,24 @@ impl Fleet {
         Some(pid)
     }
 
-    /// Kills the candidate, if there is one.
-    pub(crate) fn dismiss(&mut self) {
-        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.candidate.take() {
+    /// Kills the process of that incarnation, if it runs beside another.
+    pub(crate) fn dismiss(&mut self, incarnation: u32) {
+        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.take_beside(incarnation) {
             let _ = child.kill();
             self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns: monotonic_ns() });
         }
     }
 
-    /// Process id, implementation and load of the candidate.
-    pub(crate) fn candidate(&mut self) -> Option<(u32, String, Load)> {
-        let Candidate { entry, child, usage, .. } = self.candidate.as_mut()?;
+    /// Process id, implementation and load of the process of that incarnation, if it runs beside another.
+    pub(crate) fn beside(&mut self, incarnation: u32) -> Option<(u32, String, Load)> {
+        let found = self.beside.iter_mut().find(|candidate| candidate.incarnation == incarnation);
+        let Candidate { entry, child, usage, .. } = found?;
         Some((child.pid(), entry.label(), load_of(child, usage)))
+    }
+
+    fn take_beside(&mut self, incarnation: u32) -> Option<Candidate> {
+        let index = self.beside.iter().position(|candidate| candidate.incarnation == incarnation)?;
+        Some(self.beside.remove(index))
     }
 
     /// Whether a process that no role needs any more has ended since the last call.
@@ -307,7 +316,7 @@ impl Fleet {
     /// keep those it waits for from running.
     pub(crate) fn connected(&mut self, incarnation: u32) {
         let member = self.members.values().find(|member| member.incarnation == incarnation);
-        let beside = self.candidate.iter().find(|candidate| candidate.incarnation == incarnation);
+        let beside = self.beside.iter().find(|candidate| candidate.incarnation == incarnation);
         let child =
             member.and_then(|member| member.child.as_ref()).or(beside.map(|candidate| &candidate.child));
         if let Some(pid) = child.map(Child::pid) {
@@ -335,13 +344,13 @@ impl Fleet {
                 ended.push((*role, member.incarnation, exit));
             }
         }
-        if let Some(Candidate { role, child, incarnation, .. }) = &mut self.candidate
-            && let Ok(Some(exit)) = child.try_wait()
-        {
+        let left = &mut self.left;
+        self.beside.retain_mut(|Candidate { role, child, incarnation, .. }| {
+            let Ok(Some(exit)) = child.try_wait() else { return true };
             ended.push((*role, *incarnation, exit));
-            self.candidate = None;
-            self.left = true;
-        }
+            *left = true;
+            false
+        });
         let now = monotonic_ns();
         let before = self.leaving.len();
         self.leaving.retain_mut(|leaving| {
@@ -371,7 +380,7 @@ impl Fleet {
     /// Descriptors that become readable when a process ends.
     pub(crate) fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let members = self.members.values().filter_map(|member| member.child.as_ref());
-        let beside = self.candidate.iter().map(|candidate| &candidate.child);
+        let beside = self.beside.iter().map(|candidate| &candidate.child);
         members.chain(beside).chain(self.leaving.iter().map(|leaving| &leaving.child)).map(AsFd::as_fd)
     }
 

@@ -32,6 +32,7 @@ mod samples;
 mod service;
 mod service_manager;
 mod session;
+pub mod shadow;
 pub mod summary;
 pub mod supervisor;
 mod survivors;
@@ -82,6 +83,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Restart { role } => remote::restart(&domain()?, role),
         Command::Swap(arguments) => remote::swap(&domain()?, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
+        Command::Shadow(arguments) => shadow::shadow(&domain()?, arguments),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {
             print!("{}", topic::list());

@@ -6,10 +6,10 @@ use runtime::{Domain, RuntimeError, monotonic_ns};
 use shared_types::Role;
 
 use crate::cli::SwapArguments;
-use crate::control::{MOST_TOLERANCE, Reply, Request, Status, SwapRequest, ask};
+use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
-use crate::swap::SwapOutcome;
+use crate::swap::{MOST_TOLERANCE, SwapOutcome};
 
 /// A system that was told to stop has this long to end [ns].
 const STOP_PATIENCE_NS: u64 = 15_000_000_000;
@@ -128,7 +128,7 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 }
 
 /// A command as the orchestrator has to start it, whose working folder is another one.
-fn from_here(command: &[String]) -> Vec<String> {
+pub(crate) fn from_here(command: &[String]) -> Vec<String> {
     let mut command = command.to_vec();
     if let Some(program) = command.first_mut()
         && program.contains('/')

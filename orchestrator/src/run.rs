@@ -28,7 +28,7 @@ use crate::report::{Report, write_atomically};
 use crate::roster::RunFile;
 use crate::samples::Samples;
 use crate::service_manager::ServiceManager;
-use crate::session::{End, Session, Swaps};
+use crate::session::{End, Session, Shadows, Swaps};
 use crate::summary;
 use crate::supervisor::{Event, Supervisor};
 use crate::survivors::Survivors;
@@ -283,6 +283,7 @@ pub(crate) fn assemble(
         swaps: Swaps::default(),
         beginning: events,
         on_scan: None,
+        shadows: Shadows::default(),
         end: End::NotYet,
         dirty: true,
         said_ns: 0,

@@ -78,16 +78,16 @@ fn look<S: Sample>(
     let now_ns = monotonic_ns();
     let (mut came, mut invalid) = (0, 0);
     books.look(S::TOPIC, now_ns);
-    while let Some((sample, check)) = observer.next()? {
+    observer.look(|sample, check| {
         came += 1;
         if !matches!(check, Err(Fault::Layout { .. })) {
-            books.see(&sample, now_ns);
+            books.see(sample, now_ns);
         }
         match check {
-            Ok(()) => each(&sample),
+            Ok(()) => each(sample),
             Err(_) => invalid += 1,
         }
-    }
+    })?;
     if came >= buffer(S::TOPIC) {
         books.overflowed(S::TOPIC);
     }

@@ -6,6 +6,7 @@
 
 mod account;
 mod audit;
+mod shadowing;
 mod swapping;
 
 use std::time::Instant;
@@ -27,6 +28,7 @@ use crate::supervisor::{Action, Event, Severity, Supervisor};
 use crate::vitals::Vitals;
 
 pub(crate) use account::Word;
+pub(crate) use shadowing::Shadows;
 pub(crate) use swapping::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
@@ -71,6 +73,7 @@ pub(crate) struct Session {
     pub(crate) beginning: Vec<Event>,
     /// Sees every recorded scan: for benches.
     pub(crate) on_scan: Option<ScanListener>,
+    pub(crate) shadows: Shadows,
     pub(crate) end: End,
     pub(crate) dirty: bool,
     pub(crate) said_ns: u64,
@@ -107,6 +110,7 @@ impl Session {
             self.sleep();
             self.samples.poll(&self.directive, &mut self.books)?;
             self.observe_swap()?;
+            self.observe_shadows()?;
             self.take_heartbeats()?;
             self.reap()?;
             self.serve()?;
@@ -114,6 +118,7 @@ impl Session {
             self.audit();
             self.advance_end()?;
             self.advance_swap()?;
+            self.advance_shadows();
             // Starts and clean-ups take long on a busy machine: nobody is judged by news that waited meanwhile.
             self.take_heartbeats()?;
             self.excuse_starved()?;
@@ -150,10 +155,12 @@ impl Session {
 
     fn take_heartbeats(&mut self) -> anyhow::Result<()> {
         let mut events = Vec::new();
-        self.vitals.poll(self.swaps.beside(), &mut self.books, |event| events.push(event))?;
+        let beside: Vec<u32> = self.swaps.beside().into_iter().chain(self.shadows.incarnations()).collect();
+        self.vitals.poll(&beside, &mut self.books, |event| events.push(event))?;
         for event in events {
             if let Event::StateReported { incarnation, state, .. } = event {
                 self.swap_heard(incarnation, state);
+                self.shadow_heard(incarnation, state);
                 if state >= ProcessState::Connected {
                     self.fleet.connected(incarnation);
                 }
@@ -178,7 +185,7 @@ impl Session {
     fn reap(&mut self) -> anyhow::Result<()> {
         for (role, incarnation, exit) in self.fleet.reap() {
             self.books.ended(incarnation, monotonic_ns());
-            if self.swap_ended(role, incarnation, exit)? {
+            if self.shadow_ended(role, incarnation, exit) || self.swap_ended(role, incarnation, exit)? {
                 continue;
             }
             if self.end == End::NotYet {
@@ -199,10 +206,24 @@ impl Session {
         }
         let mut requests = Vec::new();
         let status = Reply::Status(Box::new(self.status()));
-        let Self { control, swaps, fleet, supervisor, .. } = self;
+        let Self { control, swaps, shadows, fleet, supervisor, lockstep, .. } = self;
         control.serve(|request| match request {
             Request::Status => status.clone(),
+            Request::Swap(request) if shadows.concern(&request.role) => {
+                Reply::Refused(format!("a process runs in the shadow of {}: end that first", request.role))
+            }
             Request::Swap(request) => swaps.ask(request, fleet, supervisor),
+            Request::Shadow(_) if *lockstep => Reply::Refused(
+                "a shadow needs a run in real time: in lock-step all wait for the slowest".to_owned(),
+            ),
+            Request::Shadow(request) => match request.role.parse() {
+                Ok(role) if swaps.concerns(role) => {
+                    Reply::Refused(format!("{role} is being exchanged: wait for the certificate"))
+                }
+                _ => shadows.ask(&request, fleet, supervisor),
+            },
+            Request::ShadowResult { number } => shadows.result(number),
+            Request::ShadowEnd { number } => shadows.end_early(number),
             Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } => match role.parse::<Role>() {
                 Ok(role) if swaps.concerns(role) => {
@@ -249,11 +270,7 @@ impl Session {
             if self.end == End::NotYet {
                 self.judge(&scan.truth);
             }
-            let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
-            let desired = answers.clone().next_back().map_or([0.0; 2], |actuation| {
-                [actuation.desired_steering_rad, actuation.desired_velocity_mps]
-            });
-            self.swap_recorded(scan.truth.header.scan_id, answers.count() as u64, desired)?;
+            self.swap_recorded(&scan)?;
         }
         Ok(())
     }
@@ -470,6 +487,7 @@ impl Session {
         let mut processes: Vec<_> = processes.collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
         self.show_swap(&mut processes);
+        self.show_shadows(&mut processes);
         Status {
             system_id: self.domain.system_id().to_owned(),
             state: Phase::try_from(self.directive.phase).map_or("starting", Phase::name).to_owned(),

@@ -14,10 +14,11 @@
 //! * **Starting** until its first output, for [`FIRST_OUTPUT_NS`] at most.
 //! * **Shadowing**: a scan is good when the output of the new one is there, valid, in time, and agrees with that
 //!   of the old one ([`agreement`]). So many good scans in a row, and it takes over. An invalid output refuses it
-//!   at once; after the first [`WARM_UP`] scans so does a disagreement, and the third output that is late.
+//!   at once; after the first [`WARM_UP`] scans (and [`WARM_UP_NS`]) so does a disagreement, and the third output
+//!   that is late, or the fourth in twenty and so on.
 //! * **Standby**: the new one counts from `from_scan` on. It is rolled back when it ends, gives an invalid output or
 //!   one that disagrees, or has none 1.2 periods after its last one when the old one has. That is before the
-//!   actuator, which waits for 1.5 periods, blocks the wheels.
+//!   actuator, which waits for 1.5 periods, blocks the wheels; above 125 Hz [`HANG_NS`] is longer than that.
 //! * **Settling**: the decision is carried out; the scans that the certificate tells of are still being recorded.
 //!
 //! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does); one that
@@ -27,38 +28,52 @@
 //! In lock-step stamps say nothing of this machine: lateness is not judged, and who does not answer within
 //! [`LOCKSTEP_PATIENCE_NS`] of its clock hangs. The session lets the loop wait meanwhile.
 
+mod account;
 pub mod agreement;
 mod certificate;
 #[cfg(test)]
 mod tests;
+mod verdict;
 pub(crate) mod watch;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 use shared_types::{Authority, Role};
 
+use account::Account;
+pub use account::Recorded;
 pub use agreement::{Disagreement, Gist};
 pub use certificate::{Certificate, SwapOutcome};
+use verdict::Verdict;
 
 /// A process that has no output by then will not have one [ns].
 pub const FIRST_OUTPUT_NS: u64 = 3_000_000_000;
 /// Scans from its first output on at which the new one may be late or disagree: it touches its memory for the first
 /// time, and its state is some scans old.
 pub const WARM_UP: u32 = 5;
+/// At high rates these scans are over before the process has run in: so long it is given in any case [ns].
+pub const WARM_UP_NS: u64 = 250_000_000;
 /// Late outputs after that which are forgiven: the machine was busy; three times is a property.
 pub const FORGIVEN_LATE: u32 = 2;
+/// Of many scans one in so many more: a busy machine delays whom it likes.
+pub const FORGIVEN_SHARE: u32 = 10;
+/// With this factor on the bounds agreement is not judged at all: validity and timing only.
+pub const MOST_TOLERANCE: f64 = 1000.0;
+/// Half a period is late, but nothing below this: a process that waits for a processor waits that long [ns].
+pub const LATE_NS: u64 = 3_000_000;
+/// A fifth of a period beyond its end is a hang, but nothing below this; with less, at 100 Hz and more, each turn
+/// that another process has on the processor would be one. Three scans wait at the readers, so none is lost [ns].
+pub const HANG_NS: u64 = 4_000_000;
 /// In lock-step, how long an output is waited for [ns].
 pub const LOCKSTEP_PATIENCE_NS: u64 = 500_000_000;
-/// Scans before and after the change between which commands are compared.
-const JUMP_SCANS: [u64; 2] = [2, 3];
 /// Scans between the newest one and the first of the new process: the directive is everywhere by then.
 const NOTICE_SCANS: u64 = 2;
 /// Recorded scans are waited for this long after the decision [ns].
 const SETTLE_NS: u64 = 2_000_000_000;
+/// So many outputs for scans that it has answered before are no accident.
+const REPEATS: u32 = 3;
 /// Scans whose outputs are kept for comparison.
 const PAIRS: usize = 32;
-/// Answers kept to look back from the change.
-const ANSWERS: usize = 8;
 
 /// What is to be exchanged.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,10 +114,16 @@ pub enum Party {
 pub struct Output {
     /// The scan it answers.
     pub scan: u64,
+    /// Number of the output among those of its process.
+    pub sequence: u64,
     /// When that scan was published [ns]; 0 when unknown.
     pub scan_published_ns: u64,
     /// When the output was published [ns].
     pub published_ns: u64,
+    /// From the last input taken to the result [ns].
+    pub compute_ns: u64,
+    /// The same of all samples that it is made of, by which answers that rest on it are known [ns].
+    pub stamps_ns: [u64; 2],
     /// What it says, or what is wrong with it.
     pub content: Result<Gist, String>,
 }
@@ -121,15 +142,8 @@ pub enum Event {
     Output(Party, Output),
     /// A process ended, in words.
     Exited(Party, String),
-    /// A scan was recorded with so many answers; the last one's desired steering angle [rad] and velocity [m/s].
-    Recorded {
-        /// The scan; they come in order.
-        scan: u64,
-        /// Answers of the actuator.
-        answers: u64,
-        /// Desired steering angle and velocity of the last answer [rad, m/s].
-        desired: [f64; 2],
-    },
+    /// A scan was recorded; they come in order.
+    Recorded(Recorded),
     /// All news of this turn were told; time has passed.
     Tick,
     /// The end of the run was decided.
@@ -173,6 +187,7 @@ pub struct Swap {
     newest: u64,
     answered: u64,
     from_scan: u64,
+    until_scan: u64,
     settled_at: u64,
     pairs: BTreeMap<u64, Pair>,
     broken: Option<String>,
@@ -180,11 +195,13 @@ pub struct Swap {
     judged: u32,
     late: u32,
     streak: u64,
+    repeats: u32,
     last_good: u64,
+    first_output_ns: u64,
     last_output_ns: u64,
+    last_fault: String,
     standby_good: u64,
-    answers: VecDeque<(u64, [f64; 2])>,
-    changes: Vec<u64>,
+    account: Account,
     certificate: Certificate,
 }
 
@@ -212,7 +229,8 @@ impl Swap {
             since_ns: now_ns,
             newest: 0,
             answered: 0,
-            from_scan: 0,
+            from_scan: u64::MAX,
+            until_scan: u64::MAX,
             settled_at: 0,
             pairs: BTreeMap::new(),
             broken: None,
@@ -220,11 +238,13 @@ impl Swap {
             judged: 0,
             late: 0,
             streak: 0,
+            repeats: 0,
             last_good: 0,
+            first_output_ns: 0,
             last_output_ns: 0,
+            last_fault: String::new(),
             standby_good: 0,
-            answers: VecDeque::with_capacity(ANSWERS + 1),
-            changes: Vec::with_capacity(2),
+            account: Account::default(),
             certificate,
         }
     }
@@ -281,7 +301,7 @@ impl Swap {
                 }
                 Stage::Settling | Stage::Over => {}
             },
-            Event::Recorded { scan, answers, desired } => self.recorded(scan, answers, desired),
+            Event::Recorded(recorded) => self.recorded(&recorded),
             Event::Tick => self.tick(now_ns, &mut actions),
             Event::RunEnds => self.run_ends(now_ns, &mut actions),
         }
@@ -306,12 +326,20 @@ impl Swap {
         }
         if party == Party::New && self.first_new.is_none() {
             self.first_new = Some(scan);
+            self.first_output_ns = now_ns;
             if self.stage == Stage::Starting {
                 self.stage = Stage::Shadowing;
             }
         }
         let pair = self.pairs.entry(scan).or_insert(Pair { seen_ns: now_ns, ..Pair::default() });
         let place = if party == Party::Old { &mut pair.old } else { &mut pair.new };
+        if place.is_some() && party == Party::New {
+            self.repeats += 1;
+            if self.repeats >= REPEATS {
+                self.broken
+                    .get_or_insert(format!("invalid output for scan {scan}: not the first for that scan"));
+            }
+        }
         place.get_or_insert(output);
         while self.pairs.len() > PAIRS {
             self.pairs.pop_first();
@@ -355,7 +383,9 @@ impl Swap {
             let Some(pair) = self.pairs.get_mut(&scan) else { continue };
             pair.judged = verdict != Verdict::Open;
             self.judged += u32::from(pair.judged);
-            let is_warm = in_charge || self.judged > WARM_UP;
+            let is_warm = in_charge
+                || self.judged > WARM_UP
+                    && (self.plan.lockstep || now_ns.saturating_sub(self.first_output_ns) > WARM_UP_NS);
             match verdict {
                 Verdict::Open | Verdict::Nothing => {}
                 Verdict::Good if in_charge => self.standby_good += 1,
@@ -363,13 +393,17 @@ impl Swap {
                     self.streak = if self.last_good + 1 == scan { self.streak + 1 } else { 1 };
                     self.last_good = scan;
                 }
-                Verdict::Late(_) | Verdict::Apart(_) if !is_warm => self.streak = 0,
+                Verdict::Late(reason) | Verdict::Apart(reason) if !is_warm => {
+                    self.streak = 0;
+                    self.last_fault = reason;
+                }
                 Verdict::Late(reason) => {
                     self.late += 1;
                     self.streak = 0;
-                    if self.late > FORGIVEN_LATE {
+                    if self.late > FORGIVEN_LATE + self.judged / FORGIVEN_SHARE {
                         return self.give_up(now_ns, reason, actions);
                     }
+                    self.last_fault = reason;
                 }
                 Verdict::Apart(reason) | Verdict::Bad(reason) => {
                     return self.give_up(now_ns, reason, actions);
@@ -379,64 +413,19 @@ impl Swap {
         if self.stage == Stage::Shadowing && self.streak >= self.plan.shadow_scans {
             self.take_over(actions);
         }
+        let patience_ns =
+            FIRST_OUTPUT_NS.saturating_add(self.plan.shadow_scans.saturating_mul(10 * self.plan.period_ns));
+        if self.stage == Stage::Shadowing
+            && !self.plan.lockstep
+            && now_ns.saturating_sub(self.first_output_ns) > patience_ns
+        {
+            let (scans, last) = (self.plan.shadow_scans, &self.last_fault);
+            let reason =
+                format!("not {scans} good scans in a row in {} s; {last}", patience_ns / 1_000_000_000);
+            return self.refuse(reason, actions);
+        }
         if self.stage == Stage::Standby && self.standby_good >= self.plan.standby_scans {
             self.commit(now_ns, 0, String::new(), actions);
-        }
-    }
-
-    fn verdict(&self, now_ns: u64, scan: u64, in_charge: bool) -> Verdict {
-        let Some(Pair { old, new, seen_ns, .. }) = self.pairs.get(&scan) else { return Verdict::Open };
-        let period_ns = self.plan.period_ns;
-        let passed = |since_ns: u64, tenths: u64| now_ns.saturating_sub(since_ns) >= period_ns / 10 * tenths;
-        match (old, new) {
-            (None, None) => Verdict::Open,
-            (Some(_), None) if self.plan.lockstep => {
-                if now_ns.saturating_sub(*seen_ns) < LOCKSTEP_PATIENCE_NS {
-                    return Verdict::Open;
-                }
-                let patience_s = LOCKSTEP_PATIENCE_NS as f64 * 1e-9;
-                Verdict::Bad(format!("hangs: no output for scan {scan} within {patience_s} s"))
-            }
-            (Some(old), None) => {
-                let since_ns = if old.scan_published_ns == 0 { *seen_ns } else { old.scan_published_ns };
-                if in_charge && passed(self.last_output_ns, 12) && passed(since_ns, 2) {
-                    Verdict::Bad(format!("hangs: no output for scan {scan}, 1.2 periods after the last one"))
-                } else if !in_charge && passed(since_ns, 10) {
-                    Verdict::Late(format!("late: no output for scan {scan} within a period"))
-                } else {
-                    Verdict::Open
-                }
-            }
-            // An old one that has stopped to answer is no reason to keep it.
-            (None, Some(_)) => {
-                let patience_ns = if self.plan.lockstep { LOCKSTEP_PATIENCE_NS } else { 2 * period_ns };
-                match now_ns.saturating_sub(*seen_ns) >= patience_ns {
-                    true if in_charge => Verdict::Good,
-                    true => Verdict::Nothing,
-                    false => Verdict::Open,
-                }
-            }
-            (Some(old), Some(new)) => self.compare(scan, old, new, in_charge),
-        }
-    }
-
-    fn compare(&self, scan: u64, old: &Output, new: &Output, in_charge: bool) -> Verdict {
-        let (Ok(expected), Ok(found)) = (&old.content, &new.content) else {
-            // Only the old one's output is invalid: nothing to compare with.
-            return if in_charge { Verdict::Good } else { Verdict::Nothing };
-        };
-        let limit_ns = self.plan.period_ns / 2;
-        let taken_ns = |output: &Output| output.published_ns.saturating_sub(output.scan_published_ns);
-        let judges_time = !self.plan.lockstep && !in_charge && new.scan_published_ns > 0;
-        if judges_time && taken_ns(new) > limit_ns && taken_ns(old) <= limit_ns {
-            let [taken_ms, limit_ms] = [taken_ns(new), limit_ns].map(|time| time as f64 * 1e-6);
-            return Verdict::Late(format!(
-                "late: output for scan {scan} {taken_ms:.1} ms after the scan, allowed are {limit_ms:.1} ms"
-            ));
-        }
-        match agreement::disagreement(expected, found, self.plan.tolerance) {
-            None => Verdict::Good,
-            Some(found) => Verdict::Apart(format!("disagreement at scan {scan}: {found}")),
         }
     }
 
@@ -445,9 +434,6 @@ impl Swap {
         self.stage = Stage::Standby;
         self.from_scan = self.newest + NOTICE_SCANS;
         self.certificate.shadow_scans = self.streak;
-        self.certificate.last_scan_old = Some(self.from_scan - 1);
-        self.certificate.first_scan_new = Some(self.from_scan);
-        self.changed_at(self.from_scan);
         let (incarnation, previous) = (self.plan.new, self.plan.old);
         actions.push(Action::Authorise(Authority { incarnation, previous, from_scan: self.from_scan }));
     }
@@ -461,7 +447,7 @@ impl Swap {
         let (incarnation, previous) = (self.plan.old, self.plan.new);
         actions.push(Action::Authorise(Authority { incarnation, previous, from_scan }));
         actions.push(Action::KillNew);
-        self.changed_at(from_scan);
+        self.until_scan = from_scan;
         self.settle(now_ns, from_scan, SwapOutcome::RolledBack, reason);
     }
 
@@ -471,8 +457,6 @@ impl Swap {
         }
         actions.push(Action::KillNew);
         self.certificate.shadow_scans = self.streak;
-        self.certificate.last_scan_old = None;
-        self.certificate.first_scan_new = None;
         self.certificate.outcome = SwapOutcome::Refused;
         self.certificate.reason = reason;
         self.over(actions);
@@ -485,10 +469,8 @@ impl Swap {
         } else {
             Authority { incarnation: self.plan.new, previous: self.plan.old, from_scan }
         };
-        if from_scan != 0 && from_scan < self.from_scan {
-            self.from_scan = from_scan;
-            self.certificate.last_scan_old = Some(from_scan - 1);
-            self.certificate.first_scan_new = Some(from_scan);
+        if from_scan != 0 {
+            self.from_scan = self.from_scan.min(from_scan);
         }
         actions.push(Action::Authorise(authority));
         actions.push(Action::Commit);
@@ -498,8 +480,8 @@ impl Swap {
     fn settle(&mut self, now_ns: u64, from_scan: u64, outcome: SwapOutcome, reason: String) {
         self.stage = Stage::Settling;
         self.since_ns = now_ns;
-        self.settled_at = from_scan + JUMP_SCANS[1];
-        if self.answers.back().is_some_and(|(scan, _)| *scan >= self.settled_at) {
+        self.settled_at = Account::settled_at(from_scan);
+        if self.account.reaches(self.settled_at) {
             self.settled_at = 0;
         }
         self.certificate.outcome = outcome;
@@ -514,6 +496,7 @@ impl Swap {
 
     fn over(&mut self, actions: &mut Vec<Action>) {
         self.stage = Stage::Over;
+        self.account.fill(&mut self.certificate);
         actions.push(Action::Finish(Box::new(self.certificate.clone())));
     }
 
@@ -531,63 +514,27 @@ impl Swap {
         }
     }
 
-    fn recorded(&mut self, scan: u64, answers: u64, desired: [f64; 2]) {
-        self.certificate.missed_scans += u64::from(answers == 0);
-        self.certificate.duplicate_scans += answers.saturating_sub(1);
-        if answers > 0 {
-            if let Some(&(before, last)) = self.answers.back()
-                && self.changes.iter().any(|change| is_near(*change, before, scan))
-            {
-                self.jumped(last, desired);
-            }
-            self.answers.push_back((scan, desired));
-            if self.answers.len() > ANSWERS {
-                self.answers.pop_front();
-            }
-        }
-        if self.stage == Stage::Settling && scan >= self.settled_at {
+    fn recorded(&mut self, recorded: &Recorded) {
+        let party = self.answered_by(recorded);
+        self.account.record(recorded, party);
+        if self.stage == Stage::Settling && recorded.scan >= self.settled_at {
             self.settled_at = 0;
         }
     }
 
-    /// Compares the answers around a change as far as they are recorded; the others follow as they come.
-    fn changed_at(&mut self, change: u64) {
-        self.changes.push(change);
-        for index in 1..self.answers.len() {
-            let ((before, last), (scan, desired)) = (self.answers[index - 1], self.answers[index]);
-            if is_near(change, before, scan) {
-                self.jumped(last, desired);
-            }
+    /// Whose sample a recorded answer rests on.
+    fn answered_by(&self, recorded: &Recorded) -> Party {
+        let has_stamp = |output: &Option<Output>| {
+            output.as_ref().is_some_and(|output| output.stamps_ns.contains(&recorded.stamp_ns))
+        };
+        let pair = self.pairs.get(&recorded.scan).filter(|_| recorded.stamp_ns > 0);
+        match pair.map(|pair| (has_stamp(&pair.old), has_stamp(&pair.new))) {
+            Some((true, false)) => Party::Old,
+            Some((false, true)) => Party::New,
+            _ if recorded.scan >= self.from_scan && recorded.scan < self.until_scan => Party::New,
+            _ => Party::Old,
         }
     }
-
-    fn jumped(&mut self, last: [f64; 2], desired: [f64; 2]) {
-        let Certificate { command_jump_rad, command_jump_mps, .. } = &mut self.certificate;
-        *command_jump_rad = command_jump_rad.max((desired[0] - last[0]).abs());
-        *command_jump_mps = command_jump_mps.max((desired[1] - last[1]).abs());
-    }
-}
-
-/// What is to be said of one scan.
-#[derive(Debug, Clone, PartialEq)]
-enum Verdict {
-    /// It cannot be judged yet.
-    Open,
-    /// There is nothing to compare with.
-    Nothing,
-    /// All is as it should be.
-    Good,
-    /// Not in time.
-    Late(String),
-    /// In time, and different.
-    Apart(String),
-    /// Not to be used.
-    Bad(String),
-}
-
-/// Two answers that both lie between two scans before and three after a change.
-fn is_near(change: u64, before: u64, scan: u64) -> bool {
-    before + JUMP_SCANS[0] >= change && scan <= change + JUMP_SCANS[1]
 }
 
 /// One process counts for all scans.

@@ -44,17 +44,17 @@ impl Vitals {
 
     /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`, and accounts to the books.
     ///
-    /// The state of the incarnation `beside` is nobody's to go on from: it does not count, or not any more.
+    /// The state of the incarnations `beside` is nobody's to go on from: they do not count, or not any more.
     pub(crate) fn poll(
         &mut self,
-        beside: Option<u32>,
+        beside: &[u32],
         books: &mut Books,
         mut each: impl FnMut(Event),
     ) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
         self.checkpoints.poll(|checkpoint| {
             if let Ok(role) = Role::try_from(checkpoint.role)
-                && beside != Some(checkpoint.header.incarnation)
+                && !beside.contains(&checkpoint.header.incarnation)
             {
                 newest.insert(role, *checkpoint);
             }

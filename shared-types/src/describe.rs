@@ -95,6 +95,36 @@ impl<T: Described, const N: usize> Described for [T; N] {
     const KIND: Kind = Kind::Array(&T::KIND, N);
 }
 
+/// Declares a plain `#[repr(C)]` struct for the state in a checkpoint, with the description that it is recognised by.
+///
+/// The crate that uses it needs `bytemuck` with `derive`. Every field needs a documentation of one line.
+#[macro_export]
+macro_rules! plain_state {
+    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+
+        impl $crate::Described for $name {
+            const KIND: $crate::Kind = $crate::Kind::Struct(stringify!($name), &[
+                $($crate::Field {
+                    name: stringify!($field),
+                    doc: $doc.trim_ascii(),
+                    offset: std::mem::offset_of!($name, $field),
+                    kind: <$type as $crate::Described>::KIND,
+                },)*
+            ]);
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                bytemuck::Zeroable::zeroed()
+            }
+        }
+    };
+}
+
 /// 32-bit FNV-1a hash of the names, kinds and offsets of all fields: the layout version of a sample.
 pub(crate) const fn fingerprint(kind: &Kind, seed: u32) -> u32 {
     match kind {

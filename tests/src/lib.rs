@@ -1,5 +1,8 @@
 //! What process tests share: a system of their own, conditions with a deadline, and a check that nothing is left.
 
+pub mod audit;
+pub mod exchange;
+
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};

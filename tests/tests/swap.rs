@@ -1,94 +1,18 @@
 //! Processes exchanged while the robot drives: without a missed scan, or not at all.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::process::{Child, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use emulator::Outcome;
-use orchestrator::swap::{Certificate, SwapOutcome};
+use orchestrator::swap::SwapOutcome;
 use rustix::process::Signal;
 use scanloop_tests::System;
+use scanloop_tests::audit::{Audit, audit};
+use scanloop_tests::exchange::{
+    BUILT_IN, assert_reached, assert_seamless, begin, certificate, rows, standby, stop, swap,
+};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
-
-/// Built-in implementations of the roles that can be exchanged.
-const BUILT_IN: [(Role, &str); 4] = [
-    (Role::Estimator, "ekf"),
-    (Role::Obstacles, "ellipses"),
-    (Role::Actuator, "actuation"),
-    (Role::Controller, "nmpc"),
-];
-
-/// Exchanges one process; the exit code must be that of the outcome.
-fn swap(system: &System, arguments: &[&str]) -> Certificate {
-    certificate(&system.run(&with_json(arguments)))
-}
-
-/// Begins an exchange and does not wait for its end.
-fn begin(system: &System, arguments: &[&str]) -> Child {
-    let mut command = system.command(&with_json(arguments));
-    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
-}
-
-fn with_json<'a>(arguments: &[&'a str]) -> Vec<&'a str> {
-    [&["swap", "--json"], arguments].concat()
-}
-
-fn certificate(output: &Output) -> Certificate {
-    let certificate: Certificate = serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
-    let swapped = certificate.outcome == SwapOutcome::Swapped;
-    assert_eq!(output.status.code(), Some(i32::from(!swapped)), "{certificate:?}");
-    certificate
-}
-
-/// That nobody but the one who asked has noticed the exchange.
-fn assert_seamless(certificate: &Certificate) {
-    assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (0, 0), "{certificate:?}");
-    if let (Some(last), Some(first)) = (certificate.last_scan_old, certificate.first_scan_new) {
-        assert_eq!(first, last + 1);
-    }
-}
-
-/// That the run reached its goal, answered every scan once and knows of its exchanges.
-fn assert_reached(mut system: System, certificates: &[Certificate]) {
-    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
-    let report = system.report();
-    assert_eq!(report.outcome, Outcome::Reached);
-    let scans = &report.scans;
-    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
-    assert_eq!(report.swaps, certificates);
-    assert!(report.processes.iter().all(|process| process.restarts == 0), "{:?}", report.processes);
-    system.assert_nothing_left();
-}
-
-/// Rows of `status` of one role: process id and state, who is in charge first.
-fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
-    let processes = system.status().map(|status| status.processes).unwrap_or_default();
-    processes
-        .into_iter()
-        .filter(|process| process.role == role.name())
-        .map(|process| (process.pid, process.state))
-        .collect()
-}
-
-/// Begins an exchange with a long standby and waits until the new process is in charge; returns both ids.
-fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
-    let all = [&[role.name(), "--standby-scans", "40"], arguments].concat();
-    let child = begin(system, &all);
-    system.wait_until("the old one stands by", |system| {
-        rows(system, role).get(1).is_some_and(|(_, state)| state == "standby")
-    });
-    let rows = rows(system, role);
-    // Three more scans: it is not only named but has answered.
-    let scan = system.status().unwrap().scan;
-    system.wait_until("the new one answers", |system| {
-        system.status().is_some_and(|status| status.scan > scan + 3)
-    });
-    (child, rows[0].0, rows[1].0)
-}
 
 #[test]
 fn the_controller_is_exchanged_within_three_seconds_and_no_scan_is_missed() {
@@ -109,15 +33,23 @@ fn the_controller_is_exchanged_within_three_seconds_and_no_scan_is_missed() {
 }
 
 #[test]
-fn estimator_obstacles_and_actuator_are_exchanged_one_after_the_other() {
+fn all_roles_are_exchanged_one_after_the_other_and_their_certificates_are_true() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&["long"]);
+    let observer = Audit::start(system.domain());
     let mut certificates = Vec::new();
-    for (role, implementation) in &BUILT_IN[..3] {
+    for (role, implementation) in BUILT_IN {
         let certificate = swap(&system, &[role.name(), "--to", implementation]);
         assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
         assert_seamless(&certificate);
         certificates.push(certificate);
+    }
+    let recording = observer.stop();
+    for certificate in &certificates {
+        audit(certificate, &recording).unwrap();
+        let first = certificate.first_scan_new.unwrap();
+        let role: Role = certificate.role.parse().unwrap();
+        assert!(recording.party(role, first).is_some(), "{role}: nobody saw scan {first}");
     }
     assert_reached(system, &certificates);
 }
@@ -134,6 +66,7 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
         (vec![ODD, "steer"], "steering angle differs by"),
         (vec![ODD, "nan"], "command is not finite"),
         (vec![ODD, "late"], "late: "),
+        (vec![ODD, "flood"], "not the first for that scan"),
         (vec![ODD, "exit-after", "3"], "the new process ended: exit code 1"),
         (vec![ODD, "hang-after", "3"], "late: no output for scan"),
     ] {
@@ -150,7 +83,9 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
 fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["corridor"]);
-    let certificate = swap(&system, &["controller", "--tolerance", "10", "--", ODD, "steer"]);
+    let arguments = ["controller", "--gate-scans", "5", "--tolerance", "1000", "--", ODD, "steer"];
+    let certificate = swap(&system, &arguments);
+    assert_eq!(certificate.shadow_scans, 5);
     assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
     assert_seamless(&certificate);
     system.wait();
@@ -161,6 +96,7 @@ fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
 fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["long"]);
+    let observer = Audit::start(system.domain());
     let mut certificates = Vec::new();
     for (role, implementation) in BUILT_IN {
         let (child, new, old) = standby(&system, role, &["--to", implementation]);
@@ -170,8 +106,11 @@ fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
         assert!(certificate.reason.contains("killed by signal 9"), "{}", certificate.reason);
         assert_seamless(&certificate);
         assert_eq!(rows(&system, role), [(old, "ready".to_owned())]);
+        assert!(certificate.first_scan_back > certificate.first_scan_new, "{certificate:?}");
         certificates.push(certificate);
     }
+    let recording = observer.stop();
+    certificates.iter().for_each(|certificate| audit(certificate, &recording).unwrap());
     assert_reached(system, &certificates);
 }
 
@@ -234,12 +173,17 @@ fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
     system.start(&["corridor"]);
     for (arguments, message) in [
         (vec!["pilot", "--to", "nmpc"], "unknown role `pilot`"),
-        (vec!["robot", "--to", "emulator"], "the robot is not exchanged"),
+        (vec!["robot", "--to", "ekf"], "one of emulator for role robot"),
         (vec!["controller", "--to", "ekf"], "one of nmpc for role controller"),
         (vec!["controller"], "required"),
         (vec!["controller", "--to", "nmpc", "--", "sleep", "1"], "cannot be used with"),
         (vec!["controller", "--to", "nmpc", "--shadow-scans", "0"], "shadow-scans"),
-        (vec!["controller", "--to", "nmpc", "--tolerance", "nan"], "--tolerance NaN is not allowed"),
+        (vec!["controller", "--to", "nmpc", "--gate-scans", "10001"], "10001 is not in 1..=10000"),
+        (
+            vec!["controller", "--to", "nmpc", "--tolerance", "nan"],
+            "--tolerance NaN is not allowed: 0 to 1000",
+        ),
+        (vec!["controller", "--to", "nmpc", "--tolerance", "1001"], "--tolerance 1001 is not allowed"),
     ] {
         let (code, said) = exit(&system, &arguments);
         assert_eq!(code, Some(2), "{said}");
@@ -280,44 +224,23 @@ fn a_run_that_ends_takes_the_new_process_with_it() {
 }
 
 #[test]
-fn forty_exchanges_in_lock_step_miss_no_scan_and_answer_none_twice() {
+fn exchanges_in_lock_step_miss_no_scan_and_change_no_bit_of_the_drive() {
+    let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "300"]);
     let mut system = System::new(EXECUTABLE);
-    system.start(&["endless", "--lockstep", "--duration", "9000"]);
+    system.start(&["endless", "--lockstep", "--duration", "300"]);
     let mut certificates = Vec::new();
-    for _ in 0..10 {
-        for (role, implementation) in BUILT_IN {
-            let certificate = swap(&system, &[role.name(), "--to", implementation]);
-            assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
-            assert_seamless(&certificate);
-            certificates.push(certificate);
-        }
+    for (role, implementation) in [BUILT_IN, BUILT_IN].concat() {
+        let certificate = swap(&system, &[role.name(), "--to", implementation]);
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+        assert_seamless(&certificate);
+        certificates.push(certificate);
     }
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();
     let report = system.report();
-    let scans = &report.scans;
-    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
     assert_eq!(report.swaps, certificates);
-    system.assert_nothing_left();
-}
-
-/// The new process begins with the state after the last scan before it, so it says what the old one says.
-#[test]
-fn an_exchange_in_lock_step_changes_no_bit_of_the_drive() {
-    let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "600"]);
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless", "--lockstep", "--duration", "600"]);
-    let mut certificates = Vec::new();
-    for (role, implementation) in &BUILT_IN[1..] {
-        certificates.push(swap(&system, &[role.name(), "--to", implementation]));
-    }
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    let report = system.report();
-    assert!(certificates.iter().all(|certificate| certificate.outcome == SwapOutcome::Swapped));
-    let count = report.trajectory.len();
-    assert!(count as u64 > certificates[2].first_scan_new.unwrap(), "it drove on after the last exchange");
-    assert_eq!(report.trajectory, undisturbed.trajectory[..count]);
+    assert_eq!(report.trajectory, undisturbed.trajectory);
+    assert_eq!(report.digests, undisturbed.digests, "all samples of all topics but who made them");
+    assert_eq!((report.scans.lost, report.scans.duplicates, report.scans.unaccounted), (0, 0, 0));
     system.assert_nothing_left();
 }
 
@@ -336,9 +259,5 @@ fn bad_processes_are_refused_or_rolled_back_in_lock_step_too() {
         assert_eq!(certificate.outcome, outcome, "{certificate:?}");
         assert_seamless(&certificate);
     }
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
-    let scans = system.report().scans;
-    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
-    system.assert_nothing_left();
+    stop(&mut system);
 }

@@ -4,15 +4,18 @@
 //! from then on for its output for each scan, half a second at most. It begins with the state after the last scan
 //! before it, so nothing of the run depends on how long it took to start.
 
-use runtime::{Bus, monotonic_ns};
-use shared_types::{Phase, ProcessState, Role};
+use runtime::monotonic_ns;
+use shared_types::{Phase, ProcessState, Role, Topic};
 
 use super::{End, Session};
-use crate::control::{MOST_TOLERANCE, ProcessStatus, Reply, SwapRequest};
+use crate::control::{ProcessStatus, Reply, SwapRequest};
 use crate::fleet::Fleet;
+use crate::samples::ScanRecord;
 use crate::supervisor::{self, Exit, Supervisor, VisibleState};
 use crate::swap::watch::Watch;
-use crate::swap::{Action, Certificate, Event, LOCKSTEP_PATIENCE_NS, Party, Plan, Stage, Swap};
+use crate::swap::{
+    Action, Certificate, Event, LOCKSTEP_PATIENCE_NS, MOST_TOLERANCE, Party, Plan, Recorded, Stage, Swap,
+};
 use crate::system::ProcessEntry;
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
@@ -96,11 +99,6 @@ impl Swaps {
         supervisor: &Supervisor,
     ) -> Result<(Role, ProcessEntry), String> {
         let role = request.role.parse::<Role>().map_err(|unknown| unknown.to_string())?;
-        if role == Role::Robot {
-            return Err(
-                "the robot is not exchanged: its wheels and its place cannot be handed over".to_owned()
-            );
-        }
         let entry = fleet
             .entry_with(role, request.implementation.clone(), request.command.clone())
             .ok_or_else(|| format!("no process of role {role}"))?;
@@ -139,7 +137,7 @@ impl Swaps {
 impl Session {
     /// Tells the exchange what was published since the last look.
     pub(super) fn observe_swap(&mut self) -> anyhow::Result<()> {
-        let Some(Exchange { swap, watch, .. }) = &self.swaps.current else { return Ok(()) };
+        let Some(Exchange { swap, watch, .. }) = &mut self.swaps.current else { return Ok(()) };
         let mut outputs = Vec::new();
         watch.poll(swap.plan().old, swap.plan().new, |party, output| outputs.push((party, output)))?;
         let (newest, answered) = (self.samples.newest_scan(), self.samples.answered_scan());
@@ -150,11 +148,13 @@ impl Session {
     /// A process said what it is doing.
     pub(super) fn swap_heard(&mut self, incarnation: u32, state: ProcessState) {
         let recorded_scan = self.swaps.recorded_scan;
-        if let Some(exchange) = &mut self.swaps.current
-            && exchange.swap.plan().new == incarnation
-            && state >= ProcessState::Connected
-        {
-            exchange.connected_at.get_or_insert(recorded_scan);
+        let Some(exchange) = &mut self.swaps.current else { return };
+        if exchange.swap.plan().new == incarnation {
+            // It waits for a word, which would be repeated only after a while.
+            self.dirty |= state == ProcessState::Attached;
+            if state >= ProcessState::Connected {
+                exchange.connected_at.get_or_insert(recorded_scan);
+            }
         }
     }
 
@@ -180,11 +180,20 @@ impl Session {
         Ok(!known)
     }
 
-    /// A scan was recorded, with these answers of the actuator.
-    pub(super) fn swap_recorded(&mut self, scan: u64, answers: u64, desired: [f64; 2]) -> anyhow::Result<()> {
-        self.swaps.recorded_scan = scan;
+    /// A scan was recorded, with all that belongs to it.
+    pub(super) fn swap_recorded(&mut self, scan: &ScanRecord) -> anyhow::Result<()> {
+        self.swaps.recorded_scan = scan.truth.header.scan_id;
         self.swaps.recorded_ns = monotonic_ns();
-        self.swap_event(Event::Recorded { scan, answers, desired })
+        let Some(Exchange { swap, .. }) = &self.swaps.current else { return Ok(()) };
+        let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
+        let last = answers.clone().next_back();
+        let recorded = Recorded {
+            scan: scan.truth.header.scan_id,
+            answers: answers.count() as u64,
+            desired: last.map_or([0.0; 2], |last| [last.desired_steering_rad, last.desired_velocity_mps]),
+            stamp_ns: last.map_or(0, |last| last.header.stage(swap.plan().role).published_ns),
+        };
+        self.swap_event(Event::Recorded(recorded))
     }
 
     /// Begins what was asked for, moves on what has begun, and lets the loop go on in lock-step.
@@ -217,8 +226,8 @@ impl Session {
     /// Rows of `status` with the process that is being exchanged.
     pub(super) fn show_swap(&mut self, processes: &mut Vec<ProcessStatus>) {
         let Some(Exchange { swap, .. }) = &self.swaps.current else { return };
-        let Some((pid, implementation, load)) = self.fleet.candidate() else { return };
         let (plan, stage) = (swap.plan(), swap.stage());
+        let Some((pid, implementation, load)) = self.fleet.beside(plan.new) else { return };
         let Some(index) = processes.iter().position(|process| process.role == plan.role.name()) else {
             return;
         };
@@ -257,8 +266,13 @@ impl Session {
             return true;
         }
         let recorded = self.swaps.recorded_scan;
-        let state_scan = self.vitals.checkpoint(asked.role).map_or(0, |state| state.header.scan_id);
-        recorded >= self.directive.granted_scan && state_scan >= recorded
+        let has_state = self.vitals.checkpoint(asked.role).is_some_and(|state| {
+            // Who reads actuations publishes its state once more when the answer to the scan is in it.
+            let hears_answers = asked.role.reads().contains(&Topic::Actuation);
+            let is_whole = !hears_answers || state.header.stage(Role::Actuator).published_ns > 0;
+            state.header.scan_id >= recorded && is_whole
+        });
+        recorded >= self.directive.granted_scan && has_state
     }
 
     fn begin_swap(&mut self) -> anyhow::Result<()> {
@@ -277,9 +291,9 @@ impl Session {
             period_ns: self.period_ns,
             lockstep: self.lockstep,
         };
-        let watch = watch(&self.bus, role)?;
+        let watch = Watch::new(&self.bus, role)?;
         let checkpoint = self.vitals.checkpoint(role);
-        if let Err(error) = self.fleet.spawn_candidate(role, entry.clone(), new, checkpoint) {
+        if let Err(error) = self.fleet.spawn_beside(role, entry.clone(), new, checkpoint) {
             let certificate = self.refusal(role, &entry, &format!("could not be started: {error:#}"));
             self.swap_over(certificate);
             return Ok(());
@@ -315,10 +329,10 @@ impl Session {
             }
             Action::KillNew => {
                 self.books.ended(new, monotonic_ns());
-                self.fleet.dismiss();
+                self.fleet.dismiss(new);
             }
             Action::Commit => {
-                if let Some(pid) = self.fleet.promote() {
+                if let Some(pid) = self.fleet.promote(new) {
                     self.handle(supervisor::Event::Replaced { role, pid, incarnation: new })?;
                 }
             }
@@ -344,8 +358,4 @@ impl Session {
         self.progress.note(&certificate.to_string());
         self.swaps.certificates.push(certificate);
     }
-}
-
-fn watch(bus: &Bus, role: Role) -> anyhow::Result<Watch> {
-    Watch::new(bus, role)?.ok_or_else(|| anyhow::anyhow!("{role} publishes nothing that can be compared"))
 }

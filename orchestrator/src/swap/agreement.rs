@@ -5,7 +5,10 @@
 
 use std::fmt;
 
-use shared_types::{Actuation, ActuationKind, Command, CommandKind, Obstacles, Pose};
+use shared_types::{
+    Actuation, ActuationKind, BEAMS, Command, CommandKind, MIN_RANGE_MM, Obstacles, Odometry, Pose, Role,
+    Scan, Truth,
+};
 use vehicle::frame::wrap_angle;
 
 /// Half of what the estimate may be wrong by: the obstacle distance kept in reserve is twenty times as much [m].
@@ -22,6 +25,14 @@ pub const VELOCITY_MPS: f64 = 0.1;
 pub const STEERING_RAD: f64 = 0.003;
 /// Beyond that, this share of the angle.
 pub const STEERING_SHARE: f64 = 0.15;
+/// Two robots that hear the same actuations stay at one place; a hundredth is a step that no estimate shows [m].
+pub const TRUE_POSITION_M: f64 = 0.01;
+/// As far turned, the far end of the laser's reach moves by 0.03 m [rad].
+pub const TRUE_YAW_RAD: f64 = 0.005;
+/// Ranges of one beam that are further apart are not of one surface: ten standard deviations of the noise [m].
+pub const RANGE_M: f64 = 0.1;
+/// That share of the beams may look across an edge, or be lost.
+pub const BEAM_SHARE: f64 = 0.05;
 /// Limits of what is sent are twice those of what is desired, (7.41), and so are the bounds.
 pub const SENT_SCALE: f64 = 2.0;
 
@@ -36,6 +47,40 @@ pub enum Gist {
     Command(u32, f64, f64),
     /// Of an actuation: kind, sent velocity, sent steering angle.
     Actuation(u32, f64, f64),
+    /// Of a robot: what it measured.
+    Sensed(Box<Sensed>),
+}
+
+/// What a robot measured for one scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensed {
+    /// Reported yaw, x, y [rad, m, m].
+    pub reported: [f64; 3],
+    /// True yaw, x, y; a real robot tells none [rad, m, m].
+    pub truth: Option<[f64; 3]>,
+    /// Range per beam, below 20 an error code [mm].
+    pub ranges_mm: [u16; BEAMS],
+}
+
+impl Sensed {
+    /// From the samples of one scan.
+    pub fn new(scan: &Scan, odometry: &Odometry, truth: Option<&Truth>) -> Self {
+        Self {
+            reported: [odometry.yaw_rad, odometry.x_m, odometry.y_m],
+            truth: truth.map(|truth| [truth.yaw_rad, truth.x_m, truth.y_m]),
+            ranges_mm: scan.ranges_mm,
+        }
+    }
+
+    /// How many beams tell of another surface than those of `other` do, beyond `limit_m`.
+    fn other_beams(&self, other: &Self, limit_m: f64) -> usize {
+        let is_other = |(one, other): &(&u16, &u16)| {
+            let have_range = [one, other].map(|range| **range >= MIN_RANGE_MM);
+            let apart_m = f64::from(one.abs_diff(**other)) * 1e-3;
+            have_range[0] != have_range[1] || have_range[0] && apart_m > limit_m
+        };
+        self.ranges_mm.iter().zip(&other.ranges_mm).filter(is_other).count()
+    }
 }
 
 /// One body of a description.
@@ -121,10 +166,9 @@ impl From<&Actuation> for Gist {
 pub fn disagreement(old: &Gist, new: &Gist, tolerance: f64) -> Option<Disagreement> {
     match (old, new) {
         (Gist::Pose(old), Gist::Pose(new)) => {
-            let distance = (old[1] - new[1]).hypot(old[2] - new[2]);
-            beyond("position", distance, POSITION_M * tolerance, "m")
-                .or_else(|| beyond("yaw", wrap_angle(old[0] - new[0]).abs(), YAW_RAD * tolerance, "rad"))
+            placed(["position", "yaw"], old, new, [POSITION_M * tolerance, YAW_RAD * tolerance])
         }
+        (Gist::Sensed(old), Gist::Sensed(new)) => sensed(old, new, tolerance),
         (Gist::Obstacles(old), Gist::Obstacles(new)) => {
             let limit = BODY_M * tolerance;
             lacking(old, new, limit)
@@ -148,6 +192,74 @@ pub fn disagreement(old: &Gist, new: &Gist, tolerance: f64) -> Option<Disagreeme
     }
 }
 
+/// Two measurements of one robot.
+fn sensed(old: &Sensed, new: &Sensed, tolerance: f64) -> Option<Disagreement> {
+    let truths = old.truth.zip(new.truth);
+    let bounds = [TRUE_POSITION_M * tolerance, TRUE_YAW_RAD * tolerance];
+    let other = new.other_beams(old, RANGE_M * tolerance) as f64 / BEAMS as f64;
+    truths
+        .and_then(|(old, new)| placed(["true position", "true yaw"], &old, &new, bounds))
+        .or_else(|| {
+            let bounds = [POSITION_M * tolerance, YAW_RAD * tolerance];
+            placed(["reported position", "reported yaw"], &old.reported, &new.reported, bounds)
+        })
+        .or_else(|| beyond("the share of beams with another range", other, BEAM_SHARE * tolerance, ""))
+}
+
+/// Two places, each as yaw, x, y.
+fn placed(what: [&'static str; 2], old: &[f64; 3], new: &[f64; 3], bounds: [f64; 2]) -> Option<Disagreement> {
+    let distance = (old[1] - new[1]).hypot(old[2] - new[2]);
+    beyond(what[0], distance, bounds[0], "m")
+        .or_else(|| beyond(what[1], wrap_angle(old[0] - new[0]).abs(), bounds[1], "rad"))
+}
+
+/// What [`differences`] compares for a role: names and units.
+pub const fn quantities(role: Role) -> &'static [(&'static str, &'static str)] {
+    match role {
+        Role::Robot => &[
+            ("reported x", "m"),
+            ("reported y", "m"),
+            ("reported yaw", "rad"),
+            ("true position", "m"),
+            ("share of other beams", ""),
+        ],
+        Role::Estimator => &[("x", "m"), ("y", "m"), ("yaw", "rad")],
+        Role::Obstacles => &[("distance of bodies", "m"), ("bodies without match", "")],
+        Role::Controller => &[("velocity", "m/s"), ("steering angle", "rad")],
+        Role::Actuator => &[("sent velocity", "m/s"), ("sent steering angle", "rad")],
+    }
+}
+
+/// The new one minus the old one, number by number as [`quantities`] names them, distances without a sign;
+/// nothing when one drives and the other does not.
+pub fn differences(old: &Gist, new: &Gist) -> Option<Vec<f64>> {
+    let places =
+        |old: &[f64; 3], new: &[f64; 3]| vec![new[1] - old[1], new[2] - old[2], wrap_angle(new[0] - old[0])];
+    Some(match (old, new) {
+        (Gist::Pose(old), Gist::Pose(new)) => places(old, new),
+        (Gist::Sensed(old), Gist::Sensed(new)) => {
+            let truths = old.truth.zip(new.truth);
+            let apart = truths.map_or(0.0, |(old, new)| (new[1] - old[1]).hypot(new[2] - old[2]));
+            let other = new.other_beams(old, RANGE_M) as f64 / BEAMS as f64;
+            [places(&old.reported, &new.reported), vec![apart, other]].concat()
+        }
+        (Gist::Obstacles(old), Gist::Obstacles(new)) => {
+            let distances = old.iter().filter_map(|body| nearest_m(body, new)).filter(|gap| *gap <= BODY_M);
+            let matched: Vec<f64> = distances.collect();
+            let without = old.iter().filter(|body| is_lacking(body, new, BODY_M)).count()
+                + new.iter().filter(|body| is_lacking(body, old, BODY_M)).count();
+            vec![matched.iter().sum::<f64>() / matched.len().max(1) as f64, without as f64]
+        }
+        (Gist::Command(kind, v_old, s_old), Gist::Command(other, v_new, s_new))
+        | (Gist::Actuation(kind, v_old, s_old), Gist::Actuation(other, v_new, s_new))
+            if kind == other =>
+        {
+            vec![v_new - v_old, s_new - s_old]
+        }
+        _ => return None,
+    })
+}
+
 /// Velocity and steering angle; `scale` is that of the limits of both.
 fn control(old: [f64; 2], new: [f64; 2], scale: f64, tolerance: f64) -> Option<Disagreement> {
     let steering = tolerance * (STEERING_RAD * scale).max(STEERING_SHARE * old[1].abs());
@@ -163,13 +275,18 @@ fn beyond(what: &'static str, difference: f64, bound: f64, unit: &'static str) -
 
 /// The first body of `these` that the scan showed and that `those` have not got.
 fn lacking(these: &[Body], those: &[Body], limit_m: f64) -> Option<[f64; 2]> {
-    let near = |one: &Body, other: &Body| {
-        (one.centre_m[0] - other.centre_m[0]).hypot(one.centre_m[1] - other.centre_m[1]) <= limit_m
-    };
-    these
-        .iter()
-        .find(|body| body.seen && !those.iter().any(|other| near(body, other)))
-        .map(|body| body.centre_m)
+    these.iter().find(|body| is_lacking(body, those, limit_m)).map(|body| body.centre_m)
+}
+
+/// Whether a body that the scan showed is not among `those`.
+fn is_lacking(body: &Body, those: &[Body], limit_m: f64) -> bool {
+    body.seen && nearest_m(body, those).is_none_or(|distance| distance > limit_m)
+}
+
+/// Distance to the nearest of `those` [m].
+fn nearest_m(body: &Body, those: &[Body]) -> Option<f64> {
+    let [x_m, y_m] = body.centre_m;
+    those.iter().map(|other| (x_m - other.centre_m[0]).hypot(y_m - other.centre_m[1])).min_by(f64::total_cmp)
 }
 
 fn command_name(kind: u32) -> String {

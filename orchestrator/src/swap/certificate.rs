@@ -45,10 +45,13 @@ pub struct Certificate {
     pub to: String,
     /// Scans in a row on which the new process agreed with the old one before it took over.
     pub shadow_scans: u64,
-    /// The last scan of the old process before the change.
+    /// The last scan that rests on the old process before the change.
     pub last_scan_old: Option<u64>,
-    /// The first scan of the new process.
+    /// The first scan that rests on the new process; nothing when none does.
     pub first_scan_new: Option<u64>,
+    /// After a roll-back: the first scan that rests on the old process again.
+    #[serde(default)]
+    pub first_scan_back: Option<u64>,
     /// Scans without an answer between beginning and end.
     pub missed_scans: u64,
     /// Answers to scans that had been answered already, between beginning and end.

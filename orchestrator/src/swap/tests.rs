@@ -3,7 +3,8 @@
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Stage, Swap, SwapOutcome,
+    Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Recorded, Stage, Swap,
+    SwapOutcome,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -59,8 +60,11 @@ impl Trial {
         self.now_ns = self.now_ns.max(self.scan * PERIOD_NS + after_ms * 1_000_000);
         let output = Output {
             scan: self.scan,
+            sequence: 0,
             scan_published_ns: self.scan * PERIOD_NS,
             published_ns: self.scan * PERIOD_NS + after_ms * 1_000_000,
+            compute_ns: 0,
+            stamps_ns: [0; 2],
             content,
         };
         self.send(Event::Output(party, output));
@@ -75,7 +79,7 @@ impl Trial {
     fn record(&mut self) {
         let scan = self.scan;
         self.send(Event::Scans { newest: scan, answered: scan });
-        self.send(Event::Recorded { scan, answers: 1, desired: [0.04, 1.0] });
+        self.send(Event::Recorded(Recorded { scan, answers: 1, desired: [0.04, 1.0], stamp_ns: 0 }));
     }
 
     /// A scan on which both say the same in time.
@@ -222,7 +226,15 @@ fn an_invalid_output_is_refused_at_once() {
     let mut trial = Trial::new();
     trial.publish();
     trial.scan = u64::MAX;
-    let output = Output { scan: u64::MAX, scan_published_ns: 0, published_ns: 0, content: Ok(command(0.04)) };
+    let output = Output {
+        scan: u64::MAX,
+        sequence: 0,
+        scan_published_ns: 0,
+        published_ns: 0,
+        compute_ns: 0,
+        stamps_ns: [0; 2],
+        content: Ok(command(0.04)),
+    };
     trial.send(Event::Output(Party::New, output));
     trial.send(Event::Tick);
     assert!(trial.refused().ends_with("there is no such scan"), "{}", trial.refused());
@@ -421,7 +433,7 @@ fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only()
         trial.tick_at(5);
         let scan = trial.scan;
         let answers = [(13, 0), (19, 2)].iter().find(|(at, _)| *at == scan).map_or(1, |(_, count)| *count);
-        trial.send(Event::Recorded { scan, answers, desired: desired(scan) });
+        trial.send(Event::Recorded(Recorded { scan, answers, desired: desired(scan), stamp_ns: 0 }));
     }
     let certificate = trial.certificate();
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (1, 1));

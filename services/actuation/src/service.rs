@@ -23,6 +23,10 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
+    if let Some((scan_id, state)) = process.join()? {
+        actuator.resume(&state)?;
+        commands.skip_to(scan_id);
+    }
     // The watch is looked at ten times a period, so it is late by a tenth at most.
     let look_ns = process.period_ns() / 10;
     while process.wait(Some(process.clock().now_ns() + look_ns))? {

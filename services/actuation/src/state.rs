@@ -1,35 +1,7 @@
 //! What the actuator remembers from command to command, as plain bytes for a checkpoint.
 
-use bytemuck::{Pod, Zeroable};
-use shared_types::{Described, Fault, Field, Header, Kind};
+use shared_types::{Fault, Header, plain_state};
 use vehicle::correction::SENT_STEERING_MAX_RAD;
-
-/// Declares plain state with the description of its fields that a checkpoint is recognised by.
-macro_rules! plain_state {
-    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
-
-        impl Described for $name {
-            const KIND: Kind = Kind::Struct(stringify!($name), &[
-                $(Field {
-                    name: stringify!($field),
-                    doc: $doc.trim_ascii(),
-                    offset: std::mem::offset_of!($name, $field),
-                    kind: <$type as Described>::KIND,
-                },)*
-            ]);
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                Self::zeroed()
-            }
-        }
-    };
-}
 
 plain_state! {
     /// What the actuator remembers from command to command.

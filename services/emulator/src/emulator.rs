@@ -309,5 +309,8 @@ fn seconds(ns: u64) -> f64 {
     ns as f64 * 1e-9
 }
 
+mod state;
 #[cfg(test)]
 mod tests;
+
+pub use state::{APPEARING, EmulatorState};

@@ -20,6 +20,6 @@ pub mod scene;
 pub mod service;
 pub mod steering_map;
 
-pub use emulator::{Emulator, Received};
+pub use emulator::{Emulator, EmulatorState, Received};
 pub use referee::{Outcome, Referee};
 pub use scenario::{Scenario, ScenarioError};

@@ -44,6 +44,16 @@ impl Reckoning {
         self.reported
     }
 
+    /// The lateral share of the way that is missed, ds of (7.38).
+    pub(crate) fn lateral(&self) -> f64 {
+        self.lateral
+    }
+
+    /// The same odometer after other errors.
+    pub(crate) fn resumed(self, lateral: f64, reported: Vector2<f64>) -> Self {
+        Self { lateral, reported, ..self }
+    }
+
     /// Follows one plant step of `duration` seconds over `way` metres; `moved` tells whether the robot moved.
     pub fn step(&mut self, before: &State, after: &State, way: f64, duration: f64) {
         let increment = Vector2::new(after.x - before.x, after.y - before.y);
@@ -65,12 +75,13 @@ pub struct Odometer {
     last: Option<Reported>,
 }
 
+/// What was reported last, noise included.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Reported {
-    time_ns: u64,
-    x: f64,
-    y: f64,
-    yaw: f64,
+pub(crate) struct Reported {
+    pub(crate) time_ns: u64,
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) yaw: f64,
 }
 
 impl Odometer {
@@ -84,6 +95,16 @@ impl Odometer {
             jump_ns: (odometry_jump_s * 1e9) as u64,
             last: None,
         }
+    }
+
+    /// What was reported last.
+    pub(crate) fn last(&self) -> Option<Reported> {
+        self.last
+    }
+
+    /// The same odometer after another report.
+    pub(crate) fn resumed(self, last: Option<Reported>) -> Self {
+        Self { last, ..self }
     }
 
     /// Fills all but the header with the reported pose at a node and the increments since the sample before.

@@ -68,6 +68,23 @@ impl Plant {
         self.blocked
     }
 
+    /// Whether it has run into something.
+    pub(crate) fn is_wrecked(&self) -> bool {
+        self.wrecked
+    }
+
+    /// The same robot in another state.
+    pub(crate) fn resumed(
+        self,
+        state: State,
+        speed: f64,
+        steering: f64,
+        blocked: bool,
+        wrecked: bool,
+    ) -> Self {
+        Self { state, speed, steering, blocked, wrecked, ..self }
+    }
+
     /// Turns the wheels with the velocity [m/s] and the steering angle [rad] sent; other than finite numbers
     /// change nothing.
     pub fn drive(&mut self, velocity_sent: f64, steering_sent: f64) {

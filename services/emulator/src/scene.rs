@@ -103,6 +103,18 @@ impl Scene {
         }
     }
 
+    /// When obstacles that wait for the robot have appeared [s], `None` for those that still wait; always in the
+    /// same order.
+    pub(crate) fn appearances(&self) -> impl Iterator<Item = Option<f64>> {
+        self.temporary.iter().filter(|entry| entry.waits()).map(|entry| entry.appears_s)
+    }
+
+    /// Sets what [`Self::appearances`] tells.
+    pub(crate) fn set_appearances(&mut self, appearances: impl Iterator<Item = Option<f64>>) {
+        let waiting = self.temporary.iter_mut().filter(|entry| entry.waits());
+        waiting.zip(appearances).for_each(|(entry, appears_s)| entry.appears_s = appears_s);
+    }
+
     /// Surfaces of the walls, low y first [m].
     pub fn walls(&self) -> Option<[f64; 2]> {
         self.walls
@@ -154,6 +166,11 @@ impl Entry {
             solid: obstacle.solid_at(Vector2::new(obstacle.x_m, obstacle.y_m)),
             appears_s: obstacle.appears_ahead_m.is_none().then_some(obstacle.appears_s),
         }
+    }
+
+    /// Whether it appears when the robot comes near.
+    fn waits(&self) -> bool {
+        self.obstacle.appears_ahead_m.is_some()
     }
 
     fn offset(&self, time_s: f64) -> Vector2<f64> {

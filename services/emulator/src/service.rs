@@ -1,83 +1,234 @@
 //! The process of the role `robot`: actuation in; scan, odometry and truth out.
+//!
+//! In real time a scan is published when it is due, whatever the others do. In lock-step it is published when the
+//! scan before it was answered and the orchestrator has granted it.
+//!
+//! An actuation acts when it was published, not when this process got round to it: the robot does not drive
+//! differently because the machine is busy, and two emulators that hear the same actuations stay at one place.
+//! That is what an exchange of the robot rests on: the new one takes up the state of the old one while that drives,
+//! follows it in the shadow, and goes on from the next scan.
 
-use runtime::Process;
-use shared_types::{Actuation, Odometry, Phase, Role, Scan, Truth};
+use std::rc::Rc;
 
-use crate::{Emulator, Scenario};
+use runtime::{Handover, Input, Output, Process, Taken};
+use shared_types::{Actuation, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
 
-/// Runs until asked to end.
-///
-/// In real time a scan is published when it is due, whatever the others do. In lock-step it is published when the
-/// scan before it was answered and the orchestrator has granted it.
-///
-/// # Errors
-/// A scenario that is not allowed, and errors of the bus.
-pub fn run() -> anyhow::Result<()> {
-    let mut process = Process::attach(Role::Robot)?;
-    let scenario = process.settings::<Scenario>("scenario")?;
-    let mut emulator = Emulator::new(&scenario, process.period_ns());
-    let actuations = process.input::<Actuation>()?;
-    let scans = process.output::<Scan>()?;
-    let odometries = process.output::<Odometry>()?;
-    let truths = process.output::<Truth>()?;
-    if !process.start()? {
-        return Ok(());
-    }
-    let simulated = process.clock().is_simulated();
-    let origin_ns = process.clock().now_ns();
-    let (mut scan_id, mut answered) = (1, 0);
-    let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
-    loop {
-        let due_ns = origin_ns + emulator.scan_ready_ns(scan_id);
-        // The last scan was published: what was due then must not keep a real-time process from sleeping.
-        let stopping = process.directive().phase == Phase::Stopping.wire();
-        let goes_on = if stopping { process.wait(None)? } else { process.wait_for_time(due_ns)? };
-        if !goes_on {
-            return Ok(());
-        }
-        while let Some(actuation) = actuations.take() {
-            if !simulated {
-                emulator.advance_to(process.clock().now_ns() - origin_ns);
-            }
-            emulator.actuate(&actuation);
-            answered = if actuation.answers == 1 { actuation.header.scan_id } else { answered };
-        }
-        let directive = process.directive();
-        let due = if simulated {
-            answered + 1 == scan_id && scan_id <= directive.granted_scan
-        } else {
-            process.clock().now_ns() >= due_ns
-        };
-        if !due || directive.phase == Phase::Stopping.wire() {
-            if !simulated {
-                emulator.advance_to(process.clock().now_ns() - origin_ns);
-            }
-            continue;
-        }
-        if !simulated {
-            scan_id = newest_due(&emulator, scan_id, process.clock().now_ns() - origin_ns);
-        }
-        let ready_ns = emulator.scan_ready_ns(scan_id);
-        process.clock().advance_to(origin_ns + ready_ns);
-        process.begin();
-        emulator.advance_to(ready_ns);
-        emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
-        for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
-            header.scan_id = scan_id;
-            header.acquired_ns = origin_ns + emulator.acquired_ns(scan_id);
-        }
-        truths.publish_silently(&mut truth)?;
-        scans.publish(&mut scan)?;
-        odometries.publish(&mut odometry)?;
-        scan_id += 1;
+use crate::{Emulator, EmulatorState, Scenario};
+
+plain_state! {
+    /// What the process of a robot hands over to the one that goes on from it.
+    pub struct RobotState {
+        /// When the run started, on the clock of the loop [ns]
+        pub origin_ns: u64,
+        /// The next scan
+        pub next_scan: u64,
+        /// The scan answered last
+        pub answered: u64,
+        /// Sequence number of the actuation heard last
+        pub heard_sequence: u64,
+        /// Incarnation that it came from
+        pub heard_incarnation: u32,
+        /// Unused, zero
+        pub reserved: u32,
+        /// The robot and all around it
+        pub emulator: EmulatorState,
     }
 }
 
-/// The newest scan that is due: a robot that was held up skips the scans it missed instead of rushing through them.
-fn newest_due(emulator: &Emulator, scan_id: u64, now_ns: u64) -> u64 {
-    let mut newest = scan_id;
-    while emulator.scan_ready_ns(newest + 1) <= now_ns {
-        newest += 1;
+/// Runs until asked to end.
+///
+/// # Errors
+/// A scenario that is not allowed, no state to go on from, and errors of the bus.
+pub fn run() -> anyhow::Result<()> {
+    run_with(|_, _, _| {})
+}
+
+/// [`run`], with `change` applied to what is about to be published: for robots with a fault.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Robot)?;
+    let scenario = process.settings::<Scenario>("scenario")?;
+    let mut robot = Robot {
+        emulator: Emulator::new(&scenario, process.period_ns()),
+        actuations: process.input()?,
+        scans: process.output()?,
+        odometries: process.output()?,
+        truths: process.output()?,
+        pending: None,
+        origin_ns: 0,
+        next_scan: 1,
+        answered: 0,
+        heard: (0, 0),
+    };
+    let handed = process.resume::<RobotState>()?;
+    if !process.start()? {
+        return Ok(());
     }
-    newest
+    robot.begin(&mut process, handed)?;
+    while robot.wait(&mut process)? {
+        while robot.step(&mut process, &mut change)? {}
+    }
+    Ok(())
+}
+
+/// The emulator with its ports and its place in the run.
+struct Robot {
+    emulator: Emulator,
+    actuations: Input<Actuation>,
+    scans: Rc<Output<Scan>>,
+    odometries: Rc<Output<Odometry>>,
+    truths: Rc<Output<Truth>>,
+    /// Taken, and not acting yet.
+    pending: Option<Taken<Actuation>>,
+    origin_ns: u64,
+    next_scan: u64,
+    answered: u64,
+    /// Incarnation and sequence number of the actuation heard last.
+    heard: (u32, u64),
+}
+
+impl Robot {
+    /// Sleeps until the next scan is due or an actuation has come; false when asked to end.
+    fn wait(&self, process: &mut Process) -> anyhow::Result<bool> {
+        // What was due when the run was over must not keep a real-time process from sleeping.
+        Ok(match self.due_ns(process) {
+            Some(due_ns) => process.wait_for_time(due_ns)?,
+            None => process.wait(None)?,
+        })
+    }
+
+    /// Stands at the start, or where the robot is that this one was started beside.
+    fn begin(&mut self, process: &mut Process, handed: Handover<RobotState>) -> anyhow::Result<()> {
+        self.origin_ns = process.clock().now_ns();
+        let state = match (process.join::<RobotState>()?, handed) {
+            (Some((_, state)), _) => state,
+            (None, Handover::FirstStart) => return Ok(()),
+            (None, Handover::State(state)) if process.clock().is_simulated() => state,
+            // What the robot has done since would be missing.
+            (None, _) => anyhow::bail!("there is no fresh state of a robot to go on from"),
+        };
+        self.emulator.resume(&state.emulator)?;
+        self.origin_ns = state.origin_ns;
+        self.next_scan = state.next_scan;
+        self.answered = state.answered;
+        self.heard = (state.heard_incarnation, state.heard_sequence);
+        Ok(())
+    }
+
+    /// When the next scan is due, on the clock of the loop [ns]; none is when the run is over.
+    fn due_ns(&self, process: &Process) -> Option<u64> {
+        may_publish(process).then(|| self.origin_ns + self.emulator.scan_ready_ns(self.next_scan))
+    }
+
+    /// Does what comes next in the time of the robot: a scan or an actuation; false when neither is there yet.
+    fn step(
+        &mut self,
+        process: &mut Process,
+        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
+    ) -> anyhow::Result<bool> {
+        let simulated = process.clock().is_simulated();
+        let now_ns = process.clock().now_ns().saturating_sub(self.origin_ns);
+        if self.pending.is_none() {
+            self.pending = self.next_actuation();
+        }
+        let (scan_id, acts_ns) = if simulated {
+            let granted_scan = process.directive().granted_scan;
+            let granted = self.answered + 1 == self.next_scan && self.next_scan <= granted_scan;
+            // The answer to a scan that is yet to be published here waits for it.
+            let waits = |actuation: &Taken<Actuation>| actuation.header.scan_id >= self.next_scan;
+            let acts = self.pending.as_ref().filter(|actuation| !waits(actuation));
+            (granted.then_some(self.next_scan), acts.map(|_| 0))
+        } else {
+            let scan_id = newest_due(&self.emulator, self.next_scan, now_ns);
+            (scan_id, self.pending.as_ref().map(|actuation| self.acts_ns(actuation, now_ns)))
+        };
+        let scan_id = scan_id.filter(|_| may_publish(process));
+        let is_before = |scan_id: u64| {
+            acts_ns.is_none_or(|acts_ns| !simulated && self.emulator.scan_ready_ns(scan_id) <= acts_ns)
+        };
+        match scan_id {
+            Some(scan_id) if is_before(scan_id) => self.publish(process, scan_id, change)?,
+            _ => {
+                let Some(acts_ns) = acts_ns else { return Ok(false) };
+                let Some(actuation) = self.pending.take() else { return Ok(false) };
+                self.emulator.advance_to(acts_ns);
+                self.actuate(process, &actuation)?;
+            }
+        }
+        Ok(true)
+    }
+
+    /// The next actuation that the state taken up does not contain.
+    fn next_actuation(&self) -> Option<Taken<Actuation>> {
+        let is_news = |header: &Header| {
+            let (incarnation, sequence) = self.heard;
+            header.incarnation != incarnation || header.sequence > sequence
+        };
+        std::iter::from_fn(|| self.actuations.take()).find(|actuation| is_news(&actuation.header))
+    }
+
+    /// When an actuation acts: when it was published, between what the robot has been through and now.
+    fn acts_ns(&self, actuation: &Actuation, now_ns: u64) -> u64 {
+        let published_ns = actuation.header.stage(Role::Actuator).published_ns;
+        published_ns.saturating_sub(self.origin_ns).min(now_ns).max(self.emulator.now_ns())
+    }
+
+    fn actuate(&mut self, process: &mut Process, actuation: &Actuation) -> anyhow::Result<()> {
+        self.emulator.actuate(actuation);
+        let Header { incarnation, sequence, scan_id, .. } = actuation.header;
+        self.heard = (incarnation, sequence);
+        self.answered = if actuation.answers == 1 { scan_id } else { self.answered };
+        self.save(process, &actuation.header)
+    }
+
+    fn publish(
+        &mut self,
+        process: &mut Process,
+        scan_id: u64,
+        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
+    ) -> anyhow::Result<()> {
+        let ready_ns = self.emulator.scan_ready_ns(scan_id);
+        process.clock().advance_to(self.origin_ns + ready_ns);
+        process.begin();
+        self.emulator.advance_to(ready_ns);
+        let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+        self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+        for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
+            header.scan_id = scan_id;
+            header.acquired_ns = self.origin_ns + self.emulator.acquired_ns(scan_id);
+        }
+        change(&mut scan, &mut odometry, &mut truth);
+        self.truths.publish_silently(&mut truth)?;
+        self.scans.publish(&mut scan)?;
+        self.odometries.publish(&mut odometry)?;
+        self.next_scan = scan_id + 1;
+        self.save(process, &odometry.header)
+    }
+
+    /// Publishes the state, unless the next sweep has begun.
+    fn save(&self, process: &mut Process, header: &Header) -> anyhow::Result<()> {
+        let Some(emulator) = self.emulator.state(self.next_scan - 1) else { return Ok(()) };
+        let state = RobotState {
+            origin_ns: self.origin_ns,
+            next_scan: self.next_scan,
+            answered: self.answered,
+            heard_sequence: self.heard.1,
+            heard_incarnation: self.heard.0,
+            reserved: 0,
+            emulator,
+        };
+        Ok(process.save(header, &state)?)
+    }
+}
+
+/// Whether scans are wanted still.
+fn may_publish(process: &Process) -> bool {
+    process.directive().phase != Phase::Stopping.wire()
+}
+
+/// The newest scan that is due: a robot that was held up skips the scans it missed instead of rushing through them.
+fn newest_due(emulator: &Emulator, next_scan: u64, now_ns: u64) -> Option<u64> {
+    (next_scan..).take_while(|scan_id| emulator.scan_ready_ns(*scan_id) <= now_ns).last()
 }

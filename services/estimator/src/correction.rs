@@ -16,9 +16,8 @@
 //! instead of shifting it, which is what a steering offset really does.
 
 use serde::{Deserialize, Serialize};
+use shared_types::plain_state;
 use vehicle::frame::{to_track, wrap_angle};
-
-use crate::state::plain_state;
 
 /// How measured data are corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

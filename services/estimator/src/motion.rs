@@ -14,14 +14,13 @@
 //! sees here; the filter corrects what comes of it.
 
 use nalgebra::SVector;
-use shared_types::{Actuation, ActuationKind, Role};
+use shared_types::{Actuation, ActuationKind, Role, plain_state};
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::integrate::MAX_STEP_S;
 use vehicle::model::lateral;
 use vehicle::{Control, Parameters, State};
 
 use crate::correction::Planar;
-use crate::state::plain_state;
 
 /// How many actuations are remembered: more than can be in force within a gap of several scans at which the filter
 /// begins anew, and a block with its recovery within one scan.

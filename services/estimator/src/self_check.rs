@@ -15,7 +15,7 @@
 
 use shared_types::{Alarm, Suspect};
 
-use crate::state::plain_state;
+use shared_types::plain_state;
 
 /// Scans that a median is taken over.
 pub const WINDOW: usize = 20;

@@ -16,7 +16,7 @@ pub fn run() -> anyhow::Result<()> {
     let actuation = process.input::<Actuation>()?;
     let poses = process.output::<Pose>()?;
     // Without the state of the process before, the correction of measured data is lost and with it the place.
-    let lost = match process.resume()? {
+    let mut lost = match process.resume()? {
         Handover::State(state) => estimator.resume(&state).is_err(),
         Handover::FirstStart => false,
         Handover::Lost => true,
@@ -27,13 +27,21 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
-    let mut actuated = 0;
+    if let Some((_, state)) = process.join()? {
+        lost = estimator.resume(&state).is_err();
+    }
+    let mut actuated = process.handed_scan();
     while process.wait(None)? {
-        while let Some(scan_id) = odometry.next_scan() {
+        loop {
             while let Some(newer) = actuation.take() {
                 actuated = newer.header.scan_id;
                 estimator.note(&newer, process.clock().now_ns());
+                let state = estimator.state();
+                if state.initialised == 1 {
+                    process.save(&newer.header, &state)?;
+                }
             }
+            let Some(scan_id) = odometry.next_scan() else { break };
             // In lock-step the actuation of the scan before is on its way, and the result must not depend on when it comes.
             if process.clock().is_simulated() && actuated + 1 < scan_id {
                 break;

@@ -1,39 +1,11 @@
 //! All that the estimator remembers, as plain bytes: the working state and the checkpoint are one thing.
 
 use nalgebra::Matrix3;
-use shared_types::Fault;
+use shared_types::{Fault, plain_state};
 
 use crate::correction::CorrectionState;
 use crate::motion::{HISTORY, MotionState};
 use crate::self_check::{SelfCheckState, WINDOW};
-
-/// Declares plain state with the description of its fields that a checkpoint is recognised by.
-macro_rules! plain_state {
-    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
-
-        impl shared_types::Described for $name {
-            const KIND: shared_types::Kind = shared_types::Kind::Struct(stringify!($name), &[
-                $(shared_types::Field {
-                    name: stringify!($field),
-                    doc: $doc.trim_ascii(),
-                    offset: std::mem::offset_of!($name, $field),
-                    kind: <$type as shared_types::Described>::KIND,
-                },)*
-            ]);
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                bytemuck::Zeroable::zeroed()
-            }
-        }
-    };
-}
-pub(crate) use plain_state;
 
 plain_state! {
     /// All that the estimator remembers from sample to sample.

@@ -30,6 +30,10 @@ pub fn run() -> anyhow::Result<()> {
         // Beside another one it plans afresh: only who agrees with that one takes over.
         Handover::Lost => {}
     }
+    if let Some((scan_id, state)) = process.join()? {
+        controller.resume(&state);
+        poses.skip_to(scan_id);
+    }
     let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
     while process.wait_joined()? {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {

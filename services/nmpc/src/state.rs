@@ -1,35 +1,10 @@
 //! What a restarted controller goes on from.
 
-use bytemuck::{Pod, Zeroable};
-use shared_types::{Described, Field, Kind, PLAN_NODES, PlanNode};
+use shared_types::{PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::{MAX_SIDES, Side};
 
-/// Declares a plain struct and its description from one list of fields.
-macro_rules! described {
-    (
-        $(#[$meta:meta])*
-        pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }
-    ) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
-
-        impl Described for $name {
-            const KIND: Kind = Kind::Struct(stringify!($name), &[
-                $(Field {
-                    name: stringify!($field),
-                    doc: $doc.trim_ascii(),
-                    offset: std::mem::offset_of!($name, $field),
-                    kind: <$type as Described>::KIND,
-                },)*
-            ]);
-        }
-    };
-}
-
-described! {
+plain_state! {
     /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
     pub struct ControllerState {
         /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else
@@ -54,12 +29,6 @@ described! {
         pub sides: [Side; MAX_SIDES],
         /// The last verified plan
         pub plan: [PlanNode; PLAN_NODES],
-    }
-}
-
-impl Default for ControllerState {
-    fn default() -> Self {
-        Self::zeroed()
     }
 }
 

@@ -16,7 +16,7 @@ pub fn run() -> anyhow::Result<()> {
     let poses = process.input::<Pose>()?;
     let obstacles = process.output::<Obstacles>()?;
     // Without the state of the process before, an obstacle beside the robot that is out of view would be forgotten.
-    let lost = match process.resume()? {
+    let mut lost = match process.resume()? {
         Handover::State(state) => describer.resume(&state).is_err(),
         Handover::FirstStart => false,
         Handover::Lost => true,
@@ -26,6 +26,10 @@ pub fn run() -> anyhow::Result<()> {
     }
     if !process.start()? {
         return Ok(());
+    }
+    if let Some((scan_id, state)) = process.join()? {
+        lost = describer.resume(&state).is_err();
+        scans.skip_to(scan_id);
     }
     while process.wait_joined()? {
         while let Some((scan, pose)) = join(&scans, &poses) {

@@ -1,39 +1,13 @@
 //! State that a restarted or swapped process resumes from: all tracks as plain bytes.
 
-use bytemuck::{Pod, Zeroable};
-use shared_types::{CHECKPOINT_BYTES, Described, Field, Kind};
+use shared_types::{CHECKPOINT_BYTES, plain_state};
 
 use crate::shape::DIRECTIONS;
 
 /// Most bodies that are tracked at once; that many fit a checkpoint, and more than a description can hold.
 pub const TRACKS: usize = 17;
 
-/// Declares a plain struct with its description.
-macro_rules! plain {
-    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
-
-        impl Described for $name {
-            const KIND: Kind = Kind::Struct(stringify!($name), &[$(Field {
-                name: stringify!($field),
-                doc: $doc.trim_ascii(),
-                offset: std::mem::offset_of!($name, $field),
-                kind: <$type as Described>::KIND,
-            },)*]);
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                Zeroable::zeroed()
-            }
-        }
-    };
-}
-
-plain! {
+plain_state! {
     /// One tracked body.
     pub struct TrackState {
         /// Place and velocity of the reference point: x, y, vx, vy [m, m/s]
@@ -71,7 +45,7 @@ plain! {
     }
 }
 
-plain! {
+plain_state! {
     /// State of a [`Describer`](crate::Describer) after a scan.
     pub struct ObstaclesState {
         /// When the last scan was acquired [ns]

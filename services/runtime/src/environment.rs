@@ -10,6 +10,14 @@ pub const INCARNATION_VARIABLE: &str = "SCANLOOP_INCARNATION";
 /// Is `1` for a process that takes the place of another: one that died, or one that it is exchanged for.
 pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";
 
+/// Gives the incarnation of the running process of the role to one that is started beside it.
+pub const BESIDE_VARIABLE: &str = "SCANLOOP_BESIDE";
+
+/// The incarnation of the process that this one was started beside.
+pub(crate) fn beside() -> Option<u32> {
+    std::env::var(BESIDE_VARIABLE).ok()?.parse().ok().filter(|incarnation| *incarnation > 0)
+}
+
 /// Whether this process takes the place of another.
 pub(crate) fn is_restart() -> bool {
     std::env::var(RESTART_VARIABLE).is_ok_and(|value| value == "1")

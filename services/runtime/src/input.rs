@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use std::ops::Deref;
 use std::rc::Rc;
 
+use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
 use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
@@ -12,7 +13,7 @@ use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
 use crate::bus::WireSubscriber;
 use crate::ear::Ear;
 use crate::process::Shared;
-use crate::quality::buffer;
+use crate::quality::{buffer, quality};
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
@@ -51,6 +52,7 @@ struct Reader<S: Sample> {
     shared: Rc<Shared>,
     kept: RefCell<VecDeque<Taken<S>>>,
     aside: RefCell<VecDeque<Taken<S>>>,
+    dropped: RefCell<Vec<Taken<S>>>,
     last: Cell<Last>,
     account: RefCell<InputAccount>,
 }
@@ -70,6 +72,7 @@ impl<S: Sample> Input<S> {
             shared,
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
+            dropped: RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed())),
             last: Cell::default(),
             account: RefCell::default(),
         })))
@@ -87,6 +90,17 @@ impl<S: Sample> Input<S> {
         self.0.kept.borrow().front().map(|sample| sample.header().scan_id)
     }
 
+    /// Drops what is kept of scans up to `scan_id`, counted as replaced: a state that was taken up contains them.
+    pub fn skip_to(&self, scan_id: u64) {
+        self.0.kept.borrow_mut().retain(|sample| {
+            let is_news = sample.header().scan_id > scan_id;
+            if !is_news {
+                self.0.settle(Fate::Replaced, sample);
+            }
+            is_news
+        });
+    }
+
     /// The newest sample; older ones are dropped and counted as replaced.
     pub fn take_newest(&self) -> Option<Taken<S>> {
         let mut kept = self.0.kept.borrow_mut();
@@ -100,7 +114,9 @@ impl<S: Sample> Input<S> {
     fn take_scan(&self, scan_id: u64) -> Option<Taken<S>> {
         let mut kept = self.0.kept.borrow_mut();
         while kept.front().is_some_and(|sample| sample.header().scan_id < scan_id) {
-            self.0.settle_front(Fate::Replaced, &mut kept);
+            if let Some(sample) = kept.pop_front() {
+                self.0.settle(Fate::Replaced, &sample);
+            }
         }
         if kept.front().is_some_and(|sample| sample.header().scan_id == scan_id) {
             kept.pop_front()
@@ -159,14 +175,31 @@ impl<S: Sample> Drain for Input<S> {
     fn drain(&self) -> Result<(), RuntimeError> {
         let reader = &*self.0;
         reader.ear.clear();
-        let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
-        let (before, mut received) = (*reader.account.borrow(), 0);
-        while let Some(sample) = reader.subscriber.receive().map_err(error)? {
-            received += 1;
-            reader.arrive(Taken(sample));
-        }
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
         let capacity = buffer(S::TOPIC);
+        let (before, mut received) = (*reader.account.borrow(), 0);
+        // What is dropped goes back to its producer at the end of a go only. A producer has so many samples that can be
+        // borrowed and no more, so one that publishes faster than this can hold neither this loop nor, because the bus
+        // asks the connections in a fixed order, the samples of another. So many goes empty the longest queue.
+        for _ in 0..capacity.div_ceil(quality(S::TOPIC).borrowed.saturating_sub(KEPT + ASIDE).max(1)) {
+            let is_all = loop {
+                match reader.subscriber.receive() {
+                    Ok(Some(sample)) => {
+                        received += 1;
+                        reader.arrive(Taken(sample));
+                    }
+                    Ok(None) => break true,
+                    Err(ReceiveError::ExceedsMaxBorrows) => break false,
+                    Err(reason) => {
+                        return Err(RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason));
+                    }
+                }
+            };
+            reader.dropped.borrow_mut().clear();
+            if is_all {
+                break;
+            }
+        }
         if received >= capacity {
             reader.account.borrow_mut().overflowed_since(&before, capacity as u64);
         }
@@ -176,6 +209,7 @@ impl<S: Sample> Drain for Input<S> {
     fn review(&self) {
         let waiting = std::mem::take(&mut *self.0.aside.borrow_mut());
         waiting.into_iter().for_each(|sample| self.0.offer(sample, true));
+        self.0.dropped.borrow_mut().clear();
     }
 
     fn account(&self) -> InputAccount {
@@ -194,6 +228,7 @@ impl<S: Sample> Reader<S> {
         let check = sample.check();
         if let Err(Fault::Layout { .. }) = check {
             self.account.borrow_mut().unreadable += 1;
+            self.dropped.borrow_mut().push(sample);
             return;
         }
         let (fate, news) = {
@@ -207,9 +242,9 @@ impl<S: Sample> Reader<S> {
             self.shared.counters.news.set(true);
         }
         if let Some(fate) = fate {
-            self.settle(fate, &sample);
+            self.discard(fate, sample);
         } else if let Err(fault) = check {
-            self.settle(Fate::Invalid, &sample);
+            self.discard(Fate::Invalid, sample);
             tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
         } else {
             self.offer(sample, false);
@@ -229,13 +264,13 @@ impl<S: Sample> Reader<S> {
             let other = was_aside || directive.is_exchanged(writer) && header.incarnation != last.incarnation;
             let answered_by_other = other && header.scan_id <= last.scan_id;
             if answered_by_other || !directive.accepts(writer, header.incarnation, header.scan_id) {
-                return self.settle(Fate::Foreign, &sample);
+                return self.discard(Fate::Foreign, sample);
             }
         }
         let scan_id = header.scan_id.max(last.scan_id);
         self.last.set(Last { incarnation: header.incarnation, scan_id });
         if self.is_stale(&sample) {
-            return self.settle(Fate::Stale, &sample);
+            return self.discard(Fate::Stale, sample);
         }
         self.push(&self.kept, sample, KEPT, Fate::Replaced);
     }
@@ -257,17 +292,18 @@ impl<S: Sample> Reader<S> {
         self.account.borrow_mut().settle(fate, sample.header());
     }
 
-    fn settle_front(&self, fate: Fate, queue: &mut VecDeque<Taken<S>>) {
-        if let Some(sample) = queue.pop_front() {
-            self.settle(fate, &sample);
-        }
+    /// Drops a sample, at the end of this look.
+    fn discard(&self, fate: Fate, sample: Taken<S>) {
+        self.settle(fate, &sample);
+        self.dropped.borrow_mut().push(sample);
     }
 
     /// Puts a sample at the end; the oldest gives way to it when there are `most` already.
     fn push(&self, queue: &RefCell<VecDeque<Taken<S>>>, sample: Taken<S>, most: usize, fate: Fate) {
         let mut queue = queue.borrow_mut();
-        if queue.len() == most {
-            self.settle_front(fate, &mut queue);
+        let gives_way = (queue.len() == most).then(|| queue.pop_front()).flatten();
+        if let Some(oldest) = gives_way {
+            self.discard(fate, oldest);
         }
         queue.push_back(sample);
     }

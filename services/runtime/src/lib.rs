@@ -57,7 +57,7 @@ pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
 pub use domain::Domain;
-pub use environment::{INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
+pub use environment::{BESIDE_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
 pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
 pub use identity::{Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks};

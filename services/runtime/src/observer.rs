@@ -1,16 +1,23 @@
 //! Looking at topics, and speaking as the orchestrator, without being a process of the loop.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 
+use iceoryx2::port::ReceiveError;
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample as BusSample;
 use shared_types::{Fault, Sample};
 
 use crate::bell::{ANY, Bells};
 use crate::bus::{WirePublisher, WireSubscriber};
 use crate::ear::{Ear, Ringer};
+use crate::quality::quality;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
+
+/// Most goes at all producers in one look; more than the longest queue of a topic needs.
+const GOES: usize = 32;
 
 /// A sample, and whether its content may be used.
 pub type Checked<S> = (S, Result<(), Fault>);
@@ -19,6 +26,7 @@ pub type Checked<S> = (S, Result<(), Fault>);
 pub struct Observer<S: Sample> {
     subscriber: WireSubscriber<S>,
     waking: Option<Waking>,
+    borrowed: RefCell<Vec<BusSample<ipc::Service, Wire<S>, ()>>>,
 }
 
 /// What an observer sleeps on.
@@ -34,7 +42,7 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { subscriber: bus.subscriber::<S>()?, waking: None })
+        Self::with(bus, None)
     }
 
     /// Looks at the topic and can be slept on, see [`Observer::wait`].
@@ -43,15 +51,18 @@ impl<S: Sample> Observer<S> {
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
         let (bells, ear) = (Arc::clone(bus.bells()), Ear::new(bus, S::TOPIC)?);
-        let waking = Some(Waking { bells, ear, seen: Cell::new(0) });
-        Ok(Self { subscriber: bus.subscriber::<S>()?, waking })
+        Self::with(bus, Some(Waking { bells, ear, seen: Cell::new(0) }))
+    }
+
+    fn with(bus: &Bus, waking: Option<Waking>) -> Result<Self, RuntimeError> {
+        let borrowed = RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed()));
+        Ok(Self { subscriber: bus.subscriber::<S>()?, waking, borrowed })
     }
 
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
     /// [`Observer::waking`] it always sleeps to the end.
     ///
-    /// To be called when [`Observer::poll`] or [`Observer::next`] has found nothing more: what still waits there does
-    /// not end the sleep.
+    /// What came after the last [`Observer::poll`] or [`Observer::look`] had begun ends the sleep at once.
     pub fn wait(&self, timeout_ns: u64) -> bool {
         let Some(waking) = &self.waking else { return wait_for(&[], timeout_ns) };
         let bell = waking.bells.topic(S::TOPIC);
@@ -77,15 +88,13 @@ impl<S: Sample> Observer<S> {
         let _ = self.subscriber.update_connections();
     }
 
-    /// The next sample, whatever its content; `None` when there is none now.
+    /// The next sample, whatever its content; `None` when there is none now. Where a producer may flood the topic,
+    /// [`Observer::look`] ends and this does not have to.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn next(&self) -> Result<Option<Checked<S>>, RuntimeError> {
-        if let Some(waking) = &self.waking {
-            waking.seen.set(waking.bells.topic(S::TOPIC).look());
-            waking.ear.clear();
-        }
+        self.hear();
         let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
         let sample = self.subscriber.receive().map_err(error)?;
         Ok(sample.map(|sample| (sample.payload().0, sample.payload().0.check())))
@@ -97,13 +106,51 @@ impl<S: Sample> Observer<S> {
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn poll(&self, mut each: impl FnMut(&S)) -> Result<u64, RuntimeError> {
         let mut invalid = 0;
-        while let Some((sample, check)) = self.next()? {
-            match check {
-                Ok(()) => each(&sample),
-                Err(_) => invalid += 1,
+        self.look(|sample, check| match check {
+            Ok(()) => each(sample),
+            Err(_) => invalid += 1,
+        })?;
+        Ok(invalid)
+    }
+
+    /// Hands all samples that are there to `each`, with what is wrong with them.
+    ///
+    /// A producer that publishes without a pause holds up neither this call nor the samples of others: of each,
+    /// what is borrowed in one go is followed by the next one's, and so many goes must do.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when receiving fails.
+    pub fn look(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
+        self.hear();
+        for _ in 0..GOES {
+            let mut borrowed = self.borrowed.borrow_mut();
+            let is_all = loop {
+                match self.subscriber.receive() {
+                    Ok(Some(sample)) => {
+                        each(&sample.payload().0, sample.payload().0.check());
+                        borrowed.push(sample);
+                    }
+                    Ok(None) => break true,
+                    Err(ReceiveError::ExceedsMaxBorrows) => break false,
+                    Err(reason) => {
+                        return Err(RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason));
+                    }
+                }
+            };
+            borrowed.clear();
+            if is_all {
+                break;
             }
         }
-        Ok(invalid)
+        Ok(())
+    }
+
+    /// What is rung or notified from here on was not seen yet.
+    fn hear(&self) {
+        if let Some(waking) = &self.waking {
+            waking.seen.set(waking.bells.topic(S::TOPIC).look());
+            waking.ear.clear();
+        }
     }
 }
 

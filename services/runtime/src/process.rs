@@ -20,7 +20,9 @@ use crate::orphan::{self, Janitor};
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
 use crate::wake::wait_for;
-use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
+use crate::{
+    Bus, Clock, Domain, Observer, Realtime, RuntimeError, Shutdown, environment, layouts, monotonic_ns,
+};
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
@@ -28,6 +30,8 @@ const HEARTBEAT_NS: u64 = 95_000_000;
 pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
 /// Inputs older than this many scan periods when they arrive are not used any more.
 const MAX_AGE_PERIODS: u64 = 3;
+/// The state of a running process is waited for this long, besides two and a half periods [ns].
+const JOIN_NS: u64 = 20_000_000;
 /// A checkpoint older than this describes another situation [ns].
 const CHECKPOINT_AGE_NS: u64 = 500_000_000;
 
@@ -71,6 +75,7 @@ pub struct Process {
     checkpoint: Option<Output<Checkpoint>>,
     inputs: Vec<Rc<dyn Drain>>,
     outputs: Vec<Rc<dyn Connect>>,
+    handed_scan: Cell<u64>,
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
@@ -102,11 +107,11 @@ impl Process {
         let (system_id, incarnation) = environment::identity()?;
         let domain = Domain::new(&system_id)?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
-        Self::join(role, domain, incarnation)
+        Self::enrol(role, domain, incarnation)
     }
 
     /// Joins a system as one incarnation of a role.
-    pub(crate) fn join(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
+    pub(crate) fn enrol(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
         let shutdown = Shutdown::on_signals()?;
         let settings = settings::read(&domain)?;
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
@@ -136,6 +141,7 @@ impl Process {
             checkpoint: None,
             inputs: Vec::new(),
             outputs: Vec::new(),
+            handed_scan: Cell::new(0),
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),
@@ -356,12 +362,50 @@ impl Process {
             tracing::warn!("the process before this one left no state");
             return Ok(Handover::Lost);
         };
+        // In lock-step the loop rests while a process starts, so its state does not age.
         let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
-        if age_ns > CHECKPOINT_AGE_NS {
+        if age_ns > CHECKPOINT_AGE_NS && !self.shared.clock.is_simulated() {
             tracing::warn!("the state of the process before this one is {} ms old", age_ns / 1_000_000);
             return Ok(Handover::Lost);
         }
+        self.handed_scan.set(checkpoint.header.scan_id);
         Ok(Handover::State(checkpoint))
+    }
+
+    /// The scan after which the state was taken that [`Process::resume`] has found; 0 without one.
+    pub fn handed_scan(&self) -> u64 {
+        self.handed_scan.get()
+    }
+
+    /// The newest state of the running process that this one was started beside, and the scan after which it was
+    /// taken: to be called after [`Process::start`], because what was handed over at the start has aged since.
+    ///
+    /// `None` when this process was not started beside another, when that one publishes no state of this type
+    /// for two and a half periods, and in lock-step, where the loop rests while a process starts.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn join<T: bytemuck::Pod + Described>(&mut self) -> Result<Option<(u64, T)>, RuntimeError> {
+        let Some(beside) = environment::beside() else { return Ok(None) };
+        if self.shared.clock.is_simulated() {
+            return Ok(None);
+        }
+        let states = Observer::<Checkpoint>::new(&self.bus)?;
+        let begun_ns = monotonic_ns();
+        let until_ns = begun_ns + JOIN_NS + self.run.period_ns / 2 * 5;
+        while monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
+            let mut newest = None;
+            states.poll(|checkpoint| {
+                let is_fresh = checkpoint.header.incarnation == beside && checkpoint.issued_ns >= begun_ns;
+                if is_fresh && checkpoint.role == self.shared.role.wire() {
+                    newest = checkpoint.state().ok().map(|state| (checkpoint.header.scan_id, state));
+                }
+            })?;
+            if newest.is_some() {
+                return Ok(newest);
+            }
+        }
+        Ok(None)
     }
 
     fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {

@@ -17,6 +17,13 @@ pub(crate) struct Quality {
     pub(crate) history: usize,
 }
 
+impl Quality {
+    /// Samples that one reader holds at a time, of all producers together.
+    pub(crate) fn most_borrowed(self) -> usize {
+        self.publishers * self.borrowed
+    }
+}
+
 /// Nodes on one service: all processes, twice over during swaps, and observers.
 pub(crate) const NODES: usize = 32;
 /// Processes that may notify or listen on one topic.
@@ -36,6 +43,6 @@ pub(crate) fn quality(topic: Topic) -> Quality {
         Topic::Actuation | Topic::Truth => Quality { buffer: 256, ..stream },
         Topic::Heartbeat => Quality { publishers: 16, subscribers: 6, ..stream },
         Topic::Directive => Quality { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },
-        Topic::Checkpoint => Quality { publishers: 8, subscribers: 8, buffer: 4, borrowed: 2, history: 1 },
+        Topic::Checkpoint => Quality { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
     }
 }

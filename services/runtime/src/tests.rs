@@ -292,3 +292,62 @@ fn what_a_full_buffer_overwrites_is_not_missing() {
     assert_eq!((account.overwritten, account.missing), (23, 0), "1 taken, 16 in the buffer");
     assert_eq!((account.replaced, account.used, account.open), (13, 4, 0));
 }
+
+/// Publishes poses of a foreign incarnation without a pause, from a thread, until dropped.
+struct Flood {
+    stop: std::sync::Arc<std::sync::atomic::AtomicBool>,
+    thread: Option<std::thread::JoinHandle<u64>>,
+}
+
+impl Flood {
+    fn start(domain: &Domain) -> Self {
+        let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let (domain, asked) = (domain.clone(), std::sync::Arc::clone(&stop));
+        let thread = std::thread::spawn(move || {
+            let bus = Bus::open(&domain, "flood").unwrap();
+            let mut voice = Voice::<Pose>::new(&bus).unwrap();
+            let mut sample = pose(1, 0.0);
+            sample.header.incarnation = 6;
+            let mut count = 0;
+            while !asked.load(Ordering::Acquire) {
+                voice.say(&mut sample, false).unwrap();
+                count += 1;
+            }
+            count
+        });
+        Self { stop, thread: Some(thread) }
+    }
+
+    fn stop(mut self) -> u64 {
+        self.stop.store(true, Ordering::Release);
+        self.thread.take().unwrap().join().unwrap()
+    }
+}
+
+#[test]
+fn a_producer_that_floods_a_topic_keeps_nobody_from_the_samples_that_count() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    let observer = Observer::<Pose>::new(lab.bus()).unwrap();
+    let flood = Flood::start(&lab.domain);
+    while input.account().foreign == 0 {
+        input.drain().unwrap();
+    }
+    // The flood was there first, so the bus asks it first.
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    input.drain().unwrap();
+    observer.poll(|_| {}).unwrap();
+    let mut seen = 0;
+    for scan_id in 1..=500 {
+        output.publish(&mut pose(scan_id, 1.0)).unwrap();
+        input.drain().unwrap();
+        let taken = input.take().map(|taken| taken.header.scan_id);
+        assert_eq!(taken, Some(scan_id), "each look ends, and it reaches the one that counts");
+        observer.poll(|sample| seen += u64::from(sample.header.incarnation == 7)).unwrap();
+    }
+    assert_eq!(seen, 500);
+    let account = input.account();
+    assert_eq!((account.missing, account.replaced), (0, 0));
+    assert!(flood.stop() > 1000);
+}

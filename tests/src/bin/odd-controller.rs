@@ -1,12 +1,15 @@
 //! The controller with a fault, for tests of exchanges.
 //!
-//! `odd-controller none | nan | steer | late | mute | hang-after N | exit-after N`
+//! `odd-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
 
 use runtime::{Handover, Process, RuntimeError, join, wait_for};
 use shared_types::{Command, Obstacles, Pose, Role};
 
 /// How long the late one waits before it answers: more than half a period of 100 ms, less than a whole one [ns].
 const LATE_NS: u64 = 70_000_000;
+
+/// How often the one that floods repeats itself while it waits: ten thousand times a second [ns].
+const FLOOD_NS: u64 = 100_000;
 
 /// What is wrong with it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +19,7 @@ enum Fault {
     SteersMore,
     Late,
     Mute,
+    Floods,
     HangsAfter(u64),
     ExitsAfter(u64),
 }
@@ -23,7 +27,7 @@ enum Fault {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let fault = fault(&arguments)
-        .ok_or("usage: odd-controller none|nan|steer|late|mute|hang-after N|exit-after N")?;
+        .ok_or("usage: odd-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
     run(fault)
 }
 
@@ -35,6 +39,7 @@ fn fault(arguments: &[String]) -> Option<Fault> {
         "steer" => Fault::SteersMore,
         "late" => Fault::Late,
         "mute" => Fault::Mute,
+        "flood" => Fault::Floods,
         "hang-after" => Fault::HangsAfter(number()?),
         "exit-after" => Fault::ExitsAfter(number()?),
         _ => return None,
@@ -55,8 +60,13 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
     if !process.start()? {
         return Ok(());
     }
-    let mut count = 0;
-    while process.wait(None)? {
+    let (mut count, mut last) = (0, None::<Command>);
+    while process.wait((fault == Fault::Floods).then(|| process.clock().now_ns() + FLOOD_NS))? {
+        // A timer may be late by half of that; twice makes up for it.
+        for command in last.iter_mut().filter(|_| fault == Fault::Floods) {
+            commands.publish(command)?;
+            commands.publish(command)?;
+        }
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
             let mut command = controller.step(&pose, &obstacles, &budget);
             count += 1;
@@ -69,9 +79,10 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
                 Fault::Mute => continue,
                 Fault::HangsAfter(limit) if count > limit => hang(),
                 Fault::ExitsAfter(limit) if count > limit => return Err(gone().into()),
-                Fault::None | Fault::HangsAfter(_) | Fault::ExitsAfter(_) => {}
+                Fault::None | Fault::Floods | Fault::HangsAfter(_) | Fault::ExitsAfter(_) => {}
             }
             commands.publish(&mut command)?;
+            last = Some(command);
         }
     }
     Ok(())

@@ -306,3 +306,73 @@ fn bytemuck_bytes((scan, odometry, truth): &(Scan, Odometry, Truth)) -> (Vec<u16
     bits.extend([truth.steps, truth.refused, u64::from(truth.blocked), u64::from(truth.collided)]);
     (scan.ranges_mm.to_vec(), bits)
 }
+
+/// A scene with everything that is remembered: triggers, moving bodies, noise, drift and play.
+fn eventful() -> Scenario {
+    parse(
+        "[track]\nwalls = true\n[robot]\nodometry_lateral_rate = 0.05\nsteering_backlash_rad = 0.005\n\
+         [noise]\nodometry_m = 0.01\nodometry_rad = 0.005\ndropout = 0.02\nmixed_pixels = 0.5\n\
+         [[obstacle]]\nshape = \"circle\"\nx_m = 2.5\ny_m = 0.9\nradius_m = 0.1\nappears_ahead_m = 1.0\nvelocity_y_mps = 0.1\n\
+         [[obstacle]]\nshape = \"box\"\nx_m = 3.5\ny_m = -0.9\nlength_m = 0.2\nwidth_m = 0.2\nappears_s = 2.0",
+    )
+}
+
+#[test]
+fn one_that_goes_on_from_a_state_measures_the_same_to_the_last_bit() {
+    let scenario = eventful();
+    let mut old = Emulator::new(&scenario, PERIOD);
+    let actuation = |scan_id: u64| {
+        let steering = 0.06 * (scan_id as f64 * 0.7).sin();
+        if scan_id.is_multiple_of(11) { block() } else { drive(0.9, steering) }
+    };
+    let step = |robots: &mut [&mut Emulator], scan_id: u64| {
+        let samples: Vec<_> = robots
+            .iter_mut()
+            .map(|robot| {
+                robot.advance_to(robot.scan_ready_ns(scan_id));
+                let samples = measure(robot, scan_id);
+                // A command that acts within a step of the plant.
+                robot.advance_to(robot.scan_ready_ns(scan_id) + 700_123);
+                robot.actuate(&actuation(scan_id));
+                samples
+            })
+            .collect();
+        assert!(samples.windows(2).all(|pair| pair[0] == pair[1]), "scan {scan_id}");
+        samples[0].2.path_length_m
+    };
+    for scan_id in 1..=12 {
+        step(&mut [&mut old], scan_id);
+    }
+    let mut new = Emulator::new(&scenario, PERIOD);
+    new.resume(&old.state(12).unwrap()).unwrap();
+    let mut way_m = 0.0;
+    for scan_id in 13..=30 {
+        way_m = step(&mut [&mut old, &mut new], scan_id);
+    }
+    assert!(way_m > 1.2, "it drove: {way_m}");
+    assert_eq!(old.state(30), new.state(30));
+}
+
+#[test]
+fn a_state_is_given_away_only_until_the_next_sweep_begins() {
+    let mut emulator = ideal("");
+    emulator.advance_to(emulator.scan_ready_ns(1));
+    assert!(emulator.state(1).is_some());
+    emulator.advance_to(emulator.scan_ready_ns(2) - emulator.sweep_ns());
+    assert!(emulator.state(1).is_some());
+    emulator.advance_to(emulator.now_ns() + 1);
+    assert!(emulator.state(1).is_none());
+}
+
+#[test]
+fn a_state_of_another_scene_or_with_impossible_numbers_is_refused() {
+    let mut emulator = Emulator::new(&eventful(), PERIOD);
+    emulator.advance_to(emulator.scan_ready_ns(1));
+    let good = emulator.state(1).unwrap();
+    assert!(ideal("").resume(&good).is_err(), "an obstacle that is not in the scene");
+    let bad = EmulatorState { speed_mps: f64::NAN, ..good };
+    assert_eq!(emulator.resume(&bad), Err(shared_types::Fault::NotFinite { field: "speed_mps" }));
+    let bad = EmulatorState { plant_ns: good.clock_ns + 1, ..good };
+    assert!(emulator.resume(&bad).is_err());
+    assert_eq!(emulator.state(1), Some(good), "unchanged");
+}

@@ -174,7 +174,7 @@ fn two_writers_who_hammer_one_reader_never_let_it_sleep_through_a_sample() {
 fn a_process_never_sleeps_through_a_sample_of_its_two_inputs() {
     let lab = Lab::new();
     lab.write_settings();
-    let mut process = Process::join(Role::Controller, lab.domain.clone(), 9).unwrap();
+    let mut process = Process::enrol(Role::Controller, lab.domain.clone(), 9).unwrap();
     let (obstacles, poses) = (process.input::<Obstacles>().unwrap(), process.input::<Pose>().unwrap());
     let mut directive = Directive { phase: Phase::Driving.wire(), ..Directive::default() };
     for role in [Role::Estimator, Role::Obstacles] {
@@ -306,7 +306,7 @@ impl<W: Sample, R: Sample> Plain<W, R> {
 
 /// An estimator of ours in a thread: it answers each odometry sample.
 fn estimate(domain: &Domain, done: &AtomicBool) {
-    let mut process = Process::join(Role::Estimator, domain.clone(), 7).unwrap();
+    let mut process = Process::enrol(Role::Estimator, domain.clone(), 7).unwrap();
     let odometry = process.input::<Odometry>().unwrap();
     let poses = process.output::<Pose>().unwrap();
     assert!(process.start().unwrap());

@@ -1,0 +1,156 @@
+//! What the recorded scans say of an exchange: who answered which, which were missed, and how far commands jumped.
+//!
+//! Who answered a scan is not what was decided but what happened: the answer of the actuator carries the stamp of
+//! the sample it rests on, and that stamp is of one of the two processes. Where stamps say nothing, in lock-step, the
+//! decision itself tells. A change is where the answers pass from one to the other, whatever was planned.
+
+use std::collections::VecDeque;
+
+use super::{Certificate, Party};
+
+/// Scans before and after a change between which commands are compared.
+const JUMP_SCANS: [u64; 2] = [2, 3];
+/// Answers kept to look back from a change.
+const ANSWERS: usize = 8;
+
+/// One scan as it was recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Recorded {
+    /// The scan; they come in order.
+    pub scan: u64,
+    /// Answers of the actuator.
+    pub answers: u64,
+    /// Desired steering angle and velocity of the last answer [rad, m/s].
+    pub desired: [f64; 2],
+    /// When the sample of the role was published on which the last answer rests [ns]; 0 when unknown.
+    pub stamp_ns: u64,
+}
+
+/// The account of one exchange.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Account {
+    missed: u64,
+    duplicates: u64,
+    /// Largest change of steering angle and velocity around the changes [rad, m/s].
+    jump: [f64; 2],
+    answers: VecDeque<(u64, [f64; 2])>,
+    last_old: Option<u64>,
+    first_new: Option<u64>,
+    back: Option<u64>,
+}
+
+impl Account {
+    /// Takes a scan in that was answered by `party`, as far as that is known.
+    pub(super) fn record(&mut self, recorded: &Recorded, party: Party) {
+        let Recorded { scan, answers, desired, .. } = *recorded;
+        self.missed += u64::from(answers == 0);
+        self.duplicates += answers.saturating_sub(1);
+        if answers == 0 {
+            return;
+        }
+        match (party, self.first_new) {
+            (Party::Old, None) => self.last_old = Some(scan),
+            (Party::New, None) => {
+                self.first_new = Some(scan);
+                self.changed_at(scan);
+            }
+            (Party::Old, Some(_)) if self.back.is_none() => {
+                self.back = Some(scan);
+                self.changed_at(scan);
+            }
+            (_, Some(_)) => {}
+        }
+        let is_change_near = |before| {
+            [self.first_new, self.back].iter().flatten().any(|change| is_near(*change, before, scan))
+        };
+        if let Some(&(before, last)) = self.answers.back()
+            && is_change_near(before)
+        {
+            self.jumped(last, desired);
+        }
+        self.answers.push_back((scan, desired));
+        if self.answers.len() > ANSWERS {
+            self.answers.pop_front();
+        }
+    }
+
+    /// Compares the answers before a change, which is being recorded; the others follow.
+    fn changed_at(&mut self, change: u64) {
+        for index in 1..self.answers.len() {
+            let ((before, last), (scan, desired)) = (self.answers[index - 1], self.answers[index]);
+            if is_near(change, before, scan) {
+                self.jumped(last, desired);
+            }
+        }
+    }
+
+    /// The scan with which all is recorded that belongs to a change.
+    pub(super) fn settled_at(change: u64) -> u64 {
+        change + JUMP_SCANS[1]
+    }
+
+    /// Whether that scan was recorded.
+    pub(super) fn reaches(&self, scan: u64) -> bool {
+        self.answers.back().is_some_and(|(newest, _)| *newest >= scan)
+    }
+
+    /// Writes the account into a certificate.
+    pub(super) fn fill(&self, certificate: &mut Certificate) {
+        certificate.missed_scans = self.missed;
+        certificate.duplicate_scans = self.duplicates;
+        [certificate.command_jump_rad, certificate.command_jump_mps] = self.jump;
+        certificate.last_scan_old = self.last_old.filter(|_| self.first_new.is_some());
+        certificate.first_scan_new = self.first_new;
+        certificate.first_scan_back = self.back;
+    }
+
+    fn jumped(&mut self, last: [f64; 2], desired: [f64; 2]) {
+        for (jump, (before, after)) in self.jump.iter_mut().zip(last.iter().zip(&desired)) {
+            *jump = jump.max((after - before).abs());
+        }
+    }
+}
+
+/// Two answers that both lie between two scans before and three after a change.
+fn is_near(change: u64, before: u64, scan: u64) -> bool {
+    before + JUMP_SCANS[0] >= change && scan <= change + JUMP_SCANS[1]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn certificate(parties: &[Party], steering: impl Fn(u64) -> f64) -> Certificate {
+        let mut account = Account::default();
+        for (index, party) in parties.iter().enumerate() {
+            let scan = index as u64 + 1;
+            let recorded = Recorded { scan, answers: 1, desired: [steering(scan), 1.0], stamp_ns: 0 };
+            account.record(&recorded, *party);
+        }
+        let mut certificate = Certificate::default();
+        account.fill(&mut certificate);
+        certificate
+    }
+
+    #[test]
+    fn who_answered_is_what_happened() {
+        use Party::{New, Old};
+        let told = certificate(&[Old, Old, New, New, Old], |_| 0.0);
+        assert_eq!(
+            (told.last_scan_old, told.first_scan_new, told.first_scan_back),
+            (Some(2), Some(3), Some(5))
+        );
+        let told = certificate(&[Old, Old, Old], |_| 0.0);
+        assert_eq!((told.last_scan_old, told.first_scan_new, told.first_scan_back), (None, None, None));
+    }
+
+    #[test]
+    fn jumps_count_from_two_scans_before_a_change_to_three_after_it() {
+        let parties: Vec<Party> =
+            (1..=20).map(|scan| if scan < 10 { Party::Old } else { Party::New }).collect();
+        for (step_at, expected) in [(8, 0.0), (9, 0.1), (10, 0.1), (13, 0.1), (14, 0.0)] {
+            let told = certificate(&parties, |scan| if scan < step_at { 0.0 } else { 0.1 });
+            assert_eq!(told.command_jump_rad, expected, "a step at scan {step_at}");
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! The whole state of the robot and its surroundings as plain bytes, for the emulator that goes on from it.
+//!
+//! Random numbers need no state: each scan starts its own streams. The poses of the past need none either as long
+//! as the next sweep lies ahead: it begins two thirds of a period before its scan is ready, so a state is whole up
+//! to a third of a period after the scan before it was. A later one is not given away.
+
+use nalgebra::Vector2;
+use shared_types::{Fault, plain_state};
+use vehicle::State;
+
+use super::{Emulator, HISTORY_PERIODS, node};
+use crate::history::History;
+use crate::odometer::Reported;
+
+/// Most obstacles that appear when the robot comes near; a scene with more of them has no state to give away.
+pub const APPEARING: usize = 512;
+
+/// Stands for the time at which an obstacle appeared that still waits for the robot [s].
+const WAITS_S: f64 = -1.0;
+
+plain_state! {
+    /// All that an [`Emulator`] of a scenario remembers.
+    pub struct EmulatorState {
+        /// The time reached, since the start of the run [ns]
+        pub clock_ns: u64,
+        /// The time that the plant has reached [ns]
+        pub plant_ns: u64,
+        /// When the last actuation arrived [ns]
+        pub last_actuation_ns: u64,
+        /// State of the model: sideslip, yaw, yaw rate, x, y [rad, rad, rad/s, m, m]
+        pub motion: [f64; 5],
+        /// Speed over ground [m/s]
+        pub speed_mps: f64,
+        /// Steering angle of the wheels [rad]
+        pub steering_rad: f64,
+        /// 1 while the wheels are blocked
+        pub blocked: u32,
+        /// 1 when it has run into something
+        pub wrecked: u32,
+        /// Lateral share of the way that the odometer misses
+        pub odometry_lateral: f64,
+        /// Position that the odometer believes in, without noise [m]
+        pub odometry_m: [f64; 2],
+        /// Position and yaw reported last, noise included [m, m, rad]
+        pub reported: [f64; 3],
+        /// Time of that report [ns]
+        pub reported_ns: u64,
+        /// 1 once there was a report
+        pub has_reported: u64,
+        /// Smallest clearance since the start [m]
+        pub min_clearance_m: f64,
+        /// Way driven since the start [m]
+        pub path_length_m: f64,
+        /// Largest lateral offset since the start [m]
+        pub max_abs_lateral_m: f64,
+        /// Longest time that the wheels turned without a new actuation [ns]
+        pub longest_blind_ns: u64,
+        /// 1 when the body has touched something while the wheels turned
+        pub collided: u32,
+        /// 1 when something has touched the standing body
+        pub struck: u32,
+        /// 1 when the dead-man has blocked the wheels
+        pub dead_man: u32,
+        /// How many of `appeared_s` are used
+        pub appearing: u32,
+        /// Actuations refused since the start
+        pub refused: u64,
+        /// Plant steps since the start
+        pub steps: u64,
+        /// Scan that the last actuation answered
+        pub actuation_scan: u64,
+        /// When obstacles that wait for the robot have appeared; -1 for those that still wait [s]
+        pub appeared_s: [f64; APPEARING],
+    }
+}
+
+impl Emulator {
+    /// All that another emulator of the same scenario needs to go on from the scan `last_scan`; `None` when the
+    /// next sweep may have begun, or when too many obstacles wait for the robot.
+    pub fn state(&self, last_scan: u64) -> Option<EmulatorState> {
+        let Self { plant, reckoning, tally, .. } = self;
+        let next_sweep_ns = self.scan_ready_ns(last_scan + 1).saturating_sub(self.sweep_ns());
+        let appearing = self.scene.appearances().count();
+        if self.clock_ns > next_sweep_ns || appearing > APPEARING {
+            return None;
+        }
+        let mut appeared_s = [WAITS_S; APPEARING];
+        for (slot, appears_s) in appeared_s.iter_mut().zip(self.scene.appearances()) {
+            *slot = appears_s.unwrap_or(WAITS_S);
+        }
+        let State { sideslip, yaw, yaw_rate, x, y } = *plant.state();
+        let last = self.odometer.last();
+        Some(EmulatorState {
+            clock_ns: self.clock_ns,
+            plant_ns: self.plant_ns,
+            last_actuation_ns: self.last_actuation_ns,
+            motion: [sideslip, yaw, yaw_rate, x, y],
+            speed_mps: plant.speed(),
+            steering_rad: plant.steering(),
+            blocked: u32::from(plant.is_blocked()),
+            wrecked: u32::from(plant.is_wrecked()),
+            odometry_lateral: reckoning.lateral(),
+            odometry_m: reckoning.reported().into(),
+            reported: last.map_or([0.0; 3], |last| [last.x, last.y, last.yaw]),
+            reported_ns: last.map_or(0, |last| last.time_ns),
+            has_reported: u64::from(last.is_some()),
+            min_clearance_m: tally.min_clearance,
+            path_length_m: tally.path_length,
+            max_abs_lateral_m: tally.max_abs_lateral,
+            longest_blind_ns: tally.longest_blind_ns,
+            collided: u32::from(tally.collided),
+            struck: u32::from(tally.struck),
+            dead_man: u32::from(tally.dead_man),
+            appearing: appearing as u32,
+            refused: tally.refused,
+            steps: tally.steps,
+            actuation_scan: tally.actuation_scan,
+            appeared_s,
+        })
+    }
+
+    /// Goes on from the state of another emulator of the same scenario.
+    ///
+    /// # Errors
+    /// [`Fault`] when a number can't be, or the state is of another scene; the emulator is unchanged then.
+    pub fn resume(&mut self, state: &EmulatorState) -> Result<(), Fault> {
+        state.check()?;
+        if state.appearing as usize != self.scene.appearances().count() {
+            return Err(Fault::OutOfRange { field: "appearing", value: f64::from(state.appearing) });
+        }
+        let [sideslip, yaw, yaw_rate, x, y] = state.motion;
+        let motion = State { sideslip, yaw, yaw_rate, x, y };
+        let (blocked, wrecked) = (state.blocked == 1, state.wrecked == 1);
+        self.clock_ns = state.clock_ns;
+        self.plant_ns = state.plant_ns;
+        self.last_actuation_ns = state.last_actuation_ns;
+        self.plant = self.plant.resumed(motion, state.speed_mps, state.steering_rad, blocked, wrecked);
+        self.reckoning = self.reckoning.resumed(state.odometry_lateral, Vector2::from(state.odometry_m));
+        let [x, y, yaw] = state.reported;
+        let last = Reported { time_ns: state.reported_ns, x, y, yaw };
+        self.odometer = self.odometer.clone().resumed((state.has_reported == 1).then_some(last));
+        let appeared = state.appeared_s.iter().map(|appeared_s| (*appeared_s >= 0.0).then_some(*appeared_s));
+        self.scene.set_appearances(appeared);
+        self.tally.min_clearance = state.min_clearance_m;
+        self.tally.path_length = state.path_length_m;
+        self.tally.max_abs_lateral = state.max_abs_lateral_m;
+        self.tally.longest_blind_ns = state.longest_blind_ns;
+        self.tally.collided = state.collided == 1;
+        self.tally.struck = state.struck == 1;
+        self.tally.dead_man = state.dead_man == 1;
+        self.tally.refused = state.refused;
+        self.tally.steps = state.steps;
+        self.tally.actuation_scan = state.actuation_scan;
+        let keep_ns = HISTORY_PERIODS.saturating_mul(self.period_ns);
+        self.history = History::new(node(self.plant_ns, &self.plant, &self.reckoning), keep_ns);
+        Ok(())
+    }
+}
+
+impl EmulatorState {
+    /// Passes when all numbers are finite and times in order.
+    fn check(&self) -> Result<(), Fault> {
+        let numbers = [
+            ("motion", &self.motion[..]),
+            ("speed_mps", &[self.speed_mps]),
+            ("steering_rad", &[self.steering_rad]),
+            ("odometry_lateral", &[self.odometry_lateral]),
+            ("odometry_m", &self.odometry_m),
+            ("reported", &self.reported),
+            ("min_clearance_m", &[self.min_clearance_m]),
+            ("path_length_m", &[self.path_length_m]),
+            ("max_abs_lateral_m", &[self.max_abs_lateral_m]),
+            ("appeared_s", &self.appeared_s),
+        ];
+        for (field, values) in numbers {
+            if !values.iter().all(|value| value.is_finite()) {
+                return Err(Fault::NotFinite { field });
+            }
+        }
+        if self.plant_ns > self.clock_ns {
+            return Err(Fault::OutOfRange { field: "plant_ns", value: self.plant_ns as f64 });
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,142 @@
+//! The robot itself exchanged while it drives: it goes on where it is, or the old one does.
+
+use orchestrator::report::Report;
+use orchestrator::swap::SwapOutcome;
+use rustix::process::Signal;
+use scanloop_tests::System;
+use scanloop_tests::exchange::{assert_reached, assert_seamless, certificate, rows, standby, stop, swap};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd-robot");
+
+/// Noise, drift and play, so that a state that were not whole would show; and an obstacle that waits for the robot.
+const EVENTFUL: [&str; 9] = [
+    "imperfect-robot",
+    "--set",
+    "noise.odometry_m=0.01",
+    "--set",
+    "robot.odometry_lateral_rate=0.0005",
+    "--set",
+    "noise.dropout=0.02",
+    "--set",
+    "noise.mixed_pixels=0.2",
+];
+
+/// Largest distance between where the robot is and where its motion from scan to scan so far would have taken it,
+/// around a scan [m].
+fn leap_at(report: &Report, scan: u64) -> f64 {
+    let leap = |rows: &[[f64; 4]]| {
+        let step = |from: usize, axis: usize| rows[from + 1][axis] - rows[from][axis];
+        (step(1, 1) - step(0, 1)).hypot(step(1, 2) - step(0, 2))
+    };
+    // Row 0 is scan 1.
+    let rows = &report.trajectory[scan as usize - 3..scan as usize + 2];
+    rows.windows(3).map(leap).fold(0.0, f64::max)
+}
+
+#[test]
+fn the_robot_goes_on_where_it_is() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&EVENTFUL);
+    let old = system.pid(Role::Robot);
+    let mut certificates = Vec::new();
+    for _ in 0..2 {
+        let certificate = swap(&system, &["robot", "--to", "emulator"]);
+        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+        assert_seamless(&certificate);
+        certificates.push(certificate);
+    }
+    assert_ne!(system.pid(Role::Robot), old);
+    system.wait();
+    let report = system.report();
+    assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
+    for certificate in &certificates {
+        // What a scan period of another speed or direction makes, and no more.
+        let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
+        assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.01, "{leap_m} {certificate:?}");
+    }
+    assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
+    assert_eq!(report.swaps, certificates);
+    let scans = &report.scans;
+    assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_last_bit() {
+    let arguments = [
+        &["sudden", "--set", "goal.x_m=20.0", "--set", "obstacle.0.x_m=15.0", "--set", "rate_hz=200"][..],
+        &EVENTFUL[1..],
+    ]
+    .concat();
+    let undisturbed = System::new(EXECUTABLE).lockstep(&arguments);
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&["--lockstep"], &arguments[..]].concat());
+    let certificate = swap(&system, &["robot", "--to", "emulator"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    system.wait();
+    let report = system.report();
+    assert!(report.trajectory.len() as u64 > certificate.first_scan_new.unwrap());
+    assert_eq!(report.digests, undisturbed.digests);
+    assert_eq!(report.drive, undisturbed.drive, "clearances and all that is counted");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_bad_robot_is_refused_with_the_reason() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let mut certificates = Vec::new();
+    for (fault, reason) in [
+        (vec!["nan"], "odometry is not finite"),
+        (vec!["jump"], "true position differs by 0.1000 m, allowed are 0.0100 m"),
+        (vec!["exit-after", "3"], "the new process ended: exit code 1: "),
+        (vec!["hang-after", "3"], "late: no output for scan"),
+    ] {
+        let certificate = swap(&system, &[vec!["robot", "--", ODD], fault].concat());
+        assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+        assert!(certificate.reason.contains(reason), "{certificate:?}");
+        assert_seamless(&certificate);
+        certificates.push(certificate);
+    }
+    assert_reached(system, &certificates);
+}
+
+#[test]
+fn a_robot_that_hangs_in_charge_is_rolled_back_and_no_scan_is_missed() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let certificate = swap(&system, &["robot", "--standby-scans", "40", "--", ODD, "hang-after", "30"]);
+    assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
+    assert!(certificate.reason.starts_with("hangs: no output for scan"), "{}", certificate.reason);
+    assert_seamless(&certificate);
+    assert!(certificate.command_jump_mps < 0.3, "the wheels were blocked: {certificate:?}");
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn the_new_robot_stays_when_the_old_one_is_killed_while_it_stands_by() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    let (child, new, old) = standby(&system, Role::Robot, &["--to", "emulator"]);
+    system.signal(old, Signal::KILL);
+    let certificate = certificate(&child.wait_with_output().unwrap());
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
+    assert_seamless(&certificate);
+    assert_eq!(rows(&system, Role::Robot), [(new, "ready".to_owned())]);
+    assert_reached(system, &[certificate]);
+}
+
+#[test]
+fn a_robot_that_fails_in_lock_step_is_rolled_back_too() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--lockstep", "--duration", "9000"]);
+    for fault in [["hang-after", "20"], ["exit-after", "20"]] {
+        let standby = ["robot", "--standby-scans", "40", "--", ODD];
+        let certificate = swap(&system, &[&standby[..], &fault].concat());
+        assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
+        assert_seamless(&certificate);
+    }
+    stop(&mut system);
+}
