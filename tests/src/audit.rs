@@ -86,6 +86,13 @@ pub fn audit(certificate: &Certificate, recording: &Recording) -> Result<(), Str
     let (old, new) = (recording.party(role, last), recording.party(role, first));
     if old.is_none() || new.is_none() || old == new {
         faults.push(format!("scan {last} rests on incarnation {old:?}, scan {first} on {new:?}"));
+        for scan in [last, first] {
+            let (answers, heard) = (recording.answers.get(&scan), recording.heard.get(&scan));
+            let outputs = recording.outputs.get(&(role.index(), scan));
+            faults.push(format!(
+                "recorded of scan {scan}: {answers:?}, robot obeyed {heard:?}, outputs {outputs:?}"
+            ));
+        }
     }
     let until = back.unwrap_or(first + AROUND).min(first + AROUND);
     let mut expect = |scans: std::ops::Range<u64>, expected: Option<u32>| {

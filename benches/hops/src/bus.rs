@@ -13,8 +13,8 @@ use runtime::{
     RuntimeError, SETTINGS_FILE, SYSTEM_ID_VARIABLE, Voice,
 };
 use shared_types::{
-    Authority, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles, Odometry,
-    Phase, Pose, ProcessState, Role, Sample, Topic,
+    Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
+    Odometry, Phase, Pose, ProcessState, Role, Sample, Topic,
 };
 
 use crate::message::{Arrival, Stamp};
@@ -303,6 +303,7 @@ fn create(domain: &Domain, payload: Payload) -> Result<Bus, RuntimeError> {
     let mut bus = Bus::create_empty(domain)?;
     bus.create_topic_for::<Heartbeat>(SPEAKERS)?;
     bus.create_topic_for::<Directive>(SPEAKERS)?;
+    bus.create_topic_for::<Checkpoint>(SPEAKERS)?;
     with_size!(bytes, REST, {
         bus.create_topic_for::<Bytes<0, REST>>(READERS)?;
         bus.create_topic_for::<Bytes<1, REST>>(READERS)?;

@@ -2,7 +2,7 @@
 //!
 //! Two files were made one after the other, so what changed on the machine in between is in their difference.
 //! Two commands are run in turns, which is how two builds should be compared. How sure either is:
-//! [`statistics`].
+//! `statistics`.
 
 mod files;
 pub(crate) mod statistics;

@@ -141,7 +141,13 @@ fn heartbeats(suite: &Suite) -> Verdict {
     })?;
     for pair in beats.windows(2) {
         require(pair[1].activations > pair[0].activations, || {
-            format!("activations stand at {}", pair[0].activations)
+            let [(before, was_ns), (after, now_ns)] =
+                [pair[0], pair[1]].map(|beat| (beat.state, beat.issued_ns));
+            let apart_us = now_ns.saturating_sub(was_ns) / 1000;
+            format!(
+                "activations stand at {}, states {before} and {after}, {apart_us} us apart",
+                pair[0].activations
+            )
         })?;
         require(pair[1].header.sequence == pair[0].header.sequence + 1, || {
             format!("sequence {} after {}", pair[1].header.sequence, pair[0].header.sequence)

@@ -550,6 +550,7 @@ impl Process {
     fn beat(&mut self) -> Result<(), RuntimeError> {
         let mut heartbeat = self.heartbeat();
         self.next_heartbeat_ns = heartbeat.issued_ns + HEARTBEAT_NS;
+        self.shared.counters.news.set(false);
         self.heartbeat.publish_silently(&mut heartbeat)
     }
 }

@@ -33,7 +33,8 @@ pub(crate) fn compile(source: &Path, types: &Path, program: &Path) {
         .args(["-I".as_ref(), types.as_os_str(), "-I".as_ref()])
         .arg(root().join("services/c-library/include"))
         .args(["-L".as_ref(), library.as_os_str()])
-        .arg(format!("-Wl,-rpath,{}", library.display()))
+        // Old tags go before the library path that cargo sets, where an older build of the library may lie.
+        .arg(format!("-Wl,--disable-new-dtags,-rpath,{}", library.display()))
         .args(["-lscanloop", "-lm", "-o"])
         .arg(program)
         .output()
