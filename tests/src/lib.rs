@@ -2,6 +2,7 @@
 
 pub mod audit;
 pub mod exchange;
+pub mod soak;
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};

@@ -153,6 +153,8 @@ pub(crate) trait Drain {
     fn is_empty(&self) -> bool;
     /// Clears notifications, takes all samples from the bus and keeps the good ones.
     fn drain(&self) -> Result<(), RuntimeError>;
+    /// Touches what [`Drain::drain`] will need and takes nothing.
+    fn warm_up(&self);
     /// Looks again at what was kept aside, now that the directive has changed.
     fn review(&self);
     /// What became of all samples so far.
@@ -204,6 +206,10 @@ impl<S: Sample> Drain for Input<S> {
             reader.account.borrow_mut().overflowed_since(&before, capacity as u64);
         }
         Ok(())
+    }
+
+    fn warm_up(&self) {
+        let _ = self.0.subscriber.has_samples();
     }
 
     fn review(&self) {

@@ -106,6 +106,7 @@ impl<S: Sample> Output<S> {
         if S::TOPIC.writer() == Some(shared.role) {
             sample.header_mut().stage_mut(shared.role).published_ns = shared.clock.now_ns();
             shared.produced.set(true);
+            shared.worked.set(true);
         }
     }
 

@@ -26,6 +26,12 @@ use crate::{
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
+/// A heartbeat that is due waits for this long at most for a moment in which nobody is kept from running by it.
+const HEARTBEAT_PATIENCE_NS: u64 = 30_000_000;
+/// Sleeps that are longer than this leave caches cold [ns].
+const COLD_NS: u64 = 5_000_000;
+/// How long nothing must have happened for that [ns].
+const QUIET_NS: u64 = 2_000_000;
 /// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
 pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
 /// Inputs older than this many scan periods when they arrive are not used any more.
@@ -45,6 +51,8 @@ pub(crate) struct Shared {
     pub(crate) directive: RefCell<Directive>,
     pub(crate) max_age_ns: u64,
     pub(crate) produced: Cell<bool>,
+    /// Something was published since the last sleep.
+    pub(crate) worked: Cell<bool>,
     pub(crate) taken_ns: Cell<u64>,
 }
 
@@ -131,6 +139,7 @@ impl Process {
             directive: RefCell::default(),
             max_age_ns: MAX_AGE_PERIODS * run.period_ns,
             produced: Cell::new(false),
+            worked: Cell::new(false),
             taken_ns: Cell::new(0),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
@@ -410,14 +419,20 @@ impl Process {
 
     fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {
         let now = monotonic_ns();
-        let beats = now >= self.next_heartbeat_ns || self.shared.counters.news.take();
+        let beats = self.shared.counters.news.get() || now >= self.next_heartbeat_ns;
+        // Who was just woken by an output may be waiting for this processor: words can wait until it is quiet.
+        let rests =
+            beats && self.shared.worked.take() && now < self.next_heartbeat_ns + HEARTBEAT_PATIENCE_NS;
+        let (longest_ns, need) =
+            if rests { (longest_ns.min(QUIET_NS), Need::Any) } else { (longest_ns, need) };
+        let beats = beats && !rests;
         if beats {
             self.beat()?;
         }
         let timed_out = if self.listens {
             !self.sleep_on_events(longest_ns)
         } else {
-            !self.sleep_on_bell(now, now + longest_ns, need)
+            !self.sleep_and_warm_up(now, now + longest_ns, need)?
         };
         let woken_ns = self.shared.clock.now_ns();
         let counters = &self.shared.counters;
@@ -449,6 +464,32 @@ impl Process {
             self.realtime.give_way();
         }
         Ok(goes_on)
+    }
+
+    /// [`Process::sleep_on_bell`], with one wake-up shortly before something is due.
+    ///
+    /// After a tenth of a second of sleep most of the time that a hop takes is spent on waiting for memory. Nothing is
+    /// taken here: what comes meanwhile is taken in the usual order, after the directive.
+    fn sleep_and_warm_up(&mut self, now: u64, until_ns: u64, need: Need) -> Result<bool, RuntimeError> {
+        let due_ns = match need {
+            Need::Time => until_ns,
+            Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
+        };
+        let warm_up_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
+        let is_cold = warm_up_ns < due_ns && warm_up_ns > now + COLD_NS && warm_up_ns < until_ns;
+        if !is_cold || self.shared.clock.is_simulated() {
+            return Ok(self.sleep_on_bell(now, until_ns, need));
+        }
+        if self.bells.role(self.shared.role).sleep(self.rung, warm_up_ns, ANY) {
+            return Ok(true);
+        }
+        let now = monotonic_ns();
+        if now >= self.next_heartbeat_ns {
+            self.beat()?;
+        }
+        self.inputs.iter().for_each(|input| input.warm_up());
+        self.outputs.iter().for_each(|output| output.connect());
+        Ok(self.sleep_on_bell(now, until_ns, need))
     }
 
     /// Sleeps on the doorbell; false after a time-out.

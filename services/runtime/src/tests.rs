@@ -55,6 +55,7 @@ impl Lab {
             directive: RefCell::new(directive),
             max_age_ns: 300_000_000,
             produced: Cell::new(false),
+            worked: Cell::new(false),
             taken_ns: Cell::new(0),
         })
     }

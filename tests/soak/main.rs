@@ -1,0 +1,98 @@
+//! `soak`: thousands of exchanges, kills and stops, several systems side by side, until one of them shows a fault.
+//!
+//! The program is its own `scanloop`: the processes that it starts are itself.
+
+use std::time::Instant;
+
+use clap::Parser;
+use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
+
+/// As in the executable that is shipped.
+#[global_allocator]
+static ALLOCATOR: runtime::CountingAllocator = runtime::CountingAllocator;
+
+/// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
+#[derive(Debug, Parser)]
+struct Arguments {
+    /// Everything that is done: of 100 events 80 are exchanges in lock-step, 10 in real time, 7 kills, 3 stops.
+    #[arg(long, value_name = "N", default_value_t = 10_000)]
+    events: usize,
+    /// Exchanges in lock-step, instead of their share.
+    #[arg(long, value_name = "N")]
+    lockstep_swaps: Option<usize>,
+    /// Exchanges in real time, instead of their share.
+    #[arg(long, value_name = "N")]
+    live_swaps: Option<usize>,
+    /// Kills, instead of their share.
+    #[arg(long, value_name = "N")]
+    kills: Option<usize>,
+    /// Stops, instead of their share.
+    #[arg(long, value_name = "N")]
+    stops: Option<usize>,
+    /// Systems of each kind side by side, 1 to 16.
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=16))]
+    jobs: u8,
+    /// Threads that keep processors busy meanwhile.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    load: u8,
+    /// Seed of what happens when.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+fn main() -> std::process::ExitCode {
+    if std::env::args().nth(1).is_some_and(|word| word == "--system-id" || word == "service") {
+        return orchestrator::main();
+    }
+    let arguments = Arguments::parse();
+    let Ok(executable) = std::env::current_exe() else {
+        eprintln!("error: the path of this program is not known");
+        return std::process::ExitCode::FAILURE;
+    };
+    let executable = executable.to_string_lossy().into_owned();
+    for _ in 0..arguments.load {
+        std::thread::spawn(|| {
+            loop {
+                std::hint::spin_loop();
+            }
+        });
+    }
+    let started = Instant::now();
+    let (tally, failed) = soak(&arguments, &executable);
+    println!("{} events in {:.0} s: {tally:#?}", tally.events(), started.elapsed().as_secs_f64());
+    if failed > 0 {
+        eprintln!("error: {failed} of the systems showed a fault, see above");
+        return std::process::ExitCode::FAILURE;
+    }
+    std::process::ExitCode::SUCCESS
+}
+
+/// All systems; what was done, and how many of them showed a fault.
+fn soak(arguments: &Arguments, executable: &str) -> (Tally, usize) {
+    let Arguments { events, seed, .. } = *arguments;
+    let jobs = usize::from(arguments.jobs);
+    let lockstep = arguments.lockstep_swaps.unwrap_or(events * 80 / 100);
+    let live = arguments.live_swaps.unwrap_or(events * 10 / 100);
+    let kills = arguments.kills.unwrap_or(events * 7 / 100);
+    let stops = arguments.stops.unwrap_or(events * 3 / 100);
+    let share = |count: usize, job: usize| count / jobs + usize::from(job < count % jobs);
+    std::thread::scope(|scope| {
+        let mut systems = Vec::new();
+        for job in 0..jobs {
+            let seed = seed.wrapping_mul(1000).wrapping_add(job as u64);
+            let (lockstep, live) = (share(lockstep, job), share(live, job));
+            let (kills, stops) = (share(kills, job), share(stops, job));
+            systems.push(scope.spawn(move || swap_in_lockstep(executable, lockstep, seed)));
+            systems.push(scope.spawn(move || swap_live(executable, live, seed)));
+            systems.push(scope.spawn(move || faults(executable, kills, stops, seed)));
+        }
+        let (mut tally, mut failed) = (Tally::default(), 0);
+        for system in systems {
+            match system.join() {
+                Ok(one) => tally += one,
+                Err(_) => failed += 1,
+            }
+        }
+        (tally, failed)
+    })
+}
