@@ -19,4 +19,5 @@ fn whatever_is_killed_or_stopped_the_robot_goes_on_or_rests() {
     let tally = faults(EXECUTABLE, 24, 10, 1);
     assert_eq!((tally.kills, tally.stops), (24, 10));
     assert_eq!(tally.went_on + tally.came_to_rest, 34);
+    assert!(tally.adopted > 0 && tally.alone > 0, "{tally:?}");
 }

@@ -31,7 +31,9 @@ struct Hop {
 impl Hop {
     fn notice(&mut self, event: Option<Event>) {
         self.noticed = match event {
-            Some(Event::Input { data, .. }) => Stamp::read(data.as_bytes()).map(Arrival::now),
+            Some(Event::Input { data, .. }) => {
+                <&[u8]>::try_from(&data).ok().and_then(Stamp::read).map(Arrival::now)
+            }
             _ => None,
         };
     }
