@@ -1,0 +1,116 @@
+//! The state that a process leaves for the one that goes on from it.
+
+use std::rc::Rc;
+
+use shared_types::{Checkpoint, Described};
+
+use super::waiting::Need;
+use super::{CHECKPOINT_AGE_NS, JOIN_NS, Process};
+use crate::handover::{self, Handover};
+use crate::output::Output;
+use crate::{Observer, RuntimeError, environment, monotonic_ns};
+
+impl Process {
+    /// Publishes the state of this process after a scan, for the one that may have to go on from it.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn save<T: bytemuck::Pod + Described>(
+        &mut self,
+        header: &shared_types::Header,
+        state: &T,
+    ) -> Result<(), RuntimeError> {
+        self.save_checkpoint(header, Checkpoint::of(self.shared.role, state))
+    }
+
+    /// [`Process::save`] of a state that is bytes already.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn save_checkpoint(
+        &mut self,
+        header: &shared_types::Header,
+        mut checkpoint: Checkpoint,
+    ) -> Result<(), RuntimeError> {
+        if self.checkpoint.is_none() {
+            self.checkpoint = Some(Output::new(&self.bus, Rc::clone(&self.shared))?);
+        }
+        let Some(output) = &self.checkpoint else { return Ok(()) };
+        checkpoint.header = header.answer();
+        checkpoint.issued_ns = monotonic_ns();
+        output.publish_silently(&mut checkpoint)
+    }
+
+    /// The state that the process before this one left less than half a second ago.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] when the hand-over can't be read.
+    pub fn resume<T: bytemuck::Pod + Described>(&self) -> Result<Handover<T>, RuntimeError> {
+        Ok(match self.resume_checkpoint()? {
+            Handover::FirstStart => Handover::FirstStart,
+            Handover::Lost => Handover::Lost,
+            Handover::State(checkpoint) => checkpoint.state().map(Handover::State).unwrap_or_else(|error| {
+                tracing::warn!(%error, "the state of the process before this one can't be used");
+                Handover::Lost
+            }),
+        })
+    }
+
+    /// [`Process::resume`] without a look at what the state is.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`] when the hand-over can't be read.
+    pub fn resume_checkpoint(&self) -> Result<Handover<Checkpoint>, RuntimeError> {
+        if !environment::is_restart() {
+            return Ok(Handover::FirstStart);
+        }
+        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else {
+            tracing::warn!("the process before this one left no state");
+            return Ok(Handover::Lost);
+        };
+        // In lock-step the loop rests while a process starts, so its state does not age.
+        let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
+        if age_ns > CHECKPOINT_AGE_NS && !self.shared.clock.is_simulated() {
+            tracing::warn!("the state of the process before this one is {} ms old", age_ns / 1_000_000);
+            return Ok(Handover::Lost);
+        }
+        self.handed_scan.set(checkpoint.header.scan_id);
+        Ok(Handover::State(checkpoint))
+    }
+
+    /// The scan after which the state was taken that [`Process::resume`] has found; 0 without one.
+    pub fn handed_scan(&self) -> u64 {
+        self.handed_scan.get()
+    }
+
+    /// The newest state of the running process that this one was started beside, and the scan after which it was
+    /// taken: to be called after [`Process::start`], because what was handed over at the start has aged since.
+    ///
+    /// `None` when this process was not started beside another, when that one publishes no state of this type
+    /// for two and a half periods, and in lock-step, where the loop rests while a process starts.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn join<T: bytemuck::Pod + Described>(&mut self) -> Result<Option<(u64, T)>, RuntimeError> {
+        let Some(beside) = environment::beside() else { return Ok(None) };
+        if self.shared.clock.is_simulated() {
+            return Ok(None);
+        }
+        let states = Observer::<Checkpoint>::new(&self.bus)?;
+        let begun_ns = monotonic_ns();
+        let until_ns = begun_ns + JOIN_NS + self.run.period_ns / 2 * 5;
+        while monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
+            let mut newest = None;
+            states.poll(|checkpoint| {
+                let is_fresh = checkpoint.header.incarnation == beside && checkpoint.issued_ns >= begun_ns;
+                if is_fresh && checkpoint.role == self.shared.role.wire() {
+                    newest = checkpoint.state().ok().map(|state| (checkpoint.header.scan_id, state));
+                }
+            })?;
+            if newest.is_some() {
+                return Ok(newest);
+            }
+        }
+        Ok(None)
+    }
+}
