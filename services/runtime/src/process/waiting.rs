@@ -144,6 +144,7 @@ impl Process {
         if self.bells.role(self.shared.role).sleep(self.rung, warm_up_ns, ANY) {
             return Ok(true);
         }
+        count(&self.shared.counters.activations, 1);
         let now = monotonic_ns();
         if now >= self.next_heartbeat_ns {
             self.beat()?;
