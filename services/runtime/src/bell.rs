@@ -1,12 +1,12 @@
 //! Doorbells: one word of shared memory per reader, on which it sleeps.
 //!
 //! Idea: who publishes adds one to the word of each reader of the topic and, when somebody sleeps there, tells the
-//! kernel to wake it. A reader looks at the word *before* it empties its inputs and later sleeps only if the word is
+//! kernel to wake it; sleepers say for which topics. A reader looks at the word *before* it empties its inputs and later sleeps only if the word is
 //! still the same; the kernel compares once more under its own lock. So a sample that comes after the inputs were
 //! emptied can't be slept through, and no notification has to be taken back: one system call to ring and one to sleep.
 //!
 //! All processes of a role share a bell, also a shadow and a standby: everyone who sleeps there is woken. Each topic
-//! has one more for observers. There is no lock and no owner. A process that is killed in its sleep stays counted as a
+//! has one more, for observers, and for readers that were woken and ask which of their topics have something. There is no lock and no owner. A process that is killed in its sleep stays counted as a
 //! sleeper until the system ends, which costs a needless system call per sample and never a wake-up.
 //!
 //! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
@@ -18,7 +18,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 use std::ptr::NonNull;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex::{self, Flags, Timespec};
@@ -26,16 +26,17 @@ use shared_types::{ROLES, Role, TOPICS, Topic};
 
 use crate::{Domain, RuntimeError};
 
-/// Rings every sleeper, whatever it waits for.
-pub(crate) const ANY: u32 = u32::MAX;
 /// Processors read memory in lines of this many bytes; two bells never share one.
-const LINE: usize = 64;
+pub(crate) const LINE: usize = 64;
 
 /// One word to sleep on.
 #[repr(C, align(64))]
 pub(crate) struct Bell {
     rung: AtomicU32,
-    sleepers: AtomicU32,
+    /// By topic: how many sleep here until it is rung for.
+    sleepers: [AtomicU16; TOPICS.len()],
+    /// Of a topic: readers of ours that sleep on its events instead.
+    listeners: AtomicU32,
 }
 
 /// What is in the file.
@@ -62,12 +63,26 @@ impl Bell {
         self.rung.load(Ordering::SeqCst)
     }
 
-    /// Wakes those who sleep here and wait for one of `bits`. Safe to call from a signal handler.
-    pub(crate) fn ring(&self, bits: u32) {
+    /// Wakes all who sleep here, whatever they wait for. Safe to call from a signal handler.
+    pub(crate) fn ring_all(&self) {
+        self.count();
+        let _ = futex::wake(&self.rung, Flags::empty(), i32::MAX.cast_unsigned());
+    }
+
+    /// Wakes those who sleep here and wait for a topic.
+    fn ring(&self, topic: Topic) {
+        self.count();
+        self.wake(topic);
+    }
+
+    fn count(&self) {
         self.rung.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn wake(&self, topic: Topic) {
         // One order of all four accesses: a sleeper that is not seen here sees the new number and does not sleep.
-        if self.sleepers.load(Ordering::SeqCst) > 0
-            && let Some(bits) = NonZeroU32::new(bits)
+        if self.sleepers[topic as usize].load(Ordering::SeqCst) > 0
+            && let Some(bits) = NonZeroU32::new(bit(topic))
         {
             let _ = futex::wake_bitset(&self.rung, Flags::empty(), i32::MAX.cast_unsigned(), bits);
         }
@@ -75,22 +90,33 @@ impl Bell {
 
     /// What is left of a process that is killed in its sleep.
     #[cfg(test)]
-    pub(crate) fn forget_a_sleeper(&self) {
-        self.sleepers.fetch_add(1, Ordering::SeqCst);
+    pub(crate) fn forget_a_sleeper(&self, topic: Topic) {
+        self.sleepers[topic as usize].fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Sleeps unless the bell was rung since `seen`, until it is rung for one of `bits`, a signal comes, or `until_ns`
-    /// of CLOCK_MONOTONIC; returns whether it ended before that time.
-    pub(crate) fn sleep(&self, seen: u32, until_ns: u64, bits: u32) -> bool {
-        let Some(bits) = NonZeroU32::new(bits) else { return true };
+    /// Sleeps unless the bell was rung since `seen`, until it is rung for one of `topics`, which are bits, a signal comes,
+    /// or `until_ns` of CLOCK_MONOTONIC; returns whether it ended before that time.
+    pub(crate) fn sleep(&self, seen: u32, until_ns: u64, topics: u32) -> bool {
+        let Some(bits) = NonZeroU32::new(topics) else { return true };
+        if self.look() != seen {
+            return true;
+        }
         let until = Timespec {
             tv_sec: (until_ns / 1_000_000_000).cast_signed(),
             tv_nsec: (until_ns % 1_000_000_000).cast_signed(),
         };
-        self.sleepers.fetch_add(1, Ordering::SeqCst);
+        self.sleepers(topics).for_each(|sleepers| _ = sleepers.fetch_add(1, Ordering::SeqCst));
         let slept = futex::wait_bitset(&self.rung, Flags::empty(), seen, Some(&until), bits);
-        self.sleepers.fetch_sub(1, Ordering::SeqCst);
+        self.sleepers(topics).for_each(|sleepers| _ = sleepers.fetch_sub(1, Ordering::SeqCst));
         slept != Err(rustix::io::Errno::TIMEDOUT)
+    }
+
+    fn sleepers(&self, topics: u32) -> impl Iterator<Item = &AtomicU16> {
+        self.sleepers
+            .iter()
+            .enumerate()
+            .filter(move |(topic, _)| topics & (1 << topic) != 0)
+            .map(|(_, count)| count)
     }
 }
 
@@ -129,12 +155,30 @@ impl Bells {
 
     /// Rings for all readers of a topic.
     pub(crate) fn ring(&self, topic: Topic) {
+        // First of all: who is woken asks this one which topics have something.
+        self.topic(topic).count();
         for role in Role::ALL {
             if topic == Topic::Directive || role.reads().contains(&topic) {
-                self.role(*role).ring(bit(topic));
+                self.role(*role).ring(topic);
             }
         }
-        self.topic(topic).ring(ANY);
+        self.topic(topic).wake(topic);
+    }
+
+    /// Counts a reader that sleeps on the events of a topic from now on, or does not any more. One that is killed stays
+    /// counted: needless notifications until the system ends.
+    pub(crate) fn listens(&self, topic: Topic, on: bool) {
+        let listeners = &self.topic(topic).listeners;
+        if on {
+            listeners.fetch_add(1, Ordering::SeqCst);
+        } else {
+            listeners.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    /// Whether a reader of ours sleeps on the events of a topic.
+    pub(crate) fn has_listeners(&self, topic: Topic) -> bool {
+        self.topic(topic).listeners.load(Ordering::SeqCst) > 0
     }
 
     fn map(file: &File) -> std::io::Result<Arc<Self>> {
@@ -168,5 +212,5 @@ pub(crate) const fn bit(topic: Topic) -> u32 {
 
 /// The layout has a number: processes of another one would sleep on other words.
 fn path(domain: &Domain) -> PathBuf {
-    PathBuf::from(format!("/dev/shm/{}doorbells.v1", domain.shared_memory_prefix()))
+    PathBuf::from(format!("/dev/shm/{}doorbells.v2", domain.shared_memory_prefix()))
 }

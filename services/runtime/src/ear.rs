@@ -1,9 +1,10 @@
 //! Hearing processes that do not ring doorbells: those that use the bus's own events, in any language.
 //!
-//! Writers of ours do both: they ring, and they notify the topic's event, which costs nothing while nobody listens
-//! there. Readers of ours listen only while a process that can't ring writes one of their topics. They tell by the
-//! names of the notifiers: ours are called `doorbell`. One that comes is noticed at the reader's next look, which is a
-//! scan later at most while anything moves, and a tenth of a second otherwise; no sample is lost by that.
+//! Writers of ours ring, and notify the topic's event as well while somebody listens there. Readers of ours listen only
+//! while a process that can't ring writes one of their topics, and say so beside the doorbells. They tell by the names of
+//! the notifiers: ours are called `doorbell`. Who else listens or notifies is looked up with every heartbeat, with every
+//! directive and after every time-out, because those lists lie in memory that nothing else needs; one that comes is
+//! announced by a directive, so it is known before its samples count, and no sample is lost in any case.
 
 use std::cell::{Cell, RefCell};
 use std::os::fd::BorrowedFd;
@@ -27,29 +28,39 @@ const RINGS: &str = "doorbell";
 pub(crate) struct Ringer {
     topic: Topic,
     bells: Arc<Bells>,
+    events: Events,
     notifier: Notifier<ipc::Service>,
+    heard: Cell<bool>,
 }
 
 impl Ringer {
     pub(crate) fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
-        let created = bus.events(topic)?.notifier_builder().name(&rings()?).create();
+        let events = bus.events(topic)?;
+        let created = events.notifier_builder().name(&rings()?).create();
         let notifier =
             created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
-        Ok(Self { topic, bells: Arc::clone(bus.bells()), notifier })
+        Ok(Self { topic, bells: Arc::clone(bus.bells()), events, notifier, heard: Cell::new(true) })
     }
 
     /// Wakes everyone who reads the topic.
     pub(crate) fn ring(&self) {
         self.bells.ring(self.topic);
-        // Without a listener this is a look at the list of them. One that can't be notified finds the sample at its
-        // next time-out.
-        let _ = self.notifier.notify();
+        if self.heard.get() || self.bells.has_listeners(self.topic) {
+            // One that can't be notified finds the sample at its next time-out.
+            let _ = self.notifier.notify();
+        }
+    }
+
+    /// Notes whether anybody listens to the events of the topic.
+    pub(crate) fn look_for_listeners(&self) {
+        self.heard.set(self.events.dynamic_config().number_of_listeners() > 0);
     }
 }
 
 /// The event of a topic, listened to only while somebody needs it.
 pub(crate) struct Ear {
     topic: Topic,
+    bells: Arc<Bells>,
     events: Events,
     listener: RefCell<Option<Listener<ipc::Service>>>,
     rings: PortName,
@@ -61,6 +72,7 @@ impl Ear {
     pub(crate) fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
         Ok(Self {
             topic,
+            bells: Arc::clone(bus.bells()),
             events: bus.events(topic)?,
             listener: RefCell::new(None),
             rings: rings()?,
@@ -92,13 +104,19 @@ impl Ear {
         let mut listener = self.listener.borrow_mut();
         match (on, listener.is_some()) {
             (true, false) => match self.events.listener_builder().create() {
-                Ok(created) => *listener = Some(created),
+                Ok(created) => {
+                    *listener = Some(created);
+                    self.bells.listens(self.topic, true);
+                }
                 // The time-outs remain.
                 Err(reason) => {
                     tracing::warn!(topic = %self.topic, ?reason, "the events of a topic can't be heard");
                 }
             },
-            (false, true) => *listener = None,
+            (false, true) => {
+                self.bells.listens(self.topic, false);
+                *listener = None;
+            }
             _ => {}
         }
     }
@@ -113,6 +131,12 @@ impl Ear {
         if let Some(listener) = &*self.listener.borrow() {
             clear(listener);
         }
+    }
+}
+
+impl Drop for Ear {
+    fn drop(&mut self) {
+        self.listen(false);
     }
 }
 

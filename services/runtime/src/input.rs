@@ -4,12 +4,14 @@ use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::ops::Deref;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
 use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
 
+use crate::bell::Bells;
 use crate::bus::WireSubscriber;
 use crate::ear::Ear;
 use crate::process::Shared;
@@ -49,6 +51,9 @@ pub struct Input<S: Sample>(Rc<Reader<S>>);
 struct Reader<S: Sample> {
     subscriber: WireSubscriber<S>,
     ear: Ear,
+    bells: Arc<Bells>,
+    /// The bell of the topic when it was emptied last.
+    rung: Cell<u32>,
     shared: Rc<Shared>,
     kept: RefCell<VecDeque<Taken<S>>>,
     aside: RefCell<VecDeque<Taken<S>>>,
@@ -69,6 +74,9 @@ impl<S: Sample> Input<S> {
         Ok(Self(Rc::new(Reader {
             subscriber: bus.subscriber::<S>()?,
             ear: Ear::new(bus, S::TOPIC)?,
+            // Whatever was rung before is found by the first look.
+            rung: Cell::new(bus.bells().topic(S::TOPIC).look().wrapping_sub(1)),
+            bells: Arc::clone(bus.bells()),
             shared,
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
@@ -151,10 +159,10 @@ pub(crate) trait Drain {
     fn ear(&self) -> &Ear;
     /// Whether nothing waits to be taken.
     fn is_empty(&self) -> bool;
+    /// Whether the topic was rung for since it was emptied.
+    fn is_rung(&self) -> bool;
     /// Clears notifications, takes all samples from the bus and keeps the good ones.
     fn drain(&self) -> Result<(), RuntimeError>;
-    /// Touches what [`Drain::drain`] will need and takes nothing.
-    fn warm_up(&self);
     /// Looks again at what was kept aside, now that the directive has changed.
     fn review(&self);
     /// What became of all samples so far.
@@ -174,8 +182,14 @@ impl<S: Sample> Drain for Input<S> {
         self.0.kept.borrow().is_empty()
     }
 
+    fn is_rung(&self) -> bool {
+        self.0.bells.topic(S::TOPIC).look() != self.0.rung.get()
+    }
+
     fn drain(&self) -> Result<(), RuntimeError> {
         let reader = &*self.0;
+        // Before anything is taken: what comes later rings again.
+        reader.rung.set(reader.bells.topic(S::TOPIC).look());
         reader.ear.clear();
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
         let capacity = buffer(S::TOPIC);
@@ -206,10 +220,6 @@ impl<S: Sample> Drain for Input<S> {
             reader.account.borrow_mut().overflowed_since(&before, capacity as u64);
         }
         Ok(())
-    }
-
-    fn warm_up(&self) {
-        let _ = self.0.subscriber.has_samples();
     }
 
     fn review(&self) {

@@ -9,7 +9,7 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
 use shared_types::{Fault, Sample};
 
-use crate::bell::{ANY, Bells};
+use crate::bell::{Bells, bit};
 use crate::bus::{WirePublisher, WireSubscriber};
 use crate::ear::{Ear, Ringer};
 use crate::quality::quality;
@@ -75,7 +75,7 @@ impl<S: Sample> Observer<S> {
         waking.ear.listen(on);
         let awake = match waking.ear.descriptor() {
             Some(descriptor) => bell.look() != waking.seen.get() || wait_for(&[descriptor], timeout_ns),
-            None => bell.sleep(waking.seen.get(), monotonic_ns().saturating_add(timeout_ns), ANY),
+            None => bell.sleep(waking.seen.get(), monotonic_ns().saturating_add(timeout_ns), bit(S::TOPIC)),
         };
         if !awake {
             waking.ear.is_needed(true);
@@ -191,6 +191,7 @@ impl<S: Sample> Voice<S> {
         let loaned = self.publisher.loan_uninit().map_err(|reason| error(&reason))?;
         loaned.write_payload(Wire(*sample)).send().map_err(|reason| error(&reason))?;
         if wake {
+            self.ringer.look_for_listeners();
             self.ringer.ring();
         }
         Ok(())

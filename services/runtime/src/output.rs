@@ -1,14 +1,17 @@
 //! The writing end of a topic.
-#![expect(unsafe_code, reason = "samples written in place begin as bytes of older ones")]
+#![expect(unsafe_code, reason = "samples are written in shared memory, which holds bytes of older ones")]
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::mem::MaybeUninit;
 use std::rc::Rc;
 
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::ipc;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::{PortFactory, publish_subscribe};
 use shared_types::{Role, Sample};
 
+use crate::bell::LINE;
 use crate::bus::WirePublisher;
 use crate::counters::count;
 use crate::ear::Ringer;
@@ -16,8 +19,16 @@ use crate::process::Shared;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
+/// Of a large sample only the beginning is kept in the caches [bytes].
+const WARMED: usize = 16_384;
+
+/// A place in shared memory that is not written yet.
+type Loaned<S> = SampleMutUninit<ipc::Service, MaybeUninit<Wire<S>>, ()>;
+
 /// Publishes samples of one type.
 pub struct Output<S: Sample> {
+    // Dropped before its publisher.
+    next: RefCell<Option<Loaned<S>>>,
     publisher: WirePublisher<S>,
     service: publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>,
     ringer: Ringer,
@@ -28,7 +39,8 @@ pub struct Output<S: Sample> {
 impl<S: Sample> Output<S> {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
         let (publisher, service) = bus.publisher::<S>()?;
-        Ok(Self { publisher, service, ringer: Ringer::new(bus, S::TOPIC)?, shared, sequence: Cell::new(0) })
+        let ringer = Ringer::new(bus, S::TOPIC)?;
+        Ok(Self { next: RefCell::new(None), publisher, service, ringer, shared, sequence: Cell::new(0) })
     }
 
     /// Completes the header of `sample` and publishes it to all readers, then wakes them.
@@ -59,7 +71,7 @@ impl<S: Sample> Output<S> {
     /// # Errors
     /// As [`Output::publish`].
     pub fn publish_in_place(&self, fill: impl FnOnce(&mut S)) -> Result<(), RuntimeError> {
-        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
+        let loaned = self.loan()?;
         // SAFETY: the bytes are shared memory, which the kernel hands out zeroed and samples were written to since: they
         // have values, and a sample is `Pod`, so that all values are valid.
         let mut loaned = unsafe { loaned.assume_init() };
@@ -94,9 +106,11 @@ impl<S: Sample> Output<S> {
     /// # Errors
     /// As [`Output::publish`].
     pub fn send(&self, sample: &mut S) -> Result<(), RuntimeError> {
+        let mut loaned = self.loan()?;
         self.stamp(sample);
-        let loaned = self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason))?;
-        let delivered = loaned.write_payload(Wire(*sample)).send();
+        loaned.payload_mut().write(Wire(*sample));
+        // SAFETY: written in the line before; this way it is copied once, not by way of the stack.
+        let delivered = unsafe { loaned.assume_init() }.send();
         self.account(delivered.map_err(|reason| bus_error::<S>("send", reason))?);
         Ok(())
     }
@@ -116,9 +130,21 @@ impl<S: Sample> Output<S> {
         }
     }
 
-    /// The last step of [`Output::publish`]: wakes the readers.
+    /// The last step of [`Output::publish`]: wakes the readers. Then nobody waits for this process, and it looks for the
+    /// place of the next sample.
     pub fn wake(&self) {
         self.ringer.ring();
+        let mut next = self.next.borrow_mut();
+        if next.is_none() {
+            *next = self.publisher.loan_uninit().ok();
+        }
+    }
+
+    fn loan(&self) -> Result<Loaned<S>, RuntimeError> {
+        match self.next.borrow_mut().take() {
+            Some(loaned) => Ok(loaned),
+            None => self.publisher.loan_uninit().map_err(|reason| bus_error::<S>("loan", reason)),
+        }
     }
 
     pub(crate) fn connect(&self) {
@@ -131,11 +157,43 @@ impl<S: Sample> Output<S> {
 pub(crate) trait Connect {
     /// Makes this end of all connections.
     fn connect(&self);
+    /// Notes whether anybody listens to the events of the topic.
+    fn look_for_listeners(&self) {}
+    /// Touches what the next sample will need.
+    fn rehearse(&self) {
+        self.connect();
+    }
 }
 
 impl<S: Sample> Connect for Output<S> {
     fn connect(&self) {
         Self::connect(self);
+    }
+
+    fn look_for_listeners(&self) {
+        self.ringer.look_for_listeners();
+    }
+
+    fn rehearse(&self) {
+        Self::connect(self);
+        let mut next = self.next.borrow_mut();
+        *next = None;
+        if let Ok(mut loaned) = self.publisher.loan_uninit() {
+            warm(loaned.payload_mut());
+            *next = Some(loaned);
+        }
+    }
+}
+
+/// Writes one byte of each cache line, the one that is there, so that the processor has the line and may write it.
+fn warm<S>(place: &mut MaybeUninit<S>) {
+    let bytes = std::ptr::from_mut(place).cast::<u8>();
+    for offset in (0..size_of::<S>().min(WARMED)).step_by(LINE) {
+        // SAFETY: inside of the place, which is borrowed for writing; it is shared memory, whose bytes have values.
+        unsafe {
+            let byte = bytes.add(offset);
+            byte.write_volatile(byte.read_volatile());
+        }
     }
 }
 

@@ -9,11 +9,11 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
+    Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
 };
 
 use self::waiting::Need;
-use crate::bell::Bells;
+use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
 use crate::input::{Drain, Input};
 use crate::orphan::Janitor;
@@ -80,6 +80,8 @@ pub struct Process {
     directive_seen_ns: u64,
     looked_ns: u64,
     rung: u32,
+    /// Bits of all topics that wake this process.
+    topics: u32,
     listens: bool,
     // Dropped last, when nothing of this process is on the bus any more.
     janitor: Janitor,
@@ -137,6 +139,7 @@ impl Process {
             looked_ns: 0,
             // Whatever was rung before is found by the first look.
             rung: bells.role(role).look().wrapping_sub(1),
+            topics: bit(Topic::Directive),
             listens: false,
             realtime,
             bells,
@@ -189,6 +192,7 @@ impl Process {
         }
         let input = Input::new(&self.bus, Rc::clone(&self.shared))?;
         self.inputs.push(Rc::new(input.clone()));
+        self.topics |= bit(S::TOPIC);
         Ok(input)
     }
 

@@ -53,7 +53,7 @@ impl Default for Realtime {
     fn default() -> Self {
         Self {
             poll_us: 0,
-            warm_up_us: 300,
+            warm_up_us: 800,
             cpu: Vec::new(),
             scheduler: Scheduler::Other,
             priority: 40,

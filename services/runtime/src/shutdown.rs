@@ -10,7 +10,7 @@ use shared_types::Role;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::RuntimeError;
-use crate::bell::{ANY, Bells};
+use crate::bell::Bells;
 
 /// Whether the process has been asked to end.
 #[derive(Debug)]
@@ -52,7 +52,7 @@ impl Shutdown {
             // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
             // allocates nothing and does not unwind. The closure keeps the memory mapped.
             let registered =
-                unsafe { signal_hook::low_level::register(signal, move || bells.role(role).ring(ANY)) };
+                unsafe { signal_hook::low_level::register(signal, move || bells.role(role).ring_all()) };
             registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
         }
         Ok(())

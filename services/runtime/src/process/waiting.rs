@@ -8,7 +8,7 @@ use std::os::fd::BorrowedFd;
 use shared_types::{ProcessState, StageStamps, Topic};
 
 use super::{LONGEST_WAIT_NS, Process};
-use crate::bell::{ANY, bit};
+use crate::bell::bit;
 use crate::counters::count;
 use crate::ear::Ear;
 use crate::input::Drain;
@@ -90,21 +90,57 @@ impl Process {
         if beats {
             self.beat()?;
         }
+        let until_ns = now + longest_ns;
         let timed_out = if self.listens {
             !self.sleep_on_events(longest_ns)
         } else {
-            !self.sleep_and_warm_up(now, now + longest_ns, need)?
+            if let Some(warm_up_ns) = self.warm_up_ns(now, until_ns, need) {
+                let is_rung = self.bells.role(self.shared.role).sleep(self.rung, warm_up_ns, self.topics);
+                let goes_on = self.look(beats, !is_rung)?;
+                if is_rung || !goes_on || self.inputs.iter().any(|input| !input.is_empty()) {
+                    return Ok(goes_on);
+                }
+                if monotonic_ns() >= self.next_heartbeat_ns {
+                    self.beat()?;
+                }
+                self.outputs.iter().for_each(|output| output.rehearse());
+            }
+            !self.sleep_on_bell(now, until_ns, need)
         };
-        let woken_ns = self.shared.clock.now_ns();
-        let counters = &self.shared.counters;
-        count(&counters.activations, 1);
-        count(&counters.timeouts, u64::from(timed_out));
+        count(&self.shared.counters.timeouts, u64::from(timed_out));
+        self.look(beats, timed_out)
+    }
+
+    /// When to wake once although nothing is expected: shortly before something is.
+    ///
+    /// After some milliseconds of sleep most of the time that a hop takes is spent on waiting for memory. So a process
+    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting.
+    fn warm_up_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<u64> {
+        let due_ns = match need {
+            Need::Time => until_ns,
+            Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
+        };
+        let warm_up_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
+        let is_cold = warm_up_ns < due_ns && warm_up_ns > now + COLD_NS && warm_up_ns < until_ns;
+        (is_cold && !self.shared.clock.is_simulated()).then_some(warm_up_ns)
+    }
+
+    /// What follows every sleep: takes what has come, the directive first. Topics that nobody rang for are left out unless
+    /// the process `beats` or nothing has woken it. False when the process is to end.
+    fn look(&mut self, beats: bool, timed_out: bool) -> Result<bool, RuntimeError> {
+        self.looked_ns = monotonic_ns();
+        let woken_ns =
+            if self.shared.clock.is_simulated() { self.shared.clock.now_ns() } else { self.looked_ns };
+        count(&self.shared.counters.activations, 1);
         self.shared.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });
         // Before anything is emptied: what comes later rings again.
         self.rung = self.bells.role(self.shared.role).look();
-        self.listen_where_needed(beats);
-        self.looked_ns = monotonic_ns();
-        self.directive.drain()?;
+        // A writer may have died between its sample and its ring; and who does not ring is heard otherwise.
+        let everywhere = beats || timed_out || self.listens;
+        if everywhere || self.directive.is_rung() {
+            self.directive.drain()?;
+            self.look_around(beats);
+        }
         if let Some(directive) = self.directive.take_newest() {
             *self.shared.directive.borrow_mut() = *directive;
             self.directive_seen_ns = self.looked_ns;
@@ -112,7 +148,9 @@ impl Process {
             self.inputs.iter().for_each(|input| input.review());
         }
         for input in &self.inputs {
-            input.drain()?;
+            if everywhere || self.listens || input.is_rung() {
+                input.drain()?;
+            }
         }
         let alone_ns = self.looked_ns.saturating_sub(self.directive_seen_ns);
         let orphaned = alone_ns > orphan::limit_ns(self.shared.role, self.run.orphan_timeout_ns);
@@ -127,39 +165,12 @@ impl Process {
         Ok(goes_on)
     }
 
-    /// [`Process::sleep_on_bell`], with one wake-up shortly before something is due.
-    ///
-    /// After a tenth of a second of sleep most of the time that a hop takes is spent on waiting for memory. Nothing is
-    /// taken here: what comes meanwhile is taken in the usual order, after the directive.
-    fn sleep_and_warm_up(&mut self, now: u64, until_ns: u64, need: Need) -> Result<bool, RuntimeError> {
-        let due_ns = match need {
-            Need::Time => until_ns,
-            Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
-        };
-        let warm_up_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
-        let is_cold = warm_up_ns < due_ns && warm_up_ns > now + COLD_NS && warm_up_ns < until_ns;
-        if !is_cold || self.shared.clock.is_simulated() {
-            return Ok(self.sleep_on_bell(now, until_ns, need));
-        }
-        if self.bells.role(self.shared.role).sleep(self.rung, warm_up_ns, ANY) {
-            return Ok(true);
-        }
-        count(&self.shared.counters.activations, 1);
-        let now = monotonic_ns();
-        if now >= self.next_heartbeat_ns {
-            self.beat()?;
-        }
-        self.inputs.iter().for_each(|input| input.warm_up());
-        self.outputs.iter().for_each(|output| output.connect());
-        Ok(self.sleep_on_bell(now, until_ns, need))
-    }
-
     /// Sleeps on the doorbell; false after a time-out.
     fn sleep_on_bell(&self, now: u64, until_ns: u64, need: Need) -> bool {
         let bell = self.bells.role(self.shared.role);
         let poll_ns = if self.shared.clock.is_simulated() { 0 } else { 1000 * self.realtime.poll_us };
         if poll_ns == 0 {
-            let bits = if need == Need::All { self.missing() } else { ANY };
+            let bits = if need == Need::All { self.missing() } else { self.topics };
             return bell.sleep(self.rung, until_ns, bits);
         }
         let (from_ns, to_ns) = match need {
@@ -173,7 +184,7 @@ impl Process {
             }
         };
         let (from_ns, to_ns) = (from_ns.min(until_ns), to_ns.min(until_ns));
-        if now < from_ns && bell.sleep(self.rung, from_ns, ANY) {
+        if now < from_ns && bell.sleep(self.rung, from_ns, self.topics) {
             return true;
         }
         while monotonic_ns() < to_ns {
@@ -182,13 +193,13 @@ impl Process {
             }
             std::hint::spin_loop();
         }
-        to_ns < until_ns && bell.sleep(self.rung, until_ns, ANY)
+        to_ns < until_ns && bell.sleep(self.rung, until_ns, self.topics)
     }
 
     /// What a process that joins its inputs waits for: the last of those that are missing.
     fn missing(&self) -> u32 {
         let missing = self.inputs.iter().rev().find(|input| input.is_empty());
-        missing.map_or(ANY, |input| bit(input.topic()) | bit(Topic::Directive))
+        missing.map_or(self.topics, |input| bit(input.topic()) | bit(Topic::Directive))
     }
 
     /// Sleeps on the events of all topics, which writers of ours notify as well; false after a time-out.
@@ -206,9 +217,11 @@ impl Process {
         wait_for(&descriptors[..used], longest_ns)
     }
 
-    /// Listens to events while a process that does not ring writes one of the topics read here. Called before topics
-    /// are emptied, so what was published before is found, and what is published later is heard.
-    fn listen_where_needed(&mut self, again: bool) {
+    /// Listens to events while a process that does not ring writes one of the topics read here, and notifies them while
+    /// somebody listens. Called before inputs are emptied, so what was published before is found, and what is published
+    /// later is heard.
+    fn look_around(&mut self, again: bool) {
+        self.outputs.iter().for_each(|output| output.look_for_listeners());
         let mut needed = false;
         for input in &self.inputs {
             needed |= input.ear().is_needed(again);

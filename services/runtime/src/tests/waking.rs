@@ -9,7 +9,7 @@ use iceoryx2::prelude::ipc;
 use signal_hook::consts::SIGUSR1;
 
 use super::{Lab, pose};
-use crate::bell::ANY;
+use crate::bell::bit;
 use crate::bus::{WirePublisher, WireSubscriber};
 use crate::process::LONGEST_WAIT_NS;
 use crate::wire::Wire;
@@ -232,11 +232,11 @@ fn a_signal_at_any_moment_ends_the_sleep() {
     shutdown.ring_also(bells, Role::Actuator).unwrap();
     let bell = bells.role(Role::Actuator);
     let seen = bell.look();
-    assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, ANY), "nothing has happened");
+    assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, bit(Topic::Pose)), "nothing has happened");
     assert!(!shutdown.requested());
     // Between the look and the sleep: the moment at which a flag alone would be missed.
     signal_hook::low_level::raise(SIGUSR1).unwrap();
-    assert!(bell.sleep(seen, monotonic_ns() + LONG_NS, ANY));
+    assert!(bell.sleep(seen, monotonic_ns() + LONG_NS, bit(Topic::Pose)));
     assert!(shutdown.requested());
 }
 
@@ -244,11 +244,11 @@ fn a_signal_at_any_moment_ends_the_sleep() {
 fn a_sleeper_that_was_killed_stays_counted_and_disturbs_nobody() {
     let lab = Lab::new();
     let bell = lab.bus().bells().role(Role::Controller);
-    bell.forget_a_sleeper();
+    bell.forget_a_sleeper(Topic::Pose);
     let seen = bell.look();
-    assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, ANY));
+    assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, bit(Topic::Pose)));
     lab.bus().bells().ring(Topic::Pose);
-    assert!(bell.sleep(seen, monotonic_ns() + LONG_NS, ANY));
+    assert!(bell.sleep(seen, monotonic_ns() + LONG_NS, bit(Topic::Pose)));
 }
 
 #[test]
