@@ -77,6 +77,7 @@ pub(crate) fn add_profile(system: &mut Table) {
 pub(crate) fn validate(realtime: &Realtime) -> Result<(), Invalid> {
     require("poll_us", realtime.poll_us as f64, 0.0..=2000.0)?;
     require("warm_up_us", realtime.warm_up_us as f64, 0.0..=2000.0)?;
+    require("wake_ahead_us", realtime.wake_ahead_us as f64, 0.0..=2000.0)?;
     for cpu in &realtime.cpu {
         require("cpu", *cpu as f64, 0.0..=1023.0)?;
     }

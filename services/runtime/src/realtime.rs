@@ -35,6 +35,9 @@ pub struct Realtime {
     /// How long before its next input is due a process wakes once, so that code and data are in the caches when that
     /// comes, 0 for never to 2000 [us]. Scans that follow each other within 5 ms keep it warm anyway.
     pub warm_up_us: u64,
+    /// How long before the next scan is due the process that will be woken by it wakes its processor, 0 for never to
+    /// 2000 [us].
+    pub wake_ahead_us: u64,
     /// Processors that the processes of the loop may run on; empty for all.
     pub cpu: Vec<usize>,
     /// How the kernel chooses among processes.
@@ -54,6 +57,7 @@ impl Default for Realtime {
         Self {
             poll_us: 0,
             warm_up_us: 800,
+            wake_ahead_us: 100,
             cpu: Vec::new(),
             scheduler: Scheduler::Other,
             priority: 40,

@@ -5,7 +5,7 @@
 
 use std::os::fd::BorrowedFd;
 
-use shared_types::{ProcessState, StageStamps, Topic};
+use shared_types::{ProcessState, Role, StageStamps, Topic};
 
 use super::{LONGEST_WAIT_NS, Process};
 use crate::bell::bit;
@@ -19,6 +19,8 @@ use crate::{RuntimeError, monotonic_ns, orphan};
 const HEARTBEAT_PATIENCE_NS: u64 = 30_000_000;
 /// Sleeps that are longer than this leave caches cold [ns].
 const COLD_NS: u64 = 5_000_000;
+/// Processors that have had nothing to do for this long are halted [ns].
+const HALTED_NS: u64 = 200_000;
 /// How long nothing must have happened for that [ns].
 const QUIET_NS: u64 = 2_000_000;
 
@@ -94,8 +96,8 @@ impl Process {
         let timed_out = if self.listens {
             !self.sleep_on_events(longest_ns)
         } else {
-            if let Some(warm_up_ns) = self.warm_up_ns(now, until_ns, need) {
-                let is_rung = self.bells.role(self.shared.role).sleep(self.rung, warm_up_ns, self.topics);
+            while let Some((early_ns, is_cold)) = self.early_ns(monotonic_ns(), until_ns, need) {
+                let is_rung = self.bells.role(self.shared.role).sleep(self.rung, early_ns, self.topics);
                 let goes_on = self.look(beats, !is_rung)?;
                 if is_rung || !goes_on || self.inputs.iter().any(|input| !input.is_empty()) {
                     return Ok(goes_on);
@@ -103,7 +105,9 @@ impl Process {
                 if monotonic_ns() >= self.next_heartbeat_ns {
                     self.beat()?;
                 }
-                self.outputs.iter().for_each(|output| output.rehearse());
+                if is_cold {
+                    self.outputs.iter().for_each(|output| output.rehearse());
+                }
             }
             !self.sleep_on_bell(now, until_ns, need)
         };
@@ -111,18 +115,26 @@ impl Process {
         self.look(beats, timed_out)
     }
 
-    /// When to wake once although nothing is expected: shortly before something is.
+    /// When to wake next although nothing is expected: shortly before something is; and whether that is to warm up.
     ///
     /// After some milliseconds of sleep most of the time that a hop takes is spent on waiting for memory. So a process
-    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting.
-    fn warm_up_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<u64> {
+    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting. And a processor that
+    /// was halted takes longer to wake than all the rest of a hop, so the one process that finds it so, which is woken by
+    /// the robot, wakes it beforehand.
+    fn early_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<(u64, bool)> {
         let due_ns = match need {
+            _ if self.shared.clock.is_simulated() => return None,
             Need::Time => until_ns,
             Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
         };
-        let warm_up_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
-        let is_cold = warm_up_ns < due_ns && warm_up_ns > now + COLD_NS && warm_up_ns < until_ns;
-        (is_cold && !self.shared.clock.is_simulated()).then_some(warm_up_ns)
+        let before = |us: u64, least_ns: u64| {
+            let early_ns = due_ns.saturating_sub(1000 * us);
+            (early_ns < due_ns && early_ns > now + least_ns && early_ns < until_ns).then_some(early_ns)
+        };
+        let warm_up_ns = before(self.realtime.warm_up_us, COLD_NS);
+        let is_first = self.shared.role.answers().and_then(Topic::writer) == Some(Role::Robot);
+        let wake_ns = || before(self.realtime.wake_ahead_us, HALTED_NS).filter(|_| is_first);
+        warm_up_ns.map(|early_ns| (early_ns, true)).or_else(|| wake_ns().map(|early_ns| (early_ns, false)))
     }
 
     /// What follows every sleep: takes what has come, the directive first. Topics that nobody rang for are left out unless
