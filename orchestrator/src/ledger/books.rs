@@ -261,9 +261,13 @@ impl Books {
             worker.told = (worker.told.0 + debt.count, worker.told.1.wrapping_add(debt.scans));
             let Some(topic) = debt.role.writes().first() else { continue };
             let scan_id = if debt.count == 1 { debt.scans } else { 0 };
-            // An input that comes twice is rightly answered once.
-            let came_twice = |fault: &Fault| fault.kind == Kind::Duplicate && fault.scan_id == scan_id;
-            if scan_id == 0 || !self.faults.iter().any(came_twice) {
+            // An input that comes twice is rightly answered once, and one that comes after a later one not at all.
+            let is_excused = |fault: &Fault| {
+                matches!(fault.kind, Kind::Duplicate | Kind::Reordered)
+                    && debt.role.answers().is_some_and(|topic| fault.topic == topic.name())
+                    && fault.scan_id == scan_id
+            };
+            if scan_id == 0 || !self.faults.iter().any(is_excused) {
                 found.push(
                     Fault::new(*topic, Kind::Missing, *incarnation).scan(scan_id).noticed_by(debt.role),
                 );

@@ -27,6 +27,8 @@ enum Hidden {
     Double,
     /// It is sent after the next one.
     Swap,
+    /// It is published after the next one, numbers in the order of publication.
+    Mix,
     /// It does not reach one of its readers.
     DropAt(usize),
     /// It reaches one of its readers twice.
@@ -77,6 +79,7 @@ struct Model {
     processes: Vec<Process>,
     bus: BTreeMap<Topic, VecDeque<Header>>,
     late: BTreeMap<Topic, Header>,
+    held: BTreeMap<Topic, u64>,
     hidden: Option<(Topic, u64, Hidden)>,
     scan: u64,
     next_incarnation: u32,
@@ -197,6 +200,7 @@ impl Model {
             processes: Role::ALL.iter().zip(1..).map(|(role, number)| Process::new(*role, number)).collect(),
             bus: BTreeMap::new(),
             late: BTreeMap::new(),
+            held: BTreeMap::new(),
             hidden,
             scan: 0,
             next_incarnation: 6,
@@ -247,42 +251,54 @@ impl Model {
     /// One process publishes, rightly or not.
     fn publish(&mut self, index: usize, topic: Topic, scan: u64) {
         let hidden = self.hidden.filter(|(at, when, _)| (*at, *when) == (topic, scan)).map(|(.., what)| what);
-        if hidden == Some(Hidden::Omit) {
+        match hidden {
+            Some(Hidden::Omit) => {}
+            Some(Hidden::Mix) => {
+                self.held.insert(topic, scan);
+            }
+            Some(Hidden::Double) => {
+                self.number_and_send(index, topic, scan, hidden);
+                self.number_and_send(index, topic, scan, hidden);
+            }
+            _ => self.number_and_send(index, topic, scan, hidden),
+        }
+        if hidden.is_some() {
             return;
         }
-        let times = if hidden == Some(Hidden::Double) { 2 } else { 1 };
-        for _ in 0..times {
-            let process = &mut self.processes[index];
-            let sequence = process.written.entry(topic).or_default();
-            *sequence += 1;
-            let header = Header {
-                incarnation: process.incarnation,
-                sequence: *sequence,
-                scan_id: scan,
-                ..Header::default()
-            };
-            if process.role.writes()[0] == topic {
-                process.newest = scan;
-                if process.answered.0 < process.taken.0 {
-                    process.answered = (process.answered.0 + 1, process.answered.1 + scan);
-                }
-            }
-            match hidden {
-                Some(Hidden::Drop) => {}
-                Some(Hidden::Swap) => {
-                    self.late.insert(topic, header);
-                }
-                Some(Hidden::Repeat) => {
-                    self.send(header, topic, None);
-                    self.send(header, topic, None);
-                }
-                other => self.send(header, topic, other),
+        if let Some(late) = self.late.remove(&topic) {
+            self.send(late, topic, None);
+        }
+        if let Some(held) = self.held.remove(&topic) {
+            self.number_and_send(index, topic, held, None);
+        }
+    }
+
+    fn number_and_send(&mut self, index: usize, topic: Topic, scan: u64, hidden: Option<Hidden>) {
+        let process = &mut self.processes[index];
+        let sequence = process.written.entry(topic).or_default();
+        *sequence += 1;
+        let header = Header {
+            incarnation: process.incarnation,
+            sequence: *sequence,
+            scan_id: scan,
+            ..Header::default()
+        };
+        if process.role.writes()[0] == topic {
+            process.newest = scan;
+            if process.answered.0 < process.taken.0 {
+                process.answered = (process.answered.0 + 1, process.answered.1 + scan);
             }
         }
-        if hidden.is_none()
-            && let Some(late) = self.late.remove(&topic)
-        {
-            self.send(late, topic, None);
+        match hidden {
+            Some(Hidden::Drop) => {}
+            Some(Hidden::Swap) => {
+                self.late.insert(topic, header);
+            }
+            Some(Hidden::Repeat) => {
+                self.send(header, topic, None);
+                self.send(header, topic, None);
+            }
+            other => self.send(header, topic, other),
         }
     }
 
@@ -388,10 +404,11 @@ fn readers(topic: Topic) -> Vec<usize> {
 }
 
 fn hidden() -> impl Strategy<Value = (Topic, u64, Hidden)> {
-    (0..ACCOUNTS.len(), 1..40_u64, 0..9_usize, 0..2_usize).prop_map(|(topic, scan, what, reader)| {
+    (0..ACCOUNTS.len(), 1..40_u64, 0..10_usize, 0..2_usize).prop_map(|(topic, scan, what, reader)| {
         let topic = ACCOUNTS[topic];
         let readers = readers(topic);
-        let anywhere = [Hidden::Drop, Hidden::Omit, Hidden::Repeat, Hidden::Double, Hidden::Swap];
+        let anywhere =
+            [Hidden::Drop, Hidden::Omit, Hidden::Repeat, Hidden::Double, Hidden::Swap, Hidden::Mix];
         let what = match readers.get(reader % readers.len().max(1)) {
             Some(&at) => *[
                 &anywhere[..],
@@ -435,7 +452,7 @@ proptest! {
         let kind = match what {
             Hidden::Drop | Hidden::Omit | Hidden::DropAt(_) => Kind::Missing,
             Hidden::Repeat | Hidden::Double | Hidden::RepeatAt(_) => Kind::Duplicate,
-            Hidden::Swap | Hidden::SwapAt(_) => Kind::Reordered,
+            Hidden::Swap | Hidden::Mix | Hidden::SwapAt(_) => Kind::Reordered,
             Hidden::ForgetAt(_) => Kind::Vanished,
         };
         prop_assert_eq!(faults.len(), 1, "{:?}", faults);
