@@ -1,13 +1,15 @@
 //! Doorbells: one word of shared memory per reader, on which it sleeps.
 //!
 //! Idea: who publishes adds one to the word of each reader of the topic and, when somebody sleeps there, tells the
-//! kernel to wake it; sleepers say for which topics. A reader looks at the word *before* it empties its inputs and later sleeps only if the word is
-//! still the same; the kernel compares once more under its own lock. So a sample that comes after the inputs were
-//! emptied can't be slept through, and no notification has to be taken back: one system call to ring and one to sleep.
+//! kernel to wake it; sleepers say for which topics. A reader looks at the word *before* it empties its inputs and later
+//! sleeps only if the word is still the same; the kernel compares once more under its own lock. So a sample that comes
+//! after the inputs were emptied can't be slept through, and no notification has to be taken back: one system call to
+//! ring and one to sleep.
 //!
-//! All processes of a role share a bell, also a shadow and a standby: everyone who sleeps there is woken. Each topic
-//! has one more, for observers, and for readers that were woken and ask which of their topics have something. There is no lock and no owner. A process that is killed in its sleep stays counted as a
-//! sleeper until the system ends, which costs a needless system call per sample and never a wake-up.
+//! All processes of a role share a bell, also a shadow and a standby: everyone who sleeps there for the topic is woken.
+//! Each topic has one more, for observers, and for readers that were woken and ask which of their topics have something.
+//! There is no lock and no owner. A process that is killed in its sleep stays counted as a sleeper until the system ends,
+//! which costs a needless system call per sample and never a wake-up.
 //!
 //! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
 #![expect(unsafe_code, reason = "shared memory is mapped and read through a pointer")]

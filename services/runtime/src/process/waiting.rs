@@ -99,7 +99,8 @@ impl Process {
             while let Some((early_ns, is_cold)) = self.early_ns(monotonic_ns(), until_ns, need) {
                 let is_rung = self.bells.role(self.shared.role).sleep(self.rung, early_ns, self.topics);
                 let goes_on = self.look(beats, !is_rung)?;
-                if is_rung || !goes_on || self.inputs.iter().any(|input| !input.is_empty()) {
+                // A writer that does not ring may have come: the next sleep is on its events.
+                if is_rung || !goes_on || self.listens || self.inputs.iter().any(|input| !input.is_empty()) {
                     return Ok(goes_on);
                 }
                 if monotonic_ns() >= self.next_heartbeat_ns {
