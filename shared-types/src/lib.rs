@@ -32,7 +32,7 @@ pub use command::{Command, CommandKind, Level, PLAN_NODES, PlanNode, SolveStatus
 pub use constants::{CONSTANTS, Constant, Number};
 pub use describe::{Described, ENUMERATIONS, Enumeration, EnumerationValue, Field, Kind};
 pub use fault::Fault;
-pub use header::{Header, StageStamps};
+pub use header::{Header, StageStamps, YOUNG_NS};
 pub use layouts::{Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;

@@ -13,7 +13,7 @@
 //! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. Where a clock jumps ahead the wheels
 //! are blocked for silence, where it jumps back commands seem to come from the future and are refused.
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Command, Header, StopReason};
+use shared_types::{Actuation, ActuationKind, BlockReason, Command, Header, StopReason, YOUNG_NS};
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
@@ -45,7 +45,7 @@ impl Actuator {
         Ok(Self {
             correction: config.calibration.correction(),
             timeout_ns: periods(config.timeout_periods),
-            max_age_ns: periods(config.max_age_periods),
+            max_age_ns: periods(config.max_age_periods).max(YOUNG_NS),
             period_ns,
             config,
             state: ActuatorState::default(),

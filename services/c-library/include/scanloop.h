@@ -68,8 +68,9 @@ int scanloop_wait(scanloop_process *process, uint64_t deadline_ns);
  * points to must not be written. It has the type of the topic, is valid, and comes from the process in charge. */
 int scanloop_read(scanloop_process *process, const char *topic, const void **sample);
 
-/* The newest pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller.
- * SCANLOOP_NO while none is complete. Older samples are dropped. Pointers as in scanloop_read. */
+/* A pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller. The oldest while
+ * all that wait take less than a scan period, else the newest; older samples are dropped then.
+ * SCANLOOP_NO while none is complete. Pointers as in scanloop_read. */
 int scanloop_join(scanloop_process *process, const void **first, const void **second);
 
 /* The header of an answer to the sample with header `to`, and to the one with header `also` (or NULL): same scan,

@@ -71,7 +71,7 @@ impl CProcess {
         Ok(port.lend())
     }
 
-    /// The newest pair of one scan.
+    /// A pair of one scan, as [`runtime::join`] chooses it.
     pub(crate) fn join(&mut self) -> Result<Option<[*const c_void; 2]>, Refusal> {
         match &mut self.inputs {
             Inputs::Obstacles(one, other) => Ok(pair(one, other)),

@@ -139,11 +139,17 @@ impl<S: Sample> Input<S> {
     }
 }
 
-/// Takes the newest pair of samples that belong to one scan; older ones are dropped and counted as replaced.
+/// Takes a pair of samples that belong to one scan; older ones are dropped and counted as replaced.
+///
+/// A process that was held up has several pairs. As long as all of them take it less than a scan period, by the time
+/// that its last answer took, it is given the oldest and no scan stays without an answer; otherwise the newest.
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let scan_id = {
         let kept = one.0.kept.borrow();
-        kept.iter().rev().map(|sample| sample.header().scan_id).find(|scan_id| other.has_scan(*scan_id))?
+        let scans = kept.iter().map(|sample| sample.header().scan_id);
+        let mut pairs = scans.filter(|scan_id| other.has_scan(*scan_id));
+        let catches_up = one.0.shared.catches_up(pairs.clone().count() as u64);
+        if catches_up { pairs.next() } else { pairs.next_back() }?
     };
     let pair = (one.take_scan(scan_id)?, other.take_scan(scan_id)?);
     one.0.take(&pair.0);
@@ -296,7 +302,7 @@ impl<S: Sample> Reader<S> {
             return false;
         }
         let acquired_ns = sample.header().acquired_ns;
-        acquired_ns > 0 && self.shared.clock.now_ns().saturating_sub(acquired_ns) > self.shared.max_age_ns
+        acquired_ns > 0 && self.shared.clock.now_ns().saturating_sub(acquired_ns) > self.shared.max_age_ns()
     }
 
     fn take(&self, sample: &S) {

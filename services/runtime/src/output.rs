@@ -34,13 +34,23 @@ pub struct Output<S: Sample> {
     ringer: Ringer,
     shared: Rc<Shared>,
     sequence: Cell<u64>,
+    /// How many readers there were when it was looked up last.
+    readers: Cell<usize>,
 }
 
 impl<S: Sample> Output<S> {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
         let (publisher, service) = bus.publisher::<S>()?;
         let ringer = Ringer::new(bus, S::TOPIC)?;
-        Ok(Self { next: RefCell::new(None), publisher, service, ringer, shared, sequence: Cell::new(0) })
+        Ok(Self {
+            next: RefCell::new(None),
+            publisher,
+            service,
+            ringer,
+            shared,
+            sequence: Cell::new(0),
+            readers: Cell::new(0),
+        })
     }
 
     /// Completes the header of `sample` and publishes it to all readers, then wakes them.
@@ -118,15 +128,15 @@ impl<S: Sample> Output<S> {
     fn stamp(&self, sample: &mut S) {
         let shared = &*self.shared;
         if S::TOPIC.writer() == Some(shared.role) {
-            sample.header_mut().stage_mut(shared.role).published_ns = shared.clock.now_ns();
-            shared.produced.set(true);
-            shared.worked.set(true);
+            sample.header_mut().stage_mut(shared.role).published_ns = shared.answered();
         }
     }
 
     fn account(&self, delivered: usize) {
-        if delivered < self.service.dynamic_config().number_of_subscribers() {
-            count(&self.shared.counters.undelivered, 1);
+        if delivered != self.readers.get() {
+            // Looked up now only: the list of readers lies in memory that nothing else needs.
+            self.readers.set(self.service.dynamic_config().number_of_subscribers());
+            count(&self.shared.counters.undelivered, u64::from(delivered < self.readers.get()));
         }
     }
 
@@ -157,7 +167,7 @@ impl<S: Sample> Output<S> {
 pub(crate) trait Connect {
     /// Makes this end of all connections.
     fn connect(&self);
-    /// Notes whether anybody listens to the events of the topic.
+    /// Notes how many read the topic, and whether anybody listens to its events.
     fn look_for_listeners(&self) {}
     /// Touches what the next sample will need.
     fn rehearse(&self) {
@@ -171,6 +181,7 @@ impl<S: Sample> Connect for Output<S> {
     }
 
     fn look_for_listeners(&self) {
+        self.readers.set(self.service.dynamic_config().number_of_subscribers());
         self.ringer.look_for_listeners();
     }
 

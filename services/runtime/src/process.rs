@@ -10,6 +10,7 @@ use std::sync::Arc;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
+    YOUNG_NS,
 };
 
 use self::waiting::Need;
@@ -25,7 +26,7 @@ use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, l
 const HEARTBEAT_NS: u64 = 95_000_000;
 /// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
 pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
-/// Inputs older than this many scan periods when they arrive are not used any more.
+/// Inputs older than this many scan periods when they arrive are not used any more, unless they are young at any rate.
 const MAX_AGE_PERIODS: u64 = 3;
 /// The state of a running process is waited for this long, besides two and a half periods [ns].
 const JOIN_NS: u64 = 20_000_000;
@@ -40,11 +41,14 @@ pub(crate) struct Shared {
     pub(crate) counters: Counters,
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
-    pub(crate) max_age_ns: u64,
+    /// Of the scans [ns].
+    pub(crate) period_ns: u64,
     pub(crate) produced: Cell<bool>,
     /// Something was published since the last sleep.
     pub(crate) worked: Cell<bool>,
     pub(crate) taken_ns: Cell<u64>,
+    /// How long the last answer took, from its inputs to its publication [ns].
+    pub(crate) answered_in_ns: Cell<u64>,
 }
 
 impl Shared {
@@ -56,6 +60,28 @@ impl Shared {
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
         self.counters.take(self.role, sample);
+    }
+
+    /// Notes that the process publishes its answer now, and returns when that is.
+    pub(crate) fn answered(&self) -> u64 {
+        let now = self.clock.now_ns();
+        let taken_ns = self.stamps.get().taken_ns;
+        if taken_ns > 0 {
+            self.answered_in_ns.set(now.saturating_sub(taken_ns));
+        }
+        self.produced.set(true);
+        self.worked.set(true);
+        now
+    }
+
+    /// Age above which inputs are not used any more when they arrive [ns].
+    pub(crate) fn max_age_ns(&self) -> u64 {
+        (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
+    }
+
+    /// Whether so many scans can be answered in less than a period, by the time that the last answer took.
+    pub(crate) fn catches_up(&self, scans: u64) -> bool {
+        scans * self.answered_in_ns.get() < self.period_ns
     }
 }
 
@@ -119,10 +145,11 @@ impl Process {
             counters: Counters::default(),
             stamps: Cell::default(),
             directive: RefCell::default(),
-            max_age_ns: MAX_AGE_PERIODS * run.period_ns,
+            period_ns: run.period_ns,
             produced: Cell::new(false),
             worked: Cell::new(false),
             taken_ns: Cell::new(0),
+            answered_in_ns: Cell::new(0),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
@@ -164,6 +191,11 @@ impl Process {
     /// Scan period [ns].
     pub fn period_ns(&self) -> u64 {
         self.run.period_ns
+    }
+
+    /// Age above which an input is not used any more when it arrives: three scan periods, but never less than 10 ms [ns].
+    pub fn max_age_ns(&self) -> u64 {
+        self.shared.max_age_ns()
     }
 
     /// The clock of the loop.

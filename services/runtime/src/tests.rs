@@ -53,10 +53,11 @@ impl Lab {
             counters: Counters::default(),
             stamps: Cell::default(),
             directive: RefCell::new(directive),
-            max_age_ns: 300_000_000,
+            period_ns: 100_000_000,
             produced: Cell::new(false),
             worked: Cell::new(false),
             taken_ns: Cell::new(0),
+            answered_in_ns: Cell::new(0),
         })
     }
 }
@@ -126,7 +127,7 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
 }
 
 #[test]
-fn a_join_gives_the_newest_pair_of_one_scan_and_counts_what_it_replaced() {
+fn a_join_gives_pairs_of_one_scan_and_counts_what_it_replaced() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
     let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
@@ -153,6 +154,35 @@ fn a_join_gives_the_newest_pair_of_one_scan_and_counts_what_it_replaced() {
     publish(3);
     assert_eq!(join(&pose_input, &obstacle_input).unwrap().0.header.scan_id, 3);
     assert_eq!(pose_input.account().replaced, 1);
+}
+
+#[test]
+fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let described = Output::<Obstacles>::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
+    let pose_input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    let obstacle_input = Input::<Obstacles>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    pose_input.drain().unwrap();
+    obstacle_input.drain().unwrap();
+    for scan_id in 1..=6 {
+        poses.publish(&mut pose(scan_id, 0.0)).unwrap();
+        let mut obstacles = Obstacles::default();
+        obstacles.header.scan_id = scan_id;
+        described.publish(&mut obstacles).unwrap();
+        if scan_id == 3 || scan_id == 6 {
+            pose_input.drain().unwrap();
+            obstacle_input.drain().unwrap();
+            // Three of them take just less than 100 ms, or just not.
+            controller.answered_in_ns.set(if scan_id == 3 { 33_333_333 } else { 33_333_334 });
+            let scans: Vec<u64> = std::iter::from_fn(|| join(&pose_input, &obstacle_input))
+                .map(|(pose, _)| pose.header.scan_id)
+                .collect();
+            assert_eq!(scans, if scan_id == 3 { vec![1, 2, 3] } else { vec![6] });
+        }
+    }
+    assert_eq!((pose_input.account().replaced, obstacle_input.account().replaced), (2, 2));
 }
 
 #[test]

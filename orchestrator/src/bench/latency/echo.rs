@@ -8,6 +8,7 @@
 
 use std::rc::Rc;
 
+use emulator::service::HANDED_OVER_LATE;
 use runtime::{BlobInput, BlobOutput, Process, join};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
@@ -62,15 +63,19 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
     let due_ns = |scan_id: u64| origin_ns + scan_id * period_ns + period_ns / 3;
     let mut scan_id = 1;
     let mut stopping = false;
-    while process.wait((!stopping).then_some(due_ns(scan_id)))? {
+    loop {
+        let goes_on = if stopping { process.wait(None)? } else { process.wait_for_time(due_ns(scan_id))? };
+        if !goes_on {
+            return Ok(());
+        }
         while actuations.take().is_some() {}
         let now_ns = process.clock().now_ns();
         stopping = process.directive().phase == Phase::Stopping.wire();
         if now_ns < due_ns(scan_id) || stopping {
             continue;
         }
-        // As the emulated robot: what was missed is not made up for.
-        scan_id += (now_ns - due_ns(scan_id)) / period_ns;
+        let newest = scan_id + (now_ns - due_ns(scan_id)) / period_ns;
+        scan_id = scan_id.max(newest.saturating_sub(HANDED_OVER_LATE));
         process.begin();
         let acquired_ns = scan_id * period_ns;
         let mut truth = Truth { time_s: acquired_ns as f64 * 1e-9, goal_distance_m: 1e3, ..Truth::default() };
@@ -86,7 +91,6 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
         odometries.publish(&mut odometry)?;
         scan_id += 1;
     }
-    Ok(())
 }
 
 fn estimator(payload: Option<usize>) -> anyhow::Result<()> {
