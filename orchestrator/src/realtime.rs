@@ -77,7 +77,9 @@ pub(crate) fn add_profile(system: &mut Table) {
 pub(crate) fn validate(realtime: &Realtime) -> Result<(), Invalid> {
     require("poll_us", realtime.poll_us as f64, 0.0..=2000.0)?;
     require("warm_up_us", realtime.warm_up_us as f64, 0.0..=2000.0)?;
-    require("wake_ahead_us", realtime.wake_ahead_us as f64, 0.0..=2000.0)?;
+    if realtime.slice_us > 0 {
+        require("slice_us", realtime.slice_us as f64, 100.0..=100_000.0)?;
+    }
     for cpu in &realtime.cpu {
         require("cpu", *cpu as f64, 0.0..=1023.0)?;
     }

@@ -101,6 +101,8 @@ struct BusStage<I: Sample, O: Sample> {
 impl<I: Sample, O: Sample> BusStage<I, O> {
     fn open(setup: &Setup) -> Result<Box<dyn Stage>, RuntimeError> {
         let mut process = Process::attach(Role::ALL[setup.index])?;
+        // As the orchestrator does for every process of a run; other schedulers stay as they are.
+        runtime::Realtime::default().apply_to(std::process::id());
         let input = if setup.is_first() { None } else { Some(process.input::<I>()?) };
         let output =
             if setup.is_last() { None } else { Some((process.output::<O>()?, bytemuck::zeroed_box())) };
@@ -115,7 +117,6 @@ impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
         let header = if self.input.is_some() {
             self.header.answer()
         } else {
-            self.process.begin();
             let mut header = Header { scan_id: stamp.sequence, ..Header::default() };
             // A stage that no process of this chain has: the stamp rides where nobody overwrites it.
             header.stage_mut(Role::Actuator).woken_ns = stamp.sent_ns;
@@ -140,6 +141,14 @@ impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
     fn look(&mut self) -> bool {
         self.wait(0);
         self.input.as_ref().is_some_and(|input| input.next_scan().is_some())
+    }
+
+    fn sleep_until(&mut self, time_ns: u64) {
+        while runtime::monotonic_ns() < time_ns {
+            // It ends by the word of the driver, not by a signal: nothing to do when asked to.
+            let _ = self.process.wait_for_time(time_ns);
+        }
+        self.process.begin();
     }
 
     fn block(&mut self, longest_ns: Option<u64>) {
@@ -299,11 +308,17 @@ fn incarnation(index: usize) -> u32 {
 }
 
 fn create(domain: &Domain, payload: Payload) -> Result<Bus, RuntimeError> {
-    let Payload::Block(bytes) = payload else { return Bus::create(domain) };
     let mut bus = Bus::create_empty(domain)?;
     bus.create_topic_for::<Heartbeat>(SPEAKERS)?;
     bus.create_topic_for::<Directive>(SPEAKERS)?;
     bus.create_topic_for::<Checkpoint>(SPEAKERS)?;
+    let Payload::Block(bytes) = payload else {
+        bus.create_topic_for::<Odometry>(READERS)?;
+        bus.create_topic_for::<Pose>(READERS)?;
+        bus.create_topic_for::<Obstacles>(READERS)?;
+        bus.create_topic_for::<Command>(READERS)?;
+        return Ok(bus);
+    };
     with_size!(bytes, REST, {
         bus.create_topic_for::<Bytes<0, REST>>(READERS)?;
         bus.create_topic_for::<Bytes<1, REST>>(READERS)?;

@@ -26,6 +26,13 @@ pub trait Stage {
     /// Whether a message has come, without sleeping; [`Stage::take`] then has it.
     fn look(&mut self) -> bool;
 
+    /// Sleeps until a time of CLOCK_MONOTONIC: the first process, until its next message is due.
+    fn sleep_until(&mut self, time_ns: u64) {
+        let time =
+            Timespec { tv_sec: (time_ns / 1_000_000_000) as i64, tv_nsec: (time_ns % 1_000_000_000) as i64 };
+        while clock_nanosleep_absolute(ClockId::Monotonic, &time).is_err() {}
+    }
+
     /// Sleeps until a message comes or that many nanoseconds have passed; `None` leaves the time to the transport.
     fn block(&mut self, longest_ns: Option<u64>);
 }
@@ -58,7 +65,7 @@ fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(
     }
     let start = monotonic_ns() + setup.period_ns;
     for index in 0..setup.warm_up + setup.samples {
-        sleep_until(start + index * setup.period_ns);
+        stage.sleep_until(start + index * setup.period_ns);
         stage.send(Stamp::now((index + 1).saturating_sub(setup.warm_up)))?;
     }
     control.say("sent")?;
@@ -119,11 +126,4 @@ fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
     let before = monotonic_ns();
     setup.policy.wait(stage, due_ns);
     monotonic_ns() - before > LONGEST_WAIT_NS / 3
-}
-
-/// Sleeps until a time of CLOCK_MONOTONIC.
-fn sleep_until(time_ns: u64) {
-    let time =
-        Timespec { tv_sec: (time_ns / 1_000_000_000) as i64, tv_nsec: (time_ns % 1_000_000_000) as i64 };
-    while clock_nanosleep_absolute(ClockId::Monotonic, &time).is_err() {}
 }

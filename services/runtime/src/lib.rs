@@ -24,6 +24,7 @@
 //! What the process never has to do: wait without a time-out, check layouts, drop samples of a producer that
 //! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
 
+mod alarm;
 mod allocations;
 mod bell;
 mod blob;

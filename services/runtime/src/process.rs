@@ -14,6 +14,7 @@ use shared_types::{
 };
 
 use self::waiting::Need;
+use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
 use crate::input::{Drain, Input};
@@ -106,6 +107,9 @@ pub struct Process {
     directive_seen_ns: u64,
     looked_ns: u64,
     rung: u32,
+    /// When the work begins that this process waits for with [`Process::wait_for_time`].
+    due_ns: u64,
+    alarm: Alarm,
     /// Bits of all topics that wake this process.
     topics: u32,
     listens: bool,
@@ -166,6 +170,8 @@ impl Process {
             looked_ns: 0,
             // Whatever was rung before is found by the first look.
             rung: bells.role(role).look().wrapping_sub(1),
+            due_ns: 0,
+            alarm: Alarm::new(),
             topics: bit(Topic::Directive),
             listens: false,
             realtime,
@@ -282,6 +288,7 @@ impl Process {
 
     /// Notes that work begins without an input: for the robot, whose scans start the chain.
     pub fn begin(&self) {
+        self.set_alarm();
         let now = self.shared.clock.now_ns();
         self.shared.stamps.set(StageStamps { woken_ns: now, taken_ns: now, ..StageStamps::default() });
     }

@@ -1,7 +1,7 @@
 //! What a process asks of the machine to be quick: settings, and the system calls behind them.
 //!
-//! Everything is off by default, and nothing is ever required: what the machine refuses is a warning that says what
-//! to change, because a robot that reacts a little later is better than one that does not start.
+//! By default only what every process may ask for is asked for, and nothing is ever required: what the machine refuses is
+//! a warning that says what to change, because a robot that reacts a little later is better than one that does not start.
 #![expect(
     unsafe_code,
     reason = "the scheduler of a process is set by a system call that no crate of ours wraps"
@@ -35,9 +35,6 @@ pub struct Realtime {
     /// How long before its next input is due a process wakes once, so that code and data are in the caches when that
     /// comes, 0 for never to 2000 [us]. Scans that follow each other within 5 ms keep it warm anyway.
     pub warm_up_us: u64,
-    /// How long before the next scan is due the process that will be woken by it wakes its processor, 0 for never to
-    /// 2000 [us].
-    pub wake_ahead_us: u64,
     /// Processors that the processes of the loop may run on; empty for all.
     pub cpu: Vec<usize>,
     /// How the kernel chooses among processes.
@@ -50,6 +47,9 @@ pub struct Realtime {
     pub idle_states: bool,
     /// How much later than asked for a sleep may end, 1 to 1000000 [ns].
     pub timer_slack_ns: u64,
+    /// How long a process of fair shares asks to run at a time, 100 to 100000, 0 for the kernel's usual [us]. The kernel
+    /// lets one that asks for little go first when it wakes.
+    pub slice_us: u64,
 }
 
 impl Default for Realtime {
@@ -57,7 +57,6 @@ impl Default for Realtime {
         Self {
             poll_us: 0,
             warm_up_us: 800,
-            wake_ahead_us: 100,
             cpu: Vec::new(),
             scheduler: Scheduler::Other,
             priority: 40,
@@ -65,15 +64,17 @@ impl Default for Realtime {
             idle_states: true,
             // What the kernel gives every process.
             timer_slack_ns: 50_000,
+            // The least that the kernel grants.
+            slice_us: 100,
         }
     }
 }
 
 impl Realtime {
-    /// Processors and scheduler of another process, in whatever language it is written; returns one warning for each
-    /// thing that the machine refused.
+    /// Processors, scheduler and slice of another process, in whatever language it is written; returns one warning for
+    /// each thing that the machine refused.
     ///
-    /// Threads that the process starts later inherit both.
+    /// Threads that the process starts later inherit them.
     pub fn apply_to(&self, pid: u32) -> Vec<String> {
         let mut refused = Vec::new();
         let Some(process) = Pid::from_raw(pid.cast_signed()) else { return refused };
@@ -95,6 +96,12 @@ impl Realtime {
                  `LimitRTPRIO={0}` in a systemd unit, or CAP_SYS_NICE",
                 self.priority
             ));
+        }
+        if self.slice_us > 0
+            && let Err(error) = set_slice(pid, 1000 * self.slice_us)
+        {
+            refused
+                .push(format!("realtime.slice_us = {} has no effect ({error}): set it to 0", self.slice_us));
         }
         refused
     }
@@ -134,13 +141,54 @@ fn set_scheduler(pid: u32, policy: i32, priority: u32) -> std::io::Result<()> {
     if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
+/// Asks the kernel for a slice; processes that are not of fair shares stay as they are. Kernels before 6.12 ignore it.
+fn set_slice(pid: u32, slice_ns: u64) -> std::io::Result<()> {
+    let mut attributes = attributes(pid)?;
+    if attributes.sched_policy != libc::SCHED_OTHER.cast_unsigned() {
+        return Ok(());
+    }
+    attributes.sched_runtime = slice_ns;
+    // SAFETY: the kernel reads the value during the call and keeps no pointer to it.
+    let result = unsafe { libc::syscall(libc::SYS_sched_setattr, pid, &raw const attributes, 0) };
+    if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+}
+
+/// How the kernel runs a process now.
+fn attributes(pid: u32) -> std::io::Result<libc::sched_attr> {
+    let size = size_of::<libc::sched_attr>() as u32;
+    // SAFETY: plain numbers, for which zero is a value.
+    let mut attributes: libc::sched_attr = unsafe { std::mem::zeroed() };
+    // SAFETY: the kernel writes at most `size` bytes into the value, which is as large.
+    let result = unsafe { libc::syscall(libc::SYS_sched_getattr, pid, &raw mut attributes, size, 0) };
+    if result == 0 { Ok(attributes) } else { Err(std::io::Error::last_os_error()) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn nothing_is_asked_of_the_machine_by_default() {
+    fn what_is_asked_of_the_machine_by_default_is_granted_to_everyone() {
         assert_eq!(Realtime::default().apply_to(std::process::id()), [] as [String; 0]);
+    }
+
+    #[test]
+    fn a_process_gets_the_slice_that_it_asks_for_unless_it_is_real_time() {
+        // A thread of its own: the kernel takes its number for that of a process.
+        std::thread::spawn(|| {
+            let thread = rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned();
+            if attributes(thread).unwrap().sched_runtime == 0 {
+                return; // A kernel without slices.
+            }
+            set_slice(thread, 300_000).unwrap();
+            assert_eq!(attributes(thread).unwrap().sched_runtime, 300_000);
+            if set_scheduler(thread, libc::SCHED_FIFO, 1).is_ok() {
+                set_slice(thread, 200_000).unwrap();
+                assert_eq!(attributes(thread).unwrap().sched_policy, libc::SCHED_FIFO.cast_unsigned());
+            }
+        })
+        .join()
+        .unwrap();
     }
 
     #[test]

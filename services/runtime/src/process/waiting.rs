@@ -5,7 +5,7 @@
 
 use std::os::fd::BorrowedFd;
 
-use shared_types::{ProcessState, Role, StageStamps, Topic};
+use shared_types::{ProcessState, StageStamps, Topic};
 
 use super::{LONGEST_WAIT_NS, Process};
 use crate::bell::bit;
@@ -19,8 +19,6 @@ use crate::{RuntimeError, monotonic_ns, orphan};
 const HEARTBEAT_PATIENCE_NS: u64 = 30_000_000;
 /// Sleeps that are longer than this leave caches cold [ns].
 const COLD_NS: u64 = 5_000_000;
-/// Processors that have had nothing to do for this long are halted [ns].
-const HALTED_NS: u64 = 200_000;
 /// How long nothing must have happened for that [ns].
 const QUIET_NS: u64 = 2_000_000;
 
@@ -62,6 +60,7 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn wait_for_time(&mut self, due_ns: u64) -> Result<bool, RuntimeError> {
+        self.due_ns = due_ns;
         self.wait_until(Some(due_ns), Need::Time)
     }
 
@@ -96,7 +95,7 @@ impl Process {
         let timed_out = if self.listens {
             !self.sleep_on_events(longest_ns)
         } else {
-            while let Some((early_ns, is_cold)) = self.early_ns(monotonic_ns(), until_ns, need) {
+            while let Some(early_ns) = self.early_ns(monotonic_ns(), until_ns, need) {
                 let is_rung = self.bells.role(self.shared.role).sleep(self.rung, early_ns, self.topics);
                 let goes_on = self.look(beats, !is_rung)?;
                 // A writer that does not ring may have come: the next sleep is on its events.
@@ -106,9 +105,7 @@ impl Process {
                 if monotonic_ns() >= self.next_heartbeat_ns {
                     self.beat()?;
                 }
-                if is_cold {
-                    self.outputs.iter().for_each(|output| output.rehearse());
-                }
+                self.outputs.iter().for_each(|output| output.rehearse());
             }
             !self.sleep_on_bell(now, until_ns, need)
         };
@@ -116,26 +113,27 @@ impl Process {
         self.look(beats, timed_out)
     }
 
-    /// When to wake next although nothing is expected: shortly before something is; and whether that is to warm up.
+    /// When to wake next although nothing is expected: shortly before something is, to warm up.
     ///
     /// After some milliseconds of sleep most of the time that a hop takes is spent on waiting for memory. So a process
-    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting. And a processor that
-    /// was halted takes longer to wake than all the rest of a hop, so the one process that finds it so, which is woken by
-    /// the robot, wakes it beforehand.
-    fn early_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<(u64, bool)> {
+    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting.
+    fn early_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<u64> {
         let due_ns = match need {
             _ if self.shared.clock.is_simulated() => return None,
             Need::Time => until_ns,
             Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
         };
-        let before = |us: u64, least_ns: u64| {
-            let early_ns = due_ns.saturating_sub(1000 * us);
-            (early_ns < due_ns && early_ns > now + least_ns && early_ns < until_ns).then_some(early_ns)
-        };
-        let warm_up_ns = before(self.realtime.warm_up_us, COLD_NS);
-        let is_first = self.shared.role.answers().and_then(Topic::writer) == Some(Role::Robot);
-        let wake_ns = || before(self.realtime.wake_ahead_us, HALTED_NS).filter(|_| is_first);
-        warm_up_ns.map(|early_ns| (early_ns, true)).or_else(|| wake_ns().map(|early_ns| (early_ns, false)))
+        let early_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
+        (early_ns < due_ns && early_ns > now + COLD_NS && early_ns < until_ns).then_some(early_ns)
+    }
+
+    /// Sets the alarm for the end of the sleep that will follow, when work begins that [`Process::wait_for_time`] waited for.
+    pub(super) fn set_alarm(&self) {
+        if self.due_ns > 0 && !self.shared.clock.is_simulated() {
+            let next_ns = self.due_ns + self.run.period_ns;
+            let early = self.early_ns(self.due_ns, next_ns, Need::Time);
+            self.alarm.set(early.unwrap_or(next_ns));
+        }
     }
 
     /// What follows every sleep: takes what has come, the directive first. Topics that nobody rang for are left out unless
