@@ -36,7 +36,7 @@ from scanloop_types import Checkpoint, Directive, Header, Heartbeat, Phase, Proc
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
 LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
 OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which passes
-MAX_AGE_PERIODS = 3  # older inputs are not used
+MAX_AGE_PERIODS, YOUNG_NS = 3, 10_000_000  # older inputs are not used, unless they are young at any rate
 CHECKPOINT_AGE_NS = 500_000_000  # an older state describes another situation
 KEPT, ASIDE = 4, 3  # samples that wait to be taken; samples of the other process of an exchange
 
@@ -201,7 +201,8 @@ class Input:
             counters["missing"] += header.sequence - sequence - 1
         self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
         if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
-            if self._process.now_ns() - header.acquired_ns > MAX_AGE_PERIODS * self._process.period_ns:
+            max_age_ns = max(MAX_AGE_PERIODS * self._process.period_ns, YOUNG_NS)
+            if self._process.now_ns() - header.acquired_ns > max_age_ns:
                 counters["stale"] += 1
                 return False
         return True
@@ -321,7 +322,7 @@ class Process:
         return self._sleep(longest)
 
     def join(self, one, other):
-        """The newest pairs of samples of one scan; older samples are dropped."""
+        """The newest pairs of samples of one scan; older samples are dropped, also when all could be answered in time."""
         while True:
             scans = {sample.header.scan_id for sample in one._kept} & {sample.header.scan_id for sample in other._kept}
             if not scans:

@@ -50,8 +50,8 @@ pub(crate) const CASES: [Case; 8] = [
     Case {
         name: "pause",
         level: Level::Required,
-        requirement: "Stopped for one second (SIGSTOP) and let go on, it takes part again from the newest scan on; what \
-                      it says about scans older than three periods moves nothing.",
+        requirement: "Stopped for one second (SIGSTOP) and let go on, it takes part again with the scans that are \
+                      there; what it says about scans older than three periods moves nothing.",
         why: "Old samples that look fresh drive the robot by where it was.",
         tries: LIVE,
         play: pause,

@@ -5,7 +5,8 @@
 //! when their reason does:
 //!
 //! * commanded or landed: with the next command that passes;
-//! * silence: after [`Config::recovery`] valid commands in a row without another silence;
+//! * silence: after [`Config::recovery`] valid commands in a row without another silence, where commands that come within
+//!   half a period are one: they were held up together and say no more than the last of them;
 //! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
 //! * explicit stop: with [`Actuator::release`] only.
 //!
@@ -179,9 +180,12 @@ impl Actuator {
     }
 
     fn accept(&mut self, now_ns: u64) {
+        let is_apart = now_ns.saturating_sub(self.state.valid_ns) >= self.period_ns / 2;
         self.state.commanded = 1;
         self.state.valid_ns = now_ns;
-        self.state.streak = self.state.streak.saturating_add(1);
+        if is_apart || self.state.streak == 0 {
+            self.state.streak = self.state.streak.saturating_add(1);
+        }
         if self.state.streak >= self.config.recovery {
             self.state.silenced = 0;
         }

@@ -70,7 +70,8 @@ int scanloop_read(scanloop_process *process, const char *topic, const void **sam
 
 /* A pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller. The oldest while
  * all that wait take less than a scan period, else the newest; older samples are dropped then.
- * SCANLOOP_NO while none is complete. Pointers as in scanloop_read. */
+ * SCANLOOP_NO while none is complete; to be called until then, because scanloop_wait does not return for what has come
+ * before. Pointers as in scanloop_read. */
 int scanloop_join(scanloop_process *process, const void **first, const void **second);
 
 /* The header of an answer to the sample with header `to`, and to the one with header `also` (or NULL): same scan,

@@ -16,7 +16,7 @@ use shared_types::{Actuation, Header, Odometry, Phase, Role, Scan, Truth, plain_
 use crate::{Emulator, EmulatorState, Scenario};
 
 /// How many scans before the newest are handed over when they could not be in time: readers keep four.
-pub const HANDED_OVER_LATE: u64 = 3;
+const HANDED_OVER_LATE: u64 = 3;
 
 plain_state! {
     /// What the process of a robot hands over to the one that goes on from it.
@@ -144,7 +144,12 @@ impl Robot {
             let acts = self.pending.as_ref().filter(|actuation| !waits(actuation));
             (granted.then_some(self.next_scan), acts.map(|_| 0))
         } else {
-            let scan_id = next_due(&self.emulator, self.next_scan, now_ns, process.max_age_ns());
+            // A period is left for the way to the wheels.
+            let max_age_ns = process.max_age_ns() - process.period_ns();
+            let is_young = |scan_id| now_ns.saturating_sub(self.emulator.acquired_ns(scan_id)) < max_age_ns;
+            let due =
+                (self.next_scan..).take_while(|scan_id| self.emulator.scan_ready_ns(*scan_id) <= now_ns);
+            let scan_id = due.last().map(|newest| next_due(self.next_scan, newest, is_young));
             (scan_id, self.pending.as_ref().map(|actuation| self.acts_ns(actuation, now_ns)))
         };
         let scan_id = scan_id.filter(|_| may_publish(process));
@@ -231,12 +236,11 @@ fn may_publish(process: &Process) -> bool {
     process.directive().phase != Phase::Stopping.wire()
 }
 
-/// The scan to publish next, if one is due. A scanner goes on while the computer is held up, and its driver hands over
-/// what has come meanwhile; what readers would refuse as too old is skipped.
-fn next_due(emulator: &Emulator, next_scan: u64, now_ns: u64, max_age_ns: u64) -> Option<u64> {
-    let newest = (next_scan..).take_while(|scan_id| emulator.scan_ready_ns(*scan_id) <= now_ns).last()?;
-    let is_young = |scan_id: &u64| now_ns.saturating_sub(emulator.acquired_ns(*scan_id)) < max_age_ns;
-    (next_scan.max(newest.saturating_sub(HANDED_OVER_LATE))..newest).find(is_young).or(Some(newest))
+/// The scan that a robot publishes next when those from `next_scan` to `newest` are due. A scanner goes on while the
+/// computer is held up, and its driver hands over what has come meanwhile; what would be too old on the way is skipped.
+pub fn next_due(next_scan: u64, newest: u64, is_young: impl Fn(u64) -> bool) -> u64 {
+    let oldest = next_scan.max(newest.saturating_sub(HANDED_OVER_LATE));
+    (oldest..newest).find(|scan_id| is_young(*scan_id)).unwrap_or(newest)
 }
 
 #[cfg(test)]
@@ -245,20 +249,12 @@ mod tests {
 
     #[test]
     fn a_robot_that_was_held_up_hands_over_young_scans_and_skips_the_rest() {
-        let emulator = Emulator::new(&Scenario::default(), 2_000_000);
-        let next = |next_scan, late_ns, max_age_ns| {
-            next_due(&emulator, next_scan, emulator.scan_ready_ns(10) + late_ns, max_age_ns)
-        };
-        assert_eq!(next(11, 0, 10_000_000), None);
-        assert_eq!(next(10, 0, 10_000_000), Some(10));
-        assert_eq!(next(9, 1_999_999, 10_000_000), Some(9));
+        let next = |next_scan, young_from| next_due(next_scan, 10, |scan_id| scan_id >= young_from);
+        assert_eq!(next(10, 0), 10);
+        assert_eq!(next(9, 0), 9);
         // Readers keep four.
-        assert_eq!(next(7, 0, 10_000_000), Some(7));
-        assert_eq!(next(3, 0, 10_000_000), Some(7));
-        assert_eq!(next(3, 2_000_000, 10_000_000), Some(8));
-        // A scan is a third of a period old when it is ready; the newest is published whatever its age.
-        assert_eq!(next(3, 0, 4_700_000), Some(8));
-        assert_eq!(next(3, 0, 4_600_000), Some(9));
-        assert_eq!(next(3, 0, 100), Some(10));
+        assert_eq!((next(7, 0), next(3, 0)), (7, 7));
+        assert_eq!((next(3, 9), next(10, 9)), (9, 10));
+        assert_eq!(next(3, 11), 10, "the newest is published whatever its age");
     }
 }

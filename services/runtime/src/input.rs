@@ -142,7 +142,8 @@ impl<S: Sample> Input<S> {
 /// Takes a pair of samples that belong to one scan; older ones are dropped and counted as replaced.
 ///
 /// A process that was held up has several pairs. As long as all of them take it less than a scan period, by the time
-/// that its last answer took, it is given the oldest and no scan stays without an answer; otherwise the newest.
+/// that its last answer took, it is given the oldest and no scan stays without an answer; otherwise the newest. To be called
+/// until there is none: [`crate::Process::wait`] does not return for what has come before.
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let scan_id = {
         let kept = one.0.kept.borrow();
@@ -151,7 +152,13 @@ pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(T
         let catches_up = one.0.shared.catches_up(pairs.clone().count() as u64);
         if catches_up { pairs.next() } else { pairs.next_back() }?
     };
-    let pair = (one.take_scan(scan_id)?, other.take_scan(scan_id)?);
+    let first = one.take_scan(scan_id)?;
+    let Some(second) = other.take_scan(scan_id) else {
+        // Its writer does not number scans in order.
+        one.0.settle(Fate::Replaced, &first);
+        return None;
+    };
+    let pair = (first, second);
     one.0.take(&pair.0);
     other.0.take(&pair.1);
     Some(pair)

@@ -49,7 +49,7 @@ impl<S: Sample> Output<S> {
             ringer,
             shared,
             sequence: Cell::new(0),
-            readers: Cell::new(0),
+            readers: Cell::new(usize::MAX),
         })
     }
 

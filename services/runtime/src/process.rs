@@ -153,7 +153,8 @@ impl Process {
             produced: Cell::new(false),
             worked: Cell::new(false),
             taken_ns: Cell::new(0),
-            answered_in_ns: Cell::new(0),
+            // Not known: the newest first.
+            answered_in_ns: Cell::new(run.period_ns),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;

@@ -141,7 +141,7 @@ fn set_scheduler(pid: u32, policy: i32, priority: u32) -> std::io::Result<()> {
     if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
-/// Asks the kernel for a slice; processes that are not of fair shares stay as they are. Kernels before 6.12 ignore it.
+/// Asks the kernel for a slice; processes other than SCHED_OTHER stay as they are. Kernels before 6.12 ignore it.
 fn set_slice(pid: u32, slice_ns: u64) -> std::io::Result<()> {
     let mut attributes = attributes(pid)?;
     if attributes.sched_policy != libc::SCHED_OTHER.cast_unsigned() {

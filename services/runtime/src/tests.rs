@@ -6,7 +6,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use shared_types::{Authority, Directive, Obstacles, Pose, Role, Sample};
+use shared_types::{Authority, Command, Directive, Obstacles, Pose, Role, Sample};
 
 use crate::counters::Counters;
 use crate::input::{Drain, Input, join};
@@ -183,6 +183,19 @@ fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
         }
     }
     assert_eq!((pose_input.account().replaced, obstacle_input.account().replaced), (2, 2));
+}
+
+#[test]
+fn a_process_knows_how_long_its_last_answer_took() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let commands = Output::<Command>::new(lab.bus(), Rc::clone(&controller)).unwrap();
+    controller.clock.advance_to(1_000_000);
+    controller.taken(&pose(1, 0.0));
+    controller.clock.advance_to(31_000_000);
+    commands.publish(&mut Command::default()).unwrap();
+    assert_eq!(controller.answered_in_ns.get(), 30_000_000);
+    assert!(controller.catches_up(3) && !controller.catches_up(4));
 }
 
 #[test]

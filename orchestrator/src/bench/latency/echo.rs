@@ -8,7 +8,7 @@
 
 use std::rc::Rc;
 
-use emulator::service::HANDED_OVER_LATE;
+use emulator::service::next_due;
 use runtime::{BlobInput, BlobOutput, Process, join};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
@@ -75,7 +75,8 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
             continue;
         }
         let newest = scan_id + (now_ns - due_ns(scan_id)) / period_ns;
-        scan_id = scan_id.max(newest.saturating_sub(HANDED_OVER_LATE));
+        let max_age_ns = process.max_age_ns() - period_ns;
+        scan_id = next_due(scan_id, newest, |scan_id| now_ns - origin_ns - scan_id * period_ns < max_age_ns);
         process.begin();
         let acquired_ns = scan_id * period_ns;
         let mut truth = Truth { time_s: acquired_ns as f64 * 1e-9, goal_distance_m: 1e3, ..Truth::default() };

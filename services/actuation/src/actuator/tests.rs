@@ -213,6 +213,16 @@ fn after_silence_the_second_valid_command_in_a_row_drives() {
 }
 
 #[test]
+fn after_silence_commands_that_come_together_count_as_one() {
+    let mut actuator = driving(3);
+    assert!(actuator.tick(arrival(5)).is_some());
+    assert_blocked(&actuator.answer(&drive(4), arrival(6)), BlockReason::NoCommand, 1);
+    assert_blocked(&actuator.answer(&drive(5), arrival(6) + 1_000_000), BlockReason::NoCommand, 1);
+    assert_blocked(&actuator.answer(&drive(6), arrival(6) + PERIOD_NS / 2), BlockReason::NoCommand, 1);
+    assert!(turns(&actuator.answer(&drive(7), arrival(7))));
+}
+
+#[test]
 fn silence_that_no_tick_saw_counts_as_well() {
     let mut actuator = driving(3);
     assert_blocked(&actuator.answer(&drive(5), arrival(5)), BlockReason::NoCommand, 1);

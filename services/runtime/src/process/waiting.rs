@@ -130,9 +130,11 @@ impl Process {
     /// Sets the alarm for the end of the sleep that will follow, when work begins that [`Process::wait_for_time`] waited for.
     pub(super) fn set_alarm(&self) {
         if self.due_ns > 0 && !self.shared.clock.is_simulated() {
-            let next_ns = self.due_ns + self.run.period_ns;
-            let early = self.early_ns(self.due_ns, next_ns, Need::Time);
-            self.alarm.set(early.unwrap_or(next_ns));
+            let now = monotonic_ns();
+            let periods = now.saturating_sub(self.due_ns) / self.run.period_ns + 1;
+            let next_ns = self.due_ns + periods * self.run.period_ns;
+            let early_ns = self.early_ns(now, next_ns, Need::Time);
+            self.alarm.set(early_ns.unwrap_or(next_ns - 1000 * self.realtime.poll_us));
         }
     }
 
