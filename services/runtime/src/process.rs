@@ -48,7 +48,7 @@ pub(crate) struct Shared {
     /// Something was published since the last sleep.
     pub(crate) worked: Cell<bool>,
     pub(crate) taken_ns: Cell<u64>,
-    /// How long the last answer took, from its inputs to its publication [ns].
+    /// How long the last answer took, from its inputs to its publication; 0 before the first [ns].
     pub(crate) answered_in_ns: Cell<u64>,
 }
 
@@ -153,8 +153,7 @@ impl Process {
             produced: Cell::new(false),
             worked: Cell::new(false),
             taken_ns: Cell::new(0),
-            // Not known: the newest first.
-            answered_in_ns: Cell::new(run.period_ns),
+            answered_in_ns: Cell::new(0),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
