@@ -144,7 +144,8 @@ impl Books {
     pub fn overflowed(&mut self, topic: Topic) {
         let scans = self.topics.get_mut(&topic).map(TopicLedger::overflowed).unwrap_or_default();
         if !scans.is_empty() && topic.writer() == Some(Role::Robot) {
-            self.sweeps.values_mut().for_each(Sweep::overflowed);
+            let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
+            self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
         }
         if topic == Topic::Truth {
             self.excused.extend(scans.into_iter().flatten().map(|scan| (scan, NOT_OBSERVED)));

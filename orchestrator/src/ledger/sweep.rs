@@ -50,10 +50,14 @@ impl Sweep {
         }
     }
 
-    /// Notes that samples may not have been observed: nothing is known of the scans so far.
-    pub(super) fn overflowed(&mut self) {
-        self.settled = self.open.last_key_value().map_or(self.settled, |(newest, _)| *newest);
+    /// Notes that samples may not have been observed: nothing is known of the scans so far. Returns those of which nothing
+    /// was seen, which the robot may have skipped.
+    pub(super) fn overflowed(&mut self) -> Vec<u64> {
+        let newest = self.open.last_key_value().map_or(self.settled, |(newest, _)| *newest);
+        let unseen = (self.settled + 1..newest).filter(|scan_id| !self.open.contains_key(scan_id)).collect();
+        self.settled = newest;
         self.open.clear();
+        unseen
     }
 
     /// What is certain to be lacking now: later scans are complete, or it was waited for.
@@ -119,7 +123,8 @@ mod tests {
     fn nothing_is_known_of_scans_behind_a_full_buffer() {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Scan, 9, 0);
-        sweep.overflowed();
+        assert_eq!(sweep.overflowed(), [3_u64, 4, 5, 6, 7, 8]);
         assert_eq!(sweep.close(PATIENCE_NS), []);
+        assert_eq!(sweep.overflowed(), [0_u64; 0]);
     }
 }
