@@ -126,16 +126,24 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     assert_eq!(account.late, shared_types::Span { incarnation: 7, first: 3, last: 3, reserved: 0 });
 }
 
+/// The outputs whose samples a controller joins, and its inputs.
+type Joined = (Output<Pose>, Output<Obstacles>, Input<Pose>, Input<Obstacles>);
+
+fn joined(lab: &Lab, controller: &Rc<Shared>) -> Joined {
+    let poses = Output::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let described = Output::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
+    let pose_input = Input::new(lab.bus(), Rc::clone(controller)).unwrap();
+    let obstacle_input = Input::new(lab.bus(), Rc::clone(controller)).unwrap();
+    pose_input.drain().unwrap();
+    obstacle_input.drain().unwrap();
+    (poses, described, pose_input, obstacle_input)
+}
+
 #[test]
 fn a_join_gives_pairs_of_one_scan_and_counts_what_it_replaced() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
-    let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
-    let described = Output::<Obstacles>::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
-    let pose_input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    let obstacle_input = Input::<Obstacles>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    pose_input.drain().unwrap();
-    obstacle_input.drain().unwrap();
+    let (poses, described, pose_input, obstacle_input) = joined(&lab, &controller);
     for scan_id in 1..=3 {
         poses.publish(&mut pose(scan_id, 0.0)).unwrap();
     }
@@ -160,12 +168,7 @@ fn a_join_gives_pairs_of_one_scan_and_counts_what_it_replaced() {
 fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
-    let poses = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
-    let described = Output::<Obstacles>::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
-    let pose_input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    let obstacle_input = Input::<Obstacles>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    pose_input.drain().unwrap();
-    obstacle_input.drain().unwrap();
+    let (poses, described, pose_input, obstacle_input) = joined(&lab, &controller);
     for scan_id in 1..=6 {
         poses.publish(&mut pose(scan_id, 0.0)).unwrap();
         let mut obstacles = Obstacles::default();
