@@ -27,9 +27,9 @@
 //! Incarnations are unique and strictly increasing over all roles, so an event about a dead incarnation is
 //! recognised and ignored. Assumptions, and where they fail: times do not go backwards (an earlier time only
 //! delays what is due); the caller sends [`Event::Tick`] after all other events at hand, else a process may be
-//! judged by news that is still in the queue. A caller that was itself stopped for long judges nobody: after a
-//! gap of two hang limits between events, all processes get a fresh limit. Who would run but gets no processor is
-//! not hung, for ten limits at most.
+//! judged by news that is still in the queue. Only time in which the caller watched is a process's silence: a gap
+//! of more than a third of the hang limit between two events, as when the whole machine stood still, does not count.
+//! Who would run but gets no processor is not hung, for ten limits at most.
 
 mod death;
 mod event;
@@ -136,8 +136,10 @@ impl Supervisor {
 
     /// When the next [`Event::Tick`] is due at the latest [ns].
     pub fn next_deadline(&self) -> Option<u64> {
-        let hangs =
-            self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(Slot::hang_deadline_ns);
+        let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
+            let look_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns());
+            Some(slot.hang_deadline_ns()?.min(look_ns))
+        });
         self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
     }
 

@@ -1,6 +1,8 @@
 //! Runs in real time: processes killed, stopped and interrupted while the robot drives.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::time::{Duration, Instant};
+
 use emulator::Outcome;
 use orchestrator::report::Report;
 use rustix::process::Signal;
@@ -62,6 +64,31 @@ fn the_robot_drives_on_after_the_actuator_was_killed() {
 #[test]
 fn a_controller_that_hangs_is_killed_and_restarted() {
     survives(Role::Controller, Signal::STOP);
+}
+
+/// A host that pauses its guest, a debugger, a lid that is closed: the orchestrator wakes first and has heard of nobody.
+#[test]
+fn a_machine_that_stood_still_kills_nobody() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "6"]);
+    let all: Vec<i32> = [Role::Robot, Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator]
+        .map(|role| system.pid(role))
+        .into();
+    system.signal(system.orchestrator(), Signal::STOP);
+    all.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
+    let stopped = Instant::now();
+    system.wait_until("longer than a hang takes", |_| stopped.elapsed() > Duration::from_millis(400));
+    system.signal(system.orchestrator(), Signal::CONT);
+    assert_eq!(system.status().unwrap().state, "driving", "it is awake and has judged nobody");
+    all.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
+    system.wait();
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
+    assert_eq!(restarts, [0; 5], "{}", system.stderr());
+    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    system.assert_nothing_left();
 }
 
 #[test]

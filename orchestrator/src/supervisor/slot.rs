@@ -8,6 +8,8 @@ use super::policy::{ProcessPolicy, nanoseconds};
 
 /// A process that does not get a processor for so many hang limits is killed all the same.
 const MOST_EXCUSES: u64 = 10;
+/// Time between two events counts as silence of the process up to this share of the hang limit.
+const LONGEST_GAP_SHARE: u64 = 3;
 
 /// What a process is doing, in the words of `scanloop status`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -239,6 +241,11 @@ impl Slot {
             }
             _ => None,
         }
+    }
+
+    /// A caller that is away for longer cannot tell who made progress meanwhile [ns].
+    pub(super) fn longest_gap_ns(&self) -> u64 {
+        nanoseconds(self.policy.hang_after_ms) / LONGEST_GAP_SHARE
     }
 
     /// The next time at which something is due, hangs apart.

@@ -75,13 +75,15 @@ impl Supervisor {
         }
     }
 
-    /// Gives everyone a fresh limit when the caller was stopped: processes may have been stopped with it.
+    /// Time in which the caller was stopped is nobody's silence: processes may have been stopped with it.
     pub(super) fn forgive_own_stall(&mut self, now_ns: u64) {
-        let longest_ms = self.slots.iter().map(|slot| slot.policy.hang_after_ms).max().unwrap_or(0);
         let gap_ns = self.last_event_ns.map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
         self.last_event_ns = Some(now_ns);
-        if gap_ns > nanoseconds(longest_ms).saturating_mul(2) {
-            self.refresh_progress(now_ns);
+        for slot in &mut self.slots {
+            let unwatched_ns = if gap_ns > slot.longest_gap_ns() { gap_ns } else { 0 };
+            if let Life::Alive(alive) = &mut slot.life {
+                alive.progress_ns = alive.progress_ns.saturating_add(unwatched_ns).min(now_ns);
+            }
         }
     }
 

@@ -153,10 +153,10 @@ impl World {
         for action in self.supervisor.handle(self.now_ns, event) {
             self.take(action);
         }
+        self.forgive_first_outputs();
         if ticked {
             self.check_kills();
         }
-        self.forgive_first_outputs();
     }
 
     pub(super) fn answer(&mut self, role: Role, started: bool) {
