@@ -48,8 +48,8 @@ pub(crate) struct Shared {
     /// Something was published since the last sleep.
     pub(crate) worked: Cell<bool>,
     pub(crate) taken_ns: Cell<u64>,
-    /// How long the last answer took, from its inputs to its publication; 0 before the first [ns].
-    pub(crate) answered_in_ns: Cell<u64>,
+    /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
+    pub(crate) answered_in_ns: Cell<[u64; 2]>,
 }
 
 impl Shared {
@@ -68,7 +68,8 @@ impl Shared {
         let now = self.clock.now_ns();
         let taken_ns = self.stamps.get().taken_ns;
         if taken_ns > 0 {
-            self.answered_in_ns.set(now.saturating_sub(taken_ns));
+            let [_, last_ns] = self.answered_in_ns.get();
+            self.answered_in_ns.set([last_ns, now.saturating_sub(taken_ns)]);
         }
         self.produced.set(true);
         self.worked.set(true);
@@ -80,9 +81,11 @@ impl Shared {
         (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
     }
 
-    /// Whether so many scans can be answered in less than a period, by the time that the last answer took.
+    /// Whether so many scans can be answered in less than a period, by the time that the quicker of the last two
+    /// answers took: who was stopped in the middle of one is not slow.
     pub(crate) fn catches_up(&self, scans: u64) -> bool {
-        scans * self.answered_in_ns.get() < self.period_ns
+        let [before_ns, last_ns] = self.answered_in_ns.get();
+        scans * before_ns.min(last_ns) < self.period_ns
     }
 }
 
@@ -153,7 +156,7 @@ impl Process {
             produced: Cell::new(false),
             worked: Cell::new(false),
             taken_ns: Cell::new(0),
-            answered_in_ns: Cell::new(0),
+            answered_in_ns: Cell::new([0; 2]),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
