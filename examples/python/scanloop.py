@@ -36,9 +36,9 @@ from scanloop_types import Checkpoint, Directive, Header, Heartbeat, Phase, Proc
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
 LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
 OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which passes
-MAX_AGE_PERIODS, YOUNG_NS = 3, 10_000_000  # older inputs are not used, unless they are young at any rate
+MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # older inputs are not used, unless they are young at any rate
 CHECKPOINT_AGE_NS = 500_000_000  # an older state describes another situation
-KEPT, ASIDE = 4, 3  # samples that wait to be taken; samples of the other process of an exchange
+KEPT, ASIDE = 12, 3  # samples that wait to be taken; samples of the other process of an exchange
 
 # The topic whose samples come last for a role, and so the one worth waiting for.
 TRIGGERS = {

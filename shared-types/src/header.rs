@@ -3,8 +3,8 @@
 use crate::sample::layout;
 use crate::{Fault, ROLES, Role, Sample};
 
-/// Data of this age is young at any scan rate: a tenth of the period of the scanner that the loop was made for [ns].
-pub const YOUNG_NS: u64 = 10_000_000;
+/// Data of this age is young at any scan rate: a scan of the fastest scanners of their kind takes as long [ns].
+pub const YOUNG_NS: u64 = 25_000_000;
 
 layout! {
     /// When one stage worked on a scan. Zero means that the stage has not been reached.

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use proptest::prelude::*;
-use runtime::buffer;
+use runtime::{KEPT, buffer};
 use shared_types::{
     Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState, Role,
     Sample, Scan, Topic, Truth,
@@ -12,7 +12,6 @@ use shared_types::{
 use super::{ACCOUNTS, Books, Fault, Kind};
 
 const PERIOD_NS: u64 = 100_000_000;
-const KEPT: usize = 4;
 
 /// What is hidden at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]

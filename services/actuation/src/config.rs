@@ -14,7 +14,7 @@ pub struct Config {
     pub bounds: Bounds,
     /// Silence after which the wheels are blocked, in scan periods, 1 to 10.
     pub timeout_periods: f64,
-    /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100. 10 ms are never too old.
+    /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100. 25 ms are never too old.
     pub max_age_periods: f64,
     /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
     pub recovery: u32,

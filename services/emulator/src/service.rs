@@ -10,13 +10,13 @@
 
 use std::rc::Rc;
 
-use runtime::{Handover, Input, Output, Process, Taken};
+use runtime::{Handover, Input, KEPT, Output, Process, Taken};
 use shared_types::{Actuation, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
 
 use crate::{Emulator, EmulatorState, Scenario};
 
-/// How many scans before the newest are handed over when they could not be in time: readers keep four.
-const HANDED_OVER_LATE: u64 = 3;
+/// How many scans before the newest are handed over when they could not be in time: as many as readers keep.
+const HANDED_OVER_LATE: u64 = KEPT as u64 - 1;
 
 plain_state! {
     /// What the process of a robot hands over to the one that goes on from it.
@@ -249,12 +249,12 @@ mod tests {
 
     #[test]
     fn a_robot_that_was_held_up_hands_over_young_scans_and_skips_the_rest() {
-        let next = |next_scan, young_from| next_due(next_scan, 10, |scan_id| scan_id >= young_from);
-        assert_eq!(next(10, 0), 10);
-        assert_eq!(next(9, 0), 9);
-        // Readers keep four.
-        assert_eq!((next(7, 0), next(3, 0)), (7, 7));
-        assert_eq!((next(3, 9), next(10, 9)), (9, 10));
-        assert_eq!(next(3, 11), 10, "the newest is published whatever its age");
+        let next = |next_scan, young_from| next_due(next_scan, 20, |scan_id| scan_id >= young_from);
+        assert_eq!(next(20, 0), 20);
+        assert_eq!(next(19, 0), 19);
+        // Readers keep twelve.
+        assert_eq!((next(9, 0), next(3, 0)), (9, 9));
+        assert_eq!((next(3, 19), next(20, 19)), (19, 20));
+        assert_eq!(next(3, 21), 20, "the newest is published whatever its age");
     }
 }

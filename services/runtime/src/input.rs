@@ -19,8 +19,8 @@ use crate::quality::{buffer, quality};
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
-/// Samples kept until the process takes them; below the number that may be borrowed.
-const KEPT: usize = 4;
+/// Samples that an input keeps until the process takes them, the newest of them; below the number that may be borrowed.
+pub const KEPT: usize = 12;
 /// Samples of the other process of an exchange that are kept in case it has to answer after all: one scan is open
 /// when it takes over at 1.2 periods; two more for an orchestrator that is held up.
 const ASIDE: usize = 3;
@@ -141,9 +141,10 @@ impl<S: Sample> Input<S> {
 
 /// Takes a pair of samples that belong to one scan; older ones are dropped and counted as replaced.
 ///
-/// A process that was held up has several pairs. As long as all of them take it less than a scan period, by the time
-/// that its last answer took, it is given the oldest and no scan stays without an answer; otherwise the newest. To be called
-/// until there is none: [`crate::Process::wait`] does not return for what has come before.
+/// A process that was held up has several pairs. As long as it answers faster than scans come, and all that wait in a
+/// third of the age at which inputs are refused, it is given the oldest and no scan stays without an answer; otherwise
+/// the newest. How fast it answers is told by the quicker of its last two answers. To be called until there is none:
+/// [`crate::Process::wait`] does not return for what has come before.
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let scan_id = {
         let kept = one.0.kept.borrow();

@@ -62,7 +62,7 @@ pub use environment::{BESIDE_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, S
 pub use error::RuntimeError;
 pub use handover::{Handover, write as write_handover};
 pub use identity::{Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks};
-pub use input::{Input, Taken, join};
+pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Voice};

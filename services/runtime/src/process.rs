@@ -81,11 +81,12 @@ impl Shared {
         (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
     }
 
-    /// Whether so many scans can be answered in less than a period, by the time that the quicker of the last two
-    /// answers took: who was stopped in the middle of one is not slow.
+    /// Whether so many scans can be answered before the newest is old, and none must wait for ever. The quicker of
+    /// the last two answers tells: who was stopped in the middle of one is not slow.
     pub(crate) fn catches_up(&self, scans: u64) -> bool {
         let [before_ns, last_ns] = self.answered_in_ns.get();
-        scans * before_ns.min(last_ns) < self.period_ns
+        let answer_ns = before_ns.min(last_ns);
+        answer_ns < self.period_ns && MAX_AGE_PERIODS * scans * answer_ns < self.max_age_ns()
     }
 }
 
@@ -202,7 +203,7 @@ impl Process {
         self.run.period_ns
     }
 
-    /// Age above which an input is not used any more when it arrives: three scan periods, but never less than 10 ms [ns].
+    /// Age above which an input is not used any more when it arrives: three scan periods, but never less than [`YOUNG_NS`] [ns].
     pub fn max_age_ns(&self) -> u64 {
         self.shared.max_age_ns()
     }

@@ -189,6 +189,21 @@ fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
 }
 
 #[test]
+fn at_a_high_rate_scans_may_wait_for_a_third_of_the_age_that_is_young_at_any_rate() {
+    let lab = Lab::new();
+    let shared = lab.shared(Role::Controller, 9);
+    let mut shared = Rc::into_inner(shared).unwrap();
+    shared.period_ns = 2_000_000;
+    // A third of 25 ms is 8.3 ms, more than four periods.
+    for (answer_ns, most) in [(600_000, 13), (1_999_999, 4), (2_000_000, 0)] {
+        shared.answered_in_ns.set([answer_ns; 2]);
+        let catches_up: Vec<bool> = (1..=20).map(|scans| shared.catches_up(scans)).collect();
+        assert_eq!(catches_up.iter().filter(|catches_up| **catches_up).count(), most, "{answer_ns}");
+        assert!(catches_up[..most].iter().all(|catches_up| *catches_up));
+    }
+}
+
+#[test]
 fn a_process_that_was_stopped_in_the_middle_of_one_answer_is_not_slow() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
@@ -345,7 +360,7 @@ fn what_a_full_buffer_overwrites_is_not_missing() {
     assert_eq!(taken(&input).last(), Some(&(40, 7)));
     let account = input.account();
     assert_eq!((account.overwritten, account.missing), (23, 0), "1 taken, 16 in the buffer");
-    assert_eq!((account.replaced, account.used, account.open), (13, 4, 0));
+    assert_eq!((account.replaced, account.used, account.open), (5, 12, 0), "the newest are kept");
 }
 
 /// Publishes poses of a foreign incarnation without a pause, from a thread, until dropped.
