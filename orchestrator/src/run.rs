@@ -264,7 +264,7 @@ pub(crate) fn assemble(
         goal_m: [scenario.goal.x_m, scenario.goal.y_m],
     };
     Ok(Session {
-        samples: Samples::new(&bus)?,
+        samples: Samples::new(&bus, period_ns)?,
         books: if first_scan == 0 { Books::midway() } else { Books::new(manner.lockstep) },
         closed_ns: 0,
         vitals: Vitals::new(&bus)?,

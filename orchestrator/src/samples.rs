@@ -7,11 +7,14 @@
 use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
-use shared_types::{Actuation, Command, Directive, Fault, Obstacles, Odometry, Pose, Sample, Scan, Truth};
+use shared_types::{
+    Actuation, Command, Directive, Fault, Obstacles, Odometry, Pose, Sample, Scan, Truth, YOUNG_NS,
+};
 
 use crate::ledger::Books;
 
-/// A scan without an answer is given up when this many newer scans have been published.
+/// A scan without an answer is given up when this many newer scans have been published, and at high rates as many as
+/// may come late together.
 const PATIENCE_SCANS: u64 = 3;
 
 /// Samples kept of the other process of an exchange; more than processes keep, because looks here are rarer.
@@ -112,14 +115,15 @@ pub(crate) struct Samples {
     obstacles: Queue<Obstacles>,
     commands: Queue<Command>,
     actuations: Queue<Actuation>,
+    patience_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
     invalid: u64,
 }
 
 impl Samples {
-    /// Starts observing.
-    pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+    /// Starts observing a loop with this time between two scans [ns].
+    pub(crate) fn new(bus: &Bus, period_ns: u64) -> Result<Self, RuntimeError> {
         // The truth last: whoever joins a loop that runs sees all answers to the first scan that it sees.
         let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
         let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
@@ -131,6 +135,7 @@ impl Samples {
             obstacles,
             commands,
             actuations,
+            patience_scans: PATIENCE_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
             invalid: 0,
@@ -187,7 +192,7 @@ impl Samples {
     pub(crate) fn next(&mut self, flush: bool) -> Option<ScanRecord> {
         let scan_id = self.truths.waiting.front()?.header.scan_id;
         let answered = self.answered_scan >= scan_id;
-        if !answered && !flush && self.newest_scan < scan_id + PATIENCE_SCANS {
+        if !answered && !flush && self.newest_scan < scan_id + self.patience_scans {
             return None;
         }
         let truth = self.truths.waiting.pop_front()?;

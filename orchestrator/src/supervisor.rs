@@ -137,7 +137,8 @@ impl Supervisor {
     /// When the next [`Event::Tick`] is due at the latest [ns].
     pub fn next_deadline(&self) -> Option<u64> {
         let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
-            let look_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns());
+            // Who looks at the last moment that counts is late, and then nothing of the time counts.
+            let look_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
             Some(slot.hang_deadline_ns()?.min(look_ns))
         });
         self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()

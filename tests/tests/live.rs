@@ -70,23 +70,28 @@ fn a_controller_that_hangs_is_killed_and_restarted() {
 #[test]
 fn a_machine_that_stood_still_kills_nobody() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["--duration", "6"]);
+    // So slow that a hang is 600 ms long: who is let go on has the time to say so.
+    system.start(&["--duration", "6", "--set", "rate_hz=5"]);
     let all: Vec<i32> = [Role::Robot, Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator]
         .map(|role| system.pid(role))
         .into();
     system.signal(system.orchestrator(), Signal::STOP);
     all.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
     let stopped = Instant::now();
-    system.wait_until("longer than a hang takes", |_| stopped.elapsed() > Duration::from_millis(400));
+    system.wait_until("longer than a hang takes", |_| stopped.elapsed() > Duration::from_millis(800));
     system.signal(system.orchestrator(), Signal::CONT);
-    assert_eq!(system.status().unwrap().state, "driving", "it is awake and has judged nobody");
+    system.wait_until("it is awake", |system| system.status().is_some());
     all.iter().for_each(|pid| system.signal(*pid, Signal::CONT));
     system.wait();
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
     let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
     assert_eq!(restarts, [0; 5], "{}", system.stderr());
-    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
+    assert!(
+        report.drive.longest_blind_s <= 2.0 * LONGEST_BLIND_S,
+        "blind for {} s",
+        report.drive.longest_blind_s
+    );
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
     system.assert_nothing_left();
 }

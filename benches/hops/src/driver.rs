@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 
+use crate::peers;
 use crate::setup::PROCESSES;
 use crate::spawn::prepare;
 use crate::wiring::{Files, Wiring};
@@ -253,6 +254,7 @@ impl Drop for Chain<'_> {
             }
             let _ = child.wait();
         }
+        peers::tidy(self.plan.contender);
     }
 }
 

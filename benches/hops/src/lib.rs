@@ -45,7 +45,7 @@ mod wiring;
 pub use control::{Control, Word};
 pub use message::{Arrival, SMALLEST, Stamp, monotonic_ns};
 pub use policy::Policy;
-pub use setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup};
+pub use setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup, TIDY};
 pub use stage::{Stage, run};
 
 #[cfg(feature = "chains")]

@@ -1,8 +1,9 @@
 //! Where the programs of the peers are, and what builds them.
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
-use crate::Contender;
+use crate::{Contender, TIDY};
 
 /// The folder of the peers in the source tree.
 const FOLDER: &str = "benches/peers";
@@ -18,6 +19,19 @@ pub(crate) fn missing(contender: Contender) -> Option<String> {
 pub(crate) fn program(contender: Contender) -> Option<PathBuf> {
     let program = folder()?.join("target/release").join(format!("{}-hop", setup_name(contender)?));
     program.is_file().then_some(program)
+}
+
+/// Removes what a chain has left in shared memory. Zenoh's processes remove what belongs to nobody any more; those of
+/// a chain end at the same time, and each still sees the others.
+pub(crate) fn tidy(contender: Contender) {
+    if let (Contender::ZenohShm, Some(program)) = (contender, program(contender)) {
+        let _ = Command::new(program)
+            .arg(TIDY)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+    }
 }
 
 /// dora's own program, which starts the processes of a dataflow.

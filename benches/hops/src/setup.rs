@@ -12,6 +12,8 @@ pub const PROCESSES: usize = 5;
 pub const HOPS: usize = PROCESSES - 1;
 /// The environment variable with the [`Setup`] as JSON.
 pub const SETUP_VARIABLE: &str = "SCANLOOP_HOP";
+/// With this argument the program of a peer removes what belongs to no process any more, and is no part of a chain.
+pub const TIDY: &str = "tidy";
 
 /// Everything that one process of a chain has to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

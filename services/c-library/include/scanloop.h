@@ -69,7 +69,7 @@ int scanloop_wait(scanloop_process *process, uint64_t deadline_ns);
 int scanloop_read(scanloop_process *process, const char *topic, const void **sample);
 
 /* A pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller. The oldest while
- * all that wait take less than a scan period, else the newest; older samples are dropped then.
+ * all that wait can be answered before they are old, else the newest; older samples are dropped then.
  * SCANLOOP_NO while none is complete; to be called until then, because scanloop_wait does not return for what has come
  * before. Pointers as in scanloop_read. */
 int scanloop_join(scanloop_process *process, const void **first, const void **second);

@@ -8,6 +8,8 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample;
 use shared_types::Topic;
 
 use crate::bus::{BlobPublisher, BlobSubscriber};
@@ -16,8 +18,8 @@ use crate::{Process, RuntimeError};
 
 /// Smallest blob: the number of its scan [bytes].
 pub const SMALLEST_BLOB: usize = 8;
-/// Blobs of this many older scans are skipped before a reader gives up on one.
-const KEPT: usize = 4;
+/// One payload, in shared memory.
+type Blob = Sample<ipc::Service, [u8], ()>;
 
 /// Publishes blobs beside one topic.
 pub struct BlobOutput {
@@ -29,6 +31,8 @@ pub struct BlobOutput {
 /// Takes blobs that came beside one topic.
 pub struct BlobInput {
     subscriber: BlobSubscriber,
+    /// Of a later scan than the one asked for last.
+    ahead: RefCell<Option<Blob>>,
     read: Cell<u64>,
     topic: Topic,
 }
@@ -52,7 +56,8 @@ impl Process {
     /// Errors of the bus.
     pub fn blob_input(&mut self, topic: Topic) -> Result<Rc<BlobInput>, RuntimeError> {
         let subscriber = self.bus().blob_subscriber(topic)?;
-        let input = Rc::new(BlobInput { subscriber, read: Cell::default(), topic });
+        let input =
+            Rc::new(BlobInput { subscriber, ahead: RefCell::default(), read: Cell::default(), topic });
         self.connects(Rc::clone(&input) as Rc<dyn Connect>);
         Ok(input)
     }
@@ -81,19 +86,27 @@ impl BlobInput {
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn take(&self, scan_id: u64) -> Result<bool, RuntimeError> {
-        for _ in 0..KEPT {
-            let received = self.subscriber.receive().map_err(|reason| {
-                RuntimeError::bus(format!("receive a payload beside topic {}", self.topic), reason)
-            })?;
-            let Some(sample) = received else { return Ok(false) };
-            let (number, _) = sample.payload().split_at(SMALLEST_BLOB);
-            if number == scan_id.to_le_bytes() {
-                let sum = sample.payload().iter().step_by(64).fold(0_u64, |sum, byte| sum + u64::from(*byte));
+        loop {
+            let ahead = self.ahead.take();
+            let received = match ahead {
+                Some(blob) => Some(blob),
+                None => self.subscriber.receive().map_err(|reason| {
+                    RuntimeError::bus(format!("receive a payload beside topic {}", self.topic), reason)
+                })?,
+            };
+            let Some(blob) = received else { return Ok(false) };
+            let number = blob.payload().first_chunk().map_or(0, |number| u64::from_le_bytes(*number));
+            if number > scan_id {
+                // The bus keeps fewer blobs than samples: those of older scans are gone, this one's turn comes.
+                self.ahead.replace(Some(blob));
+                return Ok(false);
+            }
+            if number == scan_id {
+                let sum = blob.payload().iter().step_by(64).fold(0_u64, |sum, byte| sum + u64::from(*byte));
                 self.read.set(std::hint::black_box(sum));
                 return Ok(true);
             }
         }
-        Ok(false)
     }
 }
 

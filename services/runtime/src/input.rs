@@ -142,16 +142,19 @@ impl<S: Sample> Input<S> {
 /// Takes a pair of samples that belong to one scan; older ones are dropped and counted as replaced.
 ///
 /// A process that was held up has several pairs. As long as it answers faster than scans come, and all that wait in a
-/// third of the age at which inputs are refused, it is given the oldest and no scan stays without an answer; otherwise
-/// the newest. How fast it answers is told by the quicker of its last two answers. To be called until there is none:
-/// [`crate::Process::wait`] does not return for what has come before.
+/// third of the age at which inputs are refused, it is given the oldest that is not too old by the time it is answered,
+/// and no scan stays without an answer; otherwise the newest. Its last two answers tell: the quicker how fast it is, the
+/// slower how long an answer may take. To be called until there is none: [`crate::Process::wait`] does not return for
+/// what has come before.
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let scan_id = {
-        let kept = one.0.kept.borrow();
-        let scans = kept.iter().map(|sample| sample.header().scan_id);
-        let mut pairs = scans.filter(|scan_id| other.has_scan(*scan_id));
-        let catches_up = one.0.shared.catches_up(pairs.clone().count() as u64);
-        if catches_up { pairs.next() } else { pairs.next_back() }?
+        let (kept, shared) = (one.0.kept.borrow(), &one.0.shared);
+        let headers = kept.iter().map(|sample| sample.header());
+        let mut pairs = headers.filter(|header| other.has_scan(header.scan_id));
+        let newest = pairs.clone().next_back()?;
+        let catches_up = shared.catches_up(pairs.clone().count() as u64);
+        let oldest = pairs.find(|header| catches_up && shared.can_answer(header));
+        oldest.unwrap_or(newest).scan_id
     };
     let first = one.take_scan(scan_id)?;
     let Some(second) = other.take_scan(scan_id) else {

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
+    Checkpoint, Directive, Header, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
     YOUNG_NS,
 };
 
@@ -68,8 +68,8 @@ impl Shared {
         let now = self.clock.now_ns();
         let taken_ns = self.stamps.get().taken_ns;
         if taken_ns > 0 {
-            let [_, last_ns] = self.answered_in_ns.get();
-            self.answered_in_ns.set([last_ns, now.saturating_sub(taken_ns)]);
+            let (answer_ns, [_, last_ns]) = (now.saturating_sub(taken_ns), self.answered_in_ns.get());
+            self.answered_in_ns.set([if last_ns == 0 { answer_ns } else { last_ns }, answer_ns]);
         }
         self.produced.set(true);
         self.worked.set(true);
@@ -87,6 +87,13 @@ impl Shared {
         let [before_ns, last_ns] = self.answered_in_ns.get();
         let answer_ns = before_ns.min(last_ns);
         answer_ns < self.period_ns && MAX_AGE_PERIODS * scans * answer_ns < self.max_age_ns()
+    }
+
+    /// Whether a scan will not be too old when it is answered, by the time that the slower of the last two answers took.
+    pub(crate) fn can_answer(&self, header: &Header) -> bool {
+        let [before_ns, last_ns] = self.answered_in_ns.get();
+        let age_ns = self.clock.now_ns().saturating_sub(header.acquired_ns);
+        age_ns + before_ns.max(last_ns) < self.max_age_ns()
     }
 }
 

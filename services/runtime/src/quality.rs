@@ -36,7 +36,7 @@ pub fn buffer(topic: Topic) -> usize {
 
 /// The sizes of a topic.
 pub(crate) fn quality(topic: Topic) -> Quality {
-    let stream = Quality { publishers: 4, subscribers: 12, buffer: 16, borrowed: 24, history: 0 };
+    let stream = Quality { publishers: 4, subscribers: 12, buffer: 16, borrowed: 20, history: 0 };
     match topic {
         Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
         // The account of all scans is made from these two: 256 samples last a quarter of a second at 1 kHz.

@@ -189,6 +189,29 @@ fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
 }
 
 #[test]
+fn a_scan_that_would_be_too_old_when_it_is_answered_gives_way_to_the_newest() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    let (poses, described, pose_input, obstacle_input) = joined(&lab, &controller);
+    controller.clock.advance_to(400_000_000);
+    // Ages 290, 280 and 150 ms; 300 are too old. The quicker of two answers promises to catch up with all of them.
+    for (scan_id, acquired_ns) in [(1, 110_000_000), (2, 120_000_000), (3, 250_000_000)] {
+        let (mut pose, mut obstacles) = (pose(scan_id, 0.0), Obstacles::default());
+        obstacles.header.scan_id = scan_id;
+        (pose.header.acquired_ns, obstacles.header.acquired_ns) = (acquired_ns, acquired_ns);
+        poses.publish(&mut pose).unwrap();
+        described.publish(&mut obstacles).unwrap();
+    }
+    pose_input.drain().unwrap();
+    obstacle_input.drain().unwrap();
+    let next = || join(&pose_input, &obstacle_input).map(|(pose, _)| pose.header.scan_id);
+    controller.answered_in_ns.set([1_000_000, 15_000_000]);
+    assert_eq!(next(), Some(2), "answered 5 ms before it is too old");
+    controller.answered_in_ns.set([1_000_000, 150_000_000]);
+    assert_eq!((next(), next()), (Some(3), None), "the newest is answered whatever its age");
+}
+
+#[test]
 fn at_a_high_rate_scans_may_wait_for_a_third_of_the_age_that_is_young_at_any_rate() {
     let lab = Lab::new();
     let shared = lab.shared(Role::Controller, 9);

@@ -30,6 +30,10 @@ const LOW_LATENCY_BYTES: usize = 60_000;
 type Failure = Box<dyn Error + Send + Sync>;
 
 fn main() -> Result<(), Failure> {
+    if std::env::args().nth(1).as_deref() == Some(hops::TIDY) {
+        zenoh::shm::cleanup_orphaned_shm_segments();
+        return Ok(());
+    }
     let setup = Setup::from_environment()?;
     let session = zenoh::open(config(&setup)?).wait()?;
     if setup.is_first() {

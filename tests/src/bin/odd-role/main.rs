@@ -3,7 +3,7 @@
 //! `odd-role ROLE FAULT TOPIC SCAN` does wrong with the first sample for that scan or a later one, see [`Fault`], and
 //! writes to its log which scan and which number it was.
 //! `odd-role ROLE delay` waits in the middle of its work where [`scanloop_tests::planted`] says, and writes to its log
-//! how long it really was.
+//! from when to when it really was.
 //!
 //! The work itself is that of the built-in implementation.
 

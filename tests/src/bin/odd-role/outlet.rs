@@ -48,13 +48,11 @@ pub(crate) struct Outlet<S: Sample> {
     role: Role,
     trouble: Trouble,
     held: Option<S>,
-    taken_ns: u64,
-    planted_ns: u64,
 }
 
 impl<S: Sample> Outlet<S> {
     pub(crate) fn new(process: &mut Process, role: Role, trouble: Trouble) -> Result<Self, RuntimeError> {
-        Ok(Self { output: process.output()?, role, trouble, held: None, taken_ns: 0, planted_ns: 0 })
+        Ok(Self { output: process.output()?, role, trouble, held: None })
     }
 
     /// The inputs for a scan are there and about to be taken.
@@ -63,9 +61,8 @@ impl<S: Sample> Outlet<S> {
     }
 
     /// The inputs were taken.
-    pub(crate) fn taken(&mut self, scan_id: u64) {
-        self.taken_ns = monotonic_ns();
-        self.planted_ns = self.wait_at(Place::Compute, scan_id);
+    pub(crate) fn taken(&self, scan_id: u64) {
+        self.wait_at(Place::Compute, scan_id);
     }
 
     /// Publishes a sample, or does it wrong.
@@ -113,10 +110,6 @@ impl<S: Sample> Outlet<S> {
 
     fn publish_late(&mut self, scan_id: u64, sample: &mut S) -> Result<(), RuntimeError> {
         self.output.complete(sample);
-        if self.taken_ns > 0 {
-            let own_ns = monotonic_ns() - self.taken_ns - self.planted_ns;
-            eprintln!("computed scan {scan_id} ns {own_ns}");
-        }
         self.wait_at(Place::Publish, scan_id);
         self.output.send(sample)?;
         self.wait_at(Place::Deliver, scan_id);
@@ -124,19 +117,18 @@ impl<S: Sample> Outlet<S> {
         Ok(())
     }
 
-    /// Waits there if it is planned, and says how long it really was [ns].
-    fn wait_at(&self, place: Place, scan_id: u64) -> u64 {
+    /// Waits there if it is planned, and says from when to when it really was [ns].
+    fn wait_at(&self, place: Place, scan_id: u64) {
         if !matches!(self.trouble, Trouble::Delay) {
-            return 0;
+            return;
         }
-        let Some(delay_ns) = planted(scan_id, self.role, place) else { return 0 };
-        let started = monotonic_ns();
+        let Some(delay_ns) = planted(scan_id, self.role, place) else { return };
+        let from_ns = monotonic_ns();
         // Busy, because a sleep is not exact.
-        while monotonic_ns() - started < delay_ns {
+        while monotonic_ns() - from_ns < delay_ns {
             std::hint::spin_loop();
         }
-        let waited_ns = monotonic_ns() - started;
-        eprintln!("planted scan {scan_id} ns {waited_ns}");
-        waited_ns
+        let to_ns = monotonic_ns();
+        eprintln!("planted scan {scan_id} from {from_ns} to {to_ns}");
     }
 }
