@@ -53,6 +53,9 @@ use policy::nanoseconds;
 use shared_types::{Phase, ProcessState, Role};
 use slot::{Alive, Ending, Life, Slot};
 
+/// A process in lock-step is called hung after this time at the earliest [ms].
+const LOCKSTEP_HANG_AFTER_MS: u64 = 5_000;
+
 /// Decides which process is started, stopped, killed and given authority.
 #[derive(Debug, Clone)]
 pub struct Supervisor {
@@ -91,10 +94,15 @@ impl Supervisor {
         }
     }
 
-    /// The same for a run in lock-step, where any death ends the run.
+    /// The same for a run in lock-step, where any death ends the run, and where the period says nothing about how long
+    /// a process may take: who hangs is found after seconds.
     #[must_use]
-    pub fn in_lockstep(self) -> Self {
-        Self { lockstep: true, ..self }
+    pub fn in_lockstep(mut self) -> Self {
+        for slot in &mut self.slots {
+            slot.policy.hang_after_ms = slot.policy.hang_after_ms.max(LOCKSTEP_HANG_AFTER_MS);
+        }
+        self.lockstep = true;
+        self
     }
 
     /// What the whole system is doing.

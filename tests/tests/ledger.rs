@@ -80,7 +80,9 @@ fn finds_one(dice: &mut Dice, lockstep: bool) {
     let at = 1 + dice.roll(if lockstep { 18 } else { 80 });
     let (befallen, report) = hide(fault, topic, role, at, lockstep);
     let what = format!("{fault} {topic} at {at}, scan and number {befallen:?}, lock-step {lockstep}");
-    let [scan, number] = befallen.unwrap_or_else(|| panic!("{what}: it was not done: {:?}", report.scans));
+    let [scan, number] = befallen.unwrap_or_else(|| {
+        panic!("{what}: it was not done: {:?}, {:?}: {}", report.scans, report.outcome, report.reason)
+    });
     let kind = if lockstep && topic != Topic::Truth { lockstep_kind } else { live_kind };
     let Some(first) = report.ledger.faults.first() else {
         panic!("{what}: {:?} {:?}", report.ledger, report.scans);

@@ -594,6 +594,21 @@ fn a_hang_is_seen_by_a_caller_that_is_always_a_little_late() {
 }
 
 #[test]
+fn in_lock_step_a_hang_is_seen_after_seconds() {
+    let mut world = World::new(policies(), true);
+    world.send(Event::Start);
+    world.bring_up();
+    world.actions.clear();
+    let mut waited_ms = 0;
+    while world.actions.is_empty() {
+        world.advance(100);
+        waited_ms += 100;
+        world.send(Event::Tick);
+    }
+    assert_eq!(waited_ms, 5_000);
+}
+
+#[test]
 fn the_run_is_stopped_in_three_waves() {
     let mut world = World::driving();
     world.send(Event::StopRequested);
