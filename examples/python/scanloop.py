@@ -273,7 +273,7 @@ class Process:
         self._node = self._join_bus(system_id)
         self._inputs, self._outputs, self._state = [], [], ProcessState.ATTACHED
         self._orders = Input(self, Directive)
-        self._heartbeat, self._checkpoint = Output(self, Heartbeat), None
+        self._heartbeat, self._checkpoint = Output(self, Heartbeat), Output(self, Checkpoint)
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
@@ -331,8 +331,6 @@ class Process:
 
     def save(self, header, kind, state):
         """Publishes the state of this process after a scan, as bytes that `kind` is a number of your own for."""
-        if self._checkpoint is None:
-            self._checkpoint = Output(self, Checkpoint)
         checkpoint = Checkpoint(role=self.role, state_layout=kind, length=len(state), issued_ns=time.monotonic_ns())
         checkpoint.header = Header.from_buffer_copy(header)
         ctypes.memmove(checkpoint.bytes, state, min(len(state), types.CHECKPOINT_BYTES))
@@ -370,8 +368,9 @@ class Process:
     def _join_bus(self, system_id):
         iox2.set_log_level_from_env_or(iox2.LogLevel.Fatal)
         config = iox2.config.default()
-        config.global_cfg.prefix = iox2.FileName.new(f"scanloop{os.getuid()}_{system_id}_")
-        config.global_cfg.root_path = iox2.Path.new(f"{self.directory}/bus")
+        prefix = f"scanloop{os.getuid()}_{system_id}_"
+        config.global_cfg.prefix = iox2.FileName.new(prefix)
+        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{prefix}bus")
         builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
         return builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
 

@@ -201,3 +201,19 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
     assert_eq!(system.run(&["status"]).status.code(), Some(2));
     system.assert_nothing_left();
 }
+
+#[test]
+fn who_drives_waits_for_no_disk() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "5"]);
+    for role in Role::ALL {
+        let log = system.folder().join(format!("out/logs/{role}.log"));
+        let open = std::fs::read_dir(format!("/proc/{}/fd", system.pid(*role))).unwrap();
+        let paths = open.flatten().filter_map(|file| std::fs::read_link(file.path()).ok());
+        let on_disk: Vec<_> = paths.filter(|path| path.is_absolute() && !path.starts_with("/dev")).collect();
+        assert!(on_disk.iter().all(|path| *path == log), "{role}: {on_disk:?}");
+    }
+    system.signal(system.orchestrator(), Signal::INT);
+    system.wait();
+    system.assert_nothing_left();
+}

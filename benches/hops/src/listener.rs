@@ -143,7 +143,7 @@ fn node(domain: &Domain) -> Result<Node<ipc::Service>, HopError> {
     let error = |reason: &dyn std::fmt::Debug| HopError::transport("join the bus", reason);
     set_log_level_from_env_or(LogLevel::Fatal);
     let mut config = Config::default();
-    let root = domain.directory().join("bus");
+    let root = domain.bus_directory();
     config.global.prefix =
         FileName::new(domain.shared_memory_prefix().as_bytes()).map_err(|reason| error(&reason))?;
     config

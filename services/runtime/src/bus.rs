@@ -191,14 +191,6 @@ impl Bus {
         retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 
-    /// Keeps a topic alive although nothing is written or read here, whatever becomes of the orchestrator.
-    pub(crate) fn hold<S: Sample>(&mut self) -> Result<(), RuntimeError> {
-        let (samples, events) = (self.samples::<S>()?, self.events(S::TOPIC)?);
-        self.held.push(Box::new(samples));
-        self.held.push(Box::new(events));
-        Ok(())
-    }
-
     /// Creates the topic of `S` with room for `readers` instead of the usual number, because large samples times many
     /// readers are much memory; keeps it for as long as the value lives.
     ///

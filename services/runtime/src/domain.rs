@@ -6,6 +6,9 @@ use iceoryx2::prelude::{Config, FileName, Path as BusPath, SemanticString};
 
 use crate::RuntimeError;
 
+/// Where the kernel shows shared memory as files.
+const SHARED_MEMORY: &str = "/dev/shm";
+
 /// One system on this machine, apart from all others by its id and user.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
@@ -40,7 +43,7 @@ impl Domain {
         &self.system_id
     }
 
-    /// Directory of the system: settings, logs, lock, sockets of the bus.
+    /// Directory of the system: settings, logs, lock, control socket.
     pub fn directory(&self) -> &Path {
         &self.directory
     }
@@ -50,7 +53,13 @@ impl Domain {
         &self.prefix
     }
 
-    /// Removes everything that the system has in shared memory and in its bus directory.
+    /// Directory in which the bus keeps its nodes, services and sockets. In shared memory, because the bus syncs each of
+    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long.
+    pub fn bus_directory(&self) -> PathBuf {
+        PathBuf::from(format!("{SHARED_MEMORY}/{}bus", self.prefix))
+    }
+
+    /// Removes everything that the system has in shared memory, the directory of its bus included.
     ///
     /// Only for the one who holds the lock of the system, while no process of it is alive.
     ///
@@ -61,22 +70,22 @@ impl Domain {
             let path = path.to_path_buf();
             move |source| RuntimeError::File { path, source }
         };
-        let shared = Path::new("/dev/shm");
+        let shared = Path::new(SHARED_MEMORY);
         for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
-            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                match std::fs::remove_file(entry.path()) {
-                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                        return Err(file(&entry.path())(error));
-                    }
-                    _ => {}
-                }
+            if !entry.file_name().to_string_lossy().starts_with(&self.prefix) {
+                continue;
+            }
+            let path = entry.path();
+            let removed = match entry.file_type() {
+                Ok(kind) if kind.is_dir() => std::fs::remove_dir_all(&path),
+                _ => std::fs::remove_file(&path),
+            };
+            match removed {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(file(&path)(error)),
+                _ => {}
             }
         }
-        let root = self.bus_root();
-        match std::fs::remove_dir_all(&root) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(file(&root)(error)),
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
     /// Removes all files of the system: those of the bus and its directory.
@@ -105,15 +114,11 @@ impl Domain {
         let mut config = Config::default();
         config.global.prefix = FileName::new(self.prefix.as_bytes())
             .map_err(|reason| RuntimeError::bus("set the prefix of the bus", reason))?;
-        let root = self.bus_root();
+        let root = self.bus_directory();
         let root = BusPath::new(root.as_os_str().as_encoded_bytes())
             .map_err(|reason| RuntimeError::bus("set the root directory of the bus", reason))?;
         config.global.set_root_path(&root);
         Ok(config)
-    }
-
-    fn bus_root(&self) -> PathBuf {
-        self.directory.join("bus")
     }
 }
 

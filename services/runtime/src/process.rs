@@ -109,7 +109,7 @@ pub struct Process {
     shutdown: Shutdown,
     directive: Input<Directive>,
     heartbeat: Output<Heartbeat>,
-    checkpoint: Option<Output<Checkpoint>>,
+    checkpoint: Output<Checkpoint>,
     inputs: Vec<Rc<dyn Drain>>,
     outputs: Vec<Rc<dyn Connect>>,
     handed_scan: Cell<u64>,
@@ -148,9 +148,7 @@ impl Process {
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
         realtime.apply_timer_slack();
-        let mut bus = Bus::open(&domain, role.name())?;
-        // Opened for writing with the first checkpoint; until then the orchestrator may die.
-        bus.hold::<Checkpoint>()?;
+        let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
         let shared = Rc::new(Shared {
@@ -168,10 +166,11 @@ impl Process {
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
         let heartbeat = Output::new(&bus, Rc::clone(&shared))?;
+        let checkpoint = Output::new(&bus, Rc::clone(&shared))?;
         Ok(Self {
             directive,
             heartbeat,
-            checkpoint: None,
+            checkpoint,
             inputs: Vec::new(),
             outputs: Vec::new(),
             handed_scan: Cell::new(0),
@@ -285,6 +284,7 @@ impl Process {
             let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);
             if phase >= Phase::Connecting && self.state == ProcessState::Attached {
                 self.outputs.iter().for_each(|output| output.connect());
+                self.checkpoint.connect();
                 for input in &self.inputs {
                     input.drain()?;
                 }

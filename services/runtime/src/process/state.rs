@@ -1,13 +1,10 @@
 //! The state that a process leaves for the one that goes on from it.
 
-use std::rc::Rc;
-
 use shared_types::{Checkpoint, Described};
 
 use super::waiting::Need;
 use super::{CHECKPOINT_AGE_NS, JOIN_NS, Process};
 use crate::handover::{self, Handover};
-use crate::output::Output;
 use crate::{Observer, RuntimeError, environment, monotonic_ns};
 
 impl Process {
@@ -16,7 +13,7 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn save<T: bytemuck::Pod + Described>(
-        &mut self,
+        &self,
         header: &shared_types::Header,
         state: &T,
     ) -> Result<(), RuntimeError> {
@@ -28,17 +25,13 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn save_checkpoint(
-        &mut self,
+        &self,
         header: &shared_types::Header,
         mut checkpoint: Checkpoint,
     ) -> Result<(), RuntimeError> {
-        if self.checkpoint.is_none() {
-            self.checkpoint = Some(Output::new(&self.bus, Rc::clone(&self.shared))?);
-        }
-        let Some(output) = &self.checkpoint else { return Ok(()) };
         checkpoint.header = header.answer();
         checkpoint.issued_ns = monotonic_ns();
-        output.publish_silently(&mut checkpoint)
+        self.checkpoint.publish_silently(&mut checkpoint)
     }
 
     /// The state that the process before this one left less than half a second ago.
