@@ -38,7 +38,7 @@ wire_enum! {
 
 sample! {
     /// One answer per command, or a block that the actuator decides by itself.
-    pub struct Actuation(248, Actuation, 0xa865_884b, "scanloop.Actuation.v1", check) {
+    pub struct Actuation(248, Actuation, 0xa865_884b, "scanloop.Actuation.v1", check, is_answer) {
         /// Identity and stamps of the command answered
         pub header: Header,
         /// What the robot is told, `ActuationKind`
@@ -60,6 +60,10 @@ sample! {
         /// Commands refused since the start: not finite, not verified, stale, out of limits
         pub refused: u64,
     }
+}
+
+fn is_answer(actuation: &Actuation) -> bool {
+    actuation.answers == 1
 }
 
 fn check(actuation: &Actuation) -> Result<(), Fault> {

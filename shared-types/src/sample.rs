@@ -22,6 +22,11 @@ pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     /// The header, to fill it.
     fn header_mut(&mut self) -> &mut Header;
 
+    /// Whether this is due to an input of the scan in the header; false for what an actuator decides by itself.
+    fn is_answer(&self) -> bool {
+        true
+    }
+
     /// Whether the content may be used: all numbers finite and inside what the field can mean.
     ///
     /// # Errors
@@ -69,7 +74,9 @@ macro_rules! layout {
 macro_rules! sample {
     (
         $(#[$meta:meta])*
-        pub struct $name:ident($size:literal, $topic:ident, $layout:literal, $type_name:literal, $check:path) {
+        pub struct $name:ident(
+            $size:literal, $topic:ident, $layout:literal, $type_name:literal, $check:path $(, $is_answer:path)?
+        ) {
             $($body:tt)*
         }
     ) => {
@@ -97,6 +104,10 @@ macro_rules! sample {
             fn header_mut(&mut self) -> &mut $crate::Header {
                 &mut self.header
             }
+
+            $(fn is_answer(&self) -> bool {
+                $is_answer(self)
+            })?
 
             fn check(&self) -> Result<(), $crate::Fault> {
                 $check(self)

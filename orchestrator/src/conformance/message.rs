@@ -68,7 +68,7 @@ impl Message {
 
     /// Whether it is said because of a scan, and not by the actuator on its own account.
     pub(crate) fn is_answer(&self) -> bool {
-        !matches!(self, Self::Actuation(actuation) if actuation.answers != 1)
+        any!(self, sample => sample.is_answer())
     }
 
     /// Whether nothing moves because of it: a stop, a block.

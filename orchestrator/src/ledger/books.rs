@@ -11,7 +11,7 @@
 
 use std::collections::BTreeMap;
 
-use shared_types::{Actuation, Heartbeat, ProcessState, Role, Sample, Topic};
+use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
 
 use super::fault::{Fault, Kind};
 use super::sweep::{Lack, Sweep};
@@ -128,10 +128,8 @@ impl Books {
         let (topic, header) = (S::TOPIC, sample.header());
         let from_start = self.is_from_start(header.incarnation);
         // What the actuator decides by itself stands under the scan before.
-        let answers = topic != Topic::Actuation
-            || bytemuck::try_from_bytes(bytemuck::bytes_of(sample))
-                .is_ok_and(|own: &Actuation| own.answers == 1);
-        let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, answers, from_start));
+        let is_answer = sample.is_answer();
+        let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
         self.note(fault);
         if topic.writer() == Some(Role::Robot) {
             let first = if from_start { 1 } else { header.scan_id };

@@ -35,7 +35,9 @@ impl Counters {
         }
     }
 
-    /// Notes that `role` has numbered a sample of its own. It is an answer when a sample taken has none yet.
+    /// Notes that `role` has numbered a sample of its own. It is an answer when a sample taken has none yet. What an
+    /// actuator decides by itself is one only when it has taken something since it woke: that it refuses; otherwise
+    /// it has noticed a silence, and what it owes it still owes.
     pub(crate) fn write<S: Sample>(&self, role: Role, sample: &S) {
         let Some(port) = role.writes().iter().position(|topic| *topic == S::TOPIC) else { return };
         let header = sample.header();
@@ -46,7 +48,8 @@ impl Counters {
         }
         self.last_scan.set(header.scan_id);
         count(&self.published, 1);
-        if self.answered.get() < self.taken.get() {
+        let is_answer = sample.is_answer() || header.stage(role).taken_ns > 0;
+        if is_answer && self.answered.get() < self.taken.get() {
             count(&self.answered, 1);
             count(&self.answered_scans, header.scan_id);
         }
@@ -78,4 +81,31 @@ pub(crate) fn add_account(heartbeat: &mut Heartbeat, port: usize, account: Input
     heartbeat.foreign += account.foreign;
     heartbeat.missing += account.missing;
     heartbeat.inputs[port] = account;
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::{Actuation, Command, StageStamps};
+
+    use super::*;
+
+    #[test]
+    fn what_an_actuator_decides_by_itself_answers_no_command_but_one_that_it_refuses() {
+        let counters = Counters::default();
+        let mut command = Command::default();
+        command.header.scan_id = 40;
+        let publish = |scan_id, answers, taken_ns| {
+            let mut actuation = Actuation { answers, ..Actuation::default() };
+            actuation.header.scan_id = scan_id;
+            *actuation.header.stage_mut(Role::Actuator) = StageStamps { taken_ns, ..StageStamps::default() };
+            counters.write(Role::Actuator, &actuation);
+            counters.answered.get()
+        };
+        counters.take(Role::Actuator, &command);
+        assert_eq!(publish(40, 0, 0), 0, "a silence that it noticed");
+        assert_eq!(publish(40, 1, 7), 1, "its answer");
+        counters.take(Role::Actuator, &command);
+        assert_eq!(publish(39, 0, 9), 2, "a refusal");
+        assert_eq!(publish(40, 0, 9), 2, "nothing is answered twice");
+    }
 }
