@@ -305,7 +305,7 @@ class Process:
         while self._sleep(LONGEST_WAIT_NS):
             phase = self.directive.phase
             if phase >= Phase.CONNECTING and self._state == ProcessState.ATTACHED:
-                for output in self._outputs:
+                for output in [*self._outputs, self._checkpoint]:
                     output._publisher.update_connections()
                 self._enter(ProcessState.CONNECTED)
             if phase >= Phase.DRIVING:
@@ -370,7 +370,7 @@ class Process:
         config = iox2.config.default()
         prefix = f"scanloop{os.getuid()}_{system_id}_"
         config.global_cfg.prefix = iox2.FileName.new(prefix)
-        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{prefix}bus")
+        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{prefix}")
         builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
         return builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
 

@@ -207,7 +207,7 @@ fn who_drives_waits_for_no_disk() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["--duration", "5"]);
     for role in Role::ALL {
-        let log = system.folder().join(format!("out/logs/{role}.log"));
+        let log = system.folder().canonicalize().unwrap().join(format!("out/logs/{role}.log"));
         let open = std::fs::read_dir(format!("/proc/{}/fd", system.pid(*role))).unwrap();
         let paths = open.flatten().filter_map(|file| std::fs::read_link(file.path()).ok());
         let on_disk: Vec<_> = paths.filter(|path| path.is_absolute() && !path.starts_with("/dev")).collect();

@@ -65,6 +65,9 @@ impl Bus {
 
     fn with_topics(domain: &Domain, take_over: bool) -> Result<Self, RuntimeError> {
         let mut bus = if take_over {
+            // A system whose bus lies elsewhere would not hear this one.
+            let path = domain.bus_directory();
+            std::fs::metadata(&path).map_err(|source| RuntimeError::File { path, source })?;
             let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
             layouts::verify_all(domain)?;
             // The orchestrator that died still holds ports, of which there are few for directives.
@@ -91,6 +94,9 @@ impl Bus {
     /// # Errors
     /// As [`Bus::create`].
     pub fn create_empty(domain: &Domain) -> Result<Self, RuntimeError> {
+        let directory = domain.directory();
+        let error = |source| RuntimeError::File { path: directory.to_path_buf(), source };
+        std::fs::create_dir_all(directory).map_err(error)?;
         let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::write(domain)?;
         Ok(bus)

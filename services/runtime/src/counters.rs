@@ -14,6 +14,8 @@ pub(crate) struct Counters {
     pub(crate) last_scan: Cell<u64>,
     /// Something in an account is worth to be told before the next heartbeat is due.
     pub(crate) news: Cell<bool>,
+    /// Something that `role` answers was taken since the process woke.
+    took: Cell<bool>,
     written: [Cell<u64>; PORTS],
     taken: Cell<u64>,
     taken_scans: Cell<u64>,
@@ -27,9 +29,16 @@ pub(crate) fn count(counter: &Cell<u64>, more: u64) {
 }
 
 impl Counters {
+    /// Notes that the process woke.
+    pub(crate) fn wake(&self) {
+        count(&self.activations, 1);
+        self.took.set(false);
+    }
+
     /// Notes that `role` begins to work on a sample.
     pub(crate) fn take<S: Sample>(&self, role: Role, sample: &S) {
         if role.answers() == Some(S::TOPIC) {
+            self.took.set(true);
             count(&self.taken, 1);
             count(&self.taken_scans, sample.header().scan_id);
         }
@@ -48,7 +57,7 @@ impl Counters {
         }
         self.last_scan.set(header.scan_id);
         count(&self.published, 1);
-        let is_answer = sample.is_answer() || header.stage(role).taken_ns > 0;
+        let is_answer = sample.is_answer() || self.took.get();
         if is_answer && self.answered.get() < self.taken.get() {
             count(&self.answered, 1);
             count(&self.answered_scans, header.scan_id);
@@ -85,7 +94,7 @@ pub(crate) fn add_account(heartbeat: &mut Heartbeat, port: usize, account: Input
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{Actuation, Command, StageStamps};
+    use shared_types::{Actuation, Command, Directive};
 
     use super::*;
 
@@ -94,18 +103,19 @@ mod tests {
         let counters = Counters::default();
         let mut command = Command::default();
         command.header.scan_id = 40;
-        let publish = |scan_id, answers, taken_ns| {
+        let publish = |scan_id, answers| {
             let mut actuation = Actuation { answers, ..Actuation::default() };
             actuation.header.scan_id = scan_id;
-            *actuation.header.stage_mut(Role::Actuator) = StageStamps { taken_ns, ..StageStamps::default() };
             counters.write(Role::Actuator, &actuation);
             counters.answered.get()
         };
         counters.take(Role::Actuator, &command);
-        assert_eq!(publish(40, 0, 0), 0, "a silence that it noticed");
-        assert_eq!(publish(40, 1, 7), 1, "its answer");
+        counters.wake();
+        counters.take(Role::Actuator, &Directive::default());
+        assert_eq!(publish(40, 0), 0, "a silence that it noticed, or a stop that it was told");
+        assert_eq!(publish(40, 1), 1, "its answer");
         counters.take(Role::Actuator, &command);
-        assert_eq!(publish(39, 0, 9), 2, "a refusal");
-        assert_eq!(publish(40, 0, 9), 2, "nothing is answered twice");
+        assert_eq!(publish(39, 0), 2, "a refusal");
+        assert_eq!(publish(40, 0), 2, "nothing is answered twice");
     }
 }

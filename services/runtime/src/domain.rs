@@ -54,9 +54,10 @@ impl Domain {
     }
 
     /// Directory in which the bus keeps its nodes, services and sockets. In shared memory, because the bus syncs each of
-    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long.
+    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long. Its name is the prefix
+    /// alone, because sockets lie in it.
     pub fn bus_directory(&self) -> PathBuf {
-        PathBuf::from(format!("{SHARED_MEMORY}/{}bus", self.prefix))
+        PathBuf::from(format!("{SHARED_MEMORY}/{}", self.prefix))
     }
 
     /// Removes everything that the system has in shared memory, the directory of its bus included.
@@ -64,13 +65,14 @@ impl Domain {
     /// Only for the one who holds the lock of the system, while no process of it is alive.
     ///
     /// # Errors
-    /// [`RuntimeError::File`] for a file that could not be removed.
+    /// [`RuntimeError::File`] for the first file that could not be removed; all others are.
     pub fn remove_bus_files(&self) -> Result<(), RuntimeError> {
         let file = |path: &Path| {
             let path = path.to_path_buf();
             move |source| RuntimeError::File { path, source }
         };
         let shared = Path::new(SHARED_MEMORY);
+        let mut result = Ok(());
         for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
             if !entry.file_name().to_string_lossy().starts_with(&self.prefix) {
                 continue;
@@ -81,11 +83,13 @@ impl Domain {
                 _ => std::fs::remove_file(&path),
             };
             match removed {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(file(&path)(error)),
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    result = result.and(Err(file(&path)(error)));
+                }
                 _ => {}
             }
         }
-        Ok(())
+        result
     }
 
     /// Removes all files of the system: those of the bus and its directory.
@@ -132,6 +136,25 @@ mod tests {
             assert!(matches!(Domain::new(id), Err(RuntimeError::SystemId(_))), "{id}");
         }
         assert!(Domain::new("lab-2").is_ok());
+    }
+
+    #[test]
+    fn the_longest_id_leaves_room_for_the_sockets_of_the_bus() {
+        let domain = Domain::new("1234567890123456").unwrap();
+        let socket = format!("{}{}.event", domain.shared_memory_prefix(), "9".repeat(30));
+        assert!(domain.bus_directory().join(socket).as_os_str().len() <= 108);
+    }
+
+    #[test]
+    fn all_that_the_bus_has_in_shared_memory_is_removed() {
+        let domain = Domain::new(&format!("d{}", std::process::id())).unwrap();
+        let file = format!("{SHARED_MEMORY}/{}file", domain.shared_memory_prefix());
+        std::fs::create_dir_all(domain.bus_directory().join("nodes/1")).unwrap();
+        std::fs::write(domain.bus_directory().join("nodes/1/tag"), "").unwrap();
+        std::fs::write(&file, "").unwrap();
+        domain.remove_bus_files().unwrap();
+        assert!(!domain.bus_directory().exists() && !Path::new(&file).exists());
+        domain.remove_bus_files().unwrap();
     }
 
     #[test]

@@ -6,13 +6,14 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use shared_types::{Authority, Command, Directive, Obstacles, Pose, Role, Sample};
+use iceoryx2::prelude::PortFactory;
+use shared_types::{Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample};
 
 use crate::counters::Counters;
 use crate::input::{Drain, Input, join};
 use crate::output::Output;
 use crate::process::Shared;
-use crate::{Bus, Clock, Domain, Observer, Voice};
+use crate::{Bus, Clock, Domain, Observer, Process, Voice};
 
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
@@ -93,6 +94,16 @@ fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
     assert_eq!(taken.header.stage(Role::Estimator).published_ns, 42);
     assert!(input.take().is_none());
     assert_eq!(estimator.counters.undelivered.get(), 0);
+}
+
+#[test]
+fn a_process_can_publish_checkpoints_from_the_moment_it_attaches() {
+    let lab = Lab::new();
+    lab.write_settings();
+    let process = Process::enrol(Role::Estimator, lab.domain.clone(), 7).unwrap();
+    let (_publisher, service) = lab.bus().publisher::<Checkpoint>().unwrap();
+    assert_eq!(service.dynamic_config().number_of_publishers(), 2, "its own and this test's");
+    drop(process);
 }
 
 #[test]

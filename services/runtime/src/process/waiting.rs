@@ -144,7 +144,7 @@ impl Process {
         self.looked_ns = monotonic_ns();
         let woken_ns =
             if self.shared.clock.is_simulated() { self.shared.clock.now_ns() } else { self.looked_ns };
-        count(&self.shared.counters.activations, 1);
+        self.shared.counters.wake();
         self.shared.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });
         // Before anything is emptied: what comes later rings again.
         self.rung = self.bells.role(self.shared.role).look();
