@@ -261,3 +261,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn once_a_run_has_failed_a_first_output_is_not_waited_for() {
+    let mut world = World::adopted(policies(), false, Phase::Driving, |_| Found::Alive);
+    world.advance(7_876);
+    world.send(Event::Tick);
+    world.die(Role::Estimator, Exit::Code(0));
+    assert!(world.failure.is_some());
+    world.actions.clear();
+    world.advance(2_124);
+    world.send(Event::Tick);
+    assert_eq!(world.actions, [], "the start time-out is over, but the robot is brought to rest first");
+    world.bring_down(true);
+}

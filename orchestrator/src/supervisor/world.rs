@@ -376,7 +376,8 @@ impl World {
             !self.policies.iter().any(|policy| policy.role == role)
                 || place.process.as_ref().is_some_and(ready)
         };
-        let driving = self.supervisor.phase() == Phase::Driving;
+        // Of a run that has failed only the end counts.
+        let driving = self.supervisor.phase() == Phase::Driving && !self.stopping;
         let mute = Role::ALL.iter().map(|role| {
             let waits = |process: &Process| {
                 process.reached == Some(ProcessState::Connected) && !process.is_asked_to_end()
