@@ -370,7 +370,7 @@ class Process:
         config = iox2.config.default()
         prefix = f"scanloop{os.getuid()}_{system_id}_"
         config.global_cfg.prefix = iox2.FileName.new(prefix)
-        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{prefix}")
+        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/scanloop{os.getuid()}_{system_id}")
         builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
         return builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
 

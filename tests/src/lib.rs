@@ -180,6 +180,8 @@ impl System {
             .filter(|name| name.starts_with(self.domain.shared_memory_prefix()))
             .collect();
         assert!(files.is_empty(), "left in shared memory: {files:?}");
+        let bus = self.domain.bus_directory();
+        assert!(!bus.exists(), "left in shared memory: {}", bus.display());
         assert!(!self.domain.directory().exists(), "left: {}", self.domain.directory().display());
         let processes = processes_of(self.domain.system_id());
         assert!(processes.is_empty(), "left running: {processes:?}");

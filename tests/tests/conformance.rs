@@ -225,6 +225,7 @@ fn run(arguments: &[&str]) -> Output {
     let left: Vec<_> =
         left.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix)).collect();
     assert!(left.is_empty(), "left in shared memory: {left:?}");
+    assert!(!domain.bus_directory().exists(), "left: {}", domain.bus_directory().display());
     assert!(!domain.directory().exists(), "left: {}", domain.directory().display());
     output
 }

@@ -54,10 +54,10 @@ impl Domain {
     }
 
     /// Directory in which the bus keeps its nodes, services and sockets. In shared memory, because the bus syncs each of
-    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long. Its name is the prefix
-    /// alone, because sockets lie in it.
+    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long. Its name is short, because
+    /// sockets lie in it, and does not begin with the prefix, because the bus takes what does for files of its own.
     pub fn bus_directory(&self) -> PathBuf {
-        PathBuf::from(format!("{SHARED_MEMORY}/{}", self.prefix))
+        PathBuf::from(format!("{SHARED_MEMORY}/{}", self.prefix.trim_end_matches('_')))
     }
 
     /// Removes everything that the system has in shared memory, the directory of its bus included.
@@ -73,22 +73,21 @@ impl Domain {
         };
         let shared = Path::new(SHARED_MEMORY);
         let mut result = Ok(());
-        for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
-            if !entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                continue;
-            }
-            let path = entry.path();
-            let removed = match entry.file_type() {
-                Ok(kind) if kind.is_dir() => std::fs::remove_dir_all(&path),
-                _ => std::fs::remove_file(&path),
-            };
-            match removed {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    result = result.and(Err(file(&path)(error)));
+        let mut note = |path: &Path, removed: std::io::Result<()>| match removed {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                if result.is_ok() {
+                    result = Err(file(path)(error));
                 }
-                _ => {}
+            }
+            _ => {}
+        };
+        for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
+                note(&entry.path(), std::fs::remove_file(entry.path()));
             }
         }
+        let bus = self.bus_directory();
+        note(&bus, std::fs::remove_dir_all(&bus));
         result
     }
 
