@@ -368,9 +368,9 @@ class Process:
     def _join_bus(self, system_id):
         iox2.set_log_level_from_env_or(iox2.LogLevel.Fatal)
         config = iox2.config.default()
-        prefix = f"scanloop{os.getuid()}_{system_id}_"
-        config.global_cfg.prefix = iox2.FileName.new(prefix)
-        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/scanloop{os.getuid()}_{system_id}")
+        name = f"scanloop{os.getuid()}_{system_id}"
+        config.global_cfg.prefix = iox2.FileName.new(f"{name}_")
+        config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{name}")
         builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
         return builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
 

@@ -73,13 +73,11 @@ impl Domain {
         };
         let shared = Path::new(SHARED_MEMORY);
         let mut result = Ok(());
-        let mut note = |path: &Path, removed: std::io::Result<()>| match removed {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                if result.is_ok() {
-                    result = Err(file(path)(error));
-                }
+        let mut note = |path: &Path, removed: std::io::Result<()>| {
+            let failed = removed.err().filter(|error| error.kind() != std::io::ErrorKind::NotFound);
+            if let (Some(error), Ok(())) = (failed, &result) {
+                result = Err(file(path)(error));
             }
-            _ => {}
         };
         for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
             if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
