@@ -506,11 +506,24 @@ impl<'a> Stand<'a> {
         }
     }
 
-    /// Names of all files that the system has in shared memory.
+    /// Names of all files that the system has in shared memory, those in the directory of its bus included.
     pub(crate) fn shared_memory(&self) -> Result<BTreeSet<String>, Trouble> {
-        let names = std::fs::read_dir("/dev/shm")?.flatten();
-        let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
-        Ok(names.filter(|name| name.starts_with(self.domain.shared_memory_prefix())).collect())
+        let mut names = BTreeSet::new();
+        let mut directories = vec![self.domain.bus_directory()];
+        while let Some(directory) = directories.pop() {
+            // What is being removed may be gone.
+            for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
+                let path = entry.path();
+                names.insert(path.display().to_string());
+                if path.is_dir() {
+                    directories.push(path);
+                }
+            }
+        }
+        let files = std::fs::read_dir("/dev/shm")?.flatten();
+        let files = files.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names.extend(files.filter(|name| name.starts_with(self.domain.shared_memory_prefix())));
+        Ok(names)
     }
 }
 
