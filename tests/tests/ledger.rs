@@ -77,7 +77,7 @@ fn log(system: &System, role: Role, word: &str) -> Vec<Vec<u64>> {
 fn finds_one(dice: &mut Dice, lockstep: bool) {
     let (fault, live_kind, lockstep_kind) = FAULTS[dice.roll(6) as usize];
     let (topic, role) = TOPICS[dice.roll(7) as usize];
-    let at = 1 + dice.roll(if lockstep { 18 } else { 80 });
+    let at = 1 + dice.roll(if lockstep { 20 } else { 100 });
     let (befallen, report) = hide(fault, topic, role, at, lockstep);
     let what = format!("{fault} {topic} at {at}, scan and number {befallen:?}, lock-step {lockstep}");
     let [scan, number] = befallen.unwrap_or_else(|| {

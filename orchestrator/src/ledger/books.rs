@@ -63,6 +63,8 @@ struct Counts {
 struct Worker {
     from_start: bool,
     connected_ns: Option<u64>,
+    /// It ended when the run did, with all that it had begun.
+    has_finished: bool,
     /// Answers it owes and that were told: how many, and the sum of their scans.
     told: (u64, u64),
     owes: Option<Debt>,
@@ -165,6 +167,7 @@ impl Books {
         if [ProcessState::Connected, ProcessState::Ready].contains(&state) {
             worker.connected_ns.get_or_insert(heartbeat.issued_ns);
         }
+        worker.has_finished |= self.ending && state == ProcessState::Ending;
         worker.hear(role, heartbeat);
         let (from_start, connected_ns) = (worker.from_start, worker.connected_ns);
         for (topic, sequence) in role.writes().iter().zip(heartbeat.written) {
@@ -217,7 +220,7 @@ impl Books {
         let mut found: Vec<Fault> =
             self.topics.values_mut().flat_map(|ledger| ledger.close(is_last)).collect();
         found.extend(self.unanswered());
-        found.extend(self.lacking());
+        found.extend(self.lacking(is_last));
         found.into_iter().for_each(|fault| self.note(Some(fault)));
         let news = self.faults[self.reported..].to_vec();
         self.reported = self.faults.len();
@@ -276,11 +279,12 @@ impl Books {
     }
 
     /// Samples that the robot did not make for a scan.
-    fn lacking(&mut self) -> Vec<Fault> {
+    fn lacking(&mut self, is_last: bool) -> Vec<Fault> {
         let mut found = Vec::new();
         let now_ns = self.topics.values().map(TopicLedger::looked_ns).min().unwrap_or(0);
         for (incarnation, sweep) in &mut self.sweeps {
-            for lack in sweep.close(now_ns) {
+            let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
+            for lack in sweep.close(now_ns, is_last && has_finished) {
                 let missing = |topic, scan_id| Fault::new(topic, Kind::Missing, *incarnation).scan(scan_id);
                 match lack {
                     Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
@@ -332,6 +336,12 @@ impl Worker {
         };
         let passed_over = count == 1 && scans < heartbeat.header.scan_id;
         let waited = heartbeat.issued_ns.saturating_sub(since_ns) >= PATIENCE_NS;
-        self.owes = Some(Debt { role, count, scans, since_ns, is_certain: passed_over || waited });
+        self.owes = Some(Debt {
+            role,
+            count,
+            scans,
+            since_ns,
+            is_certain: passed_over || waited || self.has_finished,
+        });
     }
 }

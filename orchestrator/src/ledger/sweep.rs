@@ -60,15 +60,16 @@ impl Sweep {
         unseen
     }
 
-    /// What is certain to be lacking now: later scans are complete, or it was waited for.
-    pub(super) fn close(&mut self, now_ns: u64) -> Vec<Lack> {
+    /// What is certain to be lacking now: later scans are complete, or it was waited for, or nothing can follow.
+    pub(super) fn close(&mut self, now_ns: u64, is_last: bool) -> Vec<Lack> {
         let mut lacks = Vec::new();
         let complete = |scan: &Scan| {
             scan.came[..TRUTH].iter().all(|came| *came) && (scan.came[TRUTH] || !self.tells_truth)
         };
         let newest = self.open.iter().rev().find(|(_, scan)| complete(scan)).map_or(0, |(newest, _)| *newest);
         while let Some((&scan_id, scan)) = self.open.first_key_value() {
-            if scan_id > newest && now_ns.saturating_sub(scan.since_ns) < PATIENCE_NS {
+            let may_follow = now_ns.saturating_sub(scan.since_ns) < PATIENCE_NS && !is_last;
+            if scan_id > newest && may_follow {
                 break;
             }
             lacks.extend((self.settled + 1..scan_id).map(Lack::Skipped));
@@ -100,15 +101,16 @@ mod tests {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Truth, 3, 5);
         sweep.see(Topic::Scan, 3, 5);
-        assert_eq!(sweep.close(6), [], "the odometry may be on its way");
-        assert_eq!(sweep.close(5 + PATIENCE_NS), [Lack::Sample(Topic::Odometry, 3)]);
-        assert_eq!(sweep.close(6 + PATIENCE_NS), []);
+        assert_eq!(sweep.close(6, false), [], "the odometry may be on its way");
+        assert_eq!(sweep.clone().close(6, true), [Lack::Sample(Topic::Odometry, 3)], "it is not any more");
+        assert_eq!(sweep.close(5 + PATIENCE_NS, false), [Lack::Sample(Topic::Odometry, 3)]);
+        assert_eq!(sweep.close(6 + PATIENCE_NS, false), []);
     }
 
     #[test]
     fn a_scan_that_all_topics_lack_was_skipped() {
-        assert_eq!(sweep(&[1, 2, 4]).close(0), [Lack::Skipped(3)]);
-        assert_eq!(sweep(&[2]).close(0), [Lack::Skipped(1)]);
+        assert_eq!(sweep(&[1, 2, 4]).close(0, false), [Lack::Skipped(3)]);
+        assert_eq!(sweep(&[2]).close(0, false), [Lack::Skipped(1)]);
     }
 
     #[test]
@@ -116,7 +118,7 @@ mod tests {
         let mut sweep = Sweep::new(1);
         sweep.see(Topic::Scan, 1, 0);
         sweep.see(Topic::Odometry, 1, 0);
-        assert_eq!(sweep.close(PATIENCE_NS), []);
+        assert_eq!(sweep.close(PATIENCE_NS, false), []);
     }
 
     #[test]
@@ -124,7 +126,7 @@ mod tests {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Scan, 9, 0);
         assert_eq!(sweep.overflowed(), [3_u64, 4, 5, 6, 7, 8]);
-        assert_eq!(sweep.close(PATIENCE_NS), []);
+        assert_eq!(sweep.close(PATIENCE_NS, false), []);
         assert_eq!(sweep.overflowed(), [0_u64; 0]);
     }
 }
