@@ -57,7 +57,10 @@ impl Shared {
     pub(crate) fn taken<S: Sample>(&self, sample: &S) {
         self.clock.advance_to(sample.header().scan_published_ns());
         let now = self.clock.now_ns();
-        self.taken_ns.set(now);
+        // Directives come when they do: nothing follows a period after one.
+        if S::TOPIC.writer().is_some() {
+            self.taken_ns.set(now);
+        }
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
         self.counters.take(self.role, sample);

@@ -107,6 +107,17 @@ fn a_process_can_publish_checkpoints_from_the_moment_it_attaches() {
 }
 
 #[test]
+fn a_directive_does_not_move_the_time_at_which_the_next_input_is_expected() {
+    let lab = Lab::new();
+    let controller = lab.shared(Role::Controller, 9);
+    controller.clock.advance_to(42);
+    controller.taken(&pose(3, 0.0));
+    controller.clock.advance_to(44);
+    controller.taken(&Directive::default());
+    assert_eq!(controller.taken_ns.get(), 42);
+}
+
+#[test]
 fn bad_foreign_repeated_and_old_samples_never_come_out() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
