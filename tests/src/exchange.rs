@@ -74,8 +74,10 @@ pub fn assert_reached(mut system: System, certificates: &[Certificate]) {
 
 /// That the run that has ended answered every scan once.
 pub fn assert_every_scan_answered_once(system: &System) {
-    let scans = system.report().scans;
+    let report = system.report();
+    let scans = &report.scans;
     assert_eq!((scans.lost, scans.unaccounted, scans.duplicates), (0, 0, 0), "{scans:?}");
+    assert_eq!(report.ledger.residual, 0, "{:?}", report.ledger.faults);
 }
 
 /// Ends the run and checks that every scan was answered once.

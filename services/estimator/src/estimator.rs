@@ -143,7 +143,8 @@ impl Estimator {
         Ok(())
     }
 
-    fn is_newer(&self, odometry: &Odometry) -> bool {
+    /// Whether the estimate does not contain a sample yet.
+    pub fn is_newer(&self, odometry: &Odometry) -> bool {
         let header = &odometry.header;
         let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
         self.state.initialised == 0

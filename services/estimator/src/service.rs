@@ -29,6 +29,7 @@ pub fn run() -> anyhow::Result<()> {
     }
     if let Some((_, state)) = process.join()? {
         lost = estimator.resume(&state).is_err();
+        odometry.skip(|measured| !estimator.is_newer(measured));
     }
     let mut actuated = process.handed_scan();
     while process.wait(None)? {

@@ -100,12 +100,17 @@ impl<S: Sample> Input<S> {
 
     /// Drops what is kept of scans up to `scan_id`, counted as replaced: a state that was taken up contains them.
     pub fn skip_to(&self, scan_id: u64) {
+        self.skip(|sample| sample.header().scan_id <= scan_id);
+    }
+
+    /// Drops what is kept and `is_old`, counted as replaced.
+    pub fn skip(&self, is_old: impl Fn(&S) -> bool) {
         self.0.kept.borrow_mut().retain(|sample| {
-            let is_news = sample.header().scan_id > scan_id;
-            if !is_news {
+            let is_old = is_old(sample);
+            if is_old {
                 self.0.settle(Fate::Replaced, sample);
             }
-            is_news
+            !is_old
         });
     }
 
