@@ -113,6 +113,9 @@ pub struct Status {
     pub scenario: String,
     /// The newest scan.
     pub scan: u64,
+    /// Whether time is simulated.
+    #[serde(default)]
+    pub lockstep: bool,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
 }

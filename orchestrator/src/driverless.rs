@@ -80,6 +80,8 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
         state: DRIVERLESS.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
         scan,
+        // In lock-step nothing moves without an orchestrator.
+        lockstep: false,
         processes,
     })
 }

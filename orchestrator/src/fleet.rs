@@ -35,6 +35,8 @@ pub(crate) struct Fleet {
     members: BTreeMap<Role, Member>,
     beside: Vec<Candidate>,
     leaving: Vec<Leaving>,
+    /// Incarnations that no role needed and that have ended.
+    departed: Vec<u32>,
     left: bool,
     machine: Machine,
     changed: bool,
@@ -120,8 +122,9 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        let (leaving, left, changed) = (Vec::new(), false, false);
-        Ok(Self { domain, members, beside: Vec::new(), leaving, left, changed, machine, _lock: lock })
+        let (beside, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
+        let (left, changed) = (false, false);
+        Ok(Self { domain, members, beside, leaving, departed, left, changed, machine, _lock: lock })
     }
 
     /// A role that another orchestrator filled, with the process that fills it, if that lives.
@@ -305,6 +308,11 @@ impl Fleet {
         Some(self.beside.remove(index))
     }
 
+    /// Incarnations that no role needed any more and that have ended since the last call.
+    pub(crate) fn take_departed(&mut self) -> Vec<u32> {
+        std::mem::take(&mut self.departed)
+    }
+
     /// Whether a process that no role needs any more has ended since the last call.
     pub(crate) fn have_left(&mut self) -> bool {
         std::mem::take(&mut self.left)
@@ -357,7 +365,9 @@ impl Fleet {
             if now >= leaving.kill_ns {
                 let _ = leaving.child.kill();
             }
-            !matches!(leaving.child.try_wait(), Ok(Some(_)))
+            let has_ended = matches!(leaving.child.try_wait(), Ok(Some(_)));
+            self.departed.extend(has_ended.then_some(leaving.incarnation));
+            !has_ended
         });
         self.left |= self.leaving.len() < before;
         self.changed |= self.left || !ended.is_empty();

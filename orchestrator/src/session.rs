@@ -148,7 +148,11 @@ impl Session {
             (false, true) => (self.period_ns / 20).clamp(500_000, 5_000_000),
             (false, false) => (4 * self.period_ns).clamp(1_000_000, 20_000_000),
         };
-        let mut descriptors = vec![self.shutdown.descriptor(), self.control.descriptor()];
+        let mut descriptors = vec![self.control.descriptor()];
+        // After a signal it stays readable.
+        if !self.shutdown.requested() {
+            descriptors.push(self.shutdown.descriptor());
+        }
         descriptors.extend(self.fleet.descriptors());
         wait_for(&descriptors, longest_ns);
     }
@@ -183,7 +187,11 @@ impl Session {
     }
 
     fn reap(&mut self) -> anyhow::Result<()> {
-        for (role, incarnation, exit) in self.fleet.reap() {
+        let ended = self.fleet.reap();
+        for incarnation in self.fleet.take_departed() {
+            self.books.ended(incarnation, monotonic_ns());
+        }
+        for (role, incarnation, exit) in ended {
             self.books.ended(incarnation, monotonic_ns());
             if self.shadow_ended(role, incarnation, exit) || self.swap_ended(role, incarnation, exit)? {
                 continue;
@@ -347,6 +355,7 @@ impl Session {
                 let heard = now + DRAIN_PATIENCE_NS >= until_ns + self.period_ns.min(DRAIN_PATIENCE_NS);
                 if (answered && heard) || now >= until_ns || self.supervisor.phase() != Phase::Driving {
                     self.recorder.run_ended();
+                    self.books.run_ended();
                     self.end = End::Ending(outcome, reason);
                     self.handle(Event::StopRequested)?;
                 }
@@ -419,6 +428,7 @@ impl Session {
                     self.decide(Outcome::Failed, &reason);
                 } else if self.end == End::NotYet {
                     self.recorder.run_ended();
+                    self.books.run_ended();
                     self.end = End::Ending(Outcome::Failed, reason);
                     self.directive.stop = 1;
                     self.dirty = true;
@@ -493,6 +503,7 @@ impl Session {
             state: Phase::try_from(self.directive.phase).map_or("starting", Phase::name).to_owned(),
             scenario: self.scenario.name.clone(),
             scan: self.samples.newest_scan(),
+            lockstep: self.lockstep,
             processes,
         }
     }

@@ -222,8 +222,11 @@ impl Stream {
             // The first of a writer, of whom only the numbers are known.
             None => before_scan.saturating_sub(last + 2 - first),
         };
-        if self.holes.len() == HOLES {
-            self.holes.pop_front();
+        // One that was not told yet is until the books are closed.
+        if self.holes.len() >= HOLES
+            && let Some(oldest) = self.holes.iter().position(|hole| hole.is_told)
+        {
+            self.holes.remove(oldest);
         }
         self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_told: false });
     }

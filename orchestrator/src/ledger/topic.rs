@@ -20,7 +20,7 @@ use shared_types::{Header, InputAccount, Role, Span, Topic};
 
 use super::PATIENCE_NS;
 use super::fault::{Fault, Kind};
-use super::stream::{NAMED, Stream};
+use super::stream::{NAMED, Seen, Stream};
 use crate::report::LedgerRow;
 
 /// The account of one topic.
@@ -43,6 +43,10 @@ struct Reader {
     looked_ns: u64,
     account: InputAccount,
     told: InputAccount,
+    /// What it has noticed since the last closing: kind, writer and number.
+    noticed: Vec<(Kind, u32, u64)>,
+    /// By writer: the first sample beyond the last that came here, as it came to everyone else.
+    beyond: BTreeMap<u32, Seen>,
     spans: BTreeMap<u32, Span>,
     /// First spans that do not begin with 1, and too short for the buffer to have been full before.
     begun: Vec<Span>,
@@ -130,11 +134,14 @@ impl TopicLedger {
             looked_ns,
             account: InputAccount::default(),
             told: if midway { *account } else { InputAccount::default() },
+            noticed: Vec::new(),
+            beyond: BTreeMap::new(),
             spans: BTreeMap::new(),
             begun: Vec::new(),
             end: None,
         });
         (reader.looked_ns, reader.account) = (looked_ns, *account);
+        reader.notice();
         (reader.from_start, reader.connected_ns) = (from_start, connected_ns);
         for span in account.writers.iter().filter(|span| span.incarnation != 0) {
             let Reader { spans, begun, .. } = &mut *reader;
@@ -240,24 +247,40 @@ impl Reader {
         self.spans.get(&writer).map(|span| span.last).or(from_start.then_some(0))
     }
 
+    /// Notes what the last word has that the words before had not: of several of a kind an account names the newest.
+    fn notice(&mut self) {
+        let Self { account, told, noticed, .. } = self;
+        let hole = &account.hole;
+        for back in (0..account.missing.saturating_sub(told.missing)).rev() {
+            let is_known = hole.incarnation != 0 && hole.last.saturating_sub(back) >= hole.first;
+            let sequence = if is_known { hole.last - back } else { 0 };
+            noticed.push((Kind::Missing, hole.incarnation, sequence));
+        }
+        let twice = (Kind::Duplicate, account.twice.incarnation, account.twice.first);
+        noticed.extend((told.duplicate..account.duplicate).map(|_| twice));
+        let late = (Kind::Reordered, account.late.incarnation, account.late.first);
+        noticed.extend((told.reordered..account.reordered).map(|_| late));
+        (told.missing, told.duplicate, told.reordered) =
+            (account.missing, account.duplicate, account.reordered);
+    }
+
     fn close(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
+        for (&writer, stream) in streams {
+            if let Some(next) = self.last(writer, stream).map(|last| last + 1) {
+                // Remembered here, because a stream remembers the newest only.
+                if self.beyond.get(&writer).is_none_or(|seen| seen.sequence < next) {
+                    self.beyond.remove(&writer);
+                    self.beyond.extend(stream.arrival_of(next).map(|seen| (writer, *seen)));
+                }
+            }
+        }
         let (account, told, role) = (&self.account, &self.told, self.role);
         let scan = |writer: u32, sequence| streams.get(&writer).map_or(0, |stream| stream.scan_of(sequence));
         let mut note = |kind, writer: u32, sequence: u64| {
             let fault = Fault::new(topic, kind, writer).sequence(sequence).scan(scan(writer, sequence));
             faults.push(fault.noticed_by(role));
         };
-        let hole = &account.hole;
-        for back in (0..account.missing.saturating_sub(told.missing)).rev() {
-            let is_known = hole.incarnation != 0 && hole.last.saturating_sub(back) >= hole.first;
-            note(Kind::Missing, hole.incarnation, if is_known { hole.last - back } else { 0 });
-        }
-        for _ in told.duplicate..account.duplicate {
-            note(Kind::Duplicate, account.twice.incarnation, account.twice.first);
-        }
-        for _ in told.reordered..account.reordered {
-            note(Kind::Reordered, account.late.incarnation, account.late.first);
-        }
+        self.noticed.drain(..).for_each(|(kind, writer, sequence)| note(kind, writer, sequence));
         // One number: the sum of all without a fate but those that wait and those told before.
         let vanished = |account: &InputAccount| account.open.saturating_sub(account.waiting);
         let sum = |account: &InputAccount| account.open_sum.wrapping_sub(account.waiting_sum);
@@ -276,7 +299,7 @@ impl Reader {
             if self.end.is_none()
                 && stream.ended_ns.is_none()
                 && let Some(last) = self.last(writer, stream)
-                && let Some(seen) = stream.arrival_of(last + 1)
+                && let Some(seen) = self.beyond.get(&writer)
                 && seen.after_ns > self.connected_ns
                 && self.looked_ns >= seen.seen_ns.saturating_add(PATIENCE_NS)
             {
@@ -289,4 +312,73 @@ impl Reader {
 
 fn newest_writer(account: &InputAccount) -> u32 {
     account.writers.iter().map(|span| span.incarnation).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WRITER: u32 = 4;
+    const READER: u32 = 3;
+
+    fn header(sequence: u64) -> Header {
+        Header { incarnation: WRITER, sequence, scan_id: sequence, ..Header::default() }
+    }
+
+    fn span(first: u64, last: u64) -> Span {
+        Span { incarnation: WRITER, first, last, ..Span::default() }
+    }
+
+    fn word(account: &InputAccount, looked_ns: u64) -> Word<'_> {
+        let (incarnation, role) = (READER, Role::Obstacles);
+        Word { incarnation, role, from_start: true, midway: false, connected_ns: 1, looked_ns, account }
+    }
+
+    fn named(faults: &[Fault]) -> Vec<(Kind, u64, u64)> {
+        faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
+    }
+
+    #[test]
+    fn several_faults_that_one_reader_noticed_between_two_closings_are_all_named() {
+        let mut ledger = TopicLedger::new(Topic::Pose, 16);
+        ledger.look(5);
+        (1..=9).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+        let mut account = InputAccount { missing: 1, hole: span(3, 3), ..InputAccount::default() };
+        account.writers[0] = span(1, 4);
+        ledger.heard(word(&account, 5));
+        account.writers[0] = span(1, 9);
+        (account.missing, account.hole) = (2, span(7, 7));
+        (account.duplicate, account.twice) = (1, span(8, 8));
+        ledger.heard(word(&account, 6));
+        let expected = [(Kind::Missing, 3, 3), (Kind::Missing, 7, 7), (Kind::Duplicate, 8, 8)];
+        assert_eq!(named(&ledger.close(false)), expected);
+        ledger.heard(word(&account, 7));
+        assert_eq!(ledger.close(false), [], "once is enough");
+    }
+
+    #[test]
+    fn a_reader_that_hears_nothing_any_more_is_noticed_at_any_rate() {
+        for period_ns in [2_000_000, 20_000_000] {
+            let mut ledger = TopicLedger::new(Topic::Pose, 16);
+            let mut account = InputAccount::default();
+            let (mut found, mut closed_ns) = (Vec::new(), 0);
+            for sequence in 1..=3_000_000_000 / period_ns {
+                let now_ns = 1_000_000_000 + sequence * period_ns;
+                ledger.look(now_ns);
+                ledger.see(&header(sequence), true, true);
+                if sequence <= 10 {
+                    account.writers[0] = span(1, sequence);
+                }
+                ledger.heard(word(&account, now_ns));
+                if now_ns >= closed_ns + 1_000_000_000 {
+                    closed_ns = now_ns;
+                    found.extend(named(&ledger.close(false)));
+                }
+            }
+            assert!(
+                found.iter().any(|(kind, sequence, _)| (*kind, *sequence) == (Kind::Missing, 11)),
+                "{found:?}"
+            );
+        }
+    }
 }

@@ -17,9 +17,6 @@ const STANDSTILL_NS: u64 = 100_000_000;
 impl Session {
     /// Closes the books when it is time to; ends a lock-step that can't go on.
     pub(super) fn audit(&mut self) {
-        if self.end != End::NotYet {
-            self.books.run_ended();
-        }
         let now_ns = monotonic_ns();
         let stands_still = self.lockstep
             && self.end == End::NotYet
@@ -40,7 +37,7 @@ impl Session {
     /// Closes the books, and says what was found.
     pub(super) fn close_books(&mut self, is_last: bool) {
         for fault in self.books.close(is_last) {
-            self.progress.note(&format!("ledger: {fault}"));
+            self.progress.warn(&format!("error: ledger: {fault}"));
         }
         for (scan_id, reason) in self.books.excused() {
             self.recorder.scan_excused(scan_id, reason);
