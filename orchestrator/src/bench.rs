@@ -36,7 +36,7 @@ pub enum BenchCommand {
     /// corrected for coordinated omission (docs/latency.md). Files of `--out`: `report.json`, `latency.hlog`,
     /// `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`, `trace.json` for ui.perfetto.dev.
     ///
-    /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`,
+    /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`, `residual`, `faults`,
     /// `complete_chains`, `scan_to_actuation_us`, `scan_to_actuation_corrected_us`, `data_age_us`, `transport_us`,
     /// `stages_us`, `hops_us`, `publications_us`, `robot_lateness_us`, `wake_up_noise_us`, `stamps_us_per_stage`,
     /// `smallest_visible_us`, `machine`, `intervals` (lines of a HdrHistogram log), and what was asked for.
@@ -95,4 +95,13 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
         BenchCommand::Compare(arguments) => compare::compare(arguments),
         BenchCommand::Transport(arguments) => transport::transport(arguments),
     }
+}
+
+/// A number of bytes like `4096`, `4k` or `1M`.
+fn bytes(text: &str) -> Option<usize> {
+    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
+        Some(digits) => (digits, 1 << 10),
+        None => text.strip_suffix(['m', 'M']).map_or((text, 1), |digits| (digits, 1 << 20)),
+    };
+    digits.parse::<usize>().ok()?.checked_mul(unit)
 }

@@ -74,7 +74,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),
-        Command::Bench(command) => bench::bench(&cli.system_id, command),
+        Command::Bench(command) => {
+            runtime::start_logging();
+            bench::bench(&cli.system_id, command)
+        }
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => remote::status(&domain()?, *json),

@@ -117,7 +117,7 @@ fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
         }
         code => {
             assert_eq!(code, Some(4), "{}", stderr(&output));
-            assert!(stderr(&output).contains("rtprio 49"), "{}", stderr(&output));
+            assert!(stderr(&output).contains("rtprio 40"), "{}", stderr(&output));
         }
     }
 }

@@ -54,7 +54,7 @@ pub use {
     driver::{Block, Plan, measure},
     load::Load,
     setup::{BLOCK_BYTES, Payload},
-    spawn::{Scheduling, processors},
+    spawn::{PRIORITY, Scheduling, processors},
 };
 
 /// What can go wrong in a chain.

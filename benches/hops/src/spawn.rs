@@ -11,8 +11,8 @@ use std::process::Command;
 
 use crate::HopError;
 
-/// Priority of all processes under SCHED_FIFO: in the middle, above all that is not of real time.
-const PRIORITY: i32 = 50;
+/// Priority of all processes under SCHED_FIFO: above all that is not of real time, below the kernel's own threads for interrupts.
+pub const PRIORITY: i32 = 40;
 
 /// How the kernel chooses among processes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,16 +32,17 @@ impl Scheduling {
         }
     }
 
-    /// Whether this user may use it.
+    /// Whether this user may use it on these processors; empty for all.
     ///
     /// # Errors
     /// [`HopError::System`] when a process can't be started at all.
-    pub fn is_allowed(self) -> Result<bool, HopError> {
+    pub fn is_allowed(self, cpus: &[usize]) -> Result<bool, HopError> {
+        use io::ErrorKind::{InvalidInput, PermissionDenied};
         let mut command = Command::new("true");
-        prepare(&mut command, self, &[], &[]);
+        prepare(&mut command, self, cpus, &[]);
         match command.status() {
             Ok(status) => Ok(status.success()),
-            Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(false),
+            Err(error) if [InvalidInput, PermissionDenied].contains(&error.kind()) => Ok(false),
             Err(error) => Err(HopError::system("try the scheduler")(error)),
         }
     }

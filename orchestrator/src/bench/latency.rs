@@ -33,7 +33,8 @@ use self::results::{Results, SCHEMA, Smallest};
 use crate::bench::compare::statistics::smallest_visible;
 use crate::bench::scheduling::Scheduling;
 use crate::cli::Choice;
-use crate::exit::Exit;
+use crate::exit::{Exit, Failure};
+use crate::realtime;
 use crate::report::{Outcome, Report};
 use crate::run::{Manner, Plan, out_folder, start};
 use crate::survivors::clear;
@@ -48,7 +49,6 @@ const SCENARIO: &str = "endless";
 pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
     arguments.check()?;
     let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
-    let scheduling = Scheduling::of(&plan.system.realtime);
     let domain = Domain::new(system_id)?;
     // Without --out logs live as long as the system.
     let logs = match &arguments.out {
@@ -65,9 +65,10 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         }
     }
     let load = if arguments.load { Some(Load::start()?) } else { None };
-    let mut machine = Machine::look(&scheduling, load.as_ref().map_or(0, Load::count));
     let stamps_us_per_stage = noise::stamp_cost_us();
-    let noise = noise::measure(plan.system.period_ns(), arguments.duration, &scheduling)?;
+    let (noise, granted) =
+        noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
+    let mut machine = Machine::look(&granted, load.as_ref().map_or(0, Load::count));
 
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
@@ -124,6 +125,8 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     choice.overrides.push(format!("rate_hz={}", arguments.rate));
     let mut plan = Plan::read(Some(SCENARIO), &choice)?;
     scheduling.apply(&mut plan.system.realtime);
+    realtime::validate(&plan.system.realtime)
+        .map_err(|invalid| Failure::bad_input(format!("realtime.{invalid}")))?;
     let this = std::env::current_exe().context("path of this executable")?;
     let this = this.to_string_lossy().into_owned();
     for entry in &mut plan.system.processes {
@@ -153,6 +156,8 @@ fn of_report(report: &Report) -> Results {
         lost_reasons: scans.lost_reasons.clone(),
         unaccounted: scans.unaccounted,
         duplicates: scans.duplicates,
+        residual: report.ledger.residual,
+        faults: report.ledger.faults.iter().map(ToString::to_string).collect(),
         scan_to_actuation_us: latency.scan_to_actuation,
         data_age_us: latency.data_age,
         transport_us: stages.transport,

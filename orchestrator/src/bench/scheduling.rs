@@ -1,25 +1,19 @@
 //! Under which policy and on which processors the processes of a bench run.
 //!
-//! The five processes of the loop get them as those of `run` do, when they have joined the bus. Any other process is
-//! started through `taskset` and `chrt` of util-linux, which change themselves and then become it: so policy and
-//! processors hold from its first instruction on, for all of its threads, and for a peer of any language alike.
-//! `SCHED_FIFO` takes a privilege; whether it is there is tried before anything is started.
-
-use std::process::{Command, Stdio};
+//! Processes of the loop get them as those of `run` do, when they have joined the bus. Processes of other transports get
+//! them before their program begins, so that all of its threads inherit them. What a command line asks for is tried
+//! before anything is started: SCHED_FIFO takes a privilege.
 
 use clap::{Args, ValueEnum};
 use runtime::{Realtime, Scheduler};
-use rustix::thread::sched_getaffinity;
-use serde::Serialize;
+use rustix::thread::CpuSet;
 
 use crate::exit::Failure;
 
 /// Scheduling policy.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Policy {
     /// The default of the system.
-    #[default]
     Other,
     /// SCHED_FIFO: real time, runs until it sleeps.
     Fifo,
@@ -28,23 +22,22 @@ pub enum Policy {
 /// Arguments of benches that start processes.
 #[derive(Debug, Clone, Args, Default)]
 pub struct SchedulingArguments {
-    /// Scheduling policy of the processes; `fifo` takes root, or the right to priority 40.
-    #[arg(long, value_name = "POLICY", value_enum, default_value = "other")]
-    pub sched: Policy,
+    /// Scheduling policy of the processes; `fifo` takes root, or the right to priority 40. Without it that of the
+    /// system.
+    #[arg(long, value_name = "POLICY", value_enum)]
+    pub sched: Option<Policy>,
     /// Processors that the processes may run on, like `0` or `0,2-3`; without it all.
     #[arg(long, value_name = "LIST")]
     pub cpu: Option<String>,
 }
 
 /// Checked arguments.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct Scheduling {
-    /// The policy.
-    pub policy: Policy,
+    /// The policy, if one is asked for.
+    policy: Option<Policy>,
     /// The processors; empty for all.
-    pub cpus: Vec<usize>,
-    /// The priority with `fifo`.
-    pub priority: u32,
+    pub(crate) cpus: Vec<usize>,
 }
 
 impl Scheduling {
@@ -53,83 +46,61 @@ impl Scheduling {
     /// # Errors
     /// A list that is none, or a processor that is not there (exit code 2); what the kernel refuses (exit code 4).
     pub(crate) fn read(arguments: &SchedulingArguments) -> anyhow::Result<Self> {
-        let cpus = match &arguments.cpu {
-            None => Vec::new(),
-            Some(list) => {
-                let cpus = parse(list).ok_or_else(|| {
-                    Failure::bad_input(format!("--cpu {list} is not allowed: a list like `0` or `0,2-3`"))
-                })?;
-                let there = sched_getaffinity(None)?;
-                if let Some(cpu) =
-                    cpus.iter().find(|&&cpu| cpu >= rustix::thread::CpuSet::MAX_CPU || !there.is_set(cpu))
-                {
-                    let count = there.count();
-                    return Err(Failure::bad_input(format!(
-                        "--cpu {list} is not allowed: processor {cpu} is not among the {count} that may be used"
-                    )));
-                }
-                cpus
+        let mut scheduling = Self { policy: arguments.sched, cpus: Vec::new() };
+        if let Some(list) = &arguments.cpu {
+            let bad = |why: String| Failure::bad_input(format!("--cpu {list} is not allowed: {why}"));
+            let cpus = parse(list).ok_or_else(|| bad("a list like `0` or `0,2-3`".to_owned()))?;
+            // Those set apart by `isolcpus` are not among those that this process may use, and yet may be asked for.
+            let there = processors();
+            if let Some(cpu) = cpus.iter().find(|cpu| **cpu >= CpuSet::MAX_CPU || !there.contains(cpu)) {
+                let count = there.len();
+                return Err(bad(format!("processor {cpu} is not among the {count} of this machine")));
             }
-        };
-        let scheduling = Self { policy: arguments.sched, cpus, priority: Realtime::default().priority };
+            scheduling.cpus = cpus;
+        }
         scheduling.try_out()?;
         Ok(scheduling)
     }
 
-    /// How the processes of a system are run.
-    pub(crate) fn of(realtime: &Realtime) -> Self {
-        let policy = match realtime.scheduler {
-            Scheduler::Other => Policy::Other,
-            Scheduler::Fifo => Policy::Fifo,
-        };
-        Self { policy, cpus: realtime.cpu.clone(), priority: realtime.priority }
-    }
-
     /// Has the processes of a system run so, where this says something.
     pub(crate) fn apply(&self, realtime: &mut Realtime) {
-        if self.policy == Policy::Fifo {
-            realtime.scheduler = Scheduler::Fifo;
+        match self.policy {
+            Some(Policy::Fifo) => realtime.scheduler = Scheduler::Fifo,
+            Some(Policy::Other) => realtime.scheduler = Scheduler::Other,
+            None => {}
         }
         if !self.cpus.is_empty() {
             realtime.cpu.clone_from(&self.cpus);
         }
     }
 
-    /// What stands before a command to start it so; empty for the defaults.
-    pub(crate) fn prefix(&self) -> Vec<String> {
-        let mut prefix = Vec::new();
-        if !self.cpus.is_empty() {
-            let cpus: Vec<String> = self.cpus.iter().map(usize::to_string).collect();
-            prefix.extend(["taskset".to_owned(), "--cpu-list".to_owned(), cpus.join(",")]);
+    /// The policy of processes that belong to no system.
+    pub(crate) fn class(&self) -> hops::Scheduling {
+        match self.policy {
+            Some(Policy::Fifo) => hops::Scheduling::Fifo,
+            Some(Policy::Other) | None => hops::Scheduling::Other,
         }
-        if self.policy == Policy::Fifo {
-            prefix.extend(["chrt".to_owned(), "--fifo".to_owned(), self.priority.to_string()]);
-        }
-        prefix
     }
 
     fn try_out(&self) -> anyhow::Result<()> {
-        let prefix = self.prefix();
-        let Some((program, arguments)) = prefix.split_first() else { return Ok(()) };
-        let tried = Command::new(program)
-            .args(arguments)
-            .arg("true")
-            .stdin(Stdio::null())
-            .output()
-            .map_err(|error| Failure::process(format!("{program}: {error}; install util-linux")))?;
-        if tried.status.success() {
-            return Ok(());
-        }
-        let said = String::from_utf8_lossy(&tried.stderr).trim().replace('\n', "; ");
-        let way_out = match self.policy {
-            Policy::Fifo => {
-                "; run as root, or allow the priority: a line `USER - rtprio 40` in /etc/security/limits.conf, \
-                 then log in anew"
+        if hops::Scheduling::Other.is_allowed(&self.cpus)? {
+            if self.class().is_allowed(&self.cpus)? {
+                return Ok(());
             }
-            Policy::Other => "",
-        };
-        Err(Failure::process(format!("the kernel refuses `{}`: {said}{way_out}", prefix.join(" "))))
+            return Err(Failure::process(format!(
+                "the kernel refuses `--sched fifo`: run as root, or allow priority {0}: `ulimit -r {0}`, or a line \
+                 `USER - rtprio {0}` in /etc/security/limits.conf and log in anew",
+                hops::PRIORITY
+            )));
+        }
+        Err(Failure::process(format!("the kernel refuses processors {:?} to this process", self.cpus)))
     }
+}
+
+/// The processors of this machine that are switched on.
+fn processors() -> Vec<usize> {
+    let online = std::fs::read_to_string("/sys/devices/system/cpu/online").ok();
+    online.and_then(|list| parse(list.trim())).unwrap_or_else(hops::processors)
 }
 
 /// The processors of a list like `0,2-3`, in order.
@@ -162,15 +133,25 @@ mod tests {
     }
 
     #[test]
-    fn processes_are_pinned_before_they_become_real_time() {
-        assert_eq!(Scheduling::default().prefix(), [] as [String; 0]);
-        let both = Scheduling { policy: Policy::Fifo, cpus: vec![0, 1], priority: 40 };
-        assert_eq!(both.prefix(), ["taskset", "--cpu-list", "0,1", "chrt", "--fifo", "40"]);
+    fn what_a_command_line_asks_for_goes_before_the_system() {
+        let fifo = Realtime { scheduler: Scheduler::Fifo, cpu: vec![0], ..Realtime::default() };
+        let applied = |policy, cpus: &[usize]| {
+            let mut realtime = fifo.clone();
+            Scheduling { policy, cpus: cpus.to_vec() }.apply(&mut realtime);
+            (realtime.scheduler, realtime.cpu)
+        };
+        assert_eq!(applied(None, &[]), (Scheduler::Fifo, vec![0]));
+        assert_eq!(applied(Some(Policy::Other), &[1]), (Scheduler::Other, vec![1]));
+    }
+
+    #[test]
+    fn real_time_processes_of_both_benches_have_one_priority() {
+        assert_eq!(hops::PRIORITY.cast_unsigned(), Realtime::default().priority);
     }
 
     #[test]
     fn a_processor_that_is_not_there_is_refused() {
-        let arguments = SchedulingArguments { sched: Policy::Other, cpu: Some("1000".to_owned()) };
+        let arguments = SchedulingArguments { sched: None, cpu: Some("1000".to_owned()) };
         let error = Scheduling::read(&arguments).unwrap_err();
         assert!(error.to_string().contains("processor 1000 is not among"), "{error}");
     }

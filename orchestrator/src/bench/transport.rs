@@ -16,8 +16,9 @@ use hops::{Contender, HopError, Load, Plan, Policy};
 use indicatif::{ProgressBar, ProgressStyle};
 use runtime::Shutdown;
 
-pub use self::arguments::{Class, TransportArguments, Waiting};
+pub use self::arguments::{TransportArguments, Waiting};
 use self::results::{Measured, Results, Skipped, figures};
+use super::scheduling::Scheduling;
 use crate::exit::{Exit, Failure};
 
 /// Measures all contenders at all rates and prints the comparison.
@@ -25,16 +26,16 @@ use crate::exit::{Exit, Failure};
 /// # Errors
 /// Options that this machine can't meet, and a chain of our own bus that does not run.
 pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> {
-    check(arguments)?;
+    let base = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
     let shutdown = Shutdown::on_signals()?;
     let (contenders, skipped) = contenders(arguments);
-    let load = if arguments.load { Some(Load::start(&plan(arguments)?)?) } else { None };
+    let load = if arguments.load { Some(Load::start(&base)?) } else { None };
     let mut all = Vec::new();
     let mut csv = String::from("rate_hz,policy,name,round,sent,lost,p50_us,p99_us,max_us\n");
     for &rate_hz in &arguments.rate {
         let (mut contenders, mut skipped) = (contenders.clone(), skipped.clone());
         let stop = || shutdown.requested();
-        let measured = match rounds(arguments, rate_hz, &mut contenders, &mut skipped, &stop) {
+        let measured = match rounds(arguments, &base, rate_hz, &mut contenders, &mut skipped, &stop) {
             Err(error) if matches!(error.downcast_ref(), Some(HopError::Interrupted)) => {
                 eprintln!("interrupted");
                 return Ok(Exit::NotReached);
@@ -42,7 +43,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
             measured => measured?,
         };
         add_rows(&mut csv, rate_hz, &measured);
-        let results = Results::of(arguments, rate_hz, &measured, skipped);
+        let results = Results::of(arguments, &base, rate_hz, &measured, skipped);
         eprint!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results));
         all.push(results);
     }
@@ -59,20 +60,6 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         println!("{json}");
     }
     Ok(Exit::Done)
-}
-
-/// Refuses what this machine does not have.
-fn check(arguments: &TransportArguments) -> anyhow::Result<()> {
-    let processors = hops::processors();
-    if let Some(cpu) = arguments.cpu.iter().find(|cpu| !processors.contains(cpu)) {
-        return Err(Failure::bad_input(format!("--cpu {cpu}: this process may use {processors:?}")));
-    }
-    if !arguments.scheduling().is_allowed()? {
-        return Err(Failure::bad_input(
-            "--sched fifo: this user may not use it; run `ulimit -r 50` as root first, or give CAP_SYS_NICE",
-        ));
-    }
-    Ok(())
 }
 
 /// Who can be measured, and who can't and why.
@@ -92,6 +79,7 @@ fn contenders(arguments: &TransportArguments) -> (Vec<Contender>, Vec<Skipped>) 
 /// All rounds at one rate. A contender that fails is moved to the skipped ones.
 fn rounds(
     arguments: &TransportArguments,
+    base: &Plan,
     rate_hz: f64,
     contenders: &mut Vec<Contender>,
     skipped: &mut Vec<Skipped>,
@@ -113,7 +101,7 @@ fn rounds(
         // A fifth of a second warms caches and connections at any rate; slow rates get some messages at least.
         warm_up: (rate_hz / 5.0).ceil().max(3.0) as u64,
         samples: arguments.samples_per_round(rate_hz),
-        ..plan(arguments)?
+        ..base.clone()
     };
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} chains, {elapsed} of {duration}: {msg}")?;
     let bar = ProgressBar::new(arguments.rounds * measured.len() as u64).with_style(style);
@@ -145,7 +133,7 @@ fn rounds(
 }
 
 /// What all chains have in common.
-fn plan(arguments: &TransportArguments) -> anyhow::Result<Plan> {
+fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Result<Plan> {
     Ok(Plan {
         contender: Contender::Iceoryx2,
         payload: arguments.payload,
@@ -153,8 +141,8 @@ fn plan(arguments: &TransportArguments) -> anyhow::Result<Plan> {
         warm_up: 0,
         samples: 0,
         policy: Policy::Block,
-        scheduling: arguments.scheduling(),
-        cpus: arguments.cpu.clone(),
+        scheduling: scheduling.class(),
+        cpus: scheduling.cpus.clone(),
         program: std::env::current_exe().context("the path of this program")?,
         arguments: vec!["service".to_owned(), "hop".to_owned()],
     })

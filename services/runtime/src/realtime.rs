@@ -11,7 +11,7 @@ use std::num::NonZeroU64;
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::Pid;
-use rustix::thread::{CpuSet, sched_setaffinity, set_current_timer_slack};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity, set_current_timer_slack};
 use serde::{Deserialize, Serialize};
 
 /// How the kernel chooses among processes that want to run.
@@ -106,6 +106,22 @@ impl Realtime {
         refused
     }
 
+    /// These settings with the processors and the scheduler that another process really has; no processors for all that
+    /// this one has.
+    pub fn granted(&self, pid: u32) -> Self {
+        let used = |pid| {
+            let set = sched_getaffinity(pid).unwrap_or_default();
+            (0..CpuSet::MAX_CPU).filter(|cpu| set.is_set(*cpu)).collect::<Vec<_>>()
+        };
+        let (own, others) = (used(None), used(Pid::from_raw(pid.cast_signed())));
+        let is_fifo = attributes(pid).is_ok_and(|has| has.sched_policy == libc::SCHED_FIFO.cast_unsigned());
+        Self {
+            cpu: if others == own { Vec::new() } else { others },
+            scheduler: if is_fifo { Scheduler::Fifo } else { Scheduler::Other },
+            ..self.clone()
+        }
+    }
+
     /// The timer slack of this process.
     pub(crate) fn apply_timer_slack(&self) {
         if let Err(error) = set_current_timer_slack(NonZeroU64::new(self.timer_slack_ns)) {
@@ -189,6 +205,12 @@ mod tests {
         })
         .join()
         .unwrap();
+    }
+
+    #[test]
+    fn what_is_granted_is_what_a_process_has_not_what_was_asked_for() {
+        let asked = Realtime { cpu: vec![1023], scheduler: Scheduler::Fifo, ..Realtime::default() };
+        assert_eq!(asked.granted(std::process::id()), Realtime::default());
     }
 
     #[test]

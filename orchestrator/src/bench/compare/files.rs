@@ -20,7 +20,7 @@ struct Run {
     intervals: Vec<String>,
 }
 
-/// Compares the figures `metrics` of two files; a figure that the runs are too short for is left out.
+/// Compares the figures `metrics` of two files; a figure that the runs are too short for is left out, which is said.
 ///
 /// # Errors
 /// Files that are no results, or were made with other arguments, and figures that they do not have; exit code 2.
@@ -56,7 +56,10 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
             })
         };
         let (of_a, of_b) = (histograms(&a, files[0])?, histograms(&b, files[1])?);
-        let Some(difference) = stretches(&of_a, &of_b, quantile) else { continue };
+        let Some(difference) = stretches(&of_a, &of_b, quantile) else {
+            eprintln!("{metric}: left out, too few scans; run longer");
+            continue;
+        };
         let us = |mut difference: super::statistics::Difference| {
             difference.value *= 1e-3;
             difference.interval = difference.interval.map(|bound| bound * 1e-3);

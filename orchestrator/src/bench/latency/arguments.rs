@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use crate::bench::bytes;
 use crate::bench::scheduling::SchedulingArguments;
 use crate::cli::Choice;
 use crate::exit::Failure;
@@ -43,9 +44,9 @@ pub struct LatencyArguments {
     /// Whether the stages compute.
     #[arg(long, value_name = "WHAT", value_enum, default_value = "real")]
     pub compute: Compute,
-    /// Bytes that travel over each of the four hops, 1 to 16777216; without it the pipeline's own samples. Only with
-    /// `--compute none`.
-    #[arg(long, value_name = "BYTES")]
+    /// Bytes that travel over each of the four hops, 1 to 16777216, or like 4k or 1M; without it the pipeline's own
+    /// samples. Only with `--compute none`.
+    #[arg(long, value_name = "BYTES", value_parser = size)]
     pub payload: Option<usize>,
     /// Policy and processors of the processes.
     #[command(flatten)]
@@ -65,6 +66,10 @@ pub struct LatencyArguments {
     /// The choice of system and settings, as of `run`.
     #[command(flatten)]
     pub choice: Choice,
+}
+
+fn size(text: &str) -> Result<usize, String> {
+    bytes(text).ok_or_else(|| format!("1 to {LARGEST_PAYLOAD} bytes, or like 4k or 1M, are allowed"))
 }
 
 impl LatencyArguments {
@@ -117,6 +122,7 @@ mod tests {
     fn what_is_not_allowed_is_named() {
         assert_eq!(refusal(&[]), "");
         assert_eq!(refusal(&["--compute", "none", "--payload", "4096"]), "");
+        assert_eq!(refusal(&["--compute", "none", "--payload", "4k"]), "");
         assert!(refusal(&["--rate", "0"]).starts_with("--rate 0 is not allowed: 0.5 to 1000"));
         assert!(refusal(&["--rate", "NaN"]).starts_with("--rate NaN is not allowed"));
         assert!(refusal(&["--duration", "1e9"]).contains("0.1 to 36000 s"));

@@ -2,9 +2,8 @@
 
 use std::path::Path;
 
+use runtime::{Realtime, Scheduler};
 use serde::Serialize;
-
-use crate::bench::scheduling::{Policy, Scheduling};
 
 /// Facts that stand beside the figures.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -23,8 +22,8 @@ pub(crate) struct Machine {
     pub virtual_machine: bool,
     /// Frequency governor of the first processor; null where the frequency is not the kernel's.
     pub governor: Option<String>,
-    /// Timer slack of processes under the default policy [ns].
-    pub timer_slack_ns: Option<u64>,
+    /// Timer slack of the processes under the default policy [ns].
+    pub timer_slack_ns: u64,
     /// Idle states of the first processor, deepest last.
     pub idle_states: Vec<IdleState>,
     /// Driver and governor of idling.
@@ -37,9 +36,9 @@ pub(crate) struct Machine {
     pub mitigations: Option<String>,
     /// Load average over one minute when the bench began.
     pub load_average: Option<f64>,
-    /// Policy of the processes.
-    pub scheduling: Policy,
-    /// Processors of the processes; empty for all.
+    /// Policy that the machine grants the processes.
+    pub scheduling: Scheduler,
+    /// Processors that the machine grants the processes; empty for all.
     pub pinned_to: Vec<usize>,
     /// Busy loops that ran beside.
     pub busy_loops: usize,
@@ -61,8 +60,8 @@ pub(crate) struct IdleState {
 }
 
 impl Machine {
-    /// The facts now; shares of time are filled in at the end of the run.
-    pub(crate) fn look(scheduling: &Scheduling, busy_loops: usize) -> Self {
+    /// The facts now, with the settings that the machine `granted`; shares of time are filled in at the end of the run.
+    pub(crate) fn look(granted: &Realtime, busy_loops: usize) -> Self {
         let processors = read("/proc/cpuinfo").unwrap_or_default();
         let of_cpu = |key: &str| {
             let line = processors.lines().find(|line| line.starts_with(key))?;
@@ -79,7 +78,7 @@ impl Machine {
             virtual_machine: of_cpu("flags")
                 .is_some_and(|flags| flags.split_whitespace().any(|flag| flag == "hypervisor")),
             governor: read(cpu.join("cpu0/cpufreq/scaling_governor")),
-            timer_slack_ns: read("/proc/self/timerslack_ns").and_then(|text| text.parse().ok()),
+            timer_slack_ns: granted.timer_slack_ns,
             idle_states: idle_states(&cpu.join("cpu0/cpuidle")),
             idle_driver: idle("current_driver").map(|driver| {
                 [Some(driver), idle("current_governor")].map(Option::unwrap_or_default).join("/")
@@ -88,8 +87,8 @@ impl Machine {
             clocksource: read("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
             mitigations: mitigations(&cpu.join("vulnerabilities")),
             load_average: read("/proc/loadavg").and_then(|text| text.split_whitespace().next()?.parse().ok()),
-            scheduling: scheduling.policy,
-            pinned_to: scheduling.cpus.clone(),
+            scheduling: granted.scheduler,
+            pinned_to: granted.cpu.clone(),
             busy_loops,
             ..Self::default()
         }
@@ -169,7 +168,7 @@ mod tests {
 
     #[test]
     fn every_machine_has_a_kernel_a_processor_and_a_clock() {
-        let machine = Machine::look(&Scheduling::default(), 2);
+        let machine = Machine::look(&Realtime::default(), 2);
         assert!(machine.cores >= 1 && machine.busy_loops == 2);
         assert!(machine.kernel.is_some() && machine.load_average.is_some());
     }

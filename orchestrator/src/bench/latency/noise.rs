@@ -1,22 +1,23 @@
 //! What this machine adds to any wake-up, with nothing of ours in the way, and what a stamp costs.
 //!
-//! A process of its own, scheduled as the stages will be, sleeps until absolute times at the rate of the scans and
+//! A process of its own, run as the stages will be (processors, scheduler, slice, timer slack), sleeps until absolute times at the rate of the scans and
 //! notes how late it wakes: what `cyclictest` does. No chain of processes can be quieter than its wake-ups, so this
 //! is what figures of the chain are to be read against. Where it fails: it sees the seconds before the run only, and
 //! a machine that is noisy once a minute looks quiet.
 
+use std::num::NonZeroU64;
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use runtime::monotonic_ns;
-use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use runtime::{Realtime, monotonic_ns};
+use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack};
 use rustix::time::Timespec;
 use shared_types::StageStamps;
 
-use crate::bench::scheduling::Scheduling;
 use crate::figures::Distribution;
 
-/// Beginning of the name of this service; period and number of wake-ups follow, each after a colon.
+/// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
+/// colon.
 pub(crate) const PREFIX: &str = "wake-up-noise:";
 /// Longest and shortest time that is spent on it [s].
 const LONGEST_S: f64 = 5.0;
@@ -26,44 +27,50 @@ const SHARE: f64 = 0.1;
 /// Clock readings per stage and scan: woken, taken, computed, published.
 const STAMPS: usize = 4;
 
-/// Measures how late wake-ups are under `scheduling`, for a bench of `duration_s` at a period.
+/// Measures how late wake-ups of a process are that has the settings `realtime`, for a bench of `duration_s` at a period.
+/// Also returns the settings as the machine grants them; what it refuses is said when the run begins.
 ///
 /// # Errors
 /// When the process can't be started, or does not answer.
 pub(crate) fn measure(
     period_ns: u64,
     duration_s: f64,
-    scheduling: &Scheduling,
-) -> anyhow::Result<Distribution> {
+    realtime: &Realtime,
+) -> anyhow::Result<(Distribution, Realtime)> {
     let seconds = (SHARE * duration_s).clamp(SHORTEST_S, LONGEST_S);
     let count = ((seconds * 1e9 / period_ns as f64) as u64).max(5);
-    let mut command = scheduling.prefix();
-    command.push(std::env::current_exe().context("path of this executable")?.to_string_lossy().into_owned());
-    command.extend(["service".to_owned(), format!("{PREFIX}{period_ns}:{count}")]);
-    let (program, arguments) = command.split_first().context("a command")?;
-    let output = Command::new(program)
-        .args(arguments)
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output()
-        .with_context(|| format!("{program} for the wake-up noise"))?;
+    let service = format!("{PREFIX}{period_ns}:{count}:{}", realtime.timer_slack_ns);
+    let mut child = Command::new(std::env::current_exe().context("path of this executable")?)
+        .args(["service", &service])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("the process for the wake-up noise")?;
+    let _ = realtime.apply_to(child.id());
+    let granted = realtime.granted(child.id());
+    // It begins when nothing more can come.
+    drop(child.stdin.take());
+    let output = child.wait_with_output().context("the process for the wake-up noise")?;
     let mut late = Distribution::of_times();
     for line in String::from_utf8_lossy(&output.stdout).lines() {
         late.record(line.parse().context("the wake-up noise")?);
     }
     anyhow::ensure!(late.count() == count, "the measurement of the wake-up noise was interrupted");
-    Ok(late)
+    Ok((late, granted))
 }
 
 /// The process behind [`measure`]: prints one lateness per line [ns]; `None` when `name` asks for something else.
 pub(crate) fn run(name: &str) -> Option<anyhow::Result<()>> {
-    let (period, count) = name.strip_prefix(PREFIX)?.split_once(':')?;
-    let (period_ns, count): (u64, usize) = (period.parse().ok()?, count.parse().ok()?);
-    Some(sleep_and_print(period_ns, count))
+    let mut numbers = name.strip_prefix(PREFIX)?.split(':');
+    let mut next = || numbers.next()?.parse::<u64>().ok();
+    let (period_ns, count, slack_ns) = (next()?, next()?, next()?);
+    Some(sleep_and_print(period_ns, count as usize, slack_ns))
 }
 
-fn sleep_and_print(period_ns: u64, count: usize) -> anyhow::Result<()> {
+fn sleep_and_print(period_ns: u64, count: usize, slack_ns: u64) -> anyhow::Result<()> {
     use std::fmt::Write as _;
+    std::io::copy(&mut std::io::stdin(), &mut std::io::sink())?;
+    set_current_timer_slack(NonZeroU64::new(slack_ns))?;
     let mut late_ns = Vec::with_capacity(count);
     let mut due_ns = monotonic_ns() + period_ns;
     for _ in 0..count {
@@ -110,7 +117,7 @@ mod tests {
 
     #[test]
     fn other_names_are_not_run() {
-        for name in ["ekf", "wake-up-noise", "wake-up-noise:1", "wake-up-noise:a:1"] {
+        for name in ["ekf", "wake-up-noise", "wake-up-noise:1:1", "wake-up-noise:a:1:1"] {
             assert!(run(name).is_none(), "{name}");
         }
     }

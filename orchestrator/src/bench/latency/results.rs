@@ -42,6 +42,10 @@ pub(crate) struct Results {
     pub unaccounted: u64,
     /// Answers to scans that had been answered already.
     pub duplicates: u64,
+    /// Samples of all topics that nothing is known of.
+    pub residual: u64,
+    /// What the ledger found, in words.
+    pub faults: Vec<String>,
     /// Actuations that carry the stamps of all stages.
     pub complete_chains: u64,
     /// From the publication of a scan to that of its actuation.

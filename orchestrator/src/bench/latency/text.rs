@@ -96,12 +96,19 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
             ),
         ),
         (
+            "samples",
+            match results.residual {
+                0 => "all accounted for".to_owned(),
+                residual => format!("{residual} unaccounted: {}", results.faults.join("; ")),
+            },
+        ),
+        (
             "scheduling",
             format!(
                 "{}{}{}",
                 match machine.scheduling {
-                    crate::bench::scheduling::Policy::Other => "default",
-                    crate::bench::scheduling::Policy::Fifo => "fifo",
+                    runtime::Scheduler::Other => "default",
+                    runtime::Scheduler::Fifo => "fifo",
                 },
                 match machine.pinned_to.as_slice() {
                     [] => String::new(),
@@ -134,7 +141,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
                     2_000_000_000.. => "not asked for".to_owned(),
                     us => format!("{us} us"),
                 }),
-                machine.timer_slack_ns.map_or("unknown".to_owned(), |ns| format!("{}", ns as f64 * 1e-3))
+                machine.timer_slack_ns as f64 * 1e-3
             ),
         ),
         (

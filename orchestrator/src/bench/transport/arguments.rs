@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use hops::{BLOCK_BYTES, Contender, Payload, Policy, Scheduling};
+use hops::{BLOCK_BYTES, Contender, Payload, Policy};
+
+use crate::bench::bytes;
+use crate::bench::scheduling::SchedulingArguments;
 
 /// Arguments of `bench transport`.
 #[derive(Debug, Args)]
@@ -27,12 +30,9 @@ pub struct TransportArguments {
     /// In how many rounds; each starts the processes of every contender anew.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(3..=100))]
     pub rounds: u64,
-    /// Scheduler of all processes of all contenders.
-    #[arg(long, value_name = "CLASS", default_value = "other")]
-    pub sched: Class,
-    /// Processors that all processes of all contenders may use, for example 0; without it all.
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    pub cpu: Vec<usize>,
+    /// Policy and processors of all processes of all contenders.
+    #[command(flatten)]
+    pub scheduling: SchedulingArguments,
     /// Keep every processor busy with a process that computes.
     #[arg(long)]
     pub load: bool,
@@ -47,15 +47,6 @@ pub struct TransportArguments {
     pub out: Option<PathBuf>,
 }
 
-/// The scheduler.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Class {
-    /// The default of the machine.
-    Other,
-    /// Real time: before all others.
-    Fifo,
-}
-
 /// How processes wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Waiting {
@@ -66,14 +57,6 @@ pub enum Waiting {
 }
 
 impl TransportArguments {
-    /// The scheduler.
-    pub(super) fn scheduling(&self) -> Scheduling {
-        match self.sched {
-            Class::Other => Scheduling::Other,
-            Class::Fifo => Scheduling::Fifo,
-        }
-    }
-
     /// The policies, that of the main table first.
     pub(super) fn policies(&self) -> Vec<Policy> {
         match self.policy {
@@ -117,13 +100,7 @@ fn payload(text: &str) -> Result<Payload, String> {
     if text == "pipeline" {
         return Ok(Payload::Pipeline);
     }
-    let (digits, unit) = match text.to_ascii_lowercase().as_str() {
-        lower if lower.ends_with('k') => (&text[..text.len() - 1], 1 << 10),
-        lower if lower.ends_with('m') => (&text[..text.len() - 1], 1 << 20),
-        _ => (text, 1),
-    };
-    let bytes = digits.parse::<usize>().ok().and_then(|number| number.checked_mul(unit));
-    match bytes {
+    match bytes(text) {
         Some(bytes) if BLOCK_BYTES.contains(&bytes) => Ok(Payload::Block(bytes)),
         _ => Err(format!("`pipeline` or one of {BLOCK_BYTES:?} bytes (1k to 4M) is allowed")),
     }

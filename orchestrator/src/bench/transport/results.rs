@@ -1,6 +1,6 @@
 //! What a comparison has found, as it goes into JSON.
 
-use hops::{Block, Contender, HOPS, Payload, Policy};
+use hops::{Block, Contender, HOPS, Payload, Plan, Policy};
 use serde::Serialize;
 
 use super::ratio::{CONFIDENCE, Ratio, Rounds, ratio};
@@ -98,6 +98,7 @@ impl Results {
     /// The comparison of what was measured at one rate.
     pub(super) fn of(
         arguments: &TransportArguments,
+        base: &Plan,
         rate_hz: f64,
         measured: &[Measured],
         skipped: Vec<Skipped>,
@@ -117,8 +118,8 @@ impl Results {
                 Payload::Pipeline => Bytes::Each(arguments.payload.bytes()),
                 Payload::Block(bytes) => Bytes::Same(bytes),
             },
-            scheduling: arguments.scheduling().name(),
-            cpus: if arguments.cpu.is_empty() { hops::processors() } else { arguments.cpu.clone() },
+            scheduling: base.scheduling.name(),
+            cpus: if base.cpus.is_empty() { hops::processors() } else { base.cpus.clone() },
             load: arguments.load,
             policy: policies[0].name(),
             rounds: arguments.rounds,

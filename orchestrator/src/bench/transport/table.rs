@@ -50,9 +50,23 @@ pub(super) fn text(results: &Results) -> String {
         let _ = writeln!(text, "{:<18} skipped: {}", skipped.name, skipped.reason);
     }
     if let Some(floor) = results.transports.iter().find(|row: &&Row| row.name == "floor") {
-        let _ = writeln!(text, "\niceoryx2 is {:.2} times the floor in the median", 1.0 / floor.ratio_p50);
+        let _ = writeln!(text, "\n{}", beside_floor(floor));
     }
     text
+}
+
+/// How far above the least that a hop can cost ours is, as far as it was seen.
+fn beside_floor(floor: &Row) -> String {
+    let [low, high] = floor.ratio_p50_interval.map(f64::recip);
+    match floor.verdict_p50 {
+        "no difference seen" => {
+            format!("iceoryx2 takes {high:.2} to {low:.2} times the floor in the median: no difference seen")
+        }
+        _ => format!(
+            "iceoryx2 takes {:.2} times the floor in the median ({high:.2} to {low:.2})",
+            floor.ratio_p50.recip()
+        ),
+    }
 }
 
 fn said(verdict: &str, ratio: f64, [low, high]: [f64; 2]) -> String {
