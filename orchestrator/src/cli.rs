@@ -93,7 +93,7 @@ pub enum Command {
         /// Stop after that many seconds.
         #[arg(long, value_name = "S", default_value_t = 5.0)]
         duration: f64,
-        /// Print the figures of the whole time as JSON to standard output.
+        /// Print the figures of the whole time as JSON to standard output: `latency_us` as in `report.json`.
         #[arg(long)]
         json: bool,
     },

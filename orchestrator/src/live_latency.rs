@@ -6,9 +6,10 @@ use shared_types::Actuation;
 use crate::control::{Reply, Request, ask};
 use crate::exit::Exit;
 use crate::latency::Latencies;
+use crate::run::check_duration;
 use crate::summary::latency_table;
 
-/// Longest sleep between two looks: a buffer of 16 samples lasts this long at 500 Hz.
+/// Longest sleep between two looks: of actuations 256 wait, a quarter of a second at 1 kHz.
 const LOOK_NS: u64 = 20_000_000;
 /// Time between two tables.
 const TABLE_NS: u64 = 1_000_000_000;
@@ -16,17 +17,18 @@ const TABLE_NS: u64 = 1_000_000_000;
 /// Prints the latencies of each second, and those of the whole time at the end.
 ///
 /// # Errors
-/// A system that is not running (exit code 2), and errors of the bus.
+/// A time that is not allowed or a system that is not running (exit code 2), and errors of the bus.
 pub(crate) fn watch(domain: &Domain, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
+    check_duration(Some(duration_s))?;
     let Reply::Status(status) = ask(domain, &Request::Status)? else {
         anyhow::bail!("the orchestrator did not answer with a status");
     };
     let shutdown = Shutdown::on_signals()?;
     let bus = Bus::open(domain, "observer")?;
     let actuations = Observer::<Actuation>::new(&bus)?;
-    let (mut all, mut second) = (Latencies::new(false), Latencies::new(false));
+    let (mut all, mut second) = (Latencies::new(status.lockstep), Latencies::new(status.lockstep));
     let started = monotonic_ns();
-    let end = started.saturating_add((duration_s.max(0.0) * 1e9) as u64);
+    let end = started.saturating_add((duration_s * 1e9) as u64);
     let mut next = started + TABLE_NS;
     while monotonic_ns() < end && !shutdown.requested() {
         wait_for(&[shutdown.descriptor()], LOOK_NS);
@@ -39,13 +41,13 @@ pub(crate) fn watch(domain: &Domain, duration_s: f64, json: bool) -> anyhow::Res
         if monotonic_ns() >= next {
             next += TABLE_NS;
             eprintln!("{}", latency_table(&second.report()));
-            second = Latencies::new(false);
+            second = Latencies::new(status.lockstep);
         }
     }
     eprintln!("system {}, {}, whole time:", status.system_id, status.scenario);
     eprint!("{}", latency_table(&all.report()));
     if json {
-        println!("{}", serde_json::to_string_pretty(&all.report())?);
+        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "latency_us": all.report() }))?);
     }
     Ok(Exit::Done)
 }

@@ -11,6 +11,7 @@ use shared_types::{
 };
 
 use crate::exit::Failure;
+use crate::run::check_duration;
 
 /// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
 const LOOK_NS: u64 = 20_000_000;
@@ -78,10 +79,10 @@ fn field_table(text: &mut String, fields: &[Field]) {
 /// # Errors
 /// An unknown topic, or a system that is not running.
 pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
+    check_duration(Some(duration_s))?;
     let mut watch = Watch::open(domain, topic)?;
     let started = monotonic_ns();
-    let end = started
-        + Duration::try_from_secs_f64(duration_s.max(0.0)).map_or(u64::MAX / 2, |d| d.as_nanos() as u64);
+    let end = started + Duration::from_secs_f64(duration_s).as_nanos() as u64;
     let (mut next, mut before) = (started + 1_000_000_000, 0);
     while monotonic_ns() < end && watch.sleep() {
         watch.look(&mut |_| true)?;

@@ -183,8 +183,14 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
 
     let latency: serde_json::Value =
         serde_json::from_slice(&system.run(&["latency", "--duration", "0.5", "--json"]).stdout).unwrap();
+    let latency = &latency["latency_us"];
     assert!(latency["scan_to_actuation"]["count"].as_u64() > Some(0));
     assert_eq!(latency["incomplete_chains"], 0);
+    for arguments in [["latency", "--duration", "0"], ["latency", "--duration", "nan"]] {
+        let refused = system.run(&arguments);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&refused.stderr).contains("--duration"), "{refused:?}");
+    }
 
     assert_eq!(system.run(&["restart", "pilot"]).status.code(), Some(2));
     assert_eq!(system.run(&["restart", "robot"]).status.code(), Some(2));
