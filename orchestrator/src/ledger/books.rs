@@ -145,8 +145,10 @@ impl Books {
 
     /// The look found as many samples as can wait, or more: some may have been overwritten.
     pub fn overflowed(&mut self, topic: Topic) {
-        let scans = self.topics.get_mut(&topic).map(TopicLedger::overflowed).unwrap_or_default();
-        if !scans.is_empty() && topic.writer() == Some(Role::Robot) {
+        let ledger = self.topics.get_mut(&topic);
+        let (scans, began) =
+            ledger.map_or_else(Default::default, |ledger| (ledger.overflowed(), ledger.began_midway()));
+        if (began || !scans.is_empty()) && topic.writer() == Some(Role::Robot) {
             let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
             self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
         }
@@ -352,9 +354,30 @@ impl Worker {
 
 #[cfg(test)]
 mod tests {
-    use shared_types::Truth;
+    use shared_types::{Odometry, Scan, Truth};
 
     use super::*;
+
+    #[test]
+    fn a_robot_that_is_first_heard_behind_a_full_buffer_lacks_nothing() {
+        let mut books = Books::midway();
+        fn look<S: Sample + Default>(books: &mut Books, scans: std::ops::RangeInclusive<u64>) {
+            books.look(S::TOPIC, 10);
+            for scan_id in scans {
+                let mut sample = S::default();
+                let header = sample.header_mut();
+                (header.incarnation, header.sequence, header.scan_id) = (9, scan_id, scan_id);
+                books.see(&sample, 10);
+            }
+        }
+        look::<Truth>(&mut books, 101..=140);
+        look::<Scan>(&mut books, 125..=140);
+        books.overflowed(Topic::Scan);
+        look::<Odometry>(&mut books, 125..=140);
+        books.overflowed(Topic::Odometry);
+        ACCOUNTS.iter().for_each(|topic| books.look(*topic, 10 + 2 * PATIENCE_NS));
+        assert_eq!(books.close(false), []);
+    }
 
     #[test]
     fn a_robot_that_died_between_two_topics_owes_nothing() {

@@ -157,6 +157,11 @@ impl Stream {
         scans
     }
 
+    /// Whether nothing is known of what came before the look at `now_ns`, although there was something.
+    pub(super) fn began_midway(&self, now_ns: u64) -> bool {
+        !self.from_start && self.recent.front().is_some_and(|seen| seen.seen_ns == now_ns)
+    }
+
     /// Notes that the writer said it has used up the numbers up to `sequence`.
     pub(super) fn claimed(&mut self, sequence: u64, now_ns: u64) {
         if sequence > self.newest && self.claim.is_none_or(|claim| claim.sequence <= self.newest) {

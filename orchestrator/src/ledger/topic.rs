@@ -113,6 +113,11 @@ impl TopicLedger {
         self.streams.values_mut().flat_map(|stream| stream.overflowed(now_ns, capacity)).collect()
     }
 
+    /// Whether a writer was first heard in this look, in the middle of its work.
+    pub fn began_midway(&self) -> bool {
+        self.streams.values().any(|stream| stream.began_midway(self.now_ns))
+    }
+
     /// A writer said that it has used up the numbers up to `sequence`.
     pub fn claimed(&mut self, incarnation: u32, from_start: bool, sequence: u64, now_ns: u64) {
         if from_start && sequence > 0 {
