@@ -79,7 +79,13 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
         scan_id = next_due(scan_id, newest, |scan_id| now_ns - origin_ns - scan_id * period_ns < max_age_ns);
         process.begin();
         let acquired_ns = scan_id * period_ns;
-        let mut truth = Truth { time_s: acquired_ns as f64 * 1e-9, goal_distance_m: 1e3, ..Truth::default() };
+        let mut truth = Truth {
+            time_s: acquired_ns as f64 * 1e-9,
+            goal_distance_m: 1e3,
+            // It stands at any time, so that the end of a run waits for nothing.
+            blocked: process.directive().stop,
+            ..Truth::default()
+        };
         let mut scan = Scan { period_ns, sweep_ns: period_ns / 3 * 2, ..Scan::default() };
         let mut odometry = Odometry::default();
         for header in [&mut truth.header, &mut scan.header, &mut odometry.header] {
