@@ -106,6 +106,8 @@ pub struct Process {
     settings: toml::Table,
     run: RunSettings,
     realtime: Realtime,
+    /// Until when polling would only wait for others on a busy processor [ns].
+    crowded_until_ns: Cell<u64>,
     bus: Bus,
     bells: Arc<Bells>,
     shared: Rc<Shared>,
@@ -188,6 +190,7 @@ impl Process {
             topics: bit(Topic::Directive),
             listens: false,
             realtime,
+            crowded_until_ns: Cell::new(0),
             bells,
             janitor: Janitor::new(&domain),
             domain,

@@ -19,6 +19,10 @@ use crate::{RuntimeError, monotonic_ns, orphan};
 const HEARTBEAT_PATIENCE_NS: u64 = 30_000_000;
 /// Sleeps that are longer than this leave caches cold [ns].
 const COLD_NS: u64 = 5_000_000;
+/// Who gave its processor away while it polled and got it back later than this shares it with others [ns].
+const AWAY_NS: u64 = 500_000;
+/// How long a process that shares its processor does not poll [ns].
+const CROWDED_NS: u64 = 10_000_000_000;
 /// How long nothing must have happened for that [ns].
 const QUIET_NS: u64 = 2_000_000;
 
@@ -181,7 +185,8 @@ impl Process {
     /// Sleeps on the doorbell; false after a time-out.
     fn sleep_on_bell(&self, now: u64, until_ns: u64, need: Need) -> bool {
         let bell = self.bells.role(self.shared.role);
-        let poll_ns = if self.shared.clock.is_simulated() { 0 } else { 1000 * self.realtime.poll_us };
+        let polls = !self.shared.clock.is_simulated() && now >= self.crowded_until_ns.get();
+        let poll_ns = if polls { 1000 * self.realtime.poll_us } else { 0 };
         if poll_ns == 0 {
             let bits = if need == Need::All { self.missing() } else { self.topics };
             return bell.sleep(self.rung, until_ns, bits);
@@ -200,13 +205,21 @@ impl Process {
         if now < from_ns && bell.sleep(self.rung, from_ns, self.topics) {
             return true;
         }
-        while monotonic_ns() < to_ns {
+        let mut now = monotonic_ns();
+        while now < to_ns {
             if bell.look() != self.rung {
                 return true;
             }
-            std::hint::spin_loop();
+            // The one it waits for may need this processor.
+            std::thread::yield_now();
+            let back_ns = monotonic_ns();
+            if back_ns > now + AWAY_NS {
+                self.crowded_until_ns.set(back_ns + CROWDED_NS);
+                break;
+            }
+            now = back_ns;
         }
-        to_ns < until_ns && bell.sleep(self.rung, until_ns, self.topics)
+        now < until_ns && bell.sleep(self.rung, until_ns, self.topics)
     }
 
     /// What a process that joins its inputs waits for: the last of those that are missing.
