@@ -158,10 +158,11 @@ impl Samples {
         self.invalid += self.truths.poll(directive, books)?;
         self.invalid += look(&self.scans, books, |_| ())?;
         self.invalid += look(&self.odometries, books, |_| ())?;
-        self.invalid += self.poses.poll(directive, books)?;
-        self.invalid += self.obstacles.poll(directive, books)?;
-        self.invalid += self.commands.poll(directive, books)?;
+        // Against the stream: when an answer is there, so is all that it came from.
         self.invalid += self.actuations.poll(directive, books)?;
+        self.invalid += self.commands.poll(directive, books)?;
+        self.invalid += self.obstacles.poll(directive, books)?;
+        self.invalid += self.poses.poll(directive, books)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }
