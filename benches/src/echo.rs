@@ -50,7 +50,7 @@ impl Echo {
     /// # Errors
     /// Errors of the bus, and of starting the process.
     pub fn start(system_id: &str, peer: Peer) -> Result<Self, Box<dyn std::error::Error>> {
-        let files = Files(Domain::new(system_id)?);
+        let files = Files(Domain::create(system_id)?);
         let bus = Bus::create(&files.0)?;
         let mut echo = Self {
             poses: Voice::new(&bus)?,
@@ -116,8 +116,7 @@ impl Drop for Echo {
 
 impl Drop for Files {
     fn drop(&mut self) {
-        let _ = self.0.remove_bus_files();
-        let _ = std::fs::remove_dir_all(self.0.directory());
+        let _ = self.0.remove();
     }
 }
 
@@ -126,7 +125,7 @@ impl Drop for Files {
 /// # Errors
 /// Errors of the bus.
 pub fn echo_until_told(system_id: &str) -> Result<(), RuntimeError> {
-    let bus = Bus::open(&Domain::new(system_id)?, "echo")?;
+    let bus = Bus::open(&Domain::existing(system_id)?, "echo")?;
     let (poses, mut commands) = (Observer::<Pose>::waking(&bus)?, Voice::<Command>::new(&bus)?);
     let mut lonely = 0;
     while lonely < LONELY {

@@ -7,7 +7,7 @@
 //! Where this fails: how an adopted process ends is not told to us, so an exit with code 0 counts as a failure;
 //! exchanges that were going on are over without a certificate; and the account begins with the first scan seen.
 
-use runtime::{Bus, Domain, Priority, monotonic_ns, print};
+use runtime::{Bus, Domain, Priority, RuntimeError, StopWord, latch_on_crash, monotonic_ns, print};
 use shared_types::{Authority, Directive, Phase, Role};
 
 use crate::child::Child;
@@ -17,6 +17,7 @@ use crate::fleet::Fleet;
 use crate::lock::SystemLock;
 use crate::roster::{ProcessRow, Roster, RunFile};
 use crate::run::{Beginning, Manner, assemble, check_duration, conclude, out_folder};
+use crate::runs::LivingRun;
 use crate::supervisor::{Event, MIN_HANG_AFTER_MS};
 use crate::survivors::Survivors;
 
@@ -24,24 +25,21 @@ use crate::survivors::Survivors;
 ///
 /// # Errors
 /// Nothing to adopt, or an orchestrator that lives (exit code 2), and errors of the bus or the file system.
-pub(crate) fn adopt(domain: &Domain, arguments: &AdoptArguments) -> anyhow::Result<Exit> {
+pub(crate) fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
     let nothing = |left: &[String]| {
-        let system_id = domain.system_id();
         let left: String = left.iter().map(|stranger| format!("; {stranger}")).collect();
         Failure::bad_input(format!("system `{system_id}` has no processes that could be adopted{left}"))
     };
-    if !domain.directory().exists() {
-        return Err(nothing(&[]));
-    }
-    let mut lock = SystemLock::take(domain)?;
-    let survivors = Survivors::find(domain);
+    let Some(domain) = Domain::find(system_id)? else { return Err(nothing(&[])) };
+    let mut lock = SystemLock::take(&domain)?;
+    let survivors = Survivors::find(&domain);
     if survivors.is_empty() {
         // Files without processes are of no use to anyone.
         lock.own();
         return Err(nothing(&survivors.strangers));
     }
-    take_over(domain, lock, survivors, arguments)
+    take_over(&domain, lock, survivors, arguments)
 }
 
 /// [`adopt`] for who holds the lock and has found someone.
@@ -60,6 +58,7 @@ pub(crate) fn take_over(
             "system `{system_id}` cannot be adopted: {why}; `scanloop stop` ends its processes"
         ))
     };
+    let word = stop_word(domain)?;
     let (run, plan) = RunFile::read(domain).map_err(|error| refused(format!("{error:#}")))?;
     if run.lockstep {
         return Err(refused(
@@ -73,17 +72,17 @@ pub(crate) fn take_over(
     let bus = Bus::take_over(domain).map_err(|error| refused(error.to_string()))?;
     // From here on the run is ours, and so is its end.
     lock.own();
-    let mut fleet = Fleet::new(domain.clone(), lock, &plan.system, out.join("logs"), true)?;
+    word.claim();
+    latch_on_crash(&word);
+    let mut fleet = Fleet::new(domain.clone(), lock, word.clone(), &plan.system, out.join("logs"), true)?;
     print(Priority::Notice, &format!("adopting {}", survivors.words()));
     for stranger in &survivors.strangers {
         print(Priority::Warning, &format!("{stranger}; it is left alone"));
     }
     let Survivors { roster, listed, unlisted, .. } = survivors;
     let dismissed_ns = monotonic_ns() + (3 * plan.system.period_ns()).max(MIN_HANG_AFTER_MS * 1_000_000);
-    let mut processes: Vec<(ProcessRow, Child)> = listed
-        .into_iter()
-        .filter_map(|(row, process)| Some((row, Child::adopt(domain.system_id(), process)?)))
-        .collect();
+    let mut processes: Vec<(ProcessRow, Child)> =
+        listed.into_iter().filter_map(|(row, process)| Some((row, Child::adopt(process)?))).collect();
     let mut directive = directive_of(&roster);
     let mut events = Vec::new();
     for role in Role::ALL.iter().copied() {
@@ -133,10 +132,26 @@ pub(crate) fn take_over(
         quiet: arguments.quiet,
         out: out.clone(),
     };
-    let beginning = Beginning { bus, fleet, events, directive, first_scan: 0 };
+    let beginning = Beginning { bus, word, fleet, events, directive, first_scan: 0 };
     let mut session = assemble(domain, &plan, manner, beginning)?;
     session.resume_end(roster.outcome, roster.reason);
     conclude(session, &plan.scenario, &out)
+}
+
+/// The stop word of the run, from one of its processes.
+///
+/// # Errors
+/// A run that was stopped, and one whose processes do not have the word: neither can be driven on.
+fn stop_word(domain: &Domain) -> anyhow::Result<StopWord> {
+    let system_id = domain.system_id();
+    let word = LivingRun::of(domain.run_id()).and_then(|run| run.word);
+    match word {
+        Some(word) if word.is_armed() => Ok(word),
+        Some(_) => Err(RuntimeError::Stopped(system_id.to_owned()).into()),
+        None => Err(Failure::bad_input(format!(
+            "system `{system_id}` cannot be adopted: no process of it has its stop word; `scanloop stop` ends its processes"
+        ))),
+    }
 }
 
 /// What everyone was told last, as the word of another orchestrator.

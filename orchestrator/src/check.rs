@@ -83,7 +83,15 @@ fn is_system(file: &str) -> anyhow::Result<bool> {
         std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
     // What is no TOML is reported as a scenario, with the line.
     let Ok(table) = text.parse::<Table>() else { return Ok(false) };
-    let system_keys =
-        ["process", "rate_hz", "orphan_timeout_s", "estimator", "obstacles", "controller", "actuator"];
+    let system_keys = [
+        "process",
+        "rate_hz",
+        "orphan_timeout_s",
+        "orphan_stop_s",
+        "estimator",
+        "obstacles",
+        "controller",
+        "actuator",
+    ];
     Ok(table.keys().any(|key| system_keys.contains(&key.as_str())))
 }

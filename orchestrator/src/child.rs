@@ -96,7 +96,7 @@ pub struct Child {
 enum Origin {
     /// Its number is ours until it is reaped.
     Started(std::process::Child),
-    /// It belongs to the system of this id.
+    /// It belongs to the run of this id.
     Adopted(String),
 }
 
@@ -140,11 +140,11 @@ impl Child {
         }
     }
 
-    /// A process of the system `system_id` that another orchestrator started.
-    pub fn adopt(system_id: &str, process: Identified) -> Option<Self> {
+    /// A process that another orchestrator started.
+    pub fn adopt(process: Identified) -> Option<Self> {
         let pid = Pid::from_raw(process.pid().cast_signed())?;
         let started_ticks = Some(process.identity().start_ticks);
-        let origin = Origin::Adopted(system_id.to_owned());
+        let origin = Origin::Adopted(process.identity().run_id.clone());
         Some(Self { origin, pid, pidfd: process.into_descriptor(), started_ticks, exit: None })
     }
 
@@ -158,12 +158,18 @@ impl Child {
         self.started_ticks
     }
 
-    /// Asks the group to end (SIGTERM); nothing happens when the process is known to have ended.
+    /// Leaves the process as it is: it is neither watched nor ended any more.
+    pub fn release(&mut self) {
+        self.exit = Some(Exit::Unknown);
+    }
+
+    /// Asks the group to end (SIGTERM), also one that was suspended (SIGCONT); nothing happens when the process is known to have ended.
     ///
     /// # Errors
     /// When the kernel refuses, which it does for a process that has become another user's.
     pub fn terminate(&self) -> io::Result<()> {
-        self.signal(Signal::TERM)
+        self.signal(Signal::TERM)?;
+        self.signal(Signal::CONT)
     }
 
     /// Kills the group (SIGKILL); nothing happens when the process is known to have ended.
@@ -184,13 +190,13 @@ impl Child {
         }
         let process = match &mut self.origin {
             Origin::Started(process) => process,
-            Origin::Adopted(system_id) => {
+            Origin::Adopted(run_id) => {
                 let now = Timespec { tv_sec: 0, tv_nsec: 0 };
                 if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now))
                     .is_ok_and(|ready| ready > 0)
                 {
                     let pid = self.pid.as_raw_nonzero().get().cast_unsigned();
-                    signal_group(system_id, pid, Signal::KILL);
+                    signal_group(run_id, pid, Signal::KILL);
                     self.exit = Some(Exit::Unknown);
                 }
                 return Ok(self.exit);
@@ -243,9 +249,9 @@ impl Child {
         if self.exit.is_some() {
             return Ok(());
         }
-        if let Origin::Adopted(system_id) = &self.origin {
+        if let Origin::Adopted(run_id) = &self.origin {
             let _ = pidfd_send_signal(&self.pidfd, signal);
-            signal_group(system_id, self.pid(), signal);
+            signal_group(run_id, self.pid(), signal);
             return Ok(());
         }
         match kill_process_group(self.pid, signal) {

@@ -44,8 +44,12 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Stop a running system: block the wheels, end all processes.
-    Stop,
+    /// Block the wheels of a running system and end all its processes.
+    ///
+    /// Returns within a second, whether the orchestrator answers, hangs or is gone. Exit code 0: the block is acknowledged;
+    /// 4: it is not confirmed, and what still lives is listed. Rest follows by v / a; the processes end meanwhile. A stop is
+    /// never taken back: `run` starts the system anew. This does not replace a hardware emergency stop.
+    Stop(StopArguments),
     /// End one process of a running system and start it again.
     Restart {
         /// robot, estimator, obstacles, controller or actuator.
@@ -173,6 +177,20 @@ pub struct AdoptArguments {
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// Arguments of `stop`.
+#[derive(Debug, Args, Default)]
+pub struct StopArguments {
+    /// Stop all systems of this user.
+    #[arg(long)]
+    pub all: bool,
+    /// Stop systems of another user; for root.
+    #[arg(long, value_name = "UID")]
+    pub uid: Option<u32>,
+    /// End the processes of a run that was stopped: what `stop` leaves behind to do.
+    #[arg(long, value_name = "RUN", hide = true)]
+    pub finish: Option<String>,
 }
 
 /// Arguments of `swap`.

@@ -218,5 +218,6 @@ fn converse(stream: &UnixStream, answer: &mut impl FnMut(Request) -> Reply) -> a
 }
 
 fn socket_path(domain: &Domain) -> PathBuf {
-    domain.directory().join("control.sock")
+    // By descriptor: a socket's path may have 107 bytes only.
+    domain.folder().by_descriptor("control.sock")
 }

@@ -1,4 +1,4 @@
-//! `status` and `stop` of a system whose orchestrator died while its processes go on.
+//! `status` of a system whose orchestrator died while its processes go on.
 
 use std::time::Duration;
 
@@ -8,7 +8,6 @@ use shared_types::{ProcessState, Role};
 use crate::child::usage_of;
 use crate::control::{ProcessStatus, Status};
 use crate::ledger::Books;
-use crate::lock::SystemLock;
 use crate::roster::RunFile;
 use crate::supervisor::Event;
 use crate::survivors::Survivors;
@@ -84,22 +83,6 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
         lockstep: false,
         processes,
     })
-}
-
-/// Ends a system without an orchestrator and removes its files; false when nothing of it was alive.
-///
-/// # Errors
-/// An orchestrator that has just come, and errors of the file system.
-pub(crate) fn stop(domain: &Domain) -> anyhow::Result<bool> {
-    if !domain.directory().exists() {
-        return Ok(false);
-    }
-    let mut lock = SystemLock::take(domain)?;
-    let survivors = Survivors::find(domain);
-    let was_alive = !survivors.is_empty();
-    survivors.end(domain);
-    lock.own();
-    Ok(was_alive)
 }
 
 /// What processes say of themselves in half a second; `None` when the bus cannot be joined.

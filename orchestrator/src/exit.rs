@@ -50,10 +50,12 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             runtime::RuntimeError::SystemId(_)
             | runtime::RuntimeError::AlreadyRunning { .. }
             | runtime::RuntimeError::NotRunning(_)
+            | runtime::RuntimeError::NotPrivate { .. }
             | runtime::RuntimeError::NotInASystem(_)
             | runtime::RuntimeError::Layout(_)
             | runtime::RuntimeError::Environment { .. },
         ) => Exit::BadInput,
+        Some(runtime::RuntimeError::Stopped(_)) => Exit::NotReached,
         _ => Exit::Internal,
     }
 }

@@ -7,16 +7,19 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE,
-    monotonic_ns, write_handover,
+    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE,
+    ROLE_VARIABLE, RUN_ID_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE, StopWord, monotonic_ns,
+    write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
 use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
+use crate::halt;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
 use crate::roster::ProcessRow;
+use crate::runs::LivingRun;
 use crate::supervisor::{Event, Exit};
 use crate::system::{ProcessEntry, System};
 
@@ -32,6 +35,7 @@ const STARVED_CPU_S: f64 = 0.075;
 /// All processes of one run.
 pub(crate) struct Fleet {
     domain: Domain,
+    word: StopWord,
     members: BTreeMap<Role, Member>,
     beside: Vec<Candidate>,
     leaving: Vec<Leaving>,
@@ -96,10 +100,12 @@ impl Fleet {
     pub(crate) fn new(
         domain: Domain,
         lock: SystemLock,
+        word: StopWord,
         system: &System,
         logs: PathBuf,
         go_on: bool,
     ) -> anyhow::Result<Self> {
+        word.hand_down()?;
         let machine = Machine::new(&system.realtime);
         let mut members = BTreeMap::new();
         for role in Role::ALL.iter().copied() {
@@ -124,7 +130,7 @@ impl Fleet {
         }
         let (beside, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
         let (left, changed) = (false, false);
-        Ok(Self { domain, members, beside, leaving, departed, left, changed, machine, _lock: lock })
+        Ok(Self { domain, word, members, beside, leaving, departed, left, changed, machine, _lock: lock })
     }
 
     /// A role that another orchestrator filled, with the process that fills it, if that lives.
@@ -153,9 +159,9 @@ impl Fleet {
     /// All living processes, as they are to be written down.
     pub(crate) fn rows(&self) -> Vec<ProcessRow> {
         let row = |role: &Role, entry: &ProcessEntry, child: &Child, incarnation: u32| {
-            let (role, entry, pid) = (role.name().to_owned(), entry.clone(), child.pid());
-            let start_ticks = child.started_ticks()?;
-            Some(ProcessRow { role, identity: Identity { pid, start_ticks, incarnation }, entry })
+            let (role, entry) = (role.name().to_owned(), entry.clone());
+            let identity = Identity::of(&self.domain, child.pid(), incarnation)?;
+            Some(ProcessRow { role, identity, entry })
         };
         let members = self.members.iter().filter_map(|(role, member)| {
             row(role, &member.entry, member.child.as_ref()?, member.incarnation)
@@ -232,12 +238,7 @@ impl Fleet {
             }
         };
         write_handover(&self.domain, role, checkpoint)?;
-        let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
-        let mut environment = vec![
-            variable(SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
-            variable(INCARNATION_VARIABLE, incarnation.to_string()),
-            variable(RESTART_VARIABLE, u8::from(restart).to_string()),
-        ];
+        let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
         member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
@@ -330,6 +331,15 @@ impl Fleet {
         if let Some(pid) = child.map(Child::pid) {
             self.machine.take_in(pid);
         }
+    }
+
+    /// Leaves the process of a role as it is; returns its id.
+    pub(crate) fn leave(&mut self, role: Role) -> Option<u32> {
+        let member = self.members.get_mut(&role)?;
+        let mut child = member.child.take()?;
+        child.release();
+        self.changed = true;
+        Some(child.pid())
     }
 
     /// Asks a process to end, or kills it.
@@ -440,6 +450,54 @@ impl Fleet {
         let Some(member) = self.members.get_mut(&role) else { return Load::default() };
         member.child.as_ref().map_or_else(Load::default, |child| load_of(child, &mut member.usage))
     }
+}
+
+impl Drop for Fleet {
+    /// An orchestrator that ends for an error, or panics, does not end its processes while the robot moves.
+    fn drop(&mut self) {
+        let drives = self.members.values_mut().any(|member| {
+            member.child.as_mut().is_some_and(|child| !matches!(child.try_wait(), Ok(Some(_))))
+        });
+        if !drives {
+            return;
+        }
+        self.word.latch();
+        if let Some(run) = LivingRun::of(self.domain.run_id()) {
+            halt::block(&run);
+            for left in halt::end_processes(&run) {
+                tracing::error!("{left} does not end, and is not known to rest: it is left");
+            }
+        }
+        let robot = self.members.get_mut(&Role::Robot).and_then(|member| member.child.as_mut());
+        if let Some(robot) = robot
+            && !matches!(robot.try_wait(), Ok(Some(_)))
+        {
+            robot.release();
+        }
+    }
+}
+
+/// What a process finds in its environment.
+pub(crate) fn environment_of(
+    domain: &Domain,
+    word: &StopWord,
+    role: Role,
+    incarnation: u32,
+    restart: bool,
+) -> Vec<(OsString, OsString)> {
+    vec![
+        variable(SYSTEM_ID_VARIABLE, domain.system_id().to_owned()),
+        variable(RUN_ID_VARIABLE, domain.run_id().to_owned()),
+        (DIRECTORY_VARIABLE.into(), domain.directory().into()),
+        variable(ROLE_VARIABLE, role.name().to_owned()),
+        variable(INCARNATION_VARIABLE, incarnation.to_string()),
+        variable(RESTART_VARIABLE, u8::from(restart).to_string()),
+        variable(STOP_FD_VARIABLE, word.descriptor().to_string()),
+    ]
+}
+
+fn variable(name: &str, value: String) -> (OsString, OsString) {
+    (OsString::from(name), OsString::from(value))
 }
 
 /// Processor share since `before`, which is brought up to date, and memory.

@@ -16,6 +16,7 @@ mod driverless;
 pub mod exit;
 pub mod figures;
 mod fleet;
+mod halt;
 pub mod latency;
 pub mod ledger;
 mod live_latency;
@@ -28,11 +29,13 @@ mod remote;
 pub mod report;
 mod roster;
 mod run;
+mod runs;
 mod samples;
 mod service;
 mod service_manager;
 mod session;
 pub mod shadow;
+mod stop;
 pub mod summary;
 pub mod supervisor;
 mod survivors;
@@ -62,7 +65,7 @@ pub fn main() -> ExitCode {
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
-    let domain = || Domain::new(&cli.system_id);
+    let domain = || Domain::existing(&cli.system_id);
     match &cli.command {
         Command::Run(arguments) => {
             runtime::start_logging();
@@ -70,7 +73,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Adopt(arguments) => {
             runtime::start_logging();
-            adopt::adopt(&domain()?, arguments)
+            adopt::adopt(&cli.system_id, arguments)
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),
@@ -81,7 +84,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => remote::status(&domain()?, *json),
-        Command::Stop => remote::stop(&domain()?),
+        Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
         Command::Latency { duration, json } => live_latency::watch(&domain()?, *duration, *json),
         Command::Restart { role } => remote::restart(&domain()?, role),
         Command::Swap(arguments) => remote::swap(&domain()?, arguments),

@@ -1,8 +1,8 @@
-//! Commands to a running system: `status`, `stop`, `restart`, `swap`.
+//! Commands to the orchestrator of a running system: `status`, `restart`, `swap`.
 
 use std::fmt::Write as _;
 
-use runtime::{Domain, RuntimeError, monotonic_ns};
+use runtime::{Domain, RuntimeError};
 use shared_types::Role;
 
 use crate::cli::SwapArguments;
@@ -10,9 +10,6 @@ use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
 use crate::swap::{MOST_TOLERANCE, SwapOutcome};
-
-/// A system that was told to stop has this long to end [ns].
-const STOP_PATIENCE_NS: u64 = 15_000_000_000;
 
 /// Time between two looks at an exchange: a fifth of a scan period.
 const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
@@ -38,29 +35,6 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
             eprintln!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
         }
     }
-    Ok(Exit::Done)
-}
-
-/// Stops the system and waits until it is gone.
-///
-/// # Errors
-/// A system that is not running (exit code 2), or that does not end.
-pub(crate) fn stop(domain: &Domain) -> anyhow::Result<Exit> {
-    if let Err(error) = ask(domain, &Request::Stop) {
-        if !is_not_running(&error) || !driverless::stop(domain)? {
-            return Err(error);
-        }
-        eprintln!("system `{}` has stopped; it had lost its orchestrator", domain.system_id());
-        return Ok(Exit::Done);
-    }
-    let deadline = monotonic_ns() + STOP_PATIENCE_NS;
-    while ask(domain, &Request::Status).is_ok() {
-        if monotonic_ns() > deadline {
-            return Err(Failure::process(format!("system `{}` does not end", domain.system_id())));
-        }
-        std::thread::sleep(std::time::Duration::from_millis(20));
-    }
-    eprintln!("system `{}` has stopped", domain.system_id());
     Ok(Exit::Done)
 }
 

@@ -158,18 +158,12 @@ impl RunFile {
 }
 
 fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::Result<T> {
-    let path = domain.directory().join(name);
-    let text = std::fs::read_to_string(&path).with_context(|| format!("{}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("{}", path.display()))
+    let text = domain.folder().read_text(name)?;
+    toml::from_str(&text).with_context(|| format!("{}", domain.directory().join(name).display()))
 }
 
-/// A rename is atomic for readers and for the death of this process; a power cut leaves no processes to adopt.
 fn write(domain: &Domain, name: &str, content: &impl Serialize) -> anyhow::Result<()> {
-    let path = domain.directory().join(name);
-    let beside = path.with_extension("tmp");
-    std::fs::write(&beside, toml::to_string(content)?)
-        .and_then(|()| std::fs::rename(&beside, &path))
-        .with_context(|| format!("{}", path.display()))
+    Ok(domain.folder().write(name, toml::to_string(content)?.as_bytes())?)
 }
 
 #[cfg(test)]
@@ -178,8 +172,7 @@ mod tests {
 
     #[test]
     fn a_roster_is_read_back_as_it_was_written() {
-        let domain = Domain::new(&format!("ros{}", std::process::id())).unwrap();
-        std::fs::create_dir_all(domain.directory()).unwrap();
+        let domain = Domain::create(&format!("ros{}", std::process::id())).unwrap();
         let entry = ProcessEntry::of(Role::Controller, &["./mine".to_owned(), "--fast".to_owned()]);
         let roster = Roster {
             generation: 2,
@@ -194,7 +187,7 @@ mod tests {
             }],
             process: vec![ProcessRow {
                 role: "controller".to_owned(),
-                identity: Identity { pid: 12, start_ticks: 34, incarnation: 7 },
+                identity: Identity::of(&domain, std::process::id(), 7).unwrap(),
                 entry,
             }],
             ..Roster::default()

@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use emulator::scenario::{Obstacle, Shape};
 use emulator::{Referee, Scenario};
-use runtime::{Bus, ClockKind, Domain, RunSettings, SETTINGS_FILE, Shutdown, Voice};
+use runtime::{
+    Bus, ClockKind, Domain, RunSettings, RuntimeError, SETTINGS_FILE, Shutdown, StopWord, Voice,
+    latch_on_crash,
+};
 use serde::Serialize;
 use shared_types::Directive;
 use toml::{Table, Value};
@@ -19,7 +22,7 @@ use crate::digest::Digests;
 use crate::exit::{Exit, Failure};
 use crate::fleet::Fleet;
 use crate::ledger::Books;
-use crate::lock::SystemLock;
+use crate::lock::{Claim, SystemLock, clear};
 use crate::picture;
 use crate::progress::Progress;
 use crate::realtime;
@@ -126,6 +129,7 @@ pub(crate) struct Manner {
 /// What the one who drives a run begins with: nothing, or what another orchestrator left.
 pub(crate) struct Beginning {
     pub bus: Bus,
+    pub word: StopWord,
     pub fleet: Fleet,
     pub events: Vec<Event>,
     pub directive: Directive,
@@ -138,34 +142,32 @@ pub(crate) struct Beginning {
 /// # Errors
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
 pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
-    let domain = Domain::new(system_id)?;
     let RunArguments { out, duration, quiet, .. } = arguments;
     let to_adopt = AdoptArguments { out: out.clone(), duration: *duration, quiet: *quiet };
     if arguments.adopt {
-        return adopt::adopt(&domain, &to_adopt);
+        return adopt::adopt(system_id, &to_adopt);
     }
     let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
     check_duration(*duration)?;
-    let mut lock = SystemLock::take(&domain)?;
-    let survivors = Survivors::find(&domain);
-    if arguments.adopt_or_start && !survivors.is_empty() {
-        return adopt::take_over(&domain, lock, survivors, &to_adopt);
+    if Domain::take_stopped_mark(system_id)? && arguments.adopt_or_start {
+        return Err(RuntimeError::Stopped(system_id.to_owned()).into());
     }
-    if survivors.is_empty() {
-        // Nobody else will remove what is there.
-        lock.own();
+    if let Claim::Left(domain, lock) = Claim::take(system_id)? {
+        let survivors = Survivors::find(&domain);
+        if arguments.adopt_or_start && !survivors.is_empty() {
+            return adopt::take_over(&domain, lock, survivors, &to_adopt);
+        }
+        if !survivors.is_empty() {
+            let words = survivors.words();
+            runtime::print(
+                runtime::Priority::Warning,
+                &format!("an earlier run lost its orchestrator: blocking its wheels and ending {words}"),
+            );
+        }
+        clear(&domain, lock)?;
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
-    if !survivors.is_empty() {
-        let words = survivors.words();
-        runtime::print(
-            runtime::Priority::Warning,
-            &format!("an earlier run lost its orchestrator: blocking its wheels and ending {words}"),
-        );
-        survivors.end(&domain);
-    }
-    lock.own();
-    domain.remove_bus_files()?;
+    let (domain, lock) = Claim::take_new(system_id)?;
     let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
     let session = start(&domain, &plan, manner.clone(), lock)?;
     conclude(session, &plan.scenario, &manner.out)
@@ -223,18 +225,21 @@ pub(crate) fn start(
     manner: Manner,
     lock: SystemLock,
 ) -> anyhow::Result<Session> {
+    let word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
+    latch_on_crash(&word);
     write_settings(domain, plan, manner.lockstep)?;
     let Manner { out, lockstep, duration_s, .. } = manner.clone();
     RunFile { out, lockstep, duration_s, system: plan.system.clone() }.write(domain)?;
     let bus = Bus::create(domain)?;
-    let fleet = Fleet::new(domain.clone(), lock, &plan.system, manner.out.join("logs"), false)?;
+    let logs = manner.out.join("logs");
+    let fleet = Fleet::new(domain.clone(), lock, word.clone(), &plan.system, logs, false)?;
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
     assemble(
         domain,
         plan,
         manner,
-        Beginning { bus, fleet, events: vec![Event::Start], directive, first_scan: 1 },
+        Beginning { bus, word, fleet, events: vec![Event::Start], directive, first_scan: 1 },
     )
 }
 
@@ -246,8 +251,9 @@ pub(crate) fn assemble(
     beginning: Beginning,
 ) -> anyhow::Result<Session> {
     let Plan { scenario, system } = plan;
-    let Beginning { bus, fleet, events, directive, first_scan } = beginning;
-    let shutdown = Shutdown::on_signals()?;
+    let Beginning { bus, word, fleet, events, directive, first_scan } = beginning;
+    let shutdown = Shutdown::of_orchestrator()?;
+    shutdown.latch_also(&word)?;
     let control = ControlSocket::open(domain)?;
     let period_ns = system.period_ns();
     let policies = shared_types::Role::ALL
@@ -275,6 +281,7 @@ pub(crate) fn assemble(
         manager: ServiceManager::new(),
         recorder: Recorder::new(info),
         domain: domain.clone(),
+        word,
         scenario: scenario.clone(),
         lockstep: manner.lockstep,
         duration_s: manner.duration_s,
@@ -303,6 +310,7 @@ fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Resul
         run: RunSettings {
             period_ns: plan.system.period_ns(),
             clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+            orphan_stop_ns: (plan.system.orphan_stop_s() * 1e9) as u64,
             orphan_timeout_ns: (plan.system.orphan_timeout_s * 1e9) as u64,
         },
         realtime: &plan.system.realtime,
@@ -312,8 +320,7 @@ fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Resul
         controller: &tuning.controller,
         actuator: &tuning.actuator,
     };
-    let path = domain.directory().join(SETTINGS_FILE);
-    std::fs::write(&path, toml::to_string(&settings)?).with_context(|| format!("{}", path.display()))
+    Ok(domain.folder().write(SETTINGS_FILE, toml::to_string(&settings)?.as_bytes())?)
 }
 
 /// The table of a scenario file, or of a shipped scenario, and its name in messages.

@@ -12,7 +12,7 @@ mod swapping;
 use std::time::Instant;
 
 use emulator::{Referee, Scenario};
-use runtime::{Bus, Domain, Shutdown, Voice, monotonic_ns, wait_for};
+use runtime::{Bus, Domain, Shutdown, StopWord, Voice, Wheels, monotonic_ns, wait_for};
 use shared_types::{Authority, Directive, Phase, ProcessState, Role};
 
 use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
@@ -48,6 +48,7 @@ pub(crate) type ScanListener = Box<dyn FnMut(&ScanRecord)>;
 /// Everything a run is made of.
 pub(crate) struct Session {
     pub(crate) domain: Domain,
+    pub(crate) word: StopWord,
     pub(crate) scenario: Scenario,
     pub(crate) lockstep: bool,
     pub(crate) duration_s: Option<f64>,
@@ -108,6 +109,7 @@ impl Session {
         }
         while !self.supervisor.is_finished() {
             self.sleep();
+            self.heed_stop();
             self.samples.poll(&self.directive, &mut self.books)?;
             self.observe_swap()?;
             self.observe_shadows()?;
@@ -212,11 +214,15 @@ impl Session {
         if !wait_for(&[self.control.descriptor()], 0) {
             return Ok(());
         }
+        let stopped = !self.word.is_armed();
         let mut requests = Vec::new();
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, fleet, supervisor, lockstep, .. } = self;
         control.serve(|request| match request {
             Request::Status => status.clone(),
+            Request::Swap(_) | Request::Shadow(_) | Request::Restart { .. } if stopped => {
+                Reply::Refused("the run was stopped".to_owned())
+            }
             Request::Swap(request) if shadows.concern(&request.role) => {
                 Reply::Refused(format!("a process runs in the shadow of {}: end that first", request.role))
             }
@@ -317,11 +323,19 @@ impl Session {
         }
     }
 
-    /// Moves the end of the run on: wheels at rest, answers in, processes ended.
-    fn advance_end(&mut self) -> anyhow::Result<()> {
+    /// Ends the run when it was stopped from outside, or this process was asked to end.
+    fn heed_stop(&mut self) {
         if self.shutdown.requested() {
             self.decide(Outcome::Interrupted, "interrupted by a signal");
         }
+        if !self.word.is_armed() {
+            self.decide(Outcome::Interrupted, "stopped by command");
+        }
+    }
+
+    /// Moves the end of the run on: wheels at rest, answers in, processes ended.
+    fn advance_end(&mut self) -> anyhow::Result<()> {
+        self.heed_stop();
         let now = monotonic_ns();
         if self.lockstep
             && self.end == End::NotYet
@@ -397,6 +411,9 @@ impl Session {
                 self.dirty = true;
                 self.speak()?;
             }
+            Action::Spawn { role, .. } if !self.word.is_armed() => {
+                return Ok(Some(Event::SpawnFailed { role, error: "the run was stopped".to_owned() }));
+            }
             Action::Spawn { role, incarnation } => {
                 self.recorder.outage_ended(role);
                 let answer = self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role));
@@ -404,6 +421,7 @@ impl Session {
                 return Ok(Some(answer));
             }
             Action::Terminate { role } => self.fleet.signal(role, false),
+            Action::Kill { role: Role::Robot } if !self.robot_rests() => return Ok(self.leave_robot()),
             Action::Kill { role } => self.fleet.signal(role, true),
             Action::CleanUp { role } => {
                 self.bus.clean_up_dead_processes();
@@ -444,6 +462,33 @@ impl Session {
             },
         }
         Ok(None)
+    }
+
+    /// Whether the robot is known to rest: by its own report, or by the truth of an emulated one that does not report.
+    fn robot_rests(&self) -> bool {
+        let (wheels, _) = self.word.wheels(Role::Robot);
+        let newest = self.samples.newest_truth().or(self.recorder.last_truth());
+        match wheels {
+            Wheels::Resting => true,
+            Wheels::Unknown => newest.is_none_or(|truth| truth.speed_mps <= 0.0),
+            Wheels::Turning | Wheels::Blocked => false,
+        }
+    }
+
+    /// A robot that does not end and is not known to rest is left: it is the last that could stop itself.
+    fn leave_robot(&mut self) -> Option<Event> {
+        let role = Role::Robot;
+        let incarnation = self.fleet.incarnation(role);
+        let pid = self.fleet.leave(role)?;
+        let text = format!("robot {pid} does not end, and is not known to rest: it is left");
+        self.progress.warn(&text);
+        if let End::Resting(outcome, reason, _)
+        | End::Draining(outcome, reason, _)
+        | End::Ending(outcome, reason) = &mut self.end
+        {
+            (*outcome, *reason) = (Outcome::Failed, text);
+        }
+        Some(Event::Exited { role, incarnation, exit: crate::supervisor::Exit::Unknown })
     }
 
     /// Publishes the directive when it changed, and from time to time for those who missed it.

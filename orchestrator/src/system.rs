@@ -25,6 +25,9 @@ pub(crate) struct System {
     /// How long processes go on when no orchestrator speaks to them, 1 to 3600 [s].
     #[serde(default = "default_orphan_timeout")]
     pub orphan_timeout_s: f64,
+    /// How long the wheels may turn without a directive, 0.5 to `orphan_timeout_s` [s].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orphan_stop_s: Option<f64>,
     /// What is asked of the machine.
     #[serde(default)]
     pub realtime: runtime::Realtime,
@@ -95,6 +98,7 @@ impl System {
         let known = [
             "rate_hz",
             "orphan_timeout_s",
+            "orphan_stop_s",
             "realtime",
             "process",
             "estimator",
@@ -142,6 +146,11 @@ impl System {
         Ok((table, name))
     }
 
+    /// How long the wheels may turn without a directive [s].
+    pub(crate) fn orphan_stop_s(&self) -> f64 {
+        self.orphan_stop_s.unwrap_or_else(|| self.orphan_timeout_s.min(ORPHAN_STOP_S))
+    }
+
     /// The scan period [ns].
     pub(crate) fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz).round() as u64
@@ -165,6 +174,7 @@ impl System {
     fn validate(&self) -> Result<(), Invalid> {
         require("rate_hz", self.rate_hz, 0.5..=1000.0)?;
         require("orphan_timeout_s", self.orphan_timeout_s, 1.0..=3600.0)?;
+        require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
@@ -290,6 +300,11 @@ fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
 fn default_rate() -> f64 {
     10.0
 }
+
+/// Directives come ten times a second, and a busy machine may hold them up.
+const MIN_ORPHAN_STOP_S: f64 = 0.5;
+/// A robot that nobody supervises drives on for this time at most [s].
+const ORPHAN_STOP_S: f64 = 5.0;
 
 fn default_orphan_timeout() -> f64 {
     30.0

@@ -138,7 +138,7 @@ struct Watch {
 impl Watch {
     fn open(domain: &Domain, topic: &str) -> anyhow::Result<Self> {
         let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
-        if !domain.directory().join("control.sock").exists() {
+        if !domain.folder().contains("control.sock") {
             return Err(RuntimeError::NotRunning(domain.system_id().to_owned()).into());
         }
         let bus = Bus::open(domain, "observer")?;

@@ -9,8 +9,8 @@ use std::rc::Rc;
 
 use bytemuck::{Pod, Zeroable};
 use runtime::{
-    Bus, ClockKind, Domain, INCARNATION_VARIABLE, Input, Observer, Output, Process, RunSettings,
-    RuntimeError, SETTINGS_FILE, SYSTEM_ID_VARIABLE, Voice,
+    Bus, ClockKind, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Input, Observer, Output, Process,
+    RUN_ID_VARIABLE, RunSettings, RuntimeError, SETTINGS_FILE, SYSTEM_ID_VARIABLE, Voice,
 };
 use shared_types::{
     Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
@@ -245,13 +245,16 @@ impl System {
         policy: Policy,
     ) -> Result<Self, HopError> {
         let error = |error: RuntimeError| HopError::transport("create the bus of the chain", error);
-        let run =
-            RunSettings { period_ns, clock: ClockKind::Monotonic, orphan_timeout_ns: ORPHAN_TIMEOUT_NS };
+        let run = RunSettings {
+            period_ns,
+            clock: ClockKind::Monotonic,
+            orphan_stop_ns: ORPHAN_TIMEOUT_NS,
+            orphan_timeout_ns: ORPHAN_TIMEOUT_NS,
+        };
         let realtime = Realtime { poll_us: if policy == Policy::Poll { POLL_US } else { 0 } };
         let text = toml::to_string(&Settings { run, realtime })
             .map_err(|error| HopError::transport("write the settings", error))?;
-        std::fs::write(domain.directory().join(SETTINGS_FILE), text)
-            .map_err(HopError::system("write the settings"))?;
+        domain.folder().write(SETTINGS_FILE, text.as_bytes()).map_err(error)?;
         let bus = create(&domain, payload).map_err(error)?;
         Ok(Self {
             directives: Voice::new(&bus).map_err(error)?,
@@ -264,9 +267,11 @@ impl System {
     }
 
     /// What the process `index` finds in its environment.
-    pub(crate) fn environment(&self, index: usize) -> [(&'static str, String); 2] {
+    pub(crate) fn environment(&self, index: usize) -> [(&'static str, String); 4] {
         [
             (SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
+            (RUN_ID_VARIABLE, self.domain.run_id().to_owned()),
+            (DIRECTORY_VARIABLE, self.domain.directory().display().to_string()),
             (INCARNATION_VARIABLE, incarnation(index).to_string()),
         ]
     }

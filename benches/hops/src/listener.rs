@@ -74,7 +74,7 @@ impl StockListener {
     pub(crate) fn open(setup: &Setup) -> Result<Self, HopError> {
         let error = |reason: &dyn std::fmt::Debug| HopError::transport("open a service", reason);
         let id = setup.addresses.first().map_or("", String::as_str);
-        let domain = Domain::new(id).map_err(|reason| error(&reason))?;
+        let domain = Domain::existing(id).map_err(|reason| error(&reason))?;
         let node = node(&domain)?;
         let open = |hop: usize| -> Result<(Messages, Events), HopError> {
             let name = name(hop)?;

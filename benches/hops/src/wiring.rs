@@ -37,11 +37,8 @@ impl Files {
     pub(crate) fn create() -> Result<Self, HopError> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let id = format!("{ID}{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
-        let domain = Domain::new(&id).map_err(|error| HopError::transport("name a chain", error))?;
-        if let Some(parent) = domain.directory().parent() {
-            sweep(parent);
-        }
-        std::fs::create_dir_all(domain.directory()).map_err(HopError::system("make a directory"))?;
+        sweep();
+        let domain = Domain::create(&id).map_err(|error| HopError::transport("make a directory", error))?;
         Ok(Self(domain))
     }
 
@@ -53,8 +50,7 @@ impl Files {
 
 impl Drop for Files {
     fn drop(&mut self) {
-        let _ = self.0.remove_bus_files();
-        let _ = std::fs::remove_dir_all(self.0.directory());
+        let _ = self.0.remove();
     }
 }
 
@@ -185,13 +181,12 @@ fn dataflow(files: &Files, setup: impl Fn(usize) -> Setup) -> Result<Command, Ho
 }
 
 /// Removes what chains have left whose driver is gone.
-fn sweep(parent: &Path) {
-    let Ok(entries) = std::fs::read_dir(parent) else { return };
-    for name in entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
-        let driver = name.strip_prefix(ID).and_then(|rest| rest.split_once('-'));
+fn sweep() {
+    for domain in Domain::all().unwrap_or_default() {
+        let driver = domain.system_id().strip_prefix(ID).and_then(|rest| rest.split_once('-'));
         let Some(pid) = driver.and_then(|(pid, _)| pid.parse::<u32>().ok()) else { continue };
         if !Path::new(&format!("/proc/{pid}")).exists() {
-            drop(Domain::new(&name).map(Files));
+            drop(Files(domain));
         }
     }
 }
@@ -203,10 +198,9 @@ mod tests {
     #[test]
     fn what_a_killed_driver_has_left_is_removed_by_the_next() {
         // No process has this number: the kernel's largest is 2^22.
-        let dead = Domain::new("h4999999-0").unwrap();
-        std::fs::create_dir_all(dead.directory()).unwrap();
+        let dead = Domain::create("h4999999-0").unwrap();
         let files = Files::create().unwrap();
-        assert!(!dead.directory().exists());
+        assert!(!dead.exists() && !dead.bus_directory().exists());
         let directory = files.directory().to_owned();
         assert!(directory.exists());
         drop(files);

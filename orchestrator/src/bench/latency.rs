@@ -22,7 +22,6 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use anyhow::Context;
-use runtime::Domain;
 use shared_types::Role;
 
 pub use self::arguments::{Compute, LatencyArguments};
@@ -34,10 +33,10 @@ use crate::bench::compare::statistics::smallest_visible;
 use crate::bench::scheduling::Scheduling;
 use crate::cli::Choice;
 use crate::exit::{Exit, Failure};
+use crate::lock::Claim;
 use crate::realtime;
 use crate::report::{Outcome, Report};
 use crate::run::{Manner, Plan, out_folder, start};
-use crate::survivors::clear;
 
 /// What is driven: 10 km, nearly three hours.
 const SCENARIO: &str = "endless";
@@ -49,13 +48,12 @@ const SCENARIO: &str = "endless";
 pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
     arguments.check()?;
     let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
-    let domain = Domain::new(system_id)?;
+    let (domain, lock) = Claim::take_new(system_id)?;
     // Without --out logs live as long as the system.
     let logs = match &arguments.out {
         Some(out) => out_folder(out.clone())?,
         None => domain.directory().to_owned(),
     };
-    let lock = clear(&domain)?;
     let manner =
         Manner { lockstep: false, duration_s: Some(arguments.duration), quiet: arguments.quiet, out: logs };
     let mut session = start(&domain, &plan, manner, lock)?;

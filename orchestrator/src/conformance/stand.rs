@@ -8,14 +8,10 @@
 //! published when they are due; when the machine held the stand up, all later ones move back.
 
 use std::collections::BTreeSet;
-use std::ffi::OsString;
 use std::sync::Arc;
 
 use anyhow::Context;
-use runtime::{
-    Bus, Domain, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, Voice, monotonic_ns,
-    write_handover,
-};
+use runtime::{Bus, Domain, Observer, StopWord, Voice, monotonic_ns, write_handover};
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
     StageStamps, Topic,
@@ -28,8 +24,8 @@ use super::suite::{Setup, Suite, write_settings};
 use crate::child::{Child, Launch};
 use crate::child_log::ChildLog;
 use crate::exit::{Exit, Failure};
-use crate::lock::SystemLock;
-use crate::survivors::clear;
+use crate::fleet::environment_of;
+use crate::lock::{Claim, SystemLock};
 
 /// A process that has not reached a state of the start barrier after this time does not reach it [ns].
 pub(crate) const START_NS: u64 = 30_000_000_000;
@@ -102,6 +98,7 @@ pub(crate) struct Stand<'a> {
     voice: Voice<Directive>,
     pub(crate) bus: Bus,
     pub(crate) domain: Domain,
+    word: StopWord,
     // Dropped last: removes what the ports above used.
     _lock: SystemLock,
 }
@@ -109,8 +106,9 @@ pub(crate) struct Stand<'a> {
 impl<'a> Stand<'a> {
     pub(super) fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
         let drive = suite.drive(setup.course)?;
-        let domain = Domain::new(&format!("c{}-{number}", std::process::id()))?;
-        let lock = clear(&domain)?;
+        let (domain, lock) = Claim::take_new(&format!("c{}-{number}", std::process::id()))?;
+        let word = StopWord::create(domain.run_id(), suite.period_ns)?;
+        word.hand_down()?;
         write_settings(&domain, &drive, setup)?;
         let bus = Bus::create(&domain)?;
         let mut directive =
@@ -145,6 +143,7 @@ impl<'a> Stand<'a> {
             dirty: true,
             bus,
             domain,
+            word,
             _lock: lock,
         })
     }
@@ -154,12 +153,7 @@ impl<'a> Stand<'a> {
         let role = self.suite.role;
         let checkpoint = checkpoint.map(|checkpoint| Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint });
         write_handover(&self.domain, role, checkpoint.as_ref())?;
-        let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
-        let environment = vec![
-            variable(SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
-            variable(INCARNATION_VARIABLE, self.incarnation.to_string()),
-            variable(RESTART_VARIABLE, u8::from(restart).to_string()),
-        ];
+        let environment = environment_of(&self.domain, &self.word, role, self.incarnation, restart);
         let launch = Launch { command: self.suite.command.clone(), environment, directory: None };
         let child = Child::spawn(&launch, &self.log).map_err(Failure::process)?;
         self.child = Some(child);

@@ -5,15 +5,14 @@ use std::ffi::OsString;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use anyhow::Context;
 use runtime::{ClockKind, Domain, Realtime, RunSettings, SETTINGS_FILE, Shutdown};
 use shared_types::Role;
 
 use super::case::Trouble;
 use super::drive::{Course, Drive};
 use super::stand::Stand;
+use crate::lock::{SystemLock, clear};
 use crate::run::SettingsFile;
-use crate::survivors::clear;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -89,6 +88,7 @@ pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> an
         run: RunSettings {
             period_ns: settings.period_ns,
             clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+            orphan_stop_ns: setup.orphan_ns,
             orphan_timeout_ns: setup.orphan_ns,
         },
         realtime: &Realtime::default(),
@@ -98,20 +98,19 @@ pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> an
         controller: &tuning.controller,
         actuator: &tuning.actuator,
     };
-    let path = domain.directory().join(SETTINGS_FILE);
-    std::fs::write(&path, toml::to_string(&file)?).with_context(|| format!("{}", path.display()))
+    Ok(domain.folder().write(SETTINGS_FILE, toml::to_string(&file)?.as_bytes())?)
 }
 
 /// Removes what suites that were killed have left: systems that are named after a process which is gone.
 fn sweep() -> anyhow::Result<()> {
-    let here = Domain::new("c0-0")?;
-    let Some(Ok(systems)) = here.directory().parent().map(std::fs::read_dir) else { return Ok(()) };
-    for system in systems.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()) {
-        let suite = system.strip_prefix('c').and_then(|rest| rest.split_once('-'));
+    for domain in Domain::all()? {
+        let suite = domain.system_id().strip_prefix('c').and_then(|rest| rest.split_once('-'));
         let pid = suite.and_then(|(pid, _)| pid.parse().ok());
-        if pid.is_some_and(|pid| runtime::start_ticks(pid).is_none()) {
+        if pid.is_some_and(|pid| runtime::start_ticks(pid).is_none())
+            && let Ok(lock) = SystemLock::take(&domain)
+        {
             // What still runs is ended; giving the lock back removes the files.
-            drop(clear(&Domain::new(&system)?));
+            clear(&domain, lock)?;
         }
     }
     Ok(())

@@ -115,6 +115,11 @@ impl Supervisor {
         if let Some(slot) = self.slot(role) {
             slot.life = Life::Failed;
         }
+        self.end_run(now_ns, role, reason, actions);
+    }
+
+    /// Ends the run because of the process of a role, which may live.
+    pub(super) fn end_run(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
         actions.push(Action::Log(Severity::Error, format!("{role} {reason}: the run ends")));
         actions.push(Action::RunFailed { role, reason: reason.clone() });
         self.failure = Some((role, reason));

@@ -14,6 +14,7 @@ impl Supervisor {
         if self.halting_until_ns.is_some_and(|until_ns| until_ns <= now_ns) {
             self.stop(now_ns, actions);
         }
+        let mut hung_robot_ms = None;
         for index in 0..self.slots.len() {
             let hang_deadline_ns = match self.phase {
                 Phase::Driving => self.slots[index].hang_deadline_ns(),
@@ -36,6 +37,9 @@ impl Supervisor {
                         alive.ending = Some(ending);
                         let limit = policy.start_timeout_ms;
                         actions.push(warn(format!("{role} {what} within {limit} ms and is killed")));
+                    } else if due(hang_deadline_ns) && role == Role::Robot {
+                        hung_robot_ms = Some(policy.hang_after_ms);
+                        continue;
                     } else if due(hang_deadline_ns) {
                         alive.ending = Some(Ending::Hung);
                         let limit = policy.hang_after_ms;
@@ -49,6 +53,10 @@ impl Supervisor {
                 }
                 _ => {}
             }
+        }
+        if let Some(limit) = hung_robot_ms.filter(|_| self.failure.is_none()) {
+            let reason = format!("made no progress for {limit} ms; it is not killed, because it may be moving");
+            self.end_run(now_ns, Role::Robot, reason, actions);
         }
     }
 

@@ -7,14 +7,21 @@
 //! differently because the machine is busy, and two emulators that hear the same actuations stay at one place.
 //! That is what an exchange of the robot rests on: the new one takes up the state of the old one while that drives,
 //! follows it in the shadow, and goes on from the next scan.
+//!
+//! When the run is stopped, or its orchestrator has been silent for too long, the wheels are blocked here, without an
+//! actuation. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake.
 
 use std::rc::Rc;
 
-use runtime::{Handover, Input, KEPT, Output, Process, Taken};
-use shared_types::{Actuation, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
+use runtime::{Handover, Input, KEPT, Output, Process, Taken, Wheels, monotonic_ns};
+use shared_types::{Actuation, ActuationKind, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
 
 use crate::{Emulator, EmulatorState, Scenario};
 
+/// While the wheels are blocked for a stop, the robot checks this often whether it rests [ns].
+const REST_CHECK_NS: u64 = 10_000_000;
+/// A robot that was asked to end comes to rest within this time and two scan periods [ns].
+const REST_NS: u64 = 1_500_000_000;
 /// How many scans before the newest are handed over when they could not be in time: as many as readers keep.
 const HANDED_OVER_LATE: u64 = KEPT as u64 - 1;
 
@@ -64,16 +71,20 @@ pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) ->
         next_scan: 1,
         answered: 0,
         heard: (0, 0),
+        stopped: false,
+        told_at_rest: false,
     };
+    // Nothing has moved it yet.
+    process.report_wheels(Wheels::Resting);
     let handed = process.resume::<RobotState>()?;
     if !process.start()? {
         return Ok(());
     }
     robot.begin(&mut process, handed)?;
     while robot.wait(&mut process)? {
-        while robot.step(&mut process, &mut change)? {}
+        robot.turn(&mut process, false, &mut change)?;
     }
-    Ok(())
+    robot.come_to_rest(&mut process, &mut change)
 }
 
 /// The emulator with its ports and its place in the run.
@@ -90,13 +101,94 @@ struct Robot {
     answered: u64,
     /// Incarnation and sequence number of the actuation heard last.
     heard: (u32, u64),
+    /// Wheels were blocked here for a stop.
+    stopped: bool,
+    /// A truth at rest was published since.
+    told_at_rest: bool,
 }
 
 impl Robot {
+    /// Does all that is due, and blocks the wheels when they must not turn.
+    fn turn(
+        &mut self,
+        process: &mut Process,
+        ends: bool,
+        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
+    ) -> anyhow::Result<()> {
+        while self.step(process, change)? {}
+        self.obey(process, ends || process.must_stop());
+        process.report_wheels(self.wheels());
+        Ok(())
+    }
+
+    /// Blocks the wheels for a stop, whatever the actuator says.
+    fn obey(&mut self, process: &Process, must_stop: bool) {
+        if !must_stop {
+            self.stopped = false;
+            return;
+        }
+        if !process.clock().is_simulated() {
+            self.emulator.advance_to(process.clock().now_ns().saturating_sub(self.origin_ns));
+        }
+        if !self.stopped {
+            (self.stopped, self.told_at_rest) = (true, false);
+            let plant = self.emulator.plant();
+            tracing::info!(speed_mps = plant.speed(), "the robot blocks its wheels");
+            let steering_rad = plant.steering();
+            let block = Actuation {
+                kind: ActuationKind::Block.wire(),
+                sent_steering_rad: steering_rad,
+                ..Actuation::default()
+            };
+            self.emulator.actuate(&block);
+        }
+    }
+
+    /// What the wheels do. Simulated time stands still when no scan is granted, and with it the robot.
+    fn wheels(&self) -> Wheels {
+        let plant = self.emulator.plant();
+        match (plant.is_blocked(), plant.speed() > 0.0) {
+            (false, _) => Wheels::Turning,
+            (true, true) => Wheels::Blocked,
+            (true, false) => Wheels::Resting,
+        }
+    }
+
+    /// The last of a robot that is asked to end: rest, and a truth that tells of it.
+    fn come_to_rest(
+        &mut self,
+        process: &mut Process,
+        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
+    ) -> anyhow::Result<()> {
+        // Another one drives it, or time stands still.
+        if !process.is_in_charge() || process.clock().is_simulated() {
+            return Ok(());
+        }
+        let until_ns = monotonic_ns() + REST_NS + 2 * process.period_ns();
+        loop {
+            self.turn(process, true, change)?;
+            let is_told = self.told_at_rest || !may_publish(process);
+            if self.wheels() == Wheels::Resting && is_told {
+                tracing::info!("the robot rests");
+                return Ok(());
+            }
+            if monotonic_ns() >= until_ns {
+                tracing::error!(speed_mps = self.emulator.plant().speed(), "the robot does not come to rest");
+                return Ok(());
+            }
+            self.wait(process)?;
+        }
+    }
+
     /// Sleeps until the next scan is due or an actuation has come; false when asked to end.
     fn wait(&self, process: &mut Process) -> anyhow::Result<bool> {
         // What was due when the run was over must not keep a real-time process from sleeping.
-        Ok(match self.due_ns(process) {
+        let due_ns = self.due_ns(process);
+        if self.stopped && self.wheels() != Wheels::Resting && !process.clock().is_simulated() {
+            let check_ns = process.clock().now_ns() + REST_CHECK_NS;
+            return Ok(process.wait(Some(due_ns.map_or(check_ns, |due_ns| due_ns.min(check_ns))))?);
+        }
+        Ok(match due_ns {
             Some(due_ns) => process.wait_for_time(due_ns)?,
             None => process.wait(None)?,
         })
@@ -184,7 +276,11 @@ impl Robot {
     }
 
     fn actuate(&mut self, process: &mut Process, actuation: &Actuation) -> anyhow::Result<()> {
-        self.emulator.actuate(actuation);
+        // What was taken before the stop may be due after it.
+        let drives = actuation.kind != ActuationKind::Block.wire();
+        if !drives || !(self.stopped || process.must_stop()) {
+            self.emulator.actuate(actuation);
+        }
         let Header { incarnation, sequence, scan_id, .. } = actuation.header;
         self.heard = (incarnation, sequence);
         self.answered = if actuation.answers == 1 { scan_id } else { self.answered };
@@ -208,6 +304,7 @@ impl Robot {
             header.acquired_ns = self.origin_ns + self.emulator.acquired_ns(scan_id);
         }
         change(&mut scan, &mut odometry, &mut truth);
+        self.told_at_rest |= self.stopped && truth.speed_mps <= 0.0;
         self.truths.publish_silently(&mut truth)?;
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;

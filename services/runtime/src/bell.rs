@@ -14,20 +14,22 @@
 //! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
 #![expect(unsafe_code, reason = "shared memory is mapped and read through a pointer")]
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::num::NonZeroU32;
-use std::os::unix::fs::OpenOptionsExt;
-use std::path::PathBuf;
 use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
+use rustix::fs::{FallocateFlags, OFlags};
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex::{self, Flags, Timespec};
 use shared_types::{ROLES, Role, TOPICS, Topic};
 
 use crate::{Domain, RuntimeError};
 
+/// Name of the file in the directory of the bus. The layout has a number: processes of another one would sleep on other
+/// words.
+const FILE: &str = "doorbells.v2";
 /// Processors read memory in lines of this many bytes; two bells never share one.
 pub(crate) const LINE: usize = 64;
 
@@ -125,20 +127,21 @@ impl Bell {
 impl Bells {
     /// Makes the page of a system, or opens the one that is there: its processes may be asleep on it.
     pub(crate) fn create(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
-        let path = path(domain);
-        let error = |source| RuntimeError::File { path: path.clone(), source };
-        let mut options = OpenOptions::new();
-        options.read(true).write(true).create(true).truncate(false).mode(0o600);
-        let file = options.open(&path).map_err(error)?;
-        file.set_len(size_of::<Page>() as u64).map_err(error)?;
+        let folder = domain.bus_folder()?;
+        let error = |source| RuntimeError::File { path: folder.path().join(FILE), source };
+        let file = folder.open_file(FILE, OFlags::RDWR | OFlags::CREATE).map_err(error)?;
+        // Allocated, not only given a length: what is not there could not be touched later.
+        let length = size_of::<Page>() as u64;
+        rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, length)
+            .map_err(|source| error(source.into()))?;
         Self::map(&file).map_err(error)
     }
 
     /// Opens the page of a running system.
     pub(crate) fn open(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
-        let path = path(domain);
-        let error = |source| RuntimeError::File { path: path.clone(), source };
-        let file = OpenOptions::new().read(true).write(true).open(&path).map_err(error)?;
+        let folder = domain.bus_folder()?;
+        let error = |source| RuntimeError::File { path: folder.path().join(FILE), source };
+        let file = folder.open_file(FILE, OFlags::RDWR).map_err(error)?;
         if file.metadata().map_err(error)?.len() < size_of::<Page>() as u64 {
             return Err(error(std::io::Error::other("the doorbells are not finished")));
         }
@@ -210,9 +213,4 @@ impl Drop for Bells {
 /// The bit by which a sleeper says that it waits for a topic.
 pub(crate) const fn bit(topic: Topic) -> u32 {
     1 << topic as u32
-}
-
-/// The layout has a number: processes of another one would sleep on other words.
-fn path(domain: &Domain) -> PathBuf {
-    PathBuf::from(format!("/dev/shm/{}doorbells.v2", domain.shared_memory_prefix()))
 }

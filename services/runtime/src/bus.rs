@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{
-    BackpressureStrategy, LogLevel, Node, NodeBuilder, NodeName, ServiceName, SignalHandlingMode, ipc,
-    set_log_level_from_env_or,
+    BackpressureStrategy, Config, LogLevel, Node, NodeBuilder, NodeName, ServiceName, SignalHandlingMode,
+    ipc, set_log_level_from_env_or,
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use shared_types::{
@@ -22,7 +22,7 @@ use shared_types::{
 use crate::bell::Bells;
 use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
 use crate::wire::Wire;
-use crate::{Domain, RuntimeError, layouts};
+use crate::{Domain, RuntimeError, layouts, management};
 
 type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
 type Blobs = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
@@ -65,9 +65,6 @@ impl Bus {
 
     fn with_topics(domain: &Domain, take_over: bool) -> Result<Self, RuntimeError> {
         let mut bus = if take_over {
-            // A system whose bus lies elsewhere would not hear this one.
-            let path = domain.bus_directory();
-            std::fs::metadata(&path).map_err(|source| RuntimeError::File { path, source })?;
             let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
             layouts::verify_all(domain)?;
             // The orchestrator that died still holds ports, of which there are few for directives.
@@ -94,9 +91,7 @@ impl Bus {
     /// # Errors
     /// As [`Bus::create`].
     pub fn create_empty(domain: &Domain) -> Result<Self, RuntimeError> {
-        let directory = domain.directory();
-        let error = |source| RuntimeError::File { path: directory.to_path_buf(), source };
-        std::fs::create_dir_all(directory).map_err(error)?;
+        management::create(domain)?;
         let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::write(domain)?;
         Ok(bus)
@@ -111,15 +106,7 @@ impl Bus {
     }
 
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
-        set_log_level_from_env_or(LogLevel::Fatal);
-        let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
-        let node = NodeBuilder::new()
-            .name(&name)
-            .config(&domain.config()?)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
-            .map_err(|reason| RuntimeError::bus("join the bus", reason))?;
-        Ok(Self { node, bells, held: Vec::new() })
+        Ok(Self { node: node(name, &domain.config()?)?, bells, held: Vec::new() })
     }
 
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.
@@ -266,6 +253,18 @@ impl Bus {
         let open = || self.node.service_builder(&name).publish_subscribe::<[u8]>().open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open payloads of topic {topic}"), reason))
     }
+}
+
+/// A node of the bus.
+pub(crate) fn node(name: &str, config: &Config) -> Result<Node<ipc::Service>, RuntimeError> {
+    set_log_level_from_env_or(LogLevel::Fatal);
+    let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
+    let node = NodeBuilder::new()
+        .name(&name)
+        .config(config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>();
+    node.map_err(|reason| RuntimeError::bus("join the bus", reason))
 }
 
 fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {

@@ -1,41 +1,132 @@
-//! Where one system lives on the machine: its names in shared memory and its directory.
+//! Where one system lives on the machine: its directory and its names in shared memory.
+//!
+//! The directory lies in the first usable place of [`crate::place`] and carries the id of the system. The names in shared
+//! memory carry a random run id instead, so nobody can take them beforehand; the orchestrator writes it down in the
+//! directory and hands it to its processes.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use iceoryx2::prelude::{Config, FileName, Path as BusPath, SemanticString};
 
-use crate::RuntimeError;
+use crate::folder::Folder;
+use crate::{DIRECTORY_VARIABLE, RUN_ID_VARIABLE, RuntimeError, environment, place};
 
 /// Where the kernel shows shared memory as files.
-const SHARED_MEMORY: &str = "/dev/shm";
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+/// Name of the file that holds the run id.
+const RUN_ID_FILE: &str = "run-id";
+/// Letters of a run id: 50 random bits.
+const RUN_ID_LETTERS: usize = 10;
 
-/// One system on this machine, apart from all others by its id and user.
+/// One system on this machine, apart from all others by its directory and its run id.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     system_id: String,
-    directory: PathBuf,
+    run_id: String,
+    folder: Folder,
     prefix: String,
 }
 
 impl Domain {
-    /// The domain of a system id: 1 to 16 letters, digits or `-`.
-    ///
-    /// The limit keeps socket names below the 108 bytes that the kernel allows; `_` is refused because it ends
-    /// the id in file names, so that no id is the beginning of another.
+    /// Makes the directory of a new system, the directory of its bus and its run id.
     ///
     /// # Errors
-    /// [`RuntimeError::SystemId`].
-    pub fn new(system_id: &str) -> Result<Self, RuntimeError> {
-        let allowed = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
-        if system_id.is_empty() || system_id.len() > 16 || !system_id.chars().all(allowed) {
-            return Err(RuntimeError::SystemId(system_id.to_owned()));
+    /// [`RuntimeError::SystemId`] when the id is not 1 to 16 letters, digits or `-`, [`RuntimeError::NotPrivate`] when the
+    /// place is not this user's alone, [`RuntimeError::File`], of kind `AlreadyExists` when there is such a system.
+    pub fn create(system_id: &str) -> Result<Self, RuntimeError> {
+        check_id(system_id)?;
+        let folder = make_folder(system_id)?;
+        let run_id = random_id();
+        let domain = Self::assemble(system_id, run_id, folder);
+        let made = Folder::make(&domain.bus_directory())
+            .and_then(|_| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
+        if let Err(error) = made {
+            let _ = domain.remove();
+            return Err(error);
         }
-        let user = rustix::process::getuid().as_raw();
-        Ok(Self {
-            system_id: system_id.to_owned(),
-            directory: PathBuf::from(format!("/tmp/scanloop-{user}/{system_id}")),
-            prefix: format!("scanloop{user}_{system_id}_"),
-        })
+        Ok(domain)
+    }
+
+    /// The system of that id, if it has a directory in one of the places; its processes may all have ended.
+    ///
+    /// # Errors
+    /// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that is not this user's alone.
+    pub fn find(system_id: &str) -> Result<Option<Self>, RuntimeError> {
+        check_id(system_id)?;
+        for place in place::all()? {
+            if let Some(folder) = place.folder(system_id)? {
+                return Ok(Some(Self::of_folder(system_id, folder)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// [`Domain::find`] for who needs one.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NotRunning`] when there is none, and as [`Domain::find`].
+    pub fn existing(system_id: &str) -> Result<Self, RuntimeError> {
+        Self::find(system_id)?.ok_or_else(|| RuntimeError::NotRunning(system_id.to_owned()))
+    }
+
+    /// Leaves a mark that a system was stopped, for a service manager's next start of it.
+    ///
+    /// # Errors
+    /// As [`Domain::create`].
+    pub fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
+        check_id(system_id)?;
+        place::mark_stopped(system_id)
+    }
+
+    /// Takes the mark of [`Domain::mark_stopped`] away; whether there was one.
+    ///
+    /// # Errors
+    /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
+    pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
+        check_id(system_id)?;
+        place::take_mark(system_id)
+    }
+
+    /// All systems of this user that have a directory.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path.
+    pub fn all() -> Result<Vec<Self>, RuntimeError> {
+        let mut found: Vec<Self> = Vec::new();
+        for place in place::all()? {
+            let names = place.names().into_iter().filter(|name| check_id(name).is_ok());
+            for name in names {
+                if let Ok(Some(folder)) = place.folder(&name) {
+                    found.push(Self::of_folder(&name, folder));
+                }
+            }
+        }
+        found.sort_by(|one, other| one.system_id.cmp(&other.system_id));
+        Ok(found)
+    }
+
+    /// The system whose orchestrator started this process.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::NotPrivate`] and
+    /// [`RuntimeError::File`] when the directory it was given is not what it should be.
+    pub fn of_this_process() -> Result<Self, RuntimeError> {
+        let (system_id, _) = environment::identity()?;
+        let read = |variable| std::env::var(variable).map_err(|_| RuntimeError::NotInASystem(variable));
+        let (run_id, path) = (read(RUN_ID_VARIABLE)?, PathBuf::from(read(DIRECTORY_VARIABLE)?));
+        Self::at(&system_id, &run_id, &path)
+    }
+
+    /// The system of that id and run in the directory `path`.
+    ///
+    /// # Errors
+    /// [`RuntimeError::NotPrivate`] and [`RuntimeError::File`] when the directory is not what it should be.
+    pub fn at(system_id: &str, run_id: &str, path: &Path) -> Result<Self, RuntimeError> {
+        check_id(system_id)?;
+        let missing = || RuntimeError::File { path: path.to_path_buf(), source: ErrorKind::NotFound.into() };
+        let folder = Folder::open(path)?.ok_or_else(missing)?;
+        Ok(Self::assemble(system_id, run_id.to_owned(), folder))
     }
 
     /// The id.
@@ -43,9 +134,24 @@ impl Domain {
         &self.system_id
     }
 
-    /// Directory of the system: settings, logs, lock, control socket.
+    /// The random id of this run; empty when its directory was left unfinished.
+    pub fn run_id(&self) -> &str {
+        &self.run_id
+    }
+
+    /// The directory of the system: settings, lock, control socket.
+    pub fn folder(&self) -> &Folder {
+        &self.folder
+    }
+
+    /// Path of [`Domain::folder`].
     pub fn directory(&self) -> &Path {
-        &self.directory
+        self.folder.path()
+    }
+
+    /// Whether the directory is still there.
+    pub fn exists(&self) -> bool {
+        self.folder.path().exists()
     }
 
     /// Beginning of the names of all files that the system has in shared memory.
@@ -60,60 +166,53 @@ impl Domain {
         PathBuf::from(format!("{SHARED_MEMORY}/{}", self.prefix.trim_end_matches('_')))
     }
 
-    /// Removes everything that the system has in shared memory, the directory of its bus included.
+    /// Opens [`Domain::bus_directory`].
     ///
-    /// Only for the one who holds the lock of the system, while no process of it is alive.
+    /// # Errors
+    /// [`RuntimeError::NotPrivate`], and [`RuntimeError::File`] when it is not there.
+    pub(crate) fn bus_folder(&self) -> Result<Folder, RuntimeError> {
+        let path = self.bus_directory();
+        let missing = || RuntimeError::File { path: path.clone(), source: ErrorKind::NotFound.into() };
+        Folder::open(&path)?.ok_or_else(missing)
+    }
+
+    /// Removes everything that the run has in shared memory, the directory of its bus included.
     ///
     /// # Errors
     /// [`RuntimeError::File`] for the first file that could not be removed; all others are.
     pub fn remove_bus_files(&self) -> Result<(), RuntimeError> {
-        let file = |path: &Path| {
-            let path = path.to_path_buf();
-            move |source| RuntimeError::File { path, source }
-        };
-        let shared = Path::new(SHARED_MEMORY);
-        let mut result = Ok(());
-        let mut note = |path: &Path, removed: std::io::Result<()>| {
-            let failed = removed.err().filter(|error| error.kind() != std::io::ErrorKind::NotFound);
-            if let (Some(error), Ok(())) = (failed, &result) {
-                result = Err(file(path)(error));
-            }
-        };
-        for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
-            if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                note(&entry.path(), std::fs::remove_file(entry.path()));
-            }
-        }
-        let bus = self.bus_directory();
-        note(&bus, std::fs::remove_dir_all(&bus));
-        result
+        remove_bus_files_of(&self.run_id)
     }
 
     /// Removes all files of the system: those of the bus and its directory.
     ///
-    /// Only for the one who holds the lock of the system, while no process of it is alive.
-    ///
     /// # Errors
     /// [`RuntimeError::File`] for a file that could not be removed.
     pub fn remove(&self) -> Result<(), RuntimeError> {
-        self.remove_bus_files()?;
-        match std::fs::remove_dir_all(&self.directory) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                return Err(RuntimeError::File { path: self.directory.clone(), source });
-            }
-            _ => {}
-        }
-        if let Some(parent) = self.directory.parent() {
+        let bus = self.remove_bus_files();
+        self.folder.delete()?;
+        if let Some(parent) = self.folder.path().parent().filter(|_| self.is_in_a_default_place()) {
             // Stays while other systems of this user run.
             let _ = std::fs::remove_dir(parent);
         }
-        Ok(())
+        bus
+    }
+
+    /// A place that the user named is not removed with the last system.
+    fn is_in_a_default_place(&self) -> bool {
+        let named = std::env::var_os(crate::RUNTIME_DIR_VARIABLE).map(PathBuf::from);
+        self.folder.path().parent() != named.as_deref()
     }
 
     /// Settings of the bus for this domain; files in the user's or the machine's configuration are not read.
     pub(crate) fn config(&self) -> Result<Config, RuntimeError> {
+        self.config_with(&self.prefix)
+    }
+
+    /// [`Domain::config`] with another beginning of names.
+    pub(crate) fn config_with(&self, prefix: &str) -> Result<Config, RuntimeError> {
         let mut config = Config::default();
-        config.global.prefix = FileName::new(self.prefix.as_bytes())
+        config.global.prefix = FileName::new(prefix.as_bytes())
             .map_err(|reason| RuntimeError::bus("set the prefix of the bus", reason))?;
         let root = self.bus_directory();
         let root = BusPath::new(root.as_os_str().as_encoded_bytes())
@@ -121,42 +220,151 @@ impl Domain {
         config.global.set_root_path(&root);
         Ok(config)
     }
+
+    fn of_folder(system_id: &str, folder: Folder) -> Self {
+        let run_id = folder.read_text(RUN_ID_FILE).unwrap_or_default();
+        let run_id = if is_run_id(&run_id) { run_id } else { String::new() };
+        Self::assemble(system_id, run_id, folder)
+    }
+
+    fn assemble(system_id: &str, run_id: String, folder: Folder) -> Self {
+        Self { system_id: system_id.to_owned(), prefix: prefix(&run_id), run_id, folder }
+    }
+}
+
+/// Makes the directory of a system in the first usable place, which another system that ends may just remove.
+fn make_folder(system_id: &str) -> Result<Folder, RuntimeError> {
+    let mut tries = 100;
+    loop {
+        match place::make()?.make_folder(system_id) {
+            Err(RuntimeError::File { source, .. }) if source.kind() == ErrorKind::NotFound && tries > 0 => {
+                tries -= 1
+            }
+            made => return made,
+        }
+    }
+}
+
+/// Removes everything that a run has in shared memory, whoever knows its run id.
+///
+/// # Errors
+/// [`RuntimeError::File`] for the first file that could not be removed; all others are.
+pub fn remove_bus_files_of(run_id: &str) -> Result<(), RuntimeError> {
+    if !is_run_id(run_id) {
+        return Ok(());
+    }
+    let file = |path: &Path| {
+        let path = path.to_path_buf();
+        move |source| RuntimeError::File { path, source }
+    };
+    let shared = Path::new(SHARED_MEMORY);
+    let mut result = Ok(());
+    let mut note = |path: &Path, removed: std::io::Result<()>| {
+        let failed = removed.err().filter(|error| error.kind() != ErrorKind::NotFound);
+        if let (Some(error), Ok(())) = (failed, &result) {
+            result = Err(file(path)(error));
+        }
+    };
+    let prefix = prefix(run_id);
+    for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
+        if entry.file_name().to_string_lossy().starts_with(&prefix) {
+            note(&entry.path(), std::fs::remove_file(entry.path()));
+        }
+    }
+    let bus = shared.join(prefix.trim_end_matches('_'));
+    note(&bus, std::fs::remove_dir_all(&bus));
+    result
+}
+
+/// `_` ends the run id in file names, so that no prefix is the beginning of another.
+fn prefix(run_id: &str) -> String {
+    format!("scanloop-{run_id}_")
+}
+
+/// The limit keeps lists readable; the letters keep an id one component of a path.
+fn check_id(system_id: &str) -> Result<(), RuntimeError> {
+    let allowed = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
+    if system_id.is_empty() || system_id.len() > 16 || !system_id.chars().all(allowed) {
+        return Err(RuntimeError::SystemId(system_id.to_owned()));
+    }
+    Ok(())
+}
+
+fn is_run_id(text: &str) -> bool {
+    text.len() == RUN_ID_LETTERS
+        && text.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit())
+}
+
+fn random_id() -> String {
+    let mut bytes = [0; RUN_ID_LETTERS];
+    let flags = rustix::rand::GetRandomFlags::empty();
+    // So few bytes come at once, or the kernel has no random numbers at all.
+    let filled = rustix::rand::getrandom(&mut bytes, flags).unwrap_or(0);
+    assert_eq!(filled, bytes.len(), "the kernel gives no random numbers");
+    bytes.iter().map(|byte| char::from(b"abcdefghijklmnopqrstuvwxyz234567"[usize::from(byte % 32)])).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn ids_that_could_leave_the_directory_or_meet_another_id_are_refused() {
-        for id in ["", "../x", "a_b", "a b", "12345678901234567", "ä"] {
-            assert!(matches!(Domain::new(id), Err(RuntimeError::SystemId(_))), "{id}");
-        }
-        assert!(Domain::new("lab-2").is_ok());
+    fn domain(name: &str) -> Domain {
+        Domain::create(&format!("{name}{}", std::process::id())).unwrap()
     }
 
     #[test]
-    fn the_longest_id_leaves_room_for_the_sockets_of_the_bus() {
-        let domain = Domain::new("1234567890123456").unwrap();
-        let socket = format!("{}{}.event", domain.shared_memory_prefix(), "9".repeat(30));
-        assert!(domain.bus_directory().join(socket).as_os_str().len() <= 108);
+    fn ids_that_could_leave_the_directory_are_refused() {
+        for id in ["", "../x", "a_b", "a b", "12345678901234567", "ä"] {
+            assert!(matches!(Domain::find(id), Err(RuntimeError::SystemId(_))), "{id}");
+            assert!(matches!(Domain::create(id), Err(RuntimeError::SystemId(_))), "{id}");
+        }
+    }
+
+    #[test]
+    fn a_system_is_made_once_and_found_by_its_id_with_the_same_run_id() {
+        let made = domain("dm");
+        assert_eq!(Domain::find(made.system_id()).unwrap().as_ref(), Some(&made));
+        assert!(Domain::all().unwrap().contains(&made));
+        let again = Domain::create(made.system_id()).unwrap_err();
+        assert!(
+            matches!(&again, RuntimeError::File { source, .. } if source.kind() == ErrorKind::AlreadyExists)
+        );
+        made.remove().unwrap();
+        assert_eq!(Domain::find(made.system_id()).unwrap(), None);
+        let next = domain("dm");
+        assert_ne!(next.run_id(), made.run_id());
+        next.remove().unwrap();
+    }
+
+    #[test]
+    fn a_run_id_leaves_room_for_the_sockets_of_the_bus() {
+        let prefix = prefix("abcdefghij");
+        let socket =
+            format!("{SHARED_MEMORY}/{}/{prefix}{}.event", prefix.trim_end_matches('_'), "9".repeat(30));
+        assert!(socket.len() <= 108);
     }
 
     #[test]
     fn all_that_the_bus_has_in_shared_memory_is_removed() {
-        let domain = Domain::new(&format!("d{}", std::process::id())).unwrap();
+        let domain = domain("db");
         let file = format!("{SHARED_MEMORY}/{}file", domain.shared_memory_prefix());
         std::fs::create_dir_all(domain.bus_directory().join("nodes/1")).unwrap();
         std::fs::write(domain.bus_directory().join("nodes/1/tag"), "").unwrap();
         std::fs::write(&file, "").unwrap();
         domain.remove_bus_files().unwrap();
         assert!(!domain.bus_directory().exists() && !Path::new(&file).exists());
-        domain.remove_bus_files().unwrap();
+        domain.remove().unwrap();
+        assert!(!domain.exists());
     }
 
     #[test]
-    fn no_prefix_is_the_beginning_of_another() {
-        let (one, other) = (Domain::new("a").unwrap(), Domain::new("a-b").unwrap());
-        assert!(!other.shared_memory_prefix().starts_with(one.shared_memory_prefix()));
+    fn a_directory_without_a_run_id_owns_nothing_in_shared_memory() {
+        let made = domain("dn");
+        made.folder().write(RUN_ID_FILE, b"../../etc").unwrap();
+        let found = Domain::existing(made.system_id()).unwrap();
+        assert_eq!(found.run_id(), "");
+        found.remove().unwrap();
+        assert!(made.bus_directory().exists(), "another run's files are left alone");
+        made.remove_bus_files().unwrap();
     }
 }

@@ -6,6 +6,16 @@ use crate::RuntimeError;
 pub const SYSTEM_ID_VARIABLE: &str = "SCANLOOP_SYSTEM_ID";
 /// Gives the process its incarnation, one number per started process.
 pub const INCARNATION_VARIABLE: &str = "SCANLOOP_INCARNATION";
+/// Gives the random id of the run, by which its shared memory is named.
+pub const RUN_ID_VARIABLE: &str = "SCANLOOP_RUN_ID";
+/// Gives the directory of the system.
+pub const DIRECTORY_VARIABLE: &str = "SCANLOOP_DIRECTORY";
+/// Names the role that the process was started for.
+pub const ROLE_VARIABLE: &str = "SCANLOOP_ROLE";
+/// Gives the number of the inherited descriptor of the stop word.
+pub const STOP_FD_VARIABLE: &str = "SCANLOOP_STOP_FD";
+/// Chooses the directory in which the directories of systems are; for users.
+pub const RUNTIME_DIR_VARIABLE: &str = "SCANLOOP_RUNTIME_DIR";
 
 /// Is `1` for a process that takes the place of another: one that died, or one that it is exchanged for.
 pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";

@@ -32,6 +32,21 @@ pub enum RuntimeError {
     /// No system of this id is running.
     #[error("system `{0}` is not running")]
     NotRunning(String),
+    /// The run was stopped, and a stop is never taken back.
+    #[error("system `{0}` was stopped: `scanloop run` starts it anew once it has ended")]
+    Stopped(String),
+    /// A directory that has to be this user's alone is not.
+    #[error(
+        "{} {reason}; it has to be a directory of this user with mode 0700: remove it, or name another with {}",
+        path.display(),
+        crate::RUNTIME_DIR_VARIABLE
+    )]
+    NotPrivate {
+        /// The directory.
+        path: PathBuf,
+        /// What is wrong with it, with its owner.
+        reason: String,
+    },
     /// A role reads or writes a topic that is not its own.
     #[error("role {role} does not {verb} topic {topic}")]
     NotYourTopic {

@@ -3,8 +3,6 @@
 //! The checkpoints themselves travel on the bus. Their publisher's memory dies with it, so the orchestrator
 //! keeps the newest of each role and hands it over here.
 
-use std::path::PathBuf;
-
 use shared_types::{Checkpoint, Role, Sample};
 
 use crate::{Domain, RuntimeError};
@@ -27,32 +25,26 @@ pub enum Handover<T> {
 /// # Errors
 /// [`RuntimeError::File`].
 pub fn write(domain: &Domain, role: Role, checkpoint: Option<&Checkpoint>) -> Result<(), RuntimeError> {
-    let path = file(domain, role);
-    let written = match checkpoint {
-        Some(checkpoint) => std::fs::write(&path, bytemuck::bytes_of(checkpoint)),
-        None => match std::fs::remove_file(&path) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-            result => result,
-        },
-    };
-    written.map_err(|source| RuntimeError::File { path, source })
+    match checkpoint {
+        Some(checkpoint) => domain.folder().write(&file(role), bytemuck::bytes_of(checkpoint)),
+        None => domain.folder().remove(&file(role)),
+    }
 }
 
 /// The checkpoint handed to a role, if it is there and whole.
 pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<Checkpoint>, RuntimeError> {
-    let path = file(domain, role);
-    match std::fs::read(&path) {
+    match domain.folder().read(&file(role)) {
         Ok(bytes) if bytes.len() == size_of::<Checkpoint>() => {
             let checkpoint: Checkpoint = bytemuck::pod_read_unaligned(&bytes);
             Ok(Some(checkpoint)
                 .filter(|checkpoint| checkpoint.check().is_ok() && checkpoint.role == role.wire()))
         }
         Ok(_) => Ok(None),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(RuntimeError::File { path, source }),
+        Err(RuntimeError::File { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
     }
 }
 
-fn file(domain: &Domain, role: Role) -> PathBuf {
-    domain.directory().join(format!("{role}.checkpoint"))
+fn file(role: Role) -> String {
+    format!("{role}.checkpoint")
 }

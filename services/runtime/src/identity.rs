@@ -1,20 +1,21 @@
 //! Which process is one of ours: never a stranger that was given the number of a process that died.
 //!
-//! A process is written down with its id, its start time and its incarnation. Whoever wants to signal it later
-//! opens it by its id first ([`identify`]) and then compares: the start time, and the system and incarnation in its
-//! environment. When the opened process still lives after that, everything that was read was its own, and what is
-//! sent through its descriptor reaches it or nobody.
+//! A process is written down with all that names it: its id, its start time, its user, the boot and the pid namespace in
+//! which the id holds, the run and its incarnation. Before a signal it is opened by its id first ([`identify`]) and then
+//! compared. When the opened process still lives after that, everything that was read was its own, and what is
+//! sent through its descriptor reaches it or no process at all.
 //!
 //! Where this fails: the environment is the one at the start of the program; a process that overwrites the memory
 //! of its environment is taken for a stranger, which is the safe side.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::MetadataExt;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::{Deserialize, Serialize};
 
-use crate::{INCARNATION_VARIABLE, SYSTEM_ID_VARIABLE};
+use crate::{Domain, INCARNATION_VARIABLE, RUN_ID_VARIABLE};
 
 /// Name of the file in the directory of the system that lists its processes.
 pub const PROCESSES_FILE: &str = "processes.toml";
@@ -28,6 +29,14 @@ pub struct Identity {
     pub start_ticks: u64,
     /// Its incarnation.
     pub incarnation: u32,
+    /// The random id of its run.
+    pub run_id: String,
+    /// The user it runs as.
+    pub uid: u32,
+    /// The boot of the machine in which it was started.
+    pub boot_id: String,
+    /// The namespace in which its id holds, by inode.
+    pub pid_namespace: u64,
 }
 
 /// A process that was opened and is the one that was written down.
@@ -44,22 +53,12 @@ pub enum NotOurs {
     #[error("process {0} has ended")]
     Ended(u32),
     /// The number was given to another process.
-    #[error("process {pid} is a stranger: it was started at {found} ticks after boot, not at {expected}")]
-    Recycled {
-        /// The process id.
-        pid: u32,
-        /// Its start time.
-        found: u64,
-        /// The start time written down.
-        expected: u64,
-    },
-    /// It belongs to another system, or to none.
-    #[error("process {pid} is a stranger: its {variable} is {found}, not `{expected}`")]
-    Foreign {
+    #[error("process {pid} is a stranger: its {what} is `{found}`, not `{expected}`")]
+    Stranger {
         /// The process id.
         pid: u32,
         /// What tells it from ours.
-        variable: &'static str,
+        what: &'static str,
         /// What it has there.
         found: String,
         /// What ours has there.
@@ -67,33 +66,57 @@ pub enum NotOurs {
     },
 }
 
-/// Opens a process that was written down for `system_id`, and makes sure that it is the one.
+impl Identity {
+    /// A process of this user, boot and namespace; `None` when it has ended.
+    pub fn of(domain: &Domain, pid: u32, incarnation: u32) -> Option<Self> {
+        let start_ticks = start_ticks(pid)?;
+        Some(Self { start_ticks, incarnation, run_id: domain.run_id().to_owned(), ..Self::here(pid) })
+    }
+
+    /// What all processes of this user, boot and namespace have in common.
+    fn here(pid: u32) -> Self {
+        Self {
+            pid,
+            start_ticks: 0,
+            incarnation: 0,
+            run_id: String::new(),
+            uid: rustix::process::geteuid().as_raw(),
+            boot_id: boot_id(),
+            pid_namespace: pid_namespace(),
+        }
+    }
+}
+
+/// Opens a process that was written down, and makes sure that it is the one.
 ///
 /// # Errors
 /// [`NotOurs`] with the difference.
-pub fn identify(system_id: &str, identity: &Identity) -> Result<Identified, NotOurs> {
-    let &Identity { pid, start_ticks: expected, incarnation } = identity;
+pub fn identify(identity: &Identity) -> Result<Identified, NotOurs> {
+    let pid = identity.pid;
     let ended = || NotOurs::Ended(pid);
+    let compare = |what, found: String, expected: String| match found == expected {
+        true => Ok(()),
+        false => Err(NotOurs::Stranger { pid, what, found, expected }),
+    };
+    let here = Identity::here(pid);
+    compare("boot", here.boot_id, identity.boot_id.clone())?;
+    compare("pid namespace", here.pid_namespace.to_string(), identity.pid_namespace.to_string())?;
     let raw = i32::try_from(pid).ok().and_then(Pid::from_raw).ok_or_else(ended)?;
     let pidfd = pidfd_open(raw, PidfdFlags::empty()).map_err(|_| ended())?;
-    let found = start_ticks(pid).ok_or_else(ended)?;
+    let found_ticks = start_ticks(pid).ok_or_else(ended)?;
+    let found_uid = uid_of(pid).ok_or_else(ended)?;
     let environment = environment(pid);
     let process = Identified { identity: identity.clone(), pidfd };
     // Only now is it certain that what was read belongs to the process behind the descriptor.
     if process.has_ended() {
         return Err(ended());
     }
-    if found != expected {
-        return Err(NotOurs::Recycled { pid, found, expected });
-    }
+    compare("start time", found_ticks.to_string(), identity.start_ticks.to_string())?;
+    compare("user", found_uid.to_string(), identity.uid.to_string())?;
     for (variable, expected) in
-        [(SYSTEM_ID_VARIABLE, system_id.to_owned()), (INCARNATION_VARIABLE, incarnation.to_string())]
+        [(RUN_ID_VARIABLE, identity.run_id.clone()), (INCARNATION_VARIABLE, identity.incarnation.to_string())]
     {
-        let found = value_of(&environment, variable);
-        if found.as_deref() != Some(&expected) {
-            let found = found.map_or_else(|| "not set".to_owned(), |value| format!("`{value}`"));
-            return Err(NotOurs::Foreign { pid, variable, found, expected });
-        }
+        compare(variable, value_of(&environment, variable).unwrap_or_default(), expected)?;
     }
     Ok(process)
 }
@@ -115,7 +138,7 @@ impl Identified {
         poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now)).is_ok_and(|ready| ready > 0)
     }
 
-    /// Sends it a signal; one that has ended gets none, nor does anyone else.
+    /// Sends it a signal; one that has ended gets none, nor does any other process.
     pub fn signal(&self, signal: Signal) {
         let _ = pidfd_send_signal(&self.pidfd, signal);
     }
@@ -132,27 +155,62 @@ impl AsFd for Identified {
     }
 }
 
-/// All living processes whose environment names `system_id` and an incarnation: started by an orchestrator of that
-/// system, or by one of its processes. With the ids of their groups.
-pub fn processes_of(system_id: &str) -> Vec<(Identity, u32)> {
-    let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
-    let pids = entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-    pids.filter_map(|pid| {
-        let environment = environment(pid);
-        let is_ours = value_of(&environment, SYSTEM_ID_VARIABLE)? == system_id;
-        let incarnation = value_of(&environment, INCARNATION_VARIABLE)?.parse().ok()?;
-        let fields = stat_fields(pid)?;
-        let [group, start_ticks] = [stat_number(&fields, 5)?, stat_number(&fields, 22)?];
-        is_ours.then_some((Identity { pid, start_ticks, incarnation }, u32::try_from(group).ok()?))
-    })
-    .collect()
+/// A living process as the kernel shows it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Seen {
+    /// How to tell it from a stranger.
+    pub identity: Identity,
+    /// Id of its process group.
+    pub group: u32,
+    /// Its environment, as `NAME=VALUE` each.
+    environment: Vec<u8>,
+}
+
+impl Seen {
+    /// The value of a variable of its environment.
+    pub fn variable(&self, name: &str) -> Option<String> {
+        value_of(&self.environment, name)
+    }
+}
+
+/// All living processes of user `uid` whose environment names a run and an incarnation: started by an orchestrator, or by
+/// one of its processes.
+pub fn started_processes(uid: u32) -> Vec<Seen> {
+    processes(uid).filter_map(seen).filter(|process| process.identity.uid == uid).collect()
+}
+
+/// The living processes of one run of this user.
+pub fn processes_of(run_id: &str) -> Vec<Seen> {
+    let mut found = started_processes(rustix::process::geteuid().as_raw());
+    found.retain(|process| process.identity.run_id == run_id);
+    found
+}
+
+/// Ids of all living processes of a user.
+pub fn processes(uid: u32) -> impl Iterator<Item = u32> {
+    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    pids.filter(move |pid| uid_of(*pid) == Some(uid))
+}
+
+fn seen(pid: u32) -> Option<Seen> {
+    let environment = environment(pid);
+    let run_id = value_of(&environment, RUN_ID_VARIABLE)?;
+    let incarnation = value_of(&environment, INCARNATION_VARIABLE)?.parse().ok()?;
+    let fields = stat_fields(pid).filter(|fields| !is_zombie(fields))?;
+    let [group, start_ticks] = [stat_number(&fields, 5)?, stat_number(&fields, 22)?];
+    let identity = Identity { start_ticks, incarnation, run_id, uid: uid_of(pid)?, ..Identity::here(pid) };
+    Some(Seen { identity, group: u32::try_from(group).ok()?, environment })
 }
 
 /// When a process was started, in clock ticks since boot; `None` when there is no such process, or only its remains.
 pub fn start_ticks(pid: u32) -> Option<u64> {
-    let fields = stat_fields(pid)?;
-    let is_zombie = matches!(fields.split_whitespace().next(), Some("Z" | "X"));
-    if is_zombie { None } else { stat_number(&fields, 22) }
+    let fields = stat_fields(pid).filter(|fields| !is_zombie(fields))?;
+    stat_number(&fields, 22)
+}
+
+fn is_zombie(fields: &str) -> bool {
+    matches!(fields.split_whitespace().next(), Some("Z" | "X"))
 }
 
 /// The fields of /proc/PID/stat behind the name, which may hold blanks and brackets itself.
@@ -164,6 +222,21 @@ fn stat_fields(pid: u32) -> Option<String> {
 /// A number by its place in the kernel's documentation, where the first field behind the name is the third.
 fn stat_number(fields: &str, place: usize) -> Option<u64> {
     fields.split_whitespace().nth(place - 3)?.parse().ok()
+}
+
+/// The real user of a process.
+fn uid_of(pid: u32) -> Option<u32> {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    status.lines().find_map(|line| line.strip_prefix("Uid:"))?.split_whitespace().next()?.parse().ok()
+}
+
+fn boot_id() -> String {
+    let text = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    text.trim().to_owned()
+}
+
+fn pid_namespace() -> u64 {
+    std::fs::metadata("/proc/self/ns/pid").map_or(0, |found| found.ino())
 }
 
 /// Empty when it is not ours to read, or the process has ended.
@@ -187,9 +260,9 @@ mod tests {
     struct Sleeper(Child);
 
     impl Sleeper {
-        fn new(system_id: &str, incarnation: &str) -> Self {
+        fn new(run_id: &str, incarnation: &str) -> Self {
             let mut command = Command::new("sleep");
-            command.arg("60").env(SYSTEM_ID_VARIABLE, system_id).env(INCARNATION_VARIABLE, incarnation);
+            command.arg("60").env(RUN_ID_VARIABLE, run_id).env(INCARNATION_VARIABLE, incarnation);
             let sleeper = Self(command.spawn().unwrap());
             // Until the program is loaded the environment is that of this process.
             while value_of(&environment(sleeper.0.id()), INCARNATION_VARIABLE).is_none() {
@@ -198,9 +271,10 @@ mod tests {
             sleeper
         }
 
-        fn identity(&self) -> Identity {
+        fn identity(&self, run_id: &str) -> Identity {
             let pid = self.0.id();
-            Identity { pid, start_ticks: start_ticks(pid).unwrap(), incarnation: 7 }
+            let start_ticks = start_ticks(pid).unwrap();
+            Identity { start_ticks, incarnation: 7, run_id: run_id.to_owned(), ..Identity::here(pid) }
         }
     }
 
@@ -212,44 +286,56 @@ mod tests {
     }
 
     #[test]
-    fn a_process_is_ours_by_id_start_time_system_and_incarnation() {
-        let sleeper = Sleeper::new("ident-a", "7");
-        let identity = sleeper.identity();
-        let found = identify("ident-a", &identity).unwrap();
+    fn a_process_is_ours_by_all_that_is_written_down() {
+        let sleeper = Sleeper::new("identityaa", "7");
+        let identity = sleeper.identity("identityaa");
+        let found = identify(&identity).unwrap();
         assert_eq!((found.pid(), found.has_ended()), (identity.pid, false));
-        let listed: Vec<Identity> = processes_of("ident-a").into_iter().map(|(found, _)| found).collect();
+        let listed: Vec<Identity> =
+            processes_of("identityaa").into_iter().map(|found| found.identity).collect();
         assert_eq!(listed, [identity]);
     }
 
     #[test]
     fn a_stranger_is_refused_and_named() {
-        let sleeper = Sleeper::new("ident-b", "7");
-        let identity = sleeper.identity();
-        let recycled = Identity { start_ticks: identity.start_ticks - 1, ..identity.clone() };
-        let message = identify("ident-b", &recycled).unwrap_err().to_string();
-        assert!(message.starts_with(&format!("process {} is a stranger: it was started", identity.pid)));
-        let message = identify("other", &identity).unwrap_err().to_string();
-        assert!(message.ends_with("its SCANLOOP_SYSTEM_ID is `ident-b`, not `other`"), "{message}");
-        let older = Identity { incarnation: 6, ..identity.clone() };
-        let message = identify("ident-b", &older).unwrap_err().to_string();
+        let sleeper = Sleeper::new("identitybb", "7");
+        let identity = sleeper.identity("identitybb");
+        let differs = |change: &dyn Fn(&mut Identity)| {
+            let mut other = identity.clone();
+            change(&mut other);
+            identify(&other).unwrap_err().to_string()
+        };
+        assert!(differs(&|other| other.start_ticks -= 1).contains("its start time is"));
+        assert!(differs(&|other| other.uid += 1).contains("its user is"));
+        assert!(differs(&|other| other.pid_namespace += 1).contains("its pid namespace is"));
+        assert!(differs(&|other| other.boot_id.push('x')).contains("its boot is"));
+        let message = differs(&|other| other.run_id = "identitycc".to_owned());
+        assert!(message.ends_with("its SCANLOOP_RUN_ID is `identitybb`, not `identitycc`"), "{message}");
+        let message = differs(&|other| other.incarnation = 6);
         assert!(message.ends_with("its SCANLOOP_INCARNATION is `7`, not `6`"), "{message}");
-        let init = Identity { pid: 1, start_ticks: start_ticks(1).unwrap_or(0), incarnation: 7 };
-        assert!(identify("ident-b", &init).is_err());
+        let init = Identity { pid: 1, start_ticks: start_ticks(1).unwrap_or(0), ..identity };
+        assert!(identify(&init).is_err());
     }
 
     #[test]
-    fn a_process_that_ended_is_nobody_even_before_it_is_reaped() {
-        let mut sleeper = Sleeper::new("ident-c", "7");
-        let identity = sleeper.identity();
-        let opened = identify("ident-c", &identity).unwrap();
+    fn processes_of_another_user_are_not_listed() {
+        let _sleeper = Sleeper::new("identitydd", "7");
+        assert!(started_processes(rustix::process::geteuid().as_raw() + 1).is_empty());
+    }
+
+    #[test]
+    fn a_process_that_ended_is_none_of_ours_even_before_it_is_reaped() {
+        let mut sleeper = Sleeper::new("identityee", "7");
+        let identity = sleeper.identity("identityee");
+        let opened = identify(&identity).unwrap();
         sleeper.0.kill().unwrap();
         while !opened.has_ended() {
             std::thread::yield_now();
         }
-        assert_eq!(identify("ident-c", &identity).unwrap_err(), NotOurs::Ended(identity.pid));
+        assert_eq!(identify(&identity).unwrap_err(), NotOurs::Ended(identity.pid));
         assert_eq!(start_ticks(identity.pid), None, "it is not reaped yet");
         sleeper.0.wait().unwrap();
         opened.signal(Signal::KILL);
-        assert_eq!(identify("ident-c", &identity).unwrap_err(), NotOurs::Ended(identity.pid));
+        assert_eq!(identify(&identity).unwrap_err(), NotOurs::Ended(identity.pid));
     }
 }

@@ -88,9 +88,14 @@ impl<S: Sample> Input<S> {
 
     /// The oldest sample not yet taken.
     pub fn take(&self) -> Option<Taken<S>> {
-        let sample = self.0.kept.borrow_mut().pop_front()?;
-        self.0.take(&sample);
-        Some(sample)
+        loop {
+            let sample = self.0.kept.borrow_mut().pop_front()?;
+            if !self.0.shared.guard.refuses(&*sample) {
+                self.0.take(&sample);
+                return Some(sample);
+            }
+            self.0.settle(Fate::Foreign, &sample);
+        }
     }
 
     /// The scan of the oldest sample not yet taken.
@@ -119,6 +124,10 @@ impl<S: Sample> Input<S> {
         let mut kept = self.0.kept.borrow_mut();
         let sample = kept.pop_back()?;
         kept.drain(..).for_each(|older| self.0.settle(Fate::Replaced, &older));
+        if self.0.shared.guard.refuses(&*sample) {
+            self.0.settle(Fate::Foreign, &sample);
+            return None;
+        }
         self.0.take(&sample);
         Some(sample)
     }

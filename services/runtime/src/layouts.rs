@@ -1,10 +1,8 @@
 //! The layouts of a system beside its bus, so that a process built against others is refused before it joins.
 
-use std::path::PathBuf;
-
 use shared_types::{Layouts, Role, difference, topics_of};
 
-use crate::{Domain, RuntimeError, environment};
+use crate::{Domain, RuntimeError};
 
 /// Name of the file in the directory of the system.
 pub const LAYOUTS_FILE: &str = "layouts.txt";
@@ -18,16 +16,15 @@ pub const LAYOUTS_FILE: &str = "layouts.txt";
 /// [`RuntimeError::Layout`] with the first field that differs, [`RuntimeError::NotInASystem`], and
 /// [`RuntimeError::File`] or [`RuntimeError::Settings`] when the system's layouts can't be read.
 pub fn verify_layouts(role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
-    let (system_id, _) = environment::identity()?;
-    verify(&Domain::new(&system_id)?, role, mine)
+    verify(&Domain::of_this_process()?, role, mine)
 }
 
 pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
-    let path = file(domain);
-    let text =
-        std::fs::read_to_string(&path).map_err(|source| RuntimeError::File { path: path.clone(), source })?;
-    let theirs: Layouts =
-        text.parse().map_err(|error| RuntimeError::Settings { path, reason: format!("{error}") })?;
+    let text = domain.folder().read_text(LAYOUTS_FILE)?;
+    let theirs: Layouts = text.parse().map_err(|error| RuntimeError::Settings {
+        path: domain.directory().join(LAYOUTS_FILE),
+        reason: format!("{error}"),
+    })?;
     difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
 }
 
@@ -38,13 +35,7 @@ pub(crate) fn verify_all(domain: &Domain) -> Result<(), RuntimeError> {
 
 /// Writes the layouts of the system: the orchestrator, when it creates the bus.
 pub(crate) fn write(domain: &Domain) -> Result<(), RuntimeError> {
-    let path = file(domain);
-    std::fs::write(&path, Layouts::built_in().to_string())
-        .map_err(|source| RuntimeError::File { path, source })
-}
-
-fn file(domain: &Domain) -> PathBuf {
-    domain.directory().join(LAYOUTS_FILE)
+    domain.folder().write(LAYOUTS_FILE, Layouts::built_in().to_string().as_bytes())
 }
 
 #[cfg(test)]
@@ -54,9 +45,8 @@ mod tests {
 
     #[test]
     fn a_process_of_another_version_is_refused_where_it_uses_what_differs() {
-        let domain = Domain::new(&format!("l{}", std::process::id())).unwrap();
+        let domain = Domain::create(&format!("l{}", std::process::id())).unwrap();
         assert!(matches!(verify(&domain, Role::Robot, &Layouts::built_in()), Err(RuntimeError::File { .. })));
-        std::fs::create_dir_all(domain.directory()).unwrap();
         write(&domain).unwrap();
         let mut mine = Layouts::built_in();
         assert!(verify(&domain, Role::Estimator, &mine).is_ok());
@@ -68,8 +58,8 @@ mod tests {
         assert_eq!((found.topic.as_str(), found.field.as_str()), ("pose", "nis"));
         assert!(matches!(found.what, Deviation::Offset { .. }));
         assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot has no part in it");
-        std::fs::write(file(&domain), "nonsense").unwrap();
+        domain.folder().write(LAYOUTS_FILE, b"nonsense").unwrap();
         assert!(matches!(verify(&domain, Role::Robot, &mine), Err(RuntimeError::Settings { .. })));
-        std::fs::remove_dir_all(domain.directory()).unwrap();
+        domain.remove().unwrap();
     }
 }

@@ -35,19 +35,25 @@ mod domain;
 mod ear;
 mod environment;
 mod error;
+mod fatal;
+mod folder;
+mod guard;
 mod handover;
 mod identity;
 mod input;
 mod layouts;
 mod logging;
+mod management;
 mod observer;
 mod orphan;
 mod output;
+mod place;
 mod process;
 mod quality;
 mod realtime;
 mod settings;
 mod shutdown;
+mod stop;
 #[cfg(test)]
 mod tests;
 mod wake;
@@ -57,11 +63,19 @@ pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
-pub use domain::Domain;
-pub use environment::{BESIDE_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
+pub use domain::{Domain, remove_bus_files_of};
+pub use environment::{
+    BESIDE_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, ROLE_VARIABLE,
+    RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
+};
 pub use error::RuntimeError;
+pub use fatal::latch_on_crash;
+pub use folder::Folder;
 pub use handover::{Handover, write as write_handover};
-pub use identity::{Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks};
+pub use identity::{
+    Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
+    started_processes,
+};
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, print, start_logging, writes_to_journal};
@@ -73,4 +87,5 @@ pub use quality::buffer;
 pub use realtime::{Realtime, Scheduler};
 pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};
 pub use shutdown::Shutdown;
+pub use stop::{StopWord, Wheels};
 pub use wake::wait_for;

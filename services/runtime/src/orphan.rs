@@ -6,16 +6,16 @@
 //! The first of them that gets the lock of the system waits until the others are gone, kills who does not go, and
 //! removes all files. When an orchestrator holds the lock, it is alive or has just come: then nothing is touched.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{Seek, Write};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::process::Signal;
-use serde::Deserialize;
 use shared_types::Role;
 
-use crate::identity::{Identity, PROCESSES_FILE, identify};
-use crate::{Domain, monotonic_ns};
+use crate::identity::{Identified, identify, processes_of};
+use crate::stop::{StopWord, Wheels};
+use crate::{Domain, ROLE_VARIABLE, monotonic_ns};
 
 /// Name of the file in the directory of the system that an orchestrator holds locked.
 pub const LOCK_FILE: &str = "lock";
@@ -25,11 +25,11 @@ pub const LEAVING: &str = "leaving";
 /// The robot outlives the others by this: wheels that turn at 2 m/s come to rest in a fifth of it [ns].
 const ROBOT_LONGER_NS: u64 = 1_000_000_000;
 /// Others have this long to end by themselves [ns].
-const PATIENCE_NS: u64 = 3_000_000_000;
+const END_TIMEOUT_NS: u64 = 3_000_000_000;
 /// A killed process is waited for this long [ns].
-const KILL_PATIENCE_NS: u64 = 1_000_000_000;
-/// Time between two looks at them.
-const LOOK: std::time::Duration = std::time::Duration::from_millis(10);
+const KILL_TIMEOUT_NS: u64 = 1_000_000_000;
+/// Time between two checks of them.
+const POLL: std::time::Duration = std::time::Duration::from_millis(10);
 
 /// How long a process of that role goes on without a word of an orchestrator [ns].
 pub(crate) fn limit_ns(role: Role, orphan_timeout_ns: u64) -> u64 {
@@ -40,24 +40,13 @@ pub(crate) fn limit_ns(role: Role, orphan_timeout_ns: u64) -> u64 {
 #[derive(Debug)]
 pub(crate) struct Janitor {
     domain: Domain,
+    word: Option<StopWord>,
     orphaned: bool,
 }
 
-/// The list of processes, as far as it matters here.
-#[derive(Debug, Deserialize)]
-struct Listed {
-    #[serde(default)]
-    process: Vec<ListedProcess>,
-}
-
-#[derive(Debug, Deserialize)]
-struct ListedProcess {
-    identity: Identity,
-}
-
 impl Janitor {
-    pub(crate) fn new(domain: &Domain) -> Self {
-        Self { domain: domain.clone(), orphaned: false }
+    pub(crate) fn new(domain: &Domain, word: Option<StopWord>) -> Self {
+        Self { domain: domain.clone(), word, orphaned: false }
     }
 
     pub(crate) fn is_orphaned(&mut self) {
@@ -70,7 +59,7 @@ impl Drop for Janitor {
         if self.orphaned
             && let Some(_lock) = lock(&self.domain)
         {
-            end_others(&self.domain);
+            end_others(&self.domain, self.word.as_ref());
             if let Err(error) = self.domain.remove() {
                 tracing::warn!("not cleaned up: {error}");
             }
@@ -79,31 +68,35 @@ impl Drop for Janitor {
 }
 
 fn lock(domain: &Domain) -> Option<File> {
-    let mut file = OpenOptions::new().write(true).open(domain.directory().join(LOCK_FILE)).ok()?;
+    let mut file = domain.folder().open_file(LOCK_FILE, OFlags::WRONLY).ok()?;
     flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
     let said = file.set_len(0).and_then(|()| file.rewind());
     said.and_then(|()| writeln!(file, "{} {LEAVING}", std::process::id())).ok()?;
     Some(file)
 }
 
-fn end_others(domain: &Domain) {
-    let text = std::fs::read_to_string(domain.directory().join(PROCESSES_FILE)).unwrap_or_default();
-    let listed = toml::from_str::<Listed>(&text).map_or_else(|_| Vec::new(), |listed| listed.process);
-    let mut others: Vec<_> = listed
-        .iter()
-        .filter(|process| process.identity.pid != std::process::id())
-        .filter_map(|process| identify(domain.system_id(), &process.identity).ok())
+fn end_others(domain: &Domain, word: Option<&StopWord>) {
+    let is_robot = |name: Option<String>| name.as_deref() == Some(Role::Robot.name());
+    let others =
+        processes_of(domain.run_id()).into_iter().filter(|seen| seen.identity.pid != std::process::id());
+    let mut others: Vec<(bool, Identified)> = others
+        .filter_map(|seen| Some((is_robot(seen.variable(ROLE_VARIABLE)), identify(&seen.identity).ok()?)))
         .collect();
-    for (patience_ns, then_kill) in [(PATIENCE_NS, true), (KILL_PATIENCE_NS, false)] {
-        let deadline_ns = monotonic_ns() + patience_ns;
+    for (timeout_ns, then_kill) in [(END_TIMEOUT_NS, true), (KILL_TIMEOUT_NS, false)] {
+        let deadline_ns = monotonic_ns() + timeout_ns;
         loop {
-            others.retain(|other| !other.has_ended());
+            others.retain(|(_, other)| !other.has_ended());
             if others.is_empty() || monotonic_ns() > deadline_ns {
                 break;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL);
         }
-        for other in others.iter().filter(|_| then_kill) {
+        for (is_robot, other) in others.iter().filter(|_| then_kill) {
+            // A robot that may still move is the last that could stop itself.
+            if *is_robot && word.is_none_or(|word| word.wheels(Role::Robot).0 != Wheels::Resting) {
+                tracing::error!("robot {} does not end, and is not known to rest: it is left", other.pid());
+                continue;
+            }
             tracing::warn!("process {} does not end and is killed", other.pid());
             other.signal(Signal::KILL);
         }

@@ -9,7 +9,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::{PortFactory, publish_subscribe};
-use shared_types::{Role, Sample};
+use shared_types::{Role, Sample, Topic};
 
 use crate::bell::LINE;
 use crate::bus::WirePublisher;
@@ -98,6 +98,7 @@ impl<S: Sample> Output<S> {
     /// filled; from here on the number of the sample is used up.
     pub fn complete(&self, sample: &mut S) {
         let shared = &*self.shared;
+        shared.guard.hold_back(sample);
         self.sequence.set(self.sequence.get() + 1);
         let header = sample.header_mut();
         header.layout = S::LAYOUT;
@@ -133,6 +134,9 @@ impl<S: Sample> Output<S> {
     }
 
     fn account(&self, delivered: usize) {
+        if S::TOPIC == Topic::Actuation && self.shared.is_in_charge() {
+            self.shared.guard.tell();
+        }
         if delivered != self.readers.get() {
             // Looked up now only: the list of readers lies in memory that nothing else needs.
             self.readers.set(self.service.dynamic_config().number_of_subscribers());

@@ -17,11 +17,15 @@ use self::waiting::Need;
 use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
+use crate::guard::Guard;
 use crate::input::{Drain, Input};
 use crate::orphan::Janitor;
 use crate::output::{Connect, Output, may_write};
 use crate::settings::{self, RunSettings};
-use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
+use crate::{
+    Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, environment, layouts,
+    monotonic_ns,
+};
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
@@ -42,6 +46,7 @@ pub(crate) struct Shared {
     pub(crate) counters: Counters,
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
+    pub(crate) guard: Guard,
     /// Of the scans [ns].
     pub(crate) period_ns: u64,
     pub(crate) produced: Cell<bool>,
@@ -53,6 +58,11 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
+    /// Whether the outputs of this process count, now or from a scan on that was told.
+    pub(crate) fn is_in_charge(&self) -> bool {
+        self.directive.borrow().authority[self.role.index()].incarnation == self.incarnation
+    }
+
     /// Notes that the process has begun to use a sample.
     pub(crate) fn taken<S: Sample>(&self, sample: &S) {
         self.clock.advance_to(sample.header().scan_published_ns());
@@ -140,8 +150,8 @@ impl Process {
     /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::Layout`] when it was built
     /// against other samples than the system, and errors of the bus.
     pub fn attach(role: Role) -> Result<Self, RuntimeError> {
-        let (system_id, incarnation) = environment::identity()?;
-        let domain = Domain::new(&system_id)?;
+        let (_, incarnation) = environment::identity()?;
+        let domain = Domain::of_this_process()?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
         Self::enrol(role, domain, incarnation)
     }
@@ -156,9 +166,14 @@ impl Process {
         let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
+        let word = StopWord::inherited().unwrap_or_else(|error| {
+            tracing::warn!(%error, "this process will not see the stop word, and is ended when the run is stopped");
+            None
+        });
         let shared = Rc::new(Shared {
             role,
             incarnation,
+            guard: Guard::new(role, word),
             clock: run.clock.clock(),
             counters: Counters::default(),
             stamps: Cell::default(),
@@ -192,7 +207,7 @@ impl Process {
             realtime,
             crowded_until_ns: Cell::new(0),
             bells,
-            janitor: Janitor::new(&domain),
+            janitor: Janitor::new(&domain, shared.guard.word()),
             domain,
             settings,
             run,
@@ -225,14 +240,34 @@ impl Process {
         &self.shared.clock
     }
 
-    /// The newest word of the orchestrator.
+    /// The newest directive; its `stop` is 1 also when [`Process::must_stop`].
     pub fn directive(&self) -> Directive {
-        *self.shared.directive.borrow()
+        let directive = *self.shared.directive.borrow();
+        Directive { stop: if self.must_stop() { 1 } else { directive.stop }, ..directive }
+    }
+
+    /// Whether wheels must be blocked whatever any process commands: the run was stopped for good, or the orchestrator
+    /// has been silent for `orphan_stop_s`.
+    pub fn must_stop(&self) -> bool {
+        self.shared.guard.must_stop()
+    }
+
+    /// Notes what the wheels do, for who stops the run: a robot calls it each time it is awake. What an actuator
+    /// publishes is noted by its output.
+    pub fn report_wheels(&self, wheels: Wheels) {
+        self.shared.guard.set_wheels(wheels);
+        self.tell_wheels();
+    }
+
+    pub(crate) fn tell_wheels(&self) {
+        if self.is_in_charge() {
+            self.shared.guard.tell();
+        }
     }
 
     /// Whether the outputs of this process count, now or from a scan on that was told; known from [`Process::start`] on.
     pub fn is_in_charge(&self) -> bool {
-        self.directive().authority[self.shared.role.index()].incarnation == self.shared.incarnation
+        self.shared.is_in_charge()
     }
 
     /// Opens a topic for reading; samples arrive from [`Process::start`] on.

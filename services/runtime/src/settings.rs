@@ -36,16 +36,19 @@ pub struct RunSettings {
     pub period_ns: u64,
     /// The time the loop lives in.
     pub clock: ClockKind,
-    /// How long processes go on when no orchestrator speaks to them [ns].
+    /// How long actuator and robot let the wheels turn without a directive [ns].
+    pub orphan_stop_ns: u64,
+    /// How long processes go on without a directive before they end [ns].
     pub orphan_timeout_ns: u64,
 }
 
 /// The file as a table.
 pub(crate) fn read(domain: &Domain) -> Result<toml::Table, RuntimeError> {
-    let path = domain.directory().join(SETTINGS_FILE);
-    let text =
-        std::fs::read_to_string(&path).map_err(|source| RuntimeError::File { path: path.clone(), source })?;
-    text.parse().map_err(|error: toml::de::Error| RuntimeError::Settings { path, reason: error.to_string() })
+    let text = domain.folder().read_text(SETTINGS_FILE)?;
+    text.parse().map_err(|error: toml::de::Error| RuntimeError::Settings {
+        path: domain.directory().join(SETTINGS_FILE),
+        reason: error.to_string(),
+    })
 }
 
 /// One table of the file as settings of type `T`; a table that is absent reads as empty.

@@ -1,4 +1,4 @@
-//! SIGTERM and SIGINT as a flag that also ends a wait.
+//! Signals that ask a process to end, as a flag that also ends a wait.
 #![expect(unsafe_code, reason = "what a signal handler may do is not checked by the compiler")]
 
 use std::os::fd::{AsFd, BorrowedFd};
@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use shared_types::Role;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 
 use crate::RuntimeError;
+use crate::StopWord;
 use crate::bell::Bells;
 
 /// Whether the process has been asked to end.
@@ -27,6 +28,34 @@ impl Shutdown {
     /// [`RuntimeError::System`] when the handlers can't be installed.
     pub fn on_signals() -> Result<Self, RuntimeError> {
         Self::on(&[SIGTERM, SIGINT])
+    }
+
+    /// Starts listening to all signals by which an operator or a terminal ends an orchestrator: SIGTERM, SIGINT, SIGQUIT,
+    /// and SIGHUP unless it is ignored, as under `nohup`.
+    ///
+    /// # Errors
+    /// As [`Shutdown::on_signals`].
+    pub fn of_orchestrator() -> Result<Self, RuntimeError> {
+        let all: &[i32] = &[SIGTERM, SIGINT, SIGQUIT, SIGHUP];
+        Self::on(if is_ignored(SIGHUP) { &all[..3] } else { all })
+    }
+
+    /// Lets the signals stop the run at once, before the loop has heard of them.
+    ///
+    /// # Errors
+    /// As [`Shutdown::on_signals`].
+    pub fn latch_also(&self, word: &StopWord) -> Result<(), RuntimeError> {
+        for &signal in self.signals {
+            let word = word.clone();
+            // SAFETY: latching reads a clock and stores two words of mapped memory; it takes no lock, allocates nothing and
+            // does not unwind. The closure keeps the memory mapped.
+            let registered = unsafe { signal_hook::low_level::register(signal, move || word.latch()) };
+            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
+        }
+        if self.requested() {
+            word.latch();
+        }
+        Ok(())
     }
 
     /// Starts listening to other signals.
@@ -66,5 +95,15 @@ impl Shutdown {
     /// Readable once a signal has come.
     pub fn descriptor(&self) -> BorrowedFd<'_> {
         self.wake.as_fd()
+    }
+}
+
+/// Whether a signal is ignored, as this process has inherited it.
+fn is_ignored(signal: i32) -> bool {
+    // SAFETY: a zeroed `sigaction` is valid, and the call only reads the action that is in force.
+    unsafe {
+        let mut action: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(signal, std::ptr::null(), &raw mut action) == 0
+            && action.sa_sigaction == libc::SIG_IGN
     }
 }

@@ -26,8 +26,7 @@ struct Lab {
 impl Lab {
     fn new() -> Self {
         let id = format!("u{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
-        let domain = Domain::new(&id).unwrap();
-        std::fs::create_dir_all(domain.directory()).unwrap();
+        let domain = Domain::create(&id).unwrap();
         Self { bus: Some(Bus::create(&domain).unwrap()), domain }
     }
 
@@ -37,8 +36,9 @@ impl Lab {
 
     /// Settings as the orchestrator writes them, for processes that join.
     fn write_settings(&self) {
-        let text = "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_timeout_ns = 60000000000\n";
-        std::fs::write(self.domain.directory().join(crate::SETTINGS_FILE), text).unwrap();
+        let text = "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_stop_ns = 60000000000\n\
+                    orphan_timeout_ns = 60000000000\n";
+        self.domain.folder().write(crate::SETTINGS_FILE, text.as_bytes()).unwrap();
     }
 
     /// What a process of a role shares; the estimator in charge is incarnation 7, the obstacles are 8.
@@ -50,6 +50,7 @@ impl Lab {
         Rc::new(Shared {
             role,
             incarnation,
+            guard: crate::guard::Guard::new(role, None),
             clock: Clock::simulated(),
             counters: Counters::default(),
             stamps: Cell::default(),
@@ -66,8 +67,7 @@ impl Lab {
 impl Drop for Lab {
     fn drop(&mut self) {
         drop(self.bus.take());
-        self.domain.remove_bus_files().unwrap();
-        std::fs::remove_dir_all(self.domain.directory()).unwrap();
+        self.domain.remove().unwrap();
     }
 }
 

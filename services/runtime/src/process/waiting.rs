@@ -170,6 +170,10 @@ impl Process {
             }
         }
         let alone_ns = self.looked_ns.saturating_sub(self.directive_seen_ns);
+        // In lock-step the robot waits for grants, so silence stops it anyway.
+        let simulated = self.shared.clock.is_simulated();
+        self.shared.guard.set_silent(!simulated && alone_ns > self.run.orphan_stop_ns);
+        self.tell_wheels();
         let orphaned = alone_ns > orphan::limit_ns(self.shared.role, self.run.orphan_timeout_ns);
         if orphaned {
             tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);

@@ -1,0 +1,166 @@
+//! Runs that live on this machine, found in `/proc` alone.
+//!
+//! A process of a run names its run, system and role in its environment, and every process of it holds the page of the
+//! stop word open. So a run is found without its directory, its bus, its lock and its orchestrator.
+
+use std::path::{Path, PathBuf};
+
+use runtime::{
+    DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, SYSTEM_ID_VARIABLE, Seen, StopWord,
+    identify, start_ticks, started_processes,
+};
+use shared_types::Role;
+
+/// A run with at least one living process.
+#[derive(Debug, Clone)]
+pub(crate) struct LivingRun {
+    /// Id of its system.
+    pub system_id: String,
+    /// Its random id.
+    pub run_id: String,
+    /// The user it runs as.
+    pub uid: u32,
+    /// The directory of its system.
+    pub directory: Option<PathBuf>,
+    /// Its stop word, if any of its processes still has it.
+    pub word: Option<StopWord>,
+    /// Its processes, without the orchestrator.
+    pub processes: Vec<RunProcess>,
+}
+
+/// A process of a run.
+#[derive(Debug, Clone)]
+pub(crate) struct RunProcess {
+    /// How to tell it from a stranger.
+    pub identity: Identity,
+    /// The role that it, or the process that started it, was started for.
+    pub role: Option<Role>,
+}
+
+impl RunProcess {
+    /// Opens it for a signal; `None` when it has ended.
+    pub(crate) fn open(&self) -> Option<Identified> {
+        identify(&self.identity).ok()
+    }
+
+    /// `controller 812`.
+    pub(crate) fn label(&self) -> String {
+        format!("{} {}", self.role.map_or("process", Role::name), self.identity.pid)
+    }
+}
+
+impl LivingRun {
+    /// All runs of a user.
+    pub(crate) fn all(uid: u32) -> Vec<Self> {
+        let mut runs: Vec<Self> = Vec::new();
+        for seen in started_processes(uid) {
+            let run_id = &seen.identity.run_id;
+            let index = runs.iter().position(|run| run.run_id == *run_id).unwrap_or_else(|| {
+                runs.push(Self::begin(run_id, uid));
+                runs.len() - 1
+            });
+            runs[index].take(seen);
+        }
+        for (run_id, link) in stop_words(uid) {
+            let index = runs.iter().position(|run| run.run_id == run_id).unwrap_or_else(|| {
+                runs.push(Self::begin(&run_id, uid));
+                runs.len() - 1
+            });
+            let run = &mut runs[index];
+            if run.word.is_none() {
+                run.word = StopWord::open(&link).ok();
+            }
+        }
+        runs.retain(|run| !run.is_over());
+        runs.iter_mut().for_each(Self::name);
+        runs.sort_by(|one, other| one.system_id.cmp(&other.system_id));
+        runs
+    }
+
+    /// The run of that id of this user, if any of it lives.
+    pub(crate) fn of(run_id: &str) -> Option<Self> {
+        Self::all(rustix::process::geteuid().as_raw()).into_iter().find(|run| run.run_id == run_id)
+    }
+
+    /// The living processes of one role.
+    pub(crate) fn of_role(&self, role: Role) -> impl Iterator<Item = Identified> {
+        self.processes.iter().filter(move |process| process.role == Some(role)).filter_map(RunProcess::open)
+    }
+
+    /// Process id of the orchestrator, if it lives.
+    pub(crate) fn orchestrator(&self) -> Option<u32> {
+        let (pid, ticks) = self.word.as_ref()?.orchestrator();
+        (pid != 0 && start_ticks(pid) == Some(ticks)).then_some(pid)
+    }
+
+    /// Whether neither a process nor the orchestrator lives.
+    pub(crate) fn is_over(&self) -> bool {
+        self.orchestrator().is_none() && self.living_processes().next().is_none()
+    }
+
+    /// Its processes that still live.
+    pub(crate) fn living_processes(&self) -> impl Iterator<Item = &RunProcess> {
+        self.processes.iter().filter(|process| process.open().is_some())
+    }
+
+    /// What lives of it, in words.
+    pub(crate) fn alive(&self) -> Vec<String> {
+        let processes = self.living_processes().map(RunProcess::label);
+        processes.chain(self.orchestrator().map(|pid| format!("orchestrator {pid}"))).collect()
+    }
+
+    /// The directory of its system, if it is this user's and still of this run.
+    pub(crate) fn domain(&self) -> Option<Domain> {
+        let path = self.directory.as_ref()?;
+        let domain = Domain::at(&self.system_id, &self.run_id, path).ok()?;
+        let written = Domain::find(&self.system_id).ok().flatten();
+        written.filter(|written| *written == domain)
+    }
+
+    fn begin(run_id: &str, uid: u32) -> Self {
+        Self {
+            system_id: String::new(),
+            run_id: run_id.to_owned(),
+            uid,
+            directory: None,
+            word: None,
+            processes: Vec::new(),
+        }
+    }
+
+    fn take(&mut self, seen: Seen) {
+        if self.system_id.is_empty() {
+            self.system_id = seen.variable(SYSTEM_ID_VARIABLE).unwrap_or_default();
+            self.directory = seen.variable(DIRECTORY_VARIABLE).map(PathBuf::from);
+        }
+        let role = seen.variable(ROLE_VARIABLE).and_then(|name| name.parse().ok());
+        self.processes.push(RunProcess { identity: seen.identity, role });
+    }
+
+    /// A run without processes has its name from its directory.
+    fn name(&mut self) {
+        if !self.system_id.is_empty() {
+            return;
+        }
+        let domains = Domain::all().unwrap_or_default();
+        if let Some(domain) = domains.into_iter().find(|domain| domain.run_id() == self.run_id) {
+            self.system_id = domain.system_id().to_owned();
+            self.directory = Some(domain.directory().to_path_buf());
+        }
+    }
+}
+
+/// Run ids and paths of all stop words that processes of a user hold open.
+fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
+    let mut found = Vec::new();
+    for pid in runtime::processes(uid) {
+        let Ok(entries) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { continue };
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let Ok(link) = std::fs::read_link(&path) else { continue };
+            if let Some(run_id) = StopWord::run_id_of_link(Path::new(&link)) {
+                found.push((run_id.to_owned(), path));
+            }
+        }
+    }
+    found
+}

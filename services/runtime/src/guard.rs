@@ -1,0 +1,137 @@
+//! Whether the wheels of this run may turn, and the ports that hold back what would turn them when they may not.
+//!
+//! Two things forbid it: the stop word, for good, and a silence of the orchestrator of `orphan_stop_s`, until a directive
+//! comes. A process that reads its directive sees both as `stop`. Whatever it does then, no actuation that drives leaves
+//! the port of an actuator or comes out of the port of a robot.
+
+use std::any::Any;
+use std::cell::Cell;
+
+use shared_types::{Actuation, ActuationKind, BlockReason, Role, Sample, Topic};
+
+use crate::stop::{StopWord, Wheels};
+
+/// What one process knows of stop and wheels.
+#[derive(Debug)]
+pub(crate) struct Guard {
+    role: Role,
+    word: Option<StopWord>,
+    /// The orchestrator has been silent for too long.
+    silent: Cell<bool>,
+    wheels: Cell<Wheels>,
+}
+
+impl Guard {
+    pub(crate) fn new(role: Role, word: Option<StopWord>) -> Self {
+        Self { role, word, silent: Cell::new(false), wheels: Cell::new(Wheels::Unknown) }
+    }
+
+    /// The stop word, if it was handed to this process.
+    pub(crate) fn word(&self) -> Option<StopWord> {
+        self.word.clone()
+    }
+
+    /// Whether wheels must be blocked now.
+    pub(crate) fn must_stop(&self) -> bool {
+        self.silent.get() || self.is_latched()
+    }
+
+    /// Whether the run was stopped for good.
+    pub(crate) fn is_latched(&self) -> bool {
+        self.word.as_ref().is_some_and(|word| !word.is_armed())
+    }
+
+    /// Notes whether the orchestrator has been silent for too long.
+    pub(crate) fn set_silent(&self, silent: bool) {
+        if self.silent.replace(silent) != silent && matches!(self.role, Role::Robot | Role::Actuator) {
+            let what =
+                if silent { "no directive any more: wheels are blocked" } else { "directives come again" };
+            tracing::warn!("{what}");
+        }
+    }
+
+    /// Notes what the wheels do; [`Guard::tell`] writes it into the page.
+    pub(crate) fn set_wheels(&self, wheels: Wheels) {
+        self.wheels.set(wheels);
+    }
+
+    /// Writes into the page of the stop word what the wheels do; for the process in charge only.
+    pub(crate) fn tell(&self) {
+        if let Some(word) = &self.word
+            && self.wheels.get() != Wheels::Unknown
+        {
+            word.report(self.role, self.wheels.get());
+        }
+    }
+
+    /// Makes a block of an actuation that would drive although wheels must not turn.
+    pub(crate) fn hold_back<S: Sample>(&self, sample: &mut S) {
+        if S::TOPIC != Topic::Actuation {
+            return;
+        }
+        let sample: &mut dyn Any = sample;
+        let Some(actuation) = sample.downcast_mut::<Actuation>() else { return };
+        if drives(actuation) && self.must_stop() {
+            actuation.kind = ActuationKind::Block.wire();
+            actuation.reason = BlockReason::StopRequested.wire();
+            (actuation.desired_velocity_mps, actuation.sent_velocity_mps) = (0.0, 0.0);
+        }
+        self.set_wheels(if drives(actuation) { Wheels::Turning } else { Wheels::Blocked });
+    }
+
+    /// Whether a robot must not see a sample: it would drive, and wheels must not turn.
+    pub(crate) fn refuses<S: Sample>(&self, sample: &S) -> bool {
+        if S::TOPIC != Topic::Actuation || self.role != Role::Robot {
+            return false;
+        }
+        let sample: &dyn Any = sample;
+        sample.downcast_ref().is_some_and(drives) && self.must_stop()
+    }
+}
+
+fn drives(actuation: &Actuation) -> bool {
+    actuation.kind != ActuationKind::Block.wire()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive() -> Actuation {
+        Actuation {
+            kind: ActuationKind::Drive.wire(),
+            desired_velocity_mps: 1.0,
+            sent_velocity_mps: 1.4,
+            sent_steering_rad: 0.05,
+            ..Actuation::default()
+        }
+    }
+
+    #[test]
+    fn what_would_drive_is_made_a_block_that_keeps_its_angle() {
+        let word = StopWord::create("guardtesta", 1).unwrap();
+        let guard = Guard::new(Role::Actuator, Some(word.clone()));
+        let mut actuation = drive();
+        guard.hold_back(&mut actuation);
+        assert_eq!(actuation.kind, ActuationKind::Drive.wire());
+        word.latch();
+        guard.hold_back(&mut actuation);
+        assert_eq!(actuation.kind, ActuationKind::Block.wire());
+        assert_eq!(actuation.reason, BlockReason::StopRequested.wire());
+        assert_eq!((actuation.sent_velocity_mps, actuation.desired_velocity_mps), (0.0, 0.0));
+        assert_eq!(actuation.sent_steering_rad, 0.05);
+        guard.tell();
+        assert_eq!(word.wheels(Role::Actuator).0, Wheels::Blocked);
+    }
+
+    #[test]
+    fn a_robot_sees_no_actuation_that_drives_while_wheels_must_not_turn() {
+        let guard = Guard::new(Role::Robot, None);
+        assert!(!guard.refuses(&drive()));
+        guard.set_silent(true);
+        assert!(guard.refuses(&drive()) && !guard.refuses(&Actuation::default()));
+        guard.set_silent(false);
+        assert!(!guard.refuses(&drive()), "a silence ends, other than a stop");
+        assert!(!Guard::new(Role::Estimator, None).refuses(&drive()));
+    }
+}

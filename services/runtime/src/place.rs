@@ -1,0 +1,137 @@
+//! Where the directories of this user's systems are: the first place of four that is usable.
+//!
+//! 1. `SCANLOOP_RUNTIME_DIR`, made when it is missing;
+//! 2. `$XDG_RUNTIME_DIR/scanloop`, when that variable names a private directory of this user;
+//! 3. `/run/user/UID/scanloop`, likewise;
+//! 4. `/tmp/scanloop-UID`.
+//!
+//! A new system is made in the first usable place. Systems are searched in all of them, because a session of another
+//! kind (ssh, cron, a service) has other variables. A place that is not private is never used and never searched.
+
+use std::path::{Path, PathBuf};
+
+use crate::folder::Folder;
+use crate::{RUNTIME_DIR_VARIABLE, RuntimeError};
+
+/// Name of the directory for systems within a directory for all programs of a user.
+const NAME: &str = "scanloop";
+
+/// A directory that may hold systems.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Place {
+    /// This directory itself.
+    Own(PathBuf),
+    /// A directory of ours within one that the machine gives to the user.
+    Within(PathBuf),
+}
+
+impl Place {
+    /// The directory that holds the systems; `None` where there is none.
+    fn open(&self) -> Result<Option<Folder>, RuntimeError> {
+        match self {
+            Self::Own(path) => Folder::open_and_close_to_others(path),
+            Self::Within(path) => match Folder::open(path)? {
+                Some(parent) => parent.folder(NAME),
+                None => Ok(None),
+            },
+        }
+    }
+
+    /// The directory that holds the systems, made if need be; `None` when the machine has no such place.
+    fn make(&self) -> Result<Option<Folder>, RuntimeError> {
+        loop {
+            if let Some(there) = self.open()? {
+                return Ok(Some(there));
+            }
+            let made = match self {
+                Self::Own(path) => Folder::make(path),
+                Self::Within(path) => match Folder::open(path)? {
+                    Some(parent) => parent.make_folder(NAME),
+                    None => return Ok(None),
+                },
+            };
+            match made {
+                // Another system of this user was faster.
+                Err(RuntimeError::File { source, .. })
+                    if source.kind() == std::io::ErrorKind::AlreadyExists => {}
+                made => return made.map(Some),
+            }
+        }
+    }
+
+    /// Whether a refusal is the user's to mend: he named the place, or there is no other.
+    fn is_required(&self) -> bool {
+        matches!(self, Self::Own(_))
+    }
+}
+
+/// The places, in the order in which they are used.
+fn places() -> Result<Vec<Place>, RuntimeError> {
+    let variable = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let user = rustix::process::geteuid().as_raw();
+    let mut places = Vec::new();
+    if let Some(path) = variable(RUNTIME_DIR_VARIABLE) {
+        if !path.is_absolute() {
+            return Err(RuntimeError::NotPrivate {
+                path,
+                reason: format!("is no absolute path ({RUNTIME_DIR_VARIABLE})"),
+            });
+        }
+        places.push(Place::Own(path));
+    }
+    let given = variable("XDG_RUNTIME_DIR").filter(|path| path.is_absolute());
+    for path in given.into_iter().chain([Path::new("/run/user").join(user.to_string())]) {
+        let place = Place::Within(path);
+        if !places.contains(&place) {
+            places.push(place);
+        }
+    }
+    places.push(Place::Own(PathBuf::from(format!("/tmp/scanloop-{user}"))));
+    Ok(places)
+}
+
+/// The place for a new system.
+///
+/// # Errors
+/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR`, or the last place, can't be used, and errors of the file system.
+pub(crate) fn make() -> Result<Folder, RuntimeError> {
+    let mut refused = None;
+    for place in places()? {
+        match place.make() {
+            Ok(Some(folder)) => return Ok(folder),
+            Ok(None) => {}
+            Err(error) if place.is_required() => return Err(error),
+            Err(error) => refused = Some(error),
+        }
+    }
+    Err(refused.unwrap_or_else(|| RuntimeError::NotPrivate {
+        path: "/tmp".into(),
+        reason: "does not exist".to_owned(),
+    }))
+}
+
+/// Name of the mark of a system that was stopped and whose orchestrator had to be killed; no id has a dot.
+fn mark(system_id: &str) -> String {
+    format!("{system_id}.stopped")
+}
+
+/// Leaves a mark that a system was stopped.
+pub(crate) fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
+    make()?.write(&mark(system_id), b"")
+}
+
+/// Takes the mark away; whether there was one.
+pub(crate) fn take_mark(system_id: &str) -> Result<bool, RuntimeError> {
+    let name = mark(system_id);
+    let marked: Vec<Folder> = all()?.into_iter().filter(|place| place.contains(&name)).collect();
+    marked.iter().try_for_each(|place| place.remove(&name))?;
+    Ok(!marked.is_empty())
+}
+
+/// All places in which systems may be, those that are not private left out.
+///
+/// # Errors
+/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR` is no absolute path.
+pub(crate) fn all() -> Result<Vec<Folder>, RuntimeError> {
+    Ok(places()?.iter().filter_map(|place| place.open().ok().flatten()).collect())
+}
