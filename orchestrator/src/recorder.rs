@@ -33,6 +33,8 @@ const RECENT_NS: u64 = 1_000_000_000;
 /// What is known of a run before it starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunInfo {
+    /// The random id of the run.
+    pub run_id: String,
     /// Name of the scenario.
     pub scenario: String,
     /// Seed of all random numbers.
@@ -238,6 +240,7 @@ impl Recorder {
     pub fn report(&self, ending: &Ending) -> Report {
         Report {
             schema: SCHEMA,
+            run_id: self.info.run_id.clone(),
             scenario: self.info.scenario.clone(),
             seed: self.info.seed,
             outcome: ending.outcome,

@@ -30,6 +30,8 @@ pub const SCHEMA: u32 = 1;
 pub struct Report {
     /// [`SCHEMA`].
     pub schema: u32,
+    /// The random id of the run, by which its shared memory was named.
+    pub run_id: String,
     /// Name of the scenario.
     pub scenario: String,
     /// Seed of all random numbers.

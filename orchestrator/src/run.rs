@@ -263,6 +263,7 @@ pub(crate) fn assemble(
     let supervisor = Supervisor::new(policies);
     let supervisor = if manner.lockstep { supervisor.in_lockstep() } else { supervisor };
     let info = RunInfo {
+        run_id: domain.run_id().to_owned(),
         scenario: scenario.name.clone(),
         seed: scenario.seed,
         lockstep: manner.lockstep,

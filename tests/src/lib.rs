@@ -5,6 +5,7 @@ pub mod exchange;
 pub mod soak;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -23,7 +24,9 @@ static NEXT: AtomicU32 = AtomicU32::new(0);
 /// A system under test with an id and a folder of its own; dropping it ends what is left of it.
 #[derive(Debug)]
 pub struct System {
-    domain: Domain,
+    id: String,
+    /// Run ids that were seen.
+    runs: RefCell<BTreeSet<String>>,
     folder: PathBuf,
     executable: PathBuf,
     running: Option<Child>,
@@ -35,14 +38,13 @@ impl System {
         let id = format!("t{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let folder = std::env::temp_dir().join(format!("scanloop-test-{id}"));
         std::fs::create_dir_all(&folder).expect("a folder for the test");
-        let domain = Domain::new(&id).expect("a valid id");
-        Self { domain, folder, executable: executable.into(), running: None }
+        Self { id, runs: RefCell::default(), folder, executable: executable.into(), running: None }
     }
 
     /// A command of the executable for this system.
     pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(&self.executable);
-        command.arg("--system-id").arg(self.domain.system_id()).args(arguments).current_dir(&self.folder);
+        command.arg("--system-id").arg(&self.id).args(arguments).current_dir(&self.folder);
         command.stdin(Stdio::null());
         command
     }
@@ -58,8 +60,10 @@ impl System {
         let mut all = vec!["run", "--lockstep", "--quiet", "--out", out.to_str().expect("a readable path")];
         all.extend(arguments);
         let output = self.run(&all);
-        Report::read(&out.join("report.json"))
-            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
+        let report = Report::read(&out.join("report.json"))
+            .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+        self.runs.borrow_mut().insert(report.run_id.clone());
+        report
     }
 
     /// Starts a run in real time and waits until it drives.
@@ -100,7 +104,7 @@ impl System {
 
     /// The state of the running system, if it answers.
     pub fn status(&self) -> Option<Status> {
-        match ask(&self.domain, &Request::Status) {
+        match ask(&self.find()?, &Request::Status) {
             Ok(Reply::Status(status)) => Some(*status),
             _ => None,
         }
@@ -143,8 +147,10 @@ impl System {
 
     /// The report of the run that has ended.
     pub fn report(&self) -> Report {
-        Report::read(&self.folder.join("out/report.json"))
-            .unwrap_or_else(|error| panic!("{error}: {}", self.stderr()))
+        let report = Report::read(&self.folder.join("out/report.json"))
+            .unwrap_or_else(|error| panic!("{error}: {}", self.stderr()));
+        self.runs.borrow_mut().insert(report.run_id.clone());
+        report
     }
 
     /// What the run wrote to standard error.
@@ -157,9 +163,26 @@ impl System {
         &self.folder
     }
 
-    /// The domain of the system.
-    pub fn domain(&self) -> &Domain {
-        &self.domain
+    /// Id of the system.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// The domain of the system, which must have a directory.
+    pub fn domain(&self) -> Domain {
+        self.find().unwrap_or_else(|| panic!("system {} has no directory: {}", self.id, self.stderr()))
+    }
+
+    /// The domain of the system, if it has a directory.
+    pub fn find(&self) -> Option<Domain> {
+        let domain = Domain::find(&self.id).ok().flatten()?;
+        self.runs.borrow_mut().insert(domain.run_id().to_owned());
+        Some(domain)
+    }
+
+    /// Process ids that were started for the system and live.
+    pub fn processes(&self) -> Vec<i32> {
+        processes_of(&self.id)
     }
 
     /// Waits until a condition holds, with a deadline.
@@ -172,19 +195,26 @@ impl System {
     }
 
     /// Panics when the system has left files in shared memory, its directory, or processes.
+    ///
+    /// What `stop` leaves to a process in the background is waited for.
     pub fn assert_nothing_left(&self) {
-        let files: Vec<_> = std::fs::read_dir("/dev/shm")
-            .expect("shared memory")
-            .flatten()
-            .map(|entry| entry.file_name().to_string_lossy().into_owned())
-            .filter(|name| name.starts_with(self.domain.shared_memory_prefix()))
-            .collect();
-        assert!(files.is_empty(), "left in shared memory: {files:?}");
-        let bus = self.domain.bus_directory();
-        assert!(!bus.exists(), "left in shared memory: {}", bus.display());
-        assert!(!self.domain.directory().exists(), "left: {}", self.domain.directory().display());
-        let processes = processes_of(self.domain.system_id());
+        let started = Instant::now();
+        while (self.find().is_some() || !self.processes().is_empty()) && started.elapsed() < DEADLINE {
+            pause();
+        }
+        let left = self.find();
+        assert!(left.is_none(), "left: {left:?}");
+        let processes = self.processes();
         assert!(processes.is_empty(), "left running: {processes:?}");
+        for run_id in self.runs.borrow().iter().filter(|run_id| !run_id.is_empty()) {
+            let files: Vec<_> = std::fs::read_dir("/dev/shm")
+                .expect("shared memory")
+                .flatten()
+                .map(|entry| entry.file_name().to_string_lossy().into_owned())
+                .filter(|name| name.contains(run_id))
+                .collect();
+            assert!(files.is_empty(), "left in shared memory: {files:?}");
+        }
     }
 }
 
@@ -194,13 +224,14 @@ impl Drop for System {
             let _ = child.kill();
             let _ = child.wait();
         }
-        for pid in processes_of(self.domain.system_id()) {
+        for pid in self.processes() {
             if let Some(pid) = rustix::process::Pid::from_raw(pid) {
                 let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
             }
         }
-        let _ = self.domain.remove_bus_files();
-        let _ = std::fs::remove_dir_all(self.domain.directory());
+        if let Some(domain) = self.find() {
+            let _ = domain.remove();
+        }
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
@@ -216,7 +247,7 @@ pub struct Watch {
 impl Watch {
     /// Watches from now on.
     pub fn new(system: &System) -> Self {
-        let bus = Bus::open(system.domain(), "test").expect("a running system");
+        let bus = Bus::open(&system.domain(), "test").expect("a running system");
         let observer = Observer::new(&bus).expect("the topic of the truth");
         Self { observer, seen: RefCell::default(), _bus: bus }
     }

@@ -130,7 +130,7 @@ pub fn swap_live(executable: &str, count: usize, seed: u64) -> Tally {
     system.start(&["endless", "--set", "timeout_s=36000"]);
     let mut tally = Tally { runs: 1, ..Tally::default() };
     while tally.live_swaps < count {
-        let recorder = Audit::start(system.domain());
+        let recorder = Audit::start(&system.domain());
         let mut certificates = Vec::new();
         for _ in 0..PER_RUN.min(count - tally.live_swaps) {
             let (role, implementation) = BUILT_IN[dice.random_range(0..BUILT_IN.len())];
@@ -250,7 +250,7 @@ fn newest(system: &System, watch: &Watch) -> Truth {
 }
 
 fn has_ended(system: &System) -> bool {
-    !system.domain().directory().exists()
+    system.find().is_none()
 }
 
 /// Whether the role is filled by another process and the robot drives by answers that are newer than the fault.

@@ -7,7 +7,7 @@ use emulator::Outcome;
 use orchestrator::control::Status;
 use orchestrator::report::Report;
 use rustix::process::Signal;
-use scanloop_tests::{System, Watch, processes_of};
+use scanloop_tests::{System, Watch};
 use shared_types::{Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -199,7 +199,7 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
     // What is left of it in the list now names a process of another system, with its true start time.
     let mut stranger = Command::new("sleep");
-    stranger.arg("600").env("SCANLOOP_SYSTEM_ID", "another").env("SCANLOOP_INCARNATION", "4");
+    stranger.arg("600").env("SCANLOOP_RUN_ID", "anotherrun").env("SCANLOOP_INCARNATION", "4");
     let mut stranger = stranger.stdin(Stdio::null()).spawn().unwrap();
     let list = system.domain().directory().join(runtime::PROCESSES_FILE);
     let text = std::fs::read_to_string(&list).unwrap();
@@ -210,7 +210,7 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
         .unwrap();
     system.adopt(&[]);
     let said = system.stderr();
-    let name = format!("controller: process {} is a stranger: its SCANLOOP_SYSTEM_ID is", stranger.id());
+    let name = format!("controller: process {} is a stranger: its SCANLOOP_RUN_ID is", stranger.id());
     assert!(said.contains(&name), "{said}");
     assert!(
         system.status().unwrap().processes.iter().all(|process| process.pid != stranger.id().cast_signed())
@@ -248,7 +248,7 @@ fn an_exchange_that_lost_its_orchestrator_ends_with_who_is_in_charge() {
         system.adopt(&[]);
         assert_eq!(system.pid(Role::Controller), in_charge, "{state}");
         system.wait_until("the other one has ended", |system| {
-            !processes_of(system.domain().system_id()).contains(&other)
+            !system.processes().contains(&other)
         });
         assert!(
             system.stderr().contains(&format!("controller {other} fills no role")),
@@ -264,9 +264,9 @@ fn an_exchange_that_lost_its_orchestrator_ends_with_who_is_in_charge() {
 fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
     let mut system = System::new(EXECUTABLE);
     system.launch(&["run", "--quiet", "--out", "out", "free"], &[]);
-    system.wait_until("some process", |system| !processes_of(system.domain().system_id()).is_empty());
+    system.wait_until("some process", |system| !system.processes().is_empty());
     system.wait_until("it was written down", |system| {
-        system.domain().directory().join(runtime::PROCESSES_FILE).exists()
+        system.find().is_some_and(|domain| domain.folder().contains(runtime::PROCESSES_FILE))
     });
     system.kill_orchestrator();
     system.adopt(&[]);
@@ -293,9 +293,10 @@ fn status_and_stop_work_without_an_orchestrator() {
     assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
     let stopped = system.run(&["stop"]);
     assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));
-    let last = watch.newest().unwrap();
+    let last = wait_for_truth(&system, &watch, "it rests", |truth| truth.speed_mps <= 0.0);
     assert_eq!((last.blocked, last.speed_mps, last.collided), (1, 0.0, 0));
     assert!(last.longest_blind_s <= LONGEST_BLIND_S);
+    drop(watch);
     system.assert_nothing_left();
     assert_eq!(system.run(&["stop"]).status.code(), Some(2));
     assert_eq!(system.run(&["status"]).status.code(), Some(2));
@@ -319,7 +320,7 @@ fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
     wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
     wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
     system.wait_until("all processes have ended", |system| {
-        processes_of(system.domain().system_id()).is_empty()
+        system.processes().is_empty()
     });
     let last = watch.newest().unwrap();
     assert_eq!((last.blocked, last.collided), (1, 0));
@@ -334,7 +335,7 @@ fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
     let controller = pid_of(&driverless_status(&system), Role::Controller);
     system.signal(controller, Signal::STOP);
     system.wait_until("all processes have ended", |system| {
-        processes_of(system.domain().system_id()).is_empty()
+        system.processes().is_empty()
     });
     system.assert_nothing_left();
 }

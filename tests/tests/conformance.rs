@@ -216,17 +216,16 @@ fn run(arguments: &[&str]) -> Output {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
     let child = command.spawn().unwrap();
-    let system = format!("c{}-0", child.id());
-    let output = child.wait_with_output().unwrap();
-    let domain = Domain::new(&system).unwrap();
     // Systems of the suite are numbered: `c21-0`, `c21-1`.
-    let prefix = domain.shared_memory_prefix().trim_end_matches("0_").to_owned();
-    let left = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let prefix = format!("c{}-", child.id());
+    let output = child.wait_with_output().unwrap();
     let left: Vec<_> =
-        left.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix)).collect();
+        Domain::all().unwrap().into_iter().filter(|domain| domain.system_id().starts_with(&prefix)).collect();
+    assert!(left.is_empty(), "left: {left:?}");
+    let owner = |path: &std::path::Path| std::fs::read_to_string(path.join("system-id")).unwrap_or_default();
+    let left = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
+    let left: Vec<_> = left.filter(|path| owner(path).starts_with(&prefix)).collect();
     assert!(left.is_empty(), "left in shared memory: {left:?}");
-    assert!(!domain.bus_directory().exists(), "left: {}", domain.bus_directory().display());
-    assert!(!domain.directory().exists(), "left: {}", domain.directory().display());
     output
 }
 

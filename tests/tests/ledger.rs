@@ -148,7 +148,7 @@ fn assert_clean(report: &Report) {
 
 /// The headers of all actuations that answered a scan, read from the bus while the system drives.
 fn answers(system: &System) -> BTreeMap<u64, Header> {
-    let bus = Bus::open(system.domain(), "observer").unwrap();
+    let bus = Bus::open(&system.domain(), "observer").unwrap();
     let observer = Observer::<Actuation>::new(&bus).unwrap();
     let headers = RefCell::new(BTreeMap::new());
     system.wait_until("the run ends", |system| {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use emulator::Outcome;
 use orchestrator::report::Report;
 use rustix::process::Signal;
-use scanloop_tests::{System, processes_of};
+use scanloop_tests::System;
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -125,7 +125,7 @@ fn an_interrupt_stops_the_wheels_and_leaves_nothing() {
 fn a_run_after_the_orchestrator_was_killed_needs_no_cleaning() {
     let mut system = System::new(EXECUTABLE);
     system.start(&[]);
-    let orphans = processes_of(system.domain().system_id());
+    let orphans = system.processes();
     assert!(orphans.len() >= 5, "{orphans:?}");
     system.signal(system.orchestrator(), Signal::KILL);
     system.wait();
@@ -141,7 +141,7 @@ fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
     system.signal(system.orchestrator(), Signal::KILL);
     system.wait();
     system.wait_until("all processes have ended", |system| {
-        processes_of(system.domain().system_id()).is_empty()
+        system.processes().is_empty()
     });
 }
 

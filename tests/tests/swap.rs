@@ -36,7 +36,7 @@ fn the_controller_is_exchanged_within_three_seconds_and_no_scan_is_missed() {
 fn all_roles_are_exchanged_one_after_the_other_and_their_certificates_are_true() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["long"]);
-    let observer = Audit::start(system.domain());
+    let observer = Audit::start(&system.domain());
     let mut certificates = Vec::new();
     for (role, implementation) in BUILT_IN {
         let certificate = swap(&system, &[role.name(), "--to", implementation]);
@@ -96,7 +96,7 @@ fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
 fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["long"]);
-    let observer = Audit::start(system.domain());
+    let observer = Audit::start(&system.domain());
     let mut certificates = Vec::new();
     for (role, implementation) in BUILT_IN {
         let (child, new, old) = standby(&system, role, &["--to", implementation]);

@@ -16,6 +16,8 @@ use crate::{DIRECTORY_VARIABLE, RUN_ID_VARIABLE, RuntimeError, environment, plac
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 /// Name of the file that holds the run id.
 const RUN_ID_FILE: &str = "run-id";
+/// Name of the file in the directory of the bus that tells whose it is.
+const SYSTEM_ID_FILE: &str = "system-id";
 /// Letters of a run id: 50 random bits.
 const RUN_ID_LETTERS: usize = 10;
 
@@ -40,7 +42,8 @@ impl Domain {
         let run_id = random_id();
         let domain = Self::assemble(system_id, run_id, folder);
         let made = Folder::make(&domain.bus_directory())
-            .and_then(|_| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
+            .and_then(|bus| bus.write(SYSTEM_ID_FILE, system_id.as_bytes()))
+            .and_then(|()| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
         if let Err(error) = made {
             let _ = domain.remove();
             return Err(error);

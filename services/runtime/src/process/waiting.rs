@@ -174,7 +174,12 @@ impl Process {
         let simulated = self.shared.clock.is_simulated();
         self.shared.guard.set_silent(!simulated && alone_ns > self.run.orphan_stop_ns);
         self.tell_wheels();
-        let orphaned = alone_ns > orphan::limit_ns(self.shared.role, self.run.orphan_timeout_ns);
+        // A run that was stopped can't be adopted, so it is not waited for.
+        let timeout_ns = match self.shared.guard.is_latched() {
+            true => self.run.orphan_timeout_ns.min(self.run.orphan_stop_ns),
+            false => self.run.orphan_timeout_ns,
+        };
+        let orphaned = alone_ns > orphan::limit_ns(self.shared.role, timeout_ns);
         if orphaned {
             tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);
             self.janitor.is_orphaned();

@@ -31,7 +31,7 @@ fn main() -> Outcome {
 
 /// The domain of the system that this process was started for.
 fn domain() -> Result<Domain, Box<dyn std::error::Error>> {
-    Ok(Domain::new(&std::env::var(SYSTEM_ID_VARIABLE)?)?)
+    Ok(Domain::of_this_process()?)
 }
 
 /// Reads a topic without looking at who wrote what.
