@@ -7,7 +7,7 @@
 //! Where this fails: how an adopted process ends is not told to us, so an exit with code 0 counts as a failure;
 //! exchanges that were going on are over without a certificate; and the account begins with the first scan seen.
 
-use runtime::{Bus, Domain, Priority, monotonic_ns, print};
+use runtime::{Bus, Domain, Priority, RuntimeError, monotonic_ns, print};
 use shared_types::{Authority, Directive, Phase, Role};
 
 use crate::child::Child;
@@ -70,7 +70,10 @@ pub(crate) fn take_over(
         return Err(refused("nobody wrote down who fills its roles".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
-    let bus = Bus::take_over(domain).map_err(|error| refused(error.to_string()))?;
+    let bus = Bus::take_over(domain).map_err(|error| match error {
+        RuntimeError::SharedMemory(_) => error.into(),
+        other => refused(other.to_string()),
+    })?;
     // From here on the run is ours, and so is its end.
     lock.own();
     let mut fleet = Fleet::new(domain.clone(), lock, &plan.system, out.join("logs"), true)?;

@@ -54,6 +54,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::Layout(_)
             | runtime::RuntimeError::Environment { .. },
         ) => Exit::BadInput,
+        Some(runtime::RuntimeError::SharedMemory(_)) => Exit::ProcessFailed,
         _ => Exit::Internal,
     }
 }

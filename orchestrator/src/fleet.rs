@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, SYSTEM_ID_VARIABLE,
-    monotonic_ns, write_handover,
+    BESIDE_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, RuntimeError,
+    SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
@@ -16,6 +16,7 @@ use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
+use crate::room::Room;
 use crate::roster::ProcessRow;
 use crate::supervisor::{Event, Exit};
 use crate::system::{ProcessEntry, System};
@@ -39,6 +40,7 @@ pub(crate) struct Fleet {
     departed: Vec<u32>,
     left: bool,
     machine: Machine,
+    room: Room,
     changed: bool,
     // Dropped last: what it removes must not be in use any more.
     _lock: SystemLock,
@@ -124,7 +126,18 @@ impl Fleet {
         }
         let (beside, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
         let (left, changed) = (false, false);
-        Ok(Self { domain, members, beside, leaving, departed, left, changed, machine, _lock: lock })
+        Ok(Self {
+            domain,
+            members,
+            beside,
+            leaving,
+            departed,
+            left,
+            changed,
+            machine,
+            room: Room::default(),
+            _lock: lock,
+        })
     }
 
     /// A role that another orchestrator filled, with the process that fills it, if that lives.
@@ -231,6 +244,7 @@ impl Fleet {
                 vec![this.into_os_string(), "service".into(), name.into()]
             }
         };
+        self.room.make()?;
         write_handover(&self.domain, role, checkpoint)?;
         let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
         let mut environment = vec![
@@ -239,7 +253,8 @@ impl Fleet {
             variable(RESTART_VARIABLE, u8::from(restart).to_string()),
         ];
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
-        member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
+        let begun = member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()));
+        begun.with_context(|| format!("{}", member.log.path().display()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         self.changed = true;
         Ok(child)
@@ -330,6 +345,11 @@ impl Fleet {
         if let Some(pid) = child.map(Child::pid) {
             self.machine.take_in(pid);
         }
+    }
+
+    /// Holds shared memory for one more process, unless one is on its way or leaves; what is missing is returned once.
+    pub(crate) fn keep_room(&mut self) -> Option<RuntimeError> {
+        if self.beside.is_empty() && self.leaving.is_empty() { self.room.keep() } else { None }
     }
 
     /// Asks a process to end, or kills it.

@@ -167,9 +167,13 @@ fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::
 fn write(domain: &Domain, name: &str, content: &impl Serialize) -> anyhow::Result<()> {
     let path = domain.directory().join(name);
     let beside = path.with_extension("tmp");
-    std::fs::write(&beside, toml::to_string(content)?)
-        .and_then(|()| std::fs::rename(&beside, &path))
-        .with_context(|| format!("{}", path.display()))
+    let written =
+        std::fs::write(&beside, toml::to_string(content)?).and_then(|()| std::fs::rename(&beside, &path));
+    if written.is_err() {
+        // Half of it would take what is left of a full disk.
+        let _ = std::fs::remove_file(&beside);
+    }
+    written.with_context(|| format!("{}", path.display()))
 }
 
 #[cfg(test)]

@@ -26,6 +26,7 @@ use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex::{self, Flags, Timespec};
 use shared_types::{ROLES, Role, TOPICS, Topic};
 
+use crate::reserve::allocate;
 use crate::{Domain, RuntimeError};
 
 /// Processors read memory in lines of this many bytes; two bells never share one.
@@ -131,6 +132,7 @@ impl Bells {
         options.read(true).write(true).create(true).truncate(false).mode(0o600);
         let file = options.open(&path).map_err(error)?;
         file.set_len(size_of::<Page>() as u64).map_err(error)?;
+        allocate(&file, size_of::<Page>() as u64, size_of::<Page>() as u64)?;
         Self::map(&file).map_err(error)
     }
 

@@ -7,7 +7,7 @@ use iceoryx2::prelude::{Config, FileName, Path as BusPath, SemanticString};
 use crate::RuntimeError;
 
 /// Where the kernel shows shared memory as files.
-const SHARED_MEMORY: &str = "/dev/shm";
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 
 /// One system on this machine, apart from all others by its id and user.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -29,7 +29,10 @@ pub enum Handover<T> {
 pub fn write(domain: &Domain, role: Role, checkpoint: Option<&Checkpoint>) -> Result<(), RuntimeError> {
     let path = file(domain, role);
     let written = match checkpoint {
-        Some(checkpoint) => std::fs::write(&path, bytemuck::bytes_of(checkpoint)),
+        Some(checkpoint) => std::fs::write(&path, bytemuck::bytes_of(checkpoint)).inspect_err(|_| {
+            // Half of it is worth nothing.
+            let _ = std::fs::remove_file(&path);
+        }),
         None => match std::fs::remove_file(&path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
             result => result,

@@ -17,9 +17,11 @@ use self::waiting::Need;
 use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
+use crate::crash::report_crashes;
 use crate::input::{Drain, Input};
 use crate::orphan::Janitor;
 use crate::output::{Connect, Output, may_write};
+use crate::reserve::require_room;
 use crate::settings::{self, RunSettings};
 use crate::{Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, environment, layouts, monotonic_ns};
 
@@ -140,6 +142,7 @@ impl Process {
     /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::Layout`] when it was built
     /// against other samples than the system, and errors of the bus.
     pub fn attach(role: Role) -> Result<Self, RuntimeError> {
+        report_crashes();
         let (system_id, incarnation) = environment::identity()?;
         let domain = Domain::new(&system_id)?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
@@ -153,6 +156,7 @@ impl Process {
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
         realtime.apply_timer_slack();
+        require_room(Some(role))?;
         let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
@@ -280,8 +284,9 @@ impl Process {
     /// connection whose reader has not made its half.
     ///
     /// # Errors
-    /// Errors of the bus.
+    /// [`RuntimeError::SharedMemory`] when there is no room for what the ports need, and errors of the bus.
     pub fn start(&mut self) -> Result<bool, RuntimeError> {
+        self.bus.allocate()?;
         self.beat()?;
         loop {
             if !self.sleep(LONGEST_WAIT_NS, Need::Any)? {
