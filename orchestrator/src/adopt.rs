@@ -69,7 +69,10 @@ pub(crate) fn take_over(
         return Err(refused("nobody wrote down who fills its roles".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
-    let bus = Bus::take_over(domain).map_err(|error| refused(error.to_string()))?;
+    let bus = Bus::take_over(domain).map_err(|error| match error {
+        RuntimeError::SharedMemory(_) => error.into(),
+        other => refused(other.to_string()),
+    })?;
     // From here on the run is ours, and so is its end.
     lock.own();
     word.claim();

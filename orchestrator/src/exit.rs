@@ -56,6 +56,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
             | runtime::RuntimeError::Environment { .. },
         ) => Exit::BadInput,
         Some(runtime::RuntimeError::Stopped(_)) => Exit::NotReached,
+        Some(runtime::RuntimeError::SharedMemory(_)) => Exit::ProcessFailed,
         _ => Exit::Internal,
     }
 }

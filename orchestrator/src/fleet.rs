@@ -8,8 +8,8 @@ use std::path::PathBuf;
 use anyhow::Context;
 use runtime::{
     BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE,
-    ROLE_VARIABLE, RUN_ID_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE, StopWord, monotonic_ns,
-    write_handover,
+    ROLE_VARIABLE, RUN_ID_VARIABLE, RuntimeError, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE, StopWord,
+    monotonic_ns, write_handover,
 };
 use shared_types::{Checkpoint, Role};
 
@@ -18,6 +18,7 @@ use crate::child_log::ChildLog;
 use crate::halt;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
+use crate::room::Room;
 use crate::roster::ProcessRow;
 use crate::runs::LivingRun;
 use crate::supervisor::{Event, Exit};
@@ -43,6 +44,7 @@ pub(crate) struct Fleet {
     departed: Vec<u32>,
     left: bool,
     machine: Machine,
+    room: Room,
     changed: bool,
     // Dropped last: what it removes must not be in use any more.
     _lock: SystemLock,
@@ -130,7 +132,19 @@ impl Fleet {
         }
         let (beside, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
         let (left, changed) = (false, false);
-        Ok(Self { domain, word, members, beside, leaving, departed, left, changed, machine, _lock: lock })
+        Ok(Self {
+            domain,
+            word,
+            members,
+            beside,
+            leaving,
+            departed,
+            left,
+            changed,
+            machine,
+            room: Room::default(),
+            _lock: lock,
+        })
     }
 
     /// A role that another orchestrator filled, with the process that fills it, if that lives.
@@ -237,10 +251,12 @@ impl Fleet {
                 vec![this.into_os_string(), "service".into(), name.into()]
             }
         };
+        self.room.make()?;
         write_handover(&self.domain, role, checkpoint)?;
         let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
-        member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()))?;
+        let begun = member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()));
+        begun.with_context(|| format!("{}", member.log.path().display()))?;
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         self.changed = true;
         Ok(child)
@@ -340,6 +356,11 @@ impl Fleet {
         child.release();
         self.changed = true;
         Some(child.pid())
+    }
+
+    /// Holds shared memory for one more process, unless one is on its way or leaves; what is missing is returned once.
+    pub(crate) fn keep_room(&mut self) -> Option<RuntimeError> {
+        if self.beside.is_empty() && self.leaving.is_empty() { self.room.keep() } else { None }
     }
 
     /// Asks a process to end, or kills it.

@@ -27,6 +27,7 @@ mod realtime;
 pub mod recorder;
 mod remote;
 pub mod report;
+mod room;
 mod roster;
 mod run;
 mod runs;

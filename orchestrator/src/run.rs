@@ -288,6 +288,7 @@ pub(crate) fn assemble(
         duration_s: manner.duration_s,
         directive: Directive { orchestrator_pid: u64::from(std::process::id()), ..directive },
         written: None,
+        rewrite_ns: 0,
         swaps: Swaps::default(),
         beginning: events,
         on_scan: None,

@@ -6,6 +6,7 @@
 
 mod account;
 mod audit;
+mod candidate;
 mod shadowing;
 mod swapping;
 
@@ -69,6 +70,8 @@ pub(crate) struct Session {
     pub(crate) directive: Directive,
     /// What the roster said last of the directive.
     pub(crate) written: Option<Word>,
+    /// When to write again what could not be written; 0 when all is written [ns].
+    pub(crate) rewrite_ns: u64,
     pub(crate) swaps: Swaps,
     /// What the supervisor is told first: to start all, or who is there already.
     pub(crate) beginning: Vec<Event>,
@@ -126,6 +129,7 @@ impl Session {
             self.excuse_starved()?;
             self.handle(Event::Tick)?;
             self.keep_account();
+            self.keep_room();
             self.speak()?;
             self.show();
         }

@@ -247,9 +247,7 @@ fn an_exchange_that_lost_its_orchestrator_ends_with_who_is_in_charge() {
         let [in_charge, other] = kill_within_exchange(&mut system, state);
         system.adopt(&[]);
         assert_eq!(system.pid(Role::Controller), in_charge, "{state}");
-        system.wait_until("the other one has ended", |system| {
-            !system.processes().contains(&other)
-        });
+        system.wait_until("the other one has ended", |system| !system.processes().contains(&other));
         assert!(
             system.stderr().contains(&format!("controller {other} fills no role")),
             "{}",
@@ -319,9 +317,7 @@ fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
     let (system, watch) = driverless(&["endless", "--set", "orphan_timeout_s=2"]);
     wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
     wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
-    system.wait_until("all processes have ended", |system| {
-        system.processes().is_empty()
-    });
+    system.wait_until("all processes have ended", |system| system.processes().is_empty());
     let last = watch.newest().unwrap();
     assert_eq!((last.blocked, last.collided), (1, 0));
     drop(watch);
@@ -334,9 +330,7 @@ fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
     drop(watch);
     let controller = pid_of(&driverless_status(&system), Role::Controller);
     system.signal(controller, Signal::STOP);
-    system.wait_until("all processes have ended", |system| {
-        system.processes().is_empty()
-    });
+    system.wait_until("all processes have ended", |system| system.processes().is_empty());
     system.assert_nothing_left();
 }
 

@@ -140,9 +140,7 @@ fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
     system.start(&["--set", "orphan_timeout_s=1"]);
     system.signal(system.orchestrator(), Signal::KILL);
     system.wait();
-    system.wait_until("all processes have ended", |system| {
-        system.processes().is_empty()
-    });
+    system.wait_until("all processes have ended", |system| system.processes().is_empty());
 }
 
 #[test]

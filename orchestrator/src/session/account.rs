@@ -1,27 +1,51 @@
 //! The part of a session that writes down what another orchestrator would have to know, before it is told to anyone.
 
 use emulator::Outcome;
+use runtime::monotonic_ns;
 use shared_types::{Authority, ROLES, Role};
 
 use super::{End, Session};
 use crate::roster::{Right, RoleRow, Roster};
 
+/// Time until what could not be written is tried again [ns].
+const REWRITE_NS: u64 = 1_000_000_000;
+
 /// What is compared to see whether something new has to be written down: phase, stop, authority, how the run ends.
 pub(crate) type Word = (u32, u32, [Authority; ROLES], bool);
 
 impl Session {
-    /// Writes the roster when processes have come or gone, or everyone is to be told something new.
+    /// [`Session::write_account`], again every second while it fails.
     pub(super) fn keep_account(&mut self) {
+        let (now_ns, failed) = (monotonic_ns(), self.rewrite_ns > 0);
+        if now_ns < self.rewrite_ns {
+            return;
+        }
+        self.rewrite_ns = 0;
+        if let Err(error) = self.write_account() {
+            self.rewrite_ns = now_ns + REWRITE_NS;
+            if !failed {
+                self.progress.warn(&format!(
+                    "the run can't be adopted, as its processes can't be written down: {error:#}"
+                ));
+            }
+        }
+    }
+
+    /// Writes the roster when processes have come or gone, or everyone is to be told something new.
+    ///
+    /// # Errors
+    /// Those of the file system; what could not be written is written by the next call.
+    pub(super) fn write_account(&mut self) -> anyhow::Result<()> {
         let directive = &self.directive;
         let word = (directive.phase, directive.stop, directive.authority, self.end != End::NotYet);
         let has_changed = self.fleet.has_changed();
         if !has_changed && self.written == Some(word) {
-            return;
+            return Ok(());
         }
+        self.written = None;
+        self.roster().write(&self.domain)?;
         self.written = Some(word);
-        if let Err(error) = self.roster().write(&self.domain) {
-            tracing::warn!("who runs could not be written down, so nobody could adopt the run: {error:#}");
-        }
+        Ok(())
     }
 
     fn roster(&self) -> Roster {

@@ -205,11 +205,7 @@ impl Session {
     fn begin_shadow(&mut self, Asked { number, role, entry, duration_ns }: Asked) {
         let (live, shadow) = (self.fleet.label(role), entry.label());
         let incarnation = self.supervisor.next_incarnation();
-        let begun = Watch::new(&self.bus, role).map_err(anyhow::Error::from).and_then(|watch| {
-            let checkpoint = self.vitals.checkpoint(role);
-            self.fleet.spawn_beside(role, entry, incarnation, checkpoint).map(|()| watch)
-        });
-        match begun {
+        match self.start_candidate(role, entry, incarnation) {
             Ok(watch) => {
                 self.progress.note(&format!("{role}: {shadow} starts in the shadow of {live}"));
                 let study = Study::new(role, self.period_ns, duration_ns / self.period_ns.max(1));

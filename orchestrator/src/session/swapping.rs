@@ -291,13 +291,14 @@ impl Session {
             period_ns: self.period_ns,
             lockstep: self.lockstep,
         };
-        let watch = Watch::new(&self.bus, role)?;
-        let checkpoint = self.vitals.checkpoint(role);
-        if let Err(error) = self.fleet.spawn_beside(role, entry.clone(), new, checkpoint) {
-            let certificate = self.refusal(role, &entry, &format!("could not be started: {error:#}"));
-            self.swap_over(certificate);
-            return Ok(());
-        }
+        let watch = match self.start_candidate(role, entry.clone(), new) {
+            Ok(watch) => watch,
+            Err(error) => {
+                let certificate = self.refusal(role, &entry, &format!("could not be started: {error:#}"));
+                self.swap_over(certificate);
+                return Ok(());
+            }
+        };
         self.progress.note(&format!("{role}: {} starts beside {}", plan.to, plan.from));
         self.swaps.current =
             Some(Exchange { swap: Swap::new(monotonic_ns(), plan), watch, connected_at: None });

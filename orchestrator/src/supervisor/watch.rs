@@ -55,7 +55,8 @@ impl Supervisor {
             }
         }
         if let Some(limit) = hung_robot_ms.filter(|_| self.failure.is_none()) {
-            let reason = format!("made no progress for {limit} ms; it is not killed, because it may be moving");
+            let reason =
+                format!("made no progress for {limit} ms; it is not killed, because it may be moving");
             self.end_run(now_ns, Role::Robot, reason, actions);
         }
     }

@@ -20,11 +20,12 @@ use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
-use rustix::fs::{FallocateFlags, OFlags};
+use rustix::fs::OFlags;
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex::{self, Flags, Timespec};
 use shared_types::{ROLES, Role, TOPICS, Topic};
 
+use crate::reserve::allocate;
 use crate::{Domain, RuntimeError};
 
 /// Name of the file in the directory of the bus. The layout has a number: processes of another one would sleep on other
@@ -130,10 +131,8 @@ impl Bells {
         let folder = domain.bus_folder()?;
         let error = |source| RuntimeError::File { path: folder.path().join(FILE), source };
         let file = folder.open_file(FILE, OFlags::RDWR | OFlags::CREATE).map_err(error)?;
-        // Allocated, not only given a length: what is not there could not be touched later.
         let length = size_of::<Page>() as u64;
-        rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, length)
-            .map_err(|source| error(source.into()))?;
+        allocate(&file, length, length)?;
         Self::map(&file).map_err(error)
     }
 

@@ -21,6 +21,7 @@ use shared_types::{
 
 use crate::bell::Bells;
 use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
+use crate::reserve::{Reserve, allocate_files, require_room};
 use crate::wire::Wire;
 use crate::{Domain, RuntimeError, layouts, management};
 
@@ -39,6 +40,7 @@ const OPEN_RETRY: Duration = Duration::from_secs(5);
 /// One process's access to the services of its system.
 #[derive(Debug)]
 pub struct Bus {
+    domain: Domain,
     node: Node<ipc::Service>,
     bells: Arc<Bells>,
     held: Vec<Box<dyn std::fmt::Debug>>,
@@ -48,9 +50,11 @@ impl Bus {
     /// Creates all services of the system and keeps them for as long as the value lives: the orchestrator.
     ///
     /// # Errors
-    /// [`RuntimeError::Bus`] when iceoryx2 refuses, for example because shared memory is full, and
-    /// [`RuntimeError::File`] when the layouts of the samples can't be written beside it.
+    /// [`RuntimeError::SharedMemory`] when a system does not fit, [`RuntimeError::Bus`] when iceoryx2 refuses, and
+    /// [`RuntimeError::File`] when the layouts of the samples can't be written.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
+        // Freed at once: what follows takes it piece by piece.
+        Reserve::take(Reserve::of_a_system())?;
         Self::with_topics(domain, false)
     }
 
@@ -83,6 +87,7 @@ impl Bus {
         bus.topic::<Directive>(take_over)?;
         bus.topic::<Checkpoint>(take_over)?;
         bus.topic::<Truth>(take_over)?;
+        allocate_files(domain)?;
         Ok(bus)
     }
 
@@ -100,13 +105,21 @@ impl Bus {
     /// Joins the system as `name`; services are opened, never created.
     ///
     /// # Errors
-    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    /// [`RuntimeError::SharedMemory`] when there is no room for its ports, and [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn open(domain: &Domain, name: &str) -> Result<Self, RuntimeError> {
         Self::join(domain, name, Bells::open(domain)?)
     }
 
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
-        Ok(Self { node: node(name, &domain.config()?)?, bells, held: Vec::new() })
+        // The processes that run make their ends of its connections: without room they would be ended by SIGBUS.
+        require_room(None)?;
+        Ok(Self { domain: domain.clone(), node: node(name, &domain.config()?)?, bells, held: Vec::new() })
+    }
+
+    /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
+    /// later. To be called once the ports of a process are open.
+    pub(crate) fn allocate(&self) -> Result<(), RuntimeError> {
+        allocate_files(&self.domain)
     }
 
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use shared_types::{Difference, Role, Topic};
 
+use crate::Shortage;
+
 /// An error of the bus or of its surroundings.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
@@ -86,6 +88,9 @@ pub enum RuntimeError {
         /// What iceoryx2 said.
         reason: String,
     },
+    /// There is not enough shared memory.
+    #[error(transparent)]
+    SharedMemory(#[from] Shortage),
     /// A system call failed.
     #[error("{action}: {source}")]
     System {

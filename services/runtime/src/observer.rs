@@ -56,7 +56,9 @@ impl<S: Sample> Observer<S> {
 
     fn with(bus: &Bus, waking: Option<Waking>) -> Result<Self, RuntimeError> {
         let borrowed = RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed()));
-        Ok(Self { subscriber: bus.subscriber::<S>()?, waking, borrowed })
+        let subscriber = bus.subscriber::<S>()?;
+        bus.allocate()?;
+        Ok(Self { subscriber, waking, borrowed })
     }
 
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
@@ -167,7 +169,9 @@ impl<S: Sample> Voice<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self { publisher: bus.publisher::<S>()?.0, ringer: Ringer::new(bus, S::TOPIC)?, sequence: 0 })
+        let publisher = bus.publisher::<S>()?.0;
+        bus.allocate()?;
+        Ok(Self { publisher, ringer: Ringer::new(bus, S::TOPIC)?, sequence: 0 })
     }
 
     /// Publishes, and wakes the readers when `wake`. Layout and sequence are filled here.

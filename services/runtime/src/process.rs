@@ -17,10 +17,12 @@ use self::waiting::Need;
 use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
+use crate::crash::report_crashes;
 use crate::guard::Guard;
 use crate::input::{Drain, Input};
 use crate::orphan::Janitor;
 use crate::output::{Connect, Output, may_write};
+use crate::reserve::require_room;
 use crate::settings::{self, RunSettings};
 use crate::{
     Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, environment, layouts,
@@ -150,6 +152,7 @@ impl Process {
     /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::Layout`] when it was built
     /// against other samples than the system, and errors of the bus.
     pub fn attach(role: Role) -> Result<Self, RuntimeError> {
+        report_crashes();
         let (_, incarnation) = environment::identity()?;
         let domain = Domain::of_this_process()?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
@@ -163,6 +166,7 @@ impl Process {
         let run: RunSettings = settings::table(&domain, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
         realtime.apply_timer_slack();
+        require_room(Some(role))?;
         let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;
@@ -315,8 +319,9 @@ impl Process {
     /// connection whose reader has not made its half.
     ///
     /// # Errors
-    /// Errors of the bus.
+    /// [`RuntimeError::SharedMemory`] when there is no room for what the ports need, and errors of the bus.
     pub fn start(&mut self) -> Result<bool, RuntimeError> {
+        self.bus.allocate()?;
         self.beat()?;
         loop {
             if !self.sleep(LONGEST_WAIT_NS, Need::Any)? {

@@ -22,6 +22,33 @@ impl Quality {
     pub(crate) fn most_borrowed(self) -> usize {
         self.publishers * self.borrowed
     }
+
+    /// Samples in the memory of one publisher: each reader may hold and keep its share, and one is being written.
+    fn samples(self) -> usize {
+        self.subscribers * (self.buffer + self.borrowed) + self.history + 1
+    }
+
+    /// Memory that one publisher of samples of `size` has for them, at most [bytes].
+    pub(crate) fn samples_bytes(self, size: usize) -> u64 {
+        whole_pages(self.samples() * (size + SAMPLE_EXTRA))
+    }
+
+    /// Memory of the connection of one publisher to one reader, at most [bytes]: two queues of indices, and a mark for
+    /// each sample.
+    pub(crate) fn connection_bytes(self) -> u64 {
+        whole_pages(size_of::<u64>() * (2 * self.buffer + self.borrowed + 2) + self.samples())
+    }
+}
+
+/// What the bus adds to each sample: its header, alignment and a place in the list of free ones [bytes].
+const SAMPLE_EXTRA: usize = 96;
+/// What the bus has in front of what a file holds, at most [bytes].
+const FILE_EXTRA: usize = 1024;
+/// Files are allocated in pages of this size [bytes].
+const PAGE: usize = 4096;
+
+fn whole_pages(bytes: usize) -> u64 {
+    (bytes + FILE_EXTRA).next_multiple_of(PAGE) as u64
 }
 
 /// Nodes on one service: all processes, twice over during swaps, and observers.

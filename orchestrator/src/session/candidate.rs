@@ -1,0 +1,43 @@
+//! The start of a process beside the one that fills its role: complete, or not at all.
+
+use runtime::RuntimeError;
+use shared_types::Role;
+
+use super::Session;
+use crate::supervisor::VisibleState;
+use crate::swap::watch::Watch;
+use crate::system::ProcessEntry;
+
+impl Session {
+    /// Starts a process beside the one that fills `role`, writes it down and watches its output.
+    ///
+    /// # Errors
+    /// When shared memory or a file system is full, or the command can't be started; then no such process runs.
+    pub(super) fn start_candidate(
+        &mut self,
+        role: Role,
+        entry: ProcessEntry,
+        incarnation: u32,
+    ) -> anyhow::Result<Watch> {
+        self.fleet.spawn_beside(role, entry, incarnation, self.vitals.checkpoint(role))?;
+        // After the start: until then the reserve holds the memory of what is watched with.
+        let watch = Watch::new(&self.bus, role).map_err(anyhow::Error::from);
+        let begun = watch.and_then(|watch| self.write_account().map(|()| watch));
+        if begun.is_err() {
+            self.fleet.dismiss(incarnation);
+        }
+        begun
+    }
+
+    /// Holds shared memory for the next process, while none is on its way.
+    pub(super) fn keep_room(&mut self) {
+        let starts = self.supervisor.processes().any(|view| view.state == VisibleState::Starting);
+        if let Some(shortage) = (!starts).then(|| self.fleet.keep_room()).flatten() {
+            self.progress.warn(&no_room(&shortage));
+        }
+    }
+}
+
+fn no_room(shortage: &RuntimeError) -> String {
+    format!("no reserve for a swap or a restart: {shortage}")
+}

@@ -1,0 +1,188 @@
+//! Shared memory is checked and allocated before it is used, so that a full `/dev/shm` is an error and not a signal.
+//!
+//! Idea: the bus makes its files sparse. The first write to a page that the file system can't provide ends a process by
+//! SIGBUS, which may be the robot when a new process joins. So three things are done. Before anything is made, the room
+//! for it is checked ([`Reserve::take`]). What was made is allocated to its length at once ([`allocate_files`]). And the
+//! orchestrator holds a [`Reserve`] for one more process, which it frees right before it starts one.
+//!
+//! Where this fails: between check and allocation other programs may take the room; then the process that joins may be
+//! ended by SIGBUS, and says so, see [`crate::report_crashes`]. A limit of memory that is set by a control group is not
+//! the size of the file system: the kernel kills the process that exceeds it.
+
+use std::fs::OpenOptions;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::Path;
+
+use rustix::fs::{FallocateFlags, Mode, OFlags, fallocate, fstatvfs, open};
+use rustix::io::Errno;
+use shared_types::{Role, TOPICS, Topic};
+
+use crate::domain::SHARED_MEMORY;
+use crate::quality::quality;
+use crate::{Domain, RuntimeError};
+
+/// Files of a node: its own, its monitor and its marks in the services that it uses, a page each [bytes].
+const NODE_BYTES: u64 = 128 << 10;
+/// Files of the two services of a topic, for samples and for events [bytes].
+const SERVICE_BYTES: u64 = 64 << 10;
+/// Of one block of `st_blocks` [bytes].
+const BLOCK: u64 = 512;
+
+/// Shared memory that is not there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "shared memory is full: {} has {} KiB free, {} KiB are needed: {} KiB are missing",
+    SHARED_MEMORY,
+    free / 1024,
+    needed.div_ceil(1024),
+    self.missing().div_ceil(1024)
+)]
+pub struct Shortage {
+    /// What is needed [bytes].
+    pub needed: u64,
+    /// What is free [bytes].
+    pub free: u64,
+}
+
+impl Shortage {
+    /// What has to be freed [bytes]; at least one byte, as a full file system may have room for what it can't give.
+    pub fn missing(&self) -> u64 {
+        self.needed.saturating_sub(self.free).max(1)
+    }
+}
+
+/// Shared memory that is kept for a process that may have to be started; freed when dropped.
+///
+/// A file without a name: nothing is left of it, however its process ends.
+#[derive(Debug)]
+pub struct Reserve {
+    _file: OwnedFd,
+}
+
+impl Reserve {
+    /// Allocates so many bytes.
+    ///
+    /// # Errors
+    /// [`RuntimeError::SharedMemory`] when they are not there; then nothing was allocated, not even for a moment.
+    pub fn take(bytes: u64) -> Result<Self, RuntimeError> {
+        let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
+        let file = open(SHARED_MEMORY, flags, Mode::RUSR | Mode::WUSR).map_err(error)?;
+        require(&file, bytes)?;
+        allocate(&file, bytes, bytes)?;
+        Ok(Self { _file: file })
+    }
+
+    /// Memory of one more process, of whatever role [bytes].
+    pub fn of_a_process() -> u64 {
+        Role::ALL.iter().map(|role| process_bytes(*role)).max().unwrap_or_default()
+    }
+
+    /// Memory of a system: all services, all processes, the orchestrator, and one process more [bytes].
+    pub fn of_a_system() -> u64 {
+        let services = SERVICE_BYTES * TOPICS.len() as u64;
+        let processes: u64 = Role::ALL.iter().map(|role| process_bytes(*role)).sum();
+        let orchestrator = observer_bytes() + output_bytes(Topic::Directive);
+        services + processes + orchestrator + Self::of_a_process()
+    }
+}
+
+/// Checks that there is room for the ports of a process of a role, or of an observer.
+///
+/// # Errors
+/// [`RuntimeError::SharedMemory`] when there is not.
+pub(crate) fn require_room(role: Option<Role>) -> Result<(), RuntimeError> {
+    let directory = open(SHARED_MEMORY, OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty()).map_err(error)?;
+    require(&directory, role.map_or_else(observer_bytes, process_bytes))
+}
+
+/// Allocates all files that a system has in shared memory to their length. One that is allocated already costs a look.
+///
+/// # Errors
+/// [`RuntimeError::SharedMemory`] when there is no room; then some files are allocated and others are not.
+pub(crate) fn allocate_files(domain: &Domain) -> Result<(), RuntimeError> {
+    let entries = std::fs::read_dir(SHARED_MEMORY)
+        .map_err(|source| RuntimeError::File { path: SHARED_MEMORY.into(), source })?;
+    let ours = entries.flatten().filter(|entry| {
+        entry.file_name().as_encoded_bytes().starts_with(domain.shared_memory_prefix().as_bytes())
+    });
+    ours.filter(|entry| entry.metadata().is_ok_and(|file| file.is_file() && is_sparse(&file)))
+        .try_for_each(|entry| allocate_file(&entry.path()))
+}
+
+fn is_sparse(file: &std::fs::Metadata) -> bool {
+    file.blocks() * BLOCK < file.len()
+}
+
+/// A file that its process has removed meanwhile needs nothing.
+fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
+    let error = |source| RuntimeError::File { path: path.to_path_buf(), source };
+    let flags = (OFlags::NOFOLLOW | OFlags::CLOEXEC).bits().cast_signed();
+    let file = match OpenOptions::new().write(true).custom_flags(flags).open(path) {
+        Err(gone) if gone.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        opened => opened.map_err(error)?,
+    };
+    let status = file.metadata().map_err(error)?;
+    let missing = status.len().saturating_sub(status.blocks() * BLOCK);
+    if status.nlink() == 0 || missing == 0 {
+        return Ok(());
+    }
+    require(&file, missing)?;
+    allocate(&file, status.len(), missing)
+}
+
+/// Allocates a file to `length`, for which `missing` bytes are needed. A file that was sparse keeps what is in it.
+pub(crate) fn allocate(file: impl AsFd, length: u64, missing: u64) -> Result<(), RuntimeError> {
+    match fallocate(&file, FallocateFlags::empty(), 0, length) {
+        Ok(()) => Ok(()),
+        Err(Errno::NOSPC) => Err(Shortage { needed: missing, free: free(file)?.unwrap_or_default() }.into()),
+        Err(reason) => Err(error(reason)),
+    }
+}
+
+/// Asks before it allocates: an allocation that fails takes all that is free for a moment.
+fn require(file: impl AsFd, needed: u64) -> Result<(), RuntimeError> {
+    match free(file)? {
+        Some(free) if free < needed => Err(Shortage { needed, free }.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Free bytes of the file system; `None` when it has no limit.
+fn free(file: impl AsFd) -> Result<Option<u64>, RuntimeError> {
+    let status = fstatvfs(file).map_err(error)?;
+    Ok((status.f_blocks > 0).then(|| status.f_bavail * status.f_frsize))
+}
+
+fn error(reason: Errno) -> RuntimeError {
+    RuntimeError::File { path: SHARED_MEMORY.into(), source: reason.into() }
+}
+
+/// What a process of a role has in shared memory at most, and the orchestrator to watch its output [bytes].
+pub(crate) fn process_bytes(role: Role) -> u64 {
+    let written = TOPICS.iter().filter(|topic| topic.writer() == Some(role));
+    let common = output_bytes(Topic::Heartbeat)
+        + output_bytes(Topic::Checkpoint)
+        + input_bytes(Topic::Checkpoint)
+        + input_bytes(Topic::Directive);
+    let outputs: u64 = written.map(|topic| output_bytes(*topic) + input_bytes(*topic)).sum();
+    let inputs: u64 = role.reads().iter().map(|topic| input_bytes(*topic)).sum();
+    NODE_BYTES + common + outputs + inputs
+}
+
+/// What one that reads all topics has in shared memory at most [bytes].
+fn observer_bytes() -> u64 {
+    NODE_BYTES + TOPICS.iter().map(|topic| input_bytes(*topic)).sum::<u64>()
+}
+
+/// Samples of one publisher, and its connections to as many readers as there may be [bytes].
+fn output_bytes(topic: Topic) -> u64 {
+    let quality = quality(topic);
+    quality.samples_bytes(topic.size()) + quality.subscribers as u64 * quality.connection_bytes()
+}
+
+/// Connections of one reader to as many publishers as there may be [bytes].
+fn input_bytes(topic: Topic) -> u64 {
+    let quality = quality(topic);
+    quality.publishers as u64 * quality.connection_bytes()
+}
