@@ -6,6 +6,7 @@
 
 mod account;
 mod audit;
+mod handover;
 mod shadowing;
 mod swapping;
 
@@ -399,7 +400,7 @@ impl Session {
             }
             Action::Spawn { role, incarnation } => {
                 self.recorder.outage_ended(role);
-                let answer = self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role));
+                let answer = self.fleet.spawn(role, incarnation, self.left_behind(role).as_ref());
                 self.keep_account();
                 return Ok(Some(answer));
             }

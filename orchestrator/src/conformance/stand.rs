@@ -13,8 +13,8 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use runtime::{
-    Bus, Domain, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, Voice, monotonic_ns,
-    write_handover,
+    Bus, Domain, HandoverData, INCARNATION_VARIABLE, Observer, RESTART_VARIABLE, SYSTEM_ID_VARIABLE, Voice,
+    monotonic_ns, write_handover,
 };
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
@@ -152,8 +152,12 @@ impl<'a> Stand<'a> {
     /// Starts the candidate; `restart` and `checkpoint` are what a successor is told.
     pub(crate) fn spawn(&mut self, restart: bool, checkpoint: Option<&Checkpoint>) -> Result<(), Trouble> {
         let role = self.suite.role;
-        let checkpoint = checkpoint.map(|checkpoint| Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint });
-        write_handover(&self.domain, role, checkpoint.as_ref())?;
+        let handover = checkpoint.map(|checkpoint| HandoverData {
+            checkpoint: Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint },
+            ended_ns: 0,
+            actuations: Vec::new(),
+        });
+        write_handover(&self.domain, role, handover.as_ref())?;
         let variable = |name: &str, value: String| (OsString::from(name), OsString::from(value));
         let environment = vec![
             variable(SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),

@@ -206,8 +206,8 @@ impl Session {
         let (live, shadow) = (self.fleet.label(role), entry.label());
         let incarnation = self.supervisor.next_incarnation();
         let begun = Watch::new(&self.bus, role).map_err(anyhow::Error::from).and_then(|watch| {
-            let checkpoint = self.vitals.checkpoint(role);
-            self.fleet.spawn_beside(role, entry, incarnation, checkpoint).map(|()| watch)
+            let handover = self.hand_over(role);
+            self.fleet.spawn_beside(role, entry, incarnation, handover.as_ref()).map(|()| watch)
         });
         match begun {
             Ok(watch) => {

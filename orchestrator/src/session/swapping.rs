@@ -292,8 +292,8 @@ impl Session {
             lockstep: self.lockstep,
         };
         let watch = Watch::new(&self.bus, role)?;
-        let checkpoint = self.vitals.checkpoint(role);
-        if let Err(error) = self.fleet.spawn_beside(role, entry.clone(), new, checkpoint) {
+        let handover = self.hand_over(role);
+        if let Err(error) = self.fleet.spawn_beside(role, entry.clone(), new, handover.as_ref()) {
             let certificate = self.refusal(role, &entry, &format!("could not be started: {error:#}"));
             self.swap_over(certificate);
             return Ok(());

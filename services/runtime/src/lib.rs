@@ -60,7 +60,7 @@ pub use clock::{Clock, monotonic_ns};
 pub use domain::Domain;
 pub use environment::{BESIDE_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, SYSTEM_ID_VARIABLE};
 pub use error::RuntimeError;
-pub use handover::{Handover, write as write_handover};
+pub use handover::{Handover, HandoverData, write as write_handover};
 pub use identity::{Identified, Identity, NotOurs, PROCESSES_FILE, identify, processes_of, start_ticks};
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
