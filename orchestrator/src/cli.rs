@@ -46,7 +46,10 @@ pub enum Command {
     },
     /// Stop a running system: block the wheels, end all processes.
     Stop,
-    /// End one process of a running system and start it again.
+    /// Start one process of a running system again, without losing a scan.
+    ///
+    /// The new process takes over from one that works and only then the old one ends; exit code 1 when the new one does
+    /// not come up, and the old one goes on. A process that does not work is ended first.
     Restart {
         /// robot, estimator, obstacles, controller or actuator.
         role: String,

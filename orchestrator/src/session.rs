@@ -241,10 +241,10 @@ impl Session {
                 Ok(Role::Robot) => {
                     Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
                 }
-                Ok(role) => {
+                Ok(role) => swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
                     requests.push(Event::RestartRequested { role });
                     Reply::Done
-                }
+                }),
                 Err(unknown) => Reply::Refused(unknown.to_string()),
             },
             Request::Stop => {
@@ -532,12 +532,6 @@ impl Session {
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        Ending {
-            outcome,
-            reason,
-            processes,
-            swaps: self.swaps.certificates().to_vec(),
-            ledger: self.books.report(),
-        }
+        Ending { outcome, reason, processes, swaps: self.swaps.certificates(), ledger: self.books.report() }
     }
 }
