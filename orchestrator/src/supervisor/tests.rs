@@ -728,6 +728,15 @@ fn a_process_that_was_replaced_is_forgotten_with_its_deaths() {
 }
 
 #[test]
+fn a_replacement_by_the_same_program_counts_as_a_restart() {
+    let mut world = World::driving();
+    let (role, incarnation) = (Role::Controller, world.supervisor.next_incarnation());
+    world.send(Event::Replaced { role, pid: 77, incarnation, is_restart: true });
+    let view = world.supervisor.process(role).unwrap();
+    assert_eq!((view.state, view.pid, view.restarts), (VisibleState::Ready, Some(77), 1));
+}
+
+#[test]
 fn a_replacement_is_watched_and_started_again_under_a_later_number() {
     let mut world = World::driving();
     let (role, incarnation) = (Role::Controller, replace(&mut world));
