@@ -24,6 +24,7 @@ import enum
 import math
 import os
 import signal
+import struct
 import sys
 import time
 import tomllib
@@ -31,13 +32,14 @@ import tomllib
 import iceoryx2 as iox2
 
 import scanloop_types as types
-from scanloop_types import Checkpoint, Directive, Header, Heartbeat, Phase, ProcessState, Role
+from scanloop_types import Actuation, Checkpoint, Directive, Header, Heartbeat, Phase, ProcessState, Role
 
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
 LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
 OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which passes
 MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # older inputs are not used, unless they are young at any rate
-CHECKPOINT_AGE_NS = 500_000_000  # an older state describes another situation
+CHECKPOINT_AGE_NS = 500_000_000  # a state that was older when its process ended describes another situation
+HANDOVER_AGE_NS = 10_000_000_000  # so does one that has waited for longer
 KEPT, ASIDE = 12, 3  # samples that wait to be taken; samples of the other process of an exchange
 
 # The topic whose samples come last for a role, and so the one worth waiting for.
@@ -200,6 +202,9 @@ class Input:
                 return False
             counters["missing"] += header.sequence - sequence - 1
         self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
+        # An actuation asks something of the robot only; for others it is a record, which stays true.
+        if self._sample is Actuation and self._process.role != Role.ROBOT:
+            return True
         if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
             max_age_ns = max(MAX_AGE_PERIODS * self._process.period_ns, YOUNG_NS)
             if self._process.now_ns() - header.acquired_ns > max_age_ns:
@@ -266,6 +271,7 @@ class Process:
         self._orphan_timeout_ns = run["orphan_timeout_ns"]
         self.counters = collections.Counter()
         self.directive = Directive()
+        self.handed_actuations = []
         self._simulated_ns = self._woken_ns = self._taken_ns = self._last_scan = 0
         self._ended = False
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -337,18 +343,31 @@ class Process:
         self._checkpoint.publish(checkpoint, wake=False)
 
     def resume(self, kind):
-        """What the process before this one left: a Handover, and the bytes of the state or None."""
+        """What the process before this one left: a Handover, and the bytes of the state or None.
+
+        With a state, `handed_actuations` are the newest actuations, oldest first, for a role that reads them: the
+        process before may not have seen the last of them.
+        """
         if os.environ.get("SCANLOOP_RESTART") != "1":
             return Handover.FIRST_START, None
         try:
             with open(f"{self.directory}/{self.role.name.lower()}.checkpoint", "rb") as file:
-                checkpoint = Checkpoint.from_buffer_copy(file.read())
-        except (OSError, ValueError):
+                data = file.read()
+            checkpoint = Checkpoint.from_buffer_copy(data)
+            (ended_ns,) = struct.unpack_from("<Q", data, ctypes.sizeof(Checkpoint))
+        except (OSError, ValueError, struct.error):
             return Handover.LOST, None
-        if time.monotonic_ns() - checkpoint.issued_ns > CHECKPOINT_AGE_NS or checkpoint.role != self.role:
+        now_ns = time.monotonic_ns()
+        age_ns = (min(ended_ns, now_ns) if ended_ns else now_ns) - checkpoint.issued_ns
+        if age_ns > CHECKPOINT_AGE_NS or now_ns - checkpoint.issued_ns > HANDOVER_AGE_NS:
+            return Handover.LOST, None
+        if checkpoint.role != self.role:
             return Handover.LOST, None
         if checkpoint.state_layout != kind:
             return Handover.FOREIGN, None
+        first, size = ctypes.sizeof(Checkpoint) + 8, ctypes.sizeof(Actuation)
+        places = range(first, len(data) - size + 1, size)
+        self.handed_actuations = [Actuation.from_buffer_copy(data, place) for place in places]
         return Handover.STATE, bytes(checkpoint.bytes[: checkpoint.length])
 
     def _verify(self):

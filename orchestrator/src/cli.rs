@@ -50,7 +50,10 @@ pub enum Command {
     /// 4: it is not confirmed, and what still lives is listed. Rest follows by v / a; the processes end meanwhile. A stop is
     /// never taken back: `run` starts the system anew. This does not replace a hardware emergency stop.
     Stop(StopArguments),
-    /// End one process of a running system and start it again.
+    /// Start one process of a running system again, without losing a scan.
+    ///
+    /// The new process takes over from one that works and only then the old one ends; exit code 1 when the new one does
+    /// not come up, and the old one goes on. A process that does not work is ended first.
     Restart {
         /// robot, estimator, obstacles, controller or actuator.
         role: String,

@@ -7,11 +7,11 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE,
+    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE,
     ROLE_VARIABLE, RUN_ID_VARIABLE, RuntimeError, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE, StopWord,
     monotonic_ns, write_handover,
 };
-use shared_types::{Checkpoint, Role};
+use shared_types::Role;
 
 use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
@@ -205,9 +205,9 @@ impl Fleet {
         std::mem::take(&mut self.changed)
     }
 
-    /// Starts the process of a role; `checkpoint` is the newest state of the one before it.
-    pub(crate) fn spawn(&mut self, role: Role, incarnation: u32, checkpoint: Option<&Checkpoint>) -> Event {
-        match self.try_spawn(role, incarnation, checkpoint) {
+    /// Starts the process of a role; `handover` is what the one before it left.
+    pub(crate) fn spawn(&mut self, role: Role, incarnation: u32, handover: Option<&HandoverData>) -> Event {
+        match self.try_spawn(role, incarnation, handover) {
             Ok(pid) => Event::Spawned { role, pid, incarnation },
             Err(error) => Event::SpawnFailed { role, error: format!("{error:#}") },
         }
@@ -217,11 +217,11 @@ impl Fleet {
         &mut self,
         role: Role,
         incarnation: u32,
-        checkpoint: Option<&Checkpoint>,
+        handover: Option<&HandoverData>,
     ) -> anyhow::Result<u32> {
         let member = self.members.get(&role).context("no process of this role")?;
         let (entry, restart) = (member.entry.clone(), member.starts > 0);
-        let child = self.launch(role, &entry, incarnation, restart, None, checkpoint)?;
+        let child = self.launch(role, &entry, incarnation, restart, None, handover)?;
         let pid = child.pid();
         let member = self.members.get_mut(&role).context("no process of this role")?;
         member.starts += 1;
@@ -240,7 +240,7 @@ impl Fleet {
         incarnation: u32,
         restart: bool,
         beside: Option<u32>,
-        checkpoint: Option<&Checkpoint>,
+        handover: Option<&HandoverData>,
     ) -> anyhow::Result<Child> {
         let member = self.members.get(&role).context("no process of this role")?;
         let command = match (&entry.command, &entry.implementation) {
@@ -252,7 +252,7 @@ impl Fleet {
             }
         };
         self.room.make()?;
-        write_handover(&self.domain, role, checkpoint)?;
+        write_handover(&self.domain, role, handover)?;
         let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
         let begun = member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()));
@@ -273,16 +273,16 @@ impl Fleet {
         Some(ProcessEntry { implementation, command, ..member.entry.clone() })
     }
 
-    /// Starts a process beside the one that fills the role; it goes on from `checkpoint`, or a newer state.
+    /// Starts a process beside the one that fills the role; it goes on from `handover`, or a newer state.
     pub(crate) fn spawn_beside(
         &mut self,
         role: Role,
         entry: ProcessEntry,
         incarnation: u32,
-        checkpoint: Option<&Checkpoint>,
+        handover: Option<&HandoverData>,
     ) -> anyhow::Result<()> {
         let running = self.members.get(&role).map(|member| member.incarnation);
-        let child = self.launch(role, &entry, incarnation, true, running, checkpoint)?;
+        let child = self.launch(role, &entry, incarnation, true, running, handover)?;
         let usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
         self.beside.push(Candidate { role, entry, child, incarnation, usage });
         Ok(())

@@ -9,7 +9,7 @@ use crate::cli::SwapArguments;
 use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
-use crate::swap::{MOST_TOLERANCE, SwapOutcome};
+use crate::swap::{Certificate, MOST_TOLERANCE, SwapOutcome};
 
 /// Time between two looks at an exchange: a fifth of a scan period.
 const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
@@ -38,19 +38,23 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// Restarts one process.
+/// Restarts one process; waits until the new one drives when the one before works.
 ///
 /// # Errors
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
 pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
     let role: Role = role.parse().map_err(Failure::bad_input)?;
-    match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
-        Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+    let number = match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
+        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
+        Reply::Accepted(number) => number,
         _ => {
             eprintln!("{role} is being restarted");
-            Ok(Exit::Done)
+            return Ok(Exit::Done);
         }
-    }
+    };
+    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    eprintln!("{}", certificate.of_restart());
+    Ok(exit_of(&certificate))
 }
 
 /// Exchanges one process and prints what became of it.
@@ -79,22 +83,31 @@ pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         _ => anyhow::bail!("the orchestrator did not answer the request"),
     };
-    let certificate = loop {
-        match ask(domain, &Request::SwapResult { number }) {
-            Ok(Reply::Certificate(certificate)) => break certificate,
-            Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
-            Ok(_) => std::thread::sleep(SWAP_LOOK),
-            Err(error) => {
-                eprintln!("the system ended before the exchange did: {error:#}");
-                return Ok(Exit::NotReached);
-            }
-        }
-    };
+    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&certificate)?);
     }
     eprintln!("{certificate}");
-    Ok(if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached })
+    Ok(exit_of(&certificate))
+}
+
+/// Waits for the certificate of a swap; none when the system ends before.
+fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificate>> {
+    loop {
+        match ask(domain, &Request::SwapResult { number }) {
+            Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
+            Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
+            Ok(_) => std::thread::sleep(SWAP_LOOK),
+            Err(error) => {
+                eprintln!("the system ended before the swap did: {error:#}");
+                return Ok(None);
+            }
+        }
+    }
+}
+
+fn exit_of(certificate: &Certificate) -> Exit {
+    if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached }
 }
 
 fn is_not_running(error: &anyhow::Error) -> bool {

@@ -17,6 +17,10 @@ use crate::ledger::Books;
 /// may come late together.
 const PATIENCE_SCANS: u64 = 3;
 
+/// Actuations that are kept for a process that starts: more than can be sent while one that hangs is found out, as
+/// repetitions are not kept.
+const RECENT: usize = 32;
+
 /// Samples kept of the other process of an exchange; more than processes keep, because looks here are rarer.
 const ASIDE: usize = 16;
 
@@ -97,6 +101,18 @@ fn look<S: Sample>(
     Ok(invalid)
 }
 
+/// Adds an actuation, unless the one before it asked for the same.
+fn remember(recent: &mut VecDeque<Actuation>, actuation: &Actuation) {
+    let asks = |of: &Actuation| (of.kind, of.desired_velocity_mps, of.desired_steering_rad);
+    if recent.back().is_some_and(|newest| asks(newest) == asks(actuation)) {
+        return;
+    }
+    if recent.len() == RECENT {
+        recent.pop_front();
+    }
+    recent.push_back(*actuation);
+}
+
 /// Everything that belongs to one scan, or to none since the scan before.
 pub(crate) struct ScanRecord {
     pub(crate) truth: Truth,
@@ -115,6 +131,8 @@ pub(crate) struct Samples {
     obstacles: Queue<Obstacles>,
     commands: Queue<Command>,
     actuations: Queue<Actuation>,
+    /// The newest of them without repetitions, also when their scans were handed out.
+    recent: VecDeque<Actuation>,
     patience_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
@@ -135,6 +153,7 @@ impl Samples {
             obstacles,
             commands,
             actuations,
+            recent: VecDeque::with_capacity(RECENT),
             patience_scans: PATIENCE_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
@@ -159,7 +178,13 @@ impl Samples {
         self.invalid += look(&self.scans, books, |_| ())?;
         self.invalid += look(&self.odometries, books, |_| ())?;
         // Against the stream: when an answer is there, so is all that it came from.
+        let before = self.actuations.waiting.len();
         self.invalid += self.actuations.poll(directive, books)?;
+        self.actuations
+            .waiting
+            .iter()
+            .skip(before)
+            .for_each(|actuation| remember(&mut self.recent, actuation));
         self.invalid += self.commands.poll(directive, books)?;
         self.invalid += self.obstacles.poll(directive, books)?;
         self.invalid += self.poses.poll(directive, books)?;
@@ -172,6 +197,11 @@ impl Samples {
             }
         }
         Ok(())
+    }
+
+    /// The newest actuations without repetitions, oldest first.
+    pub(crate) fn recent_actuations(&self) -> impl Iterator<Item = &Actuation> {
+        self.recent.iter()
     }
 
     /// The newest scan published.

@@ -7,6 +7,7 @@
 mod account;
 mod audit;
 mod candidate;
+mod handover;
 mod shadowing;
 mod swapping;
 
@@ -250,10 +251,10 @@ impl Session {
                 Ok(Role::Robot) => {
                     Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
                 }
-                Ok(role) => {
+                Ok(role) => swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
                     requests.push(Event::RestartRequested { role });
                     Reply::Done
-                }
+                }),
                 Err(unknown) => Reply::Refused(unknown.to_string()),
             },
             Request::Stop => {
@@ -420,7 +421,7 @@ impl Session {
             }
             Action::Spawn { role, incarnation } => {
                 self.recorder.outage_ended(role);
-                let answer = self.fleet.spawn(role, incarnation, self.vitals.checkpoint(role));
+                let answer = self.fleet.spawn(role, incarnation, self.left_behind(role).as_ref());
                 self.keep_account();
                 return Ok(Some(answer));
             }
@@ -580,12 +581,6 @@ impl Session {
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        Ending {
-            outcome,
-            reason,
-            processes,
-            swaps: self.swaps.certificates().to_vec(),
-            ledger: self.books.report(),
-        }
+        Ending { outcome, reason, processes, swaps: self.swaps.certificates(), ledger: self.books.report() }
     }
 }

@@ -183,8 +183,8 @@ impl Supervisor {
             Event::Tick => self.tick(now_ns, &mut actions),
             Event::StopRequested => self.stop(now_ns, &mut actions),
             Event::RestartRequested { role } => self.restart_requested(now_ns, role, &mut actions),
-            Event::Replaced { role, pid, incarnation } => {
-                self.replaced(now_ns, role, pid, incarnation, &mut actions);
+            Event::Replaced { role, pid, incarnation, is_restart } => {
+                self.replaced(now_ns, role, pid, incarnation, is_restart, &mut actions);
             }
             Event::CleanedUp { role } => self.cleaned_up(now_ns, role, &mut actions),
         }
@@ -348,7 +348,15 @@ impl Supervisor {
     }
 
     /// Whatever the one before was doing, and whether it lives, does not matter any more; nor do its deaths.
-    fn replaced(&mut self, now_ns: u64, role: Role, pid: u32, incarnation: u32, actions: &mut Vec<Action>) {
+    fn replaced(
+        &mut self,
+        now_ns: u64,
+        role: Role,
+        pid: u32,
+        incarnation: u32,
+        is_restart: bool,
+        actions: &mut Vec<Action>,
+    ) {
         let finished = self.all_stopped;
         let Some(slot) = self.slot(role) else { return };
         if finished || incarnation <= slot.incarnation {
@@ -356,7 +364,11 @@ impl Supervisor {
             return;
         }
         slot.incarnation = incarnation;
-        slot.forget_deaths();
+        if is_restart {
+            slot.restarts += 1;
+        } else {
+            slot.forget_deaths();
+        }
         slot.life = Life::Alive(Alive {
             reached: Some(ProcessState::Ready),
             ready_ns: Some(now_ns),

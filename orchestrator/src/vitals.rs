@@ -90,6 +90,11 @@ impl Vitals {
         self.newest.get(&role)
     }
 
+    /// When an incarnation was last known to work, by its heartbeats [ns]; 0 when it is not known.
+    pub(crate) fn last_beat_ns(&self, incarnation: u32) -> u64 {
+        self.pulses.get(&incarnation).map_or(0, |pulse| pulse.beat_ns)
+    }
+
     /// The last scan that an incarnation is known to have worked on.
     pub(crate) fn scan_of(&self, incarnation: u32) -> u64 {
         self.pulses.get(&incarnation).map_or(0, |pulse| pulse.scan)

@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use anyhow::Context;
-use runtime::{Bus, Domain, Observer, StopWord, Voice, monotonic_ns, write_handover};
+use runtime::{Bus, Domain, HandoverData, Observer, StopWord, Voice, monotonic_ns, write_handover};
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
     StageStamps, Topic,
@@ -151,8 +151,12 @@ impl<'a> Stand<'a> {
     /// Starts the candidate; `restart` and `checkpoint` are what a successor is told.
     pub(crate) fn spawn(&mut self, restart: bool, checkpoint: Option<&Checkpoint>) -> Result<(), Trouble> {
         let role = self.suite.role;
-        let checkpoint = checkpoint.map(|checkpoint| Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint });
-        write_handover(&self.domain, role, checkpoint.as_ref())?;
+        let handover = checkpoint.map(|checkpoint| HandoverData {
+            checkpoint: Checkpoint { issued_ns: monotonic_ns(), ..*checkpoint },
+            ended_ns: 0,
+            actuations: Vec::new(),
+        });
+        write_handover(&self.domain, role, handover.as_ref())?;
         let environment = environment_of(&self.domain, &self.word, role, self.incarnation, restart);
         let launch = Launch { command: self.suite.command.clone(), environment, directory: None };
         let child = Child::spawn(&launch, &self.log).map_err(Failure::process)?;

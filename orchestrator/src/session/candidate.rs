@@ -19,7 +19,8 @@ impl Session {
         entry: ProcessEntry,
         incarnation: u32,
     ) -> anyhow::Result<Watch> {
-        self.fleet.spawn_beside(role, entry, incarnation, self.vitals.checkpoint(role))?;
+        let handover = self.hand_over(role);
+        self.fleet.spawn_beside(role, entry, incarnation, handover.as_ref())?;
         // After the start: until then the reserve holds the memory of what is watched with.
         let watch = Watch::new(&self.bus, role).map_err(anyhow::Error::from);
         let begun = watch.and_then(|watch| self.write_account().map(|()| watch));

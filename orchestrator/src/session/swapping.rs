@@ -7,7 +7,7 @@
 use runtime::monotonic_ns;
 use shared_types::{Phase, ProcessState, Role, Topic};
 
-use super::{End, Session};
+use super::{End, Session, Shadows};
 use crate::control::{ProcessStatus, Reply, SwapRequest};
 use crate::fleet::Fleet;
 use crate::samples::ScanRecord;
@@ -20,6 +20,11 @@ use crate::system::ProcessEntry;
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
 const MOST_SCANS: u64 = 10_000;
+/// Good scans in a row before a restarted process takes over: the first outputs after a start are the slowest.
+const RESTART_SHADOW_SCANS: u64 = 3;
+/// Good scans in charge after which the process before it ends. The same program drove before, so one is enough to show
+/// that its samples reach all readers.
+const RESTART_STANDBY_SCANS: u64 = 1;
 /// How many of the last lines of a process that ended go into the reason.
 const WORDS: usize = 3;
 
@@ -28,7 +33,7 @@ const WORDS: usize = 3;
 pub(crate) struct Swaps {
     asked: Option<Asked>,
     current: Option<Exchange>,
-    certificates: Vec<Certificate>,
+    ended: Vec<Ended>,
     recorded_scan: u64,
     recorded_ns: u64,
 }
@@ -39,20 +44,38 @@ struct Asked {
     entry: ProcessEntry,
     request: SwapRequest,
     since_ns: u64,
+    purpose: Purpose,
+}
+
+/// What a swap is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Purpose {
+    /// Another process is to fill the role; the report tells of it.
+    Swap,
+    /// The same program starts again; the count of restarts tells of it.
+    Restart,
+}
+
+/// A swap that is over.
+struct Ended {
+    certificate: Certificate,
+    purpose: Purpose,
 }
 
 /// The exchange that goes on.
 struct Exchange {
     swap: Swap,
+    purpose: Purpose,
     watch: Watch,
     /// In lock-step: the scan after which the new process was connected.
     connected_at: Option<u64>,
 }
 
 impl Swaps {
-    /// All certificates, in the order in which the exchanges ended.
-    pub(crate) fn certificates(&self) -> &[Certificate] {
-        &self.certificates
+    /// All certificates, in the order in which the swaps ended; restarts have none.
+    pub(crate) fn certificates(&self) -> Vec<Certificate> {
+        let swaps = self.ended.iter().filter(|ended| ended.purpose == Purpose::Swap);
+        swaps.map(|ended| ended.certificate.clone()).collect()
     }
 
     /// Whether an exchange is asked for or goes on.
@@ -74,19 +97,54 @@ impl Swaps {
     /// The answer to someone who asks what became of the exchange of that number.
     pub(super) fn result(&self, number: u64) -> Reply {
         let index = usize::try_from(number).unwrap_or(usize::MAX);
-        match self.certificates.get(index.wrapping_sub(1)) {
-            Some(certificate) => Reply::Certificate(Box::new(certificate.clone())),
-            None if self.is_busy() && index == self.certificates.len() + 1 => Reply::Pending,
+        match self.ended.get(index.wrapping_sub(1)) {
+            Some(ended) => Reply::Certificate(Box::new(ended.certificate.clone())),
+            None if self.is_busy() && index == self.ended.len() + 1 => Reply::Pending,
             None => Reply::Refused(format!("there is no exchange of number {number}")),
         }
     }
 
-    /// Accepts an exchange, or says why not.
+    /// Accepts a swap, or tells why not.
     pub(super) fn ask(&mut self, request: SwapRequest, fleet: &Fleet, supervisor: &Supervisor) -> Reply {
+        self.accept(request, Purpose::Swap, fleet, supervisor)
+    }
+
+    /// Accepts the restart of a process that works, as a swap to the same program, so that the process before it ends
+    /// last. Nothing where there is no such process, or one in its shadow is compared with it.
+    pub(super) fn restart(
+        &mut self,
+        role: Role,
+        shadows: &Shadows,
+        fleet: &Fleet,
+        supervisor: &Supervisor,
+    ) -> Option<Reply> {
+        let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
+        if supervisor.phase() != Phase::Driving || !is_ready || shadows.concern(role.name()) {
+            return None;
+        }
+        let entry = fleet.entry(role)?;
+        let request = SwapRequest {
+            role: role.name().to_owned(),
+            implementation: entry.implementation.clone(),
+            command: entry.command.clone(),
+            shadow_scans: RESTART_SHADOW_SCANS,
+            standby_scans: RESTART_STANDBY_SCANS,
+            tolerance: MOST_TOLERANCE,
+        };
+        Some(self.accept(request, Purpose::Restart, fleet, supervisor))
+    }
+
+    fn accept(
+        &mut self,
+        request: SwapRequest,
+        purpose: Purpose,
+        fleet: &Fleet,
+        supervisor: &Supervisor,
+    ) -> Reply {
         match self.check(&request, fleet, supervisor) {
             Ok((role, entry)) => {
-                self.asked = Some(Asked { role, entry, request, since_ns: monotonic_ns() });
-                Reply::Accepted(self.certificates.len() as u64 + 1)
+                self.asked = Some(Asked { role, entry, request, since_ns: monotonic_ns(), purpose });
+                Reply::Accepted(self.ended.len() as u64 + 1)
             }
             Err(reason) => Reply::Refused(reason),
         }
@@ -199,9 +257,9 @@ impl Session {
     /// Begins what was asked for, moves on what has begun, and lets the loop go on in lock-step.
     pub(super) fn advance_swap(&mut self) -> anyhow::Result<()> {
         if self.end != End::NotYet || self.supervisor.phase() != Phase::Driving {
-            if let Some(Asked { role, entry, .. }) = self.swaps.asked.take() {
+            if let Some(Asked { role, entry, purpose, .. }) = self.swaps.asked.take() {
                 let certificate = self.refusal(role, &entry, "the run ended");
-                self.swap_over(certificate);
+                self.swap_over(certificate, purpose);
             }
             self.swap_event(Event::RunEnds)?;
         }
@@ -276,7 +334,9 @@ impl Session {
     }
 
     fn begin_swap(&mut self) -> anyhow::Result<()> {
-        let Some(Asked { role, entry, request, .. }) = self.swaps.asked.take() else { return Ok(()) };
+        let Some(Asked { role, entry, request, purpose, .. }) = self.swaps.asked.take() else {
+            return Ok(());
+        };
         let Some(old) = self.supervisor.process(role).map(|view| view.incarnation) else { return Ok(()) };
         let new = self.supervisor.next_incarnation();
         let plan = Plan {
@@ -295,13 +355,13 @@ impl Session {
             Ok(watch) => watch,
             Err(error) => {
                 let certificate = self.refusal(role, &entry, &format!("could not be started: {error:#}"));
-                self.swap_over(certificate);
+                self.swap_over(certificate, purpose);
                 return Ok(());
             }
         };
         self.progress.note(&format!("{role}: {} starts beside {}", plan.to, plan.from));
         self.swaps.current =
-            Some(Exchange { swap: Swap::new(monotonic_ns(), plan), watch, connected_at: None });
+            Some(Exchange { swap: Swap::new(monotonic_ns(), plan), purpose, watch, connected_at: None });
         Ok(())
     }
 
@@ -314,9 +374,8 @@ impl Session {
     }
 
     fn carry_out_swap(&mut self, action: Action) -> anyhow::Result<()> {
-        let Some(plan) = self.swaps.current.as_ref().map(|exchange| exchange.swap.plan()) else {
-            return Ok(());
-        };
+        let Some(Exchange { swap, purpose, .. }) = &self.swaps.current else { return Ok(()) };
+        let (plan, purpose) = (swap.plan(), *purpose);
         let (role, old, new) = (plan.role, plan.old, plan.new);
         match action {
             Action::Authorise(authority) => {
@@ -334,12 +393,13 @@ impl Session {
             }
             Action::Commit => {
                 if let Some(pid) = self.fleet.promote(new) {
-                    self.handle(supervisor::Event::Replaced { role, pid, incarnation: new })?;
+                    let is_restart = purpose == Purpose::Restart;
+                    self.handle(supervisor::Event::Replaced { role, pid, incarnation: new, is_restart })?;
                 }
             }
             Action::Finish(certificate) => {
                 self.swaps.current = None;
-                self.swap_over(*certificate);
+                self.swap_over(*certificate, purpose);
             }
         }
         Ok(())
@@ -355,8 +415,11 @@ impl Session {
         }
     }
 
-    fn swap_over(&mut self, certificate: Certificate) {
-        self.progress.note(&certificate.to_string());
-        self.swaps.certificates.push(certificate);
+    fn swap_over(&mut self, certificate: Certificate, purpose: Purpose) {
+        self.progress.note(&match purpose {
+            Purpose::Swap => certificate.to_string(),
+            Purpose::Restart => certificate.of_restart(),
+        });
+        self.swaps.ended.push(Ended { certificate, purpose });
     }
 }

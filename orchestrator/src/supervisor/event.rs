@@ -92,6 +92,8 @@ pub enum Event {
         pid: u32,
         /// Its incarnation, from `Supervisor::next_incarnation`.
         incarnation: u32,
+        /// Whether it runs the same program as the one before, which counts as a restart.
+        is_restart: bool,
     },
     /// The remains asked for by [`Action::CleanUp`] are gone from the bus.
     CleanedUp {

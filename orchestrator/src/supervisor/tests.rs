@@ -199,7 +199,7 @@ fn another_program_in_the_role_starts_without_its_deaths() {
     // The world knows nothing of exchanges.
     let World { mut supervisor, now_ns, .. } = world;
     let (role, incarnation) = (Role::Controller, supervisor.next_incarnation());
-    supervisor.handle(now_ns, Event::Replaced { role, pid: 7, incarnation });
+    supervisor.handle(now_ns, Event::Replaced { role, pid: 7, incarnation, is_restart: false });
     supervisor.handle(now_ns, Event::Exited { role, incarnation, exit: KILLED });
     assert_eq!(supervisor.failure(), None);
 }
@@ -705,7 +705,7 @@ fn a_process_that_appears_after_the_stop_is_ended_in_its_wave() {
 /// Another process fills the controller's role, as after a swap.
 fn replace(world: &mut World) -> u32 {
     let incarnation = world.supervisor.next_incarnation();
-    world.send(Event::Replaced { role: Role::Controller, pid: 77, incarnation });
+    world.send(Event::Replaced { role: Role::Controller, pid: 77, incarnation, is_restart: false });
     incarnation
 }
 
@@ -725,6 +725,15 @@ fn a_process_that_was_replaced_is_forgotten_with_its_deaths() {
         );
         assert_eq!((view.last_exit, world.failure), (None, None));
     }
+}
+
+#[test]
+fn a_replacement_by_the_same_program_counts_as_a_restart() {
+    let mut world = World::driving();
+    let (role, incarnation) = (Role::Controller, world.supervisor.next_incarnation());
+    world.send(Event::Replaced { role, pid: 77, incarnation, is_restart: true });
+    let view = world.supervisor.process(role).unwrap();
+    assert_eq!((view.state, view.pid, view.restarts), (VisibleState::Ready, Some(77), 1));
 }
 
 #[test]
@@ -760,11 +769,11 @@ fn a_replacement_that_comes_after_the_stop_is_ended_with_its_wave() {
     world.send(Event::StopRequested);
     let before = terminated(&world).len();
     let incarnation = world.supervisor.next_incarnation();
-    let replaced = Event::Replaced { role: Role::Controller, pid: 77, incarnation };
+    let replaced = Event::Replaced { role: Role::Controller, pid: 77, incarnation, is_restart: false };
     let actions = world.supervisor.handle(world.now_ns, replaced);
     assert_eq!(before, 3);
     assert!(actions.contains(&Action::Terminate { role: Role::Controller }), "{actions:?}");
-    let stale = Event::Replaced { role: Role::Controller, pid: 78, incarnation };
+    let stale = Event::Replaced { role: Role::Controller, pid: 78, incarnation, is_restart: false };
     world.supervisor.handle(world.now_ns, stale);
     assert_eq!(world.supervisor.process(Role::Controller).unwrap().pid, Some(77));
 }

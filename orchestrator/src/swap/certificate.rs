@@ -34,6 +34,22 @@ impl fmt::Display for Certificate {
     }
 }
 
+impl Certificate {
+    /// What is said of a swap to the same program, which is a restart.
+    pub(crate) fn of_restart(&self) -> String {
+        let Self { role, missed_scans, reason, .. } = self;
+        match (self.outcome, self.first_scan_new) {
+            (SwapOutcome::Swapped, Some(first)) => {
+                format!(
+                    "{role} was restarted: the new process drives since scan {first}; {missed_scans} scans missed"
+                )
+            }
+            (SwapOutcome::Swapped, None) => format!("{role} was restarted: {reason}"),
+            _ => format!("{role} was not restarted, the process before goes on: {reason}"),
+        }
+    }
+}
+
 /// The record of one exchange, `swap --json`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Certificate {

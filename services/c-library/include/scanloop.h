@@ -34,8 +34,8 @@ enum scanloop_handover {
     SCANLOOP_FIRST_START = 0, /* nothing ran before */
     SCANLOOP_RESUMED = 1,     /* the state of the process before */
     SCANLOOP_FOREIGN = 2,     /* the process before was another program, whose state is of another kind */
-    SCANLOOP_LOST = 3         /* its state is older than half a second or was never saved: publish nothing unless your
-                                 outputs need no memory, so that the wheels stay blocked */
+    SCANLOOP_LOST = 3         /* its state was older than half a second when it ended, or was never saved: publish
+                                 nothing unless your outputs need no memory, so that the wheels stay blocked */
 };
 
 enum scanloop_log_level { SCANLOOP_DEBUG = 0, SCANLOOP_INFO = 1, SCANLOOP_WARN = 2, SCANLOOP_ERROR = 3 };
@@ -89,7 +89,10 @@ int scanloop_begin(scanloop_process *process);
 int scanloop_save(scanloop_process *process, const scanloop_header *header, uint32_t kind, const void *state,
                   size_t size);
 
-/* Fills `state` with what the process before this one saved last. Returns an enum scanloop_handover, or an error. */
+/* Fills `state` with what the process before this one saved last. Returns an enum scanloop_handover, or an error.
+ *
+ * The process before may have hung, and the wheels may have been blocked since; the actuations that it did not see are
+ * not offered here. An estimator that predicts from actuations should trust the measured speed after a gap. */
 int scanloop_resume(scanloop_process *process, uint32_t kind, void *state, size_t size);
 
 /* A number of the settings of the role, docs/settings.md: "safety_distance_m", "wall_y_m.0", "track.y_m.1"; true is 1.

@@ -7,10 +7,12 @@
 //! measured from their stamps, so lost samples are a longer prediction and nothing else. Samples that are not newer
 //! than the estimate give no pose. A sample that does not fit (its NIS is beyond 99.9 % of the chi-squared
 //! distribution) is not used; after several in a row the estimate begins anew from the measurement, because then it
-//! is the estimate that is wrong. After a longer gap it begins anew as well.
+//! is the estimate that is wrong. After a longer gap it begins anew as well, and after a short one when the sample does
+//! not fit: what was sent to the wheels meanwhile may not be known, so the measured pose and speed win over the predicted
+//! ones, as long as the robot can have got there.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
-use shared_types::{Actuation, Fault, Odometry, Pose, Role};
+use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
 use vehicle::Invalid;
 use vehicle::frame::wrap_angle;
 
@@ -29,6 +31,13 @@ const MAX_AHEAD_NS: u64 = 500_000_000;
 
 /// 99.9 % quantiles of the chi-squared distribution with one, two and three degrees of freedom.
 const GATE: [f64; 3] = [10.828, 13.816, 16.266];
+
+/// How much farther than its speed allows a robot may be measured to have gone in a gap: five standard deviations of R
+/// [m], and of the yaw [rad].
+const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
+
+/// More than the curvature of any way: the sharpest turn that can be sent has 0.64 [1/m].
+const REACH_CURVATURE: f64 = 0.7;
 
 /// The interval that Q is given for [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
@@ -93,13 +102,21 @@ impl Estimator {
         let update = if self.state.initialised == 1 {
             let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
-            if dt > self.settings.max_gap_s {
+            let before = self.state;
+            let gap_explains = self.follows_gap(&odometry.header) && self.is_in_reach(measured, speed, dt);
+            let mut update = None;
+            if dt <= self.settings.max_gap_s {
+                self.predict(odometry, dt);
+                update = Some(self.update_and_check(measured, odometry));
+                if gap_explains && self.state.rejected > before.rejected {
+                    // As if the sample had not been compared: this is no evidence against the calibration.
+                    (self.state, update) = (before, None);
+                }
+            }
+            update.unwrap_or_else(|| {
                 self.begin_anew(measured, odometry);
                 Update::default()
-            } else {
-                self.predict(odometry, dt);
-                self.update_and_check(measured, odometry)
-            }
+            })
         } else {
             self.state.correction = CorrectionState::begin(reported, speed);
             self.begin(reported, odometry);
@@ -150,6 +167,27 @@ impl Estimator {
         self.state.initialised == 0
             || (header.acquired_ns > self.state.acquired_ns
                 && !(same_producer && header.sequence <= self.state.sequence))
+    }
+
+    /// Whether samples between the last one used and this one are missing.
+    fn follows_gap(&self, header: &Header) -> bool {
+        header.incarnation == self.state.incarnation && header.sequence > self.state.sequence + 1
+    }
+
+    /// Whether the robot can have driven from the estimate to a place within `dt`, forwards and at no more than the speed
+    /// it had, was sent, or has.
+    fn is_in_reach(&self, place: Planar, speed: f64, dt: f64) -> bool {
+        let motion = &self.state.motion;
+        let fastest = motion
+            .controls()
+            .iter()
+            .fold(motion.speed_mps.max(speed), |most, sent| most.max(sent.velocity_mps));
+        let (way_m, [yaw, x, y]) = (fastest * dt, self.state.estimate);
+        let (dx, dy) = (place.x - x, place.y - y);
+        let ahead_m = dx * yaw.cos() + dy * yaw.sin();
+        ahead_m >= -REACH_MARGIN.0
+            && dx.hypot(dy) <= way_m + REACH_MARGIN.0
+            && wrap_angle(place.yaw - yaw).abs() <= way_m * REACH_CURVATURE + REACH_MARGIN.1
     }
 
     fn begin(&mut self, measured: Planar, odometry: &Odometry) {

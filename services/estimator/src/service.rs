@@ -21,6 +21,9 @@ pub fn run() -> anyhow::Result<()> {
         Handover::FirstStart => false,
         Handover::Lost => true,
     };
+    // What the process before did not see any more, as the block that followed its silence.
+    let now_ns = process.clock().now_ns();
+    process.handed_actuations().iter().for_each(|actuation| estimator.note(actuation, now_ns));
     if lost {
         tracing::error!("no fresh state to resume from: no pose will be published");
     }

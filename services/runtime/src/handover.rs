@@ -1,9 +1,10 @@
 //! State handed to a process that takes the place of another: a file, written before it is started.
 //!
 //! The checkpoints themselves travel on the bus. Their publisher's memory dies with it, so the orchestrator
-//! keeps the newest of each role and hands it over here.
+//! keeps the newest of each role and hands it over here, with the actuations that were sent since: a process that hung
+//! has not seen the wheels being blocked.
 
-use shared_types::{Checkpoint, Role, Sample};
+use shared_types::{Actuation, Checkpoint, Role, Sample};
 
 use crate::{Domain, RuntimeError};
 
@@ -20,26 +21,67 @@ pub enum Handover<T> {
     Lost,
 }
 
-/// Writes the newest checkpoint of a role for the process that is about to be started.
+/// What is written down for the process that takes the place of another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandoverData {
+    /// The newest state of the process before it.
+    pub checkpoint: Checkpoint,
+    /// When the process before it was last known to work [ns]; 0 while it still does.
+    ///
+    /// Until then that process kept its state up to date; what came later it did not see. So the state does not age
+    /// while a hung process is found out, and while its successor starts.
+    pub ended_ns: u64,
+    /// The newest actuations, oldest first and without repetitions, for a role that reads them; the state contains
+    /// some of them.
+    pub actuations: Vec<Actuation>,
+}
+
+impl HandoverData {
+    /// Age of the state when the process that left it ended, or now while that process lives [ns].
+    pub(crate) fn age_ns(&self, now_ns: u64) -> u64 {
+        let until_ns = if self.ended_ns == 0 { now_ns } else { self.ended_ns.min(now_ns) };
+        until_ns.saturating_sub(self.checkpoint.issued_ns)
+    }
+
+    /// The checkpoint, the time, then the actuations.
+    fn to_bytes(&self) -> Vec<u8> {
+        let parts: [&[u8]; 3] = [
+            bytemuck::bytes_of(&self.checkpoint),
+            &self.ended_ns.to_le_bytes(),
+            bytemuck::cast_slice(&self.actuations),
+        ];
+        parts.concat()
+    }
+
+    /// Nothing where the file is damaged; actuations that are damaged are left out.
+    fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (checkpoint, rest) = bytes.split_at_checked(size_of::<Checkpoint>())?;
+        let (ended_ns, rest) = rest.split_first_chunk::<8>()?;
+        let actuations = rest.chunks_exact(size_of::<Actuation>()).map(bytemuck::pod_read_unaligned);
+        Some(Self {
+            checkpoint: bytemuck::pod_read_unaligned(checkpoint),
+            ended_ns: u64::from_le_bytes(*ended_ns),
+            actuations: actuations.filter(|actuation: &Actuation| actuation.check().is_ok()).collect(),
+        })
+    }
+}
+
+/// Writes down what the process that is about to be started goes on from; without it, that there is nothing.
 ///
 /// # Errors
 /// [`RuntimeError::File`].
-pub fn write(domain: &Domain, role: Role, checkpoint: Option<&Checkpoint>) -> Result<(), RuntimeError> {
-    match checkpoint {
-        Some(checkpoint) => domain.folder().write(&file(role), bytemuck::bytes_of(checkpoint)),
+pub fn write(domain: &Domain, role: Role, data: Option<&HandoverData>) -> Result<(), RuntimeError> {
+    match data {
+        Some(data) => domain.folder().write(&file(role), &data.to_bytes()),
         None => domain.folder().remove(&file(role)),
     }
 }
 
-/// The checkpoint handed to a role, if it is there and whole.
-pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<Checkpoint>, RuntimeError> {
+/// What was handed to a role, if it is there and whole.
+pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<HandoverData>, RuntimeError> {
     match domain.folder().read(&file(role)) {
-        Ok(bytes) if bytes.len() == size_of::<Checkpoint>() => {
-            let checkpoint: Checkpoint = bytemuck::pod_read_unaligned(&bytes);
-            Ok(Some(checkpoint)
-                .filter(|checkpoint| checkpoint.check().is_ok() && checkpoint.role == role.wire()))
-        }
-        Ok(_) => Ok(None),
+        Ok(bytes) => Ok(HandoverData::from_bytes(&bytes)
+            .filter(|data| data.checkpoint.check().is_ok() && data.checkpoint.role == role.wire())),
         Err(RuntimeError::File { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
     }
@@ -47,4 +89,32 @@ pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<Checkpoint>, Ru
 
 fn file(role: Role) -> String {
     format!("{role}.checkpoint")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_ages_until_the_process_that_left_it_ended() {
+        let checkpoint = Checkpoint { issued_ns: 1_000, ..Checkpoint::default() };
+        let data = |ended_ns| HandoverData { checkpoint, ended_ns, actuations: Vec::new() };
+        assert_eq!(data(0).age_ns(5_000), 4_000, "it lives");
+        assert_eq!(data(1_200).age_ns(5_000), 200);
+        assert_eq!(data(900).age_ns(5_000), 0, "the state is newer than the last heartbeat");
+    }
+
+    #[test]
+    fn what_is_handed_over_is_read_back_and_a_damaged_file_is_nothing() {
+        let mut actuation = Actuation { desired_velocity_mps: 0.5, ..Actuation::default() };
+        actuation.header.layout = Actuation::LAYOUT;
+        let damaged = Actuation { desired_velocity_mps: f64::NAN, ..actuation };
+        let data =
+            HandoverData { checkpoint: Checkpoint::default(), ended_ns: 7, actuations: vec![actuation; 3] };
+        let with_damage =
+            HandoverData { actuations: vec![actuation, damaged, actuation, actuation], ..data.clone() };
+        assert_eq!(HandoverData::from_bytes(&data.to_bytes()).as_ref(), Some(&data));
+        assert_eq!(HandoverData::from_bytes(&with_damage.to_bytes()).as_ref(), Some(&data));
+        assert_eq!(HandoverData::from_bytes(&data.to_bytes()[..size_of::<Checkpoint>() + 7]), None);
+    }
 }

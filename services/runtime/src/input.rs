@@ -9,7 +9,7 @@ use std::sync::Arc;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
+use shared_types::{Fate, Fault, InputAccount, Role, Sample, Topic};
 
 use crate::bell::Bells;
 use crate::bus::WireSubscriber;
@@ -39,7 +39,7 @@ impl<S: Sample> Deref for Taken<S> {
 /// Reads samples of one type.
 ///
 /// What never comes out: a sample of another layout or with bad content, of a producer without authority, a
-/// duplicate, a reordered one, one that is too old. Each is counted by its kind in the account of the input,
+/// duplicate, a reordered one, one that is too old (actuations are never too old for other roles than the robot). Each is counted by its kind in the account of the input,
 /// which travels in the heartbeat.
 ///
 /// While one process takes over from another, the newest samples of the one that does not count are kept aside.
@@ -323,7 +323,9 @@ impl<S: Sample> Reader<S> {
     }
 
     fn is_stale(&self, sample: &S) -> bool {
-        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() {
+        // An actuation asks something of the robot only. Others read in it what the wheels did, which stays true.
+        let is_record = S::TOPIC == Topic::Actuation && self.shared.role != Role::Robot;
+        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() || is_record {
             return false;
         }
         let acquired_ns = sample.header().acquired_ns;

@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Checkpoint, Directive, Header, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps, Topic,
-    YOUNG_NS,
+    Actuation, Checkpoint, Directive, Header, Heartbeat, Layouts, Phase, ProcessState, Role, Sample,
+    StageStamps, Topic, YOUNG_NS,
 };
 
 use self::waiting::Need;
@@ -37,8 +37,10 @@ pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
 const MAX_AGE_PERIODS: u64 = 3;
 /// The state of a running process is waited for this long, besides two and a half periods [ns].
 const JOIN_NS: u64 = 20_000_000;
-/// A checkpoint older than this describes another situation [ns].
+/// A checkpoint that was older than this when its process ended describes another situation [ns].
 const CHECKPOINT_AGE_NS: u64 = 500_000_000;
+/// So does one that has waited for longer than this for a process: twice the longest pause before a restart [ns].
+const HANDOVER_AGE_NS: u64 = 10_000_000_000;
 
 /// What ports of one process share.
 pub(crate) struct Shared {
@@ -130,6 +132,7 @@ pub struct Process {
     inputs: Vec<Rc<dyn Drain>>,
     outputs: Vec<Rc<dyn Connect>>,
     handed_scan: Cell<u64>,
+    handed_actuations: RefCell<Vec<Actuation>>,
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
@@ -198,6 +201,7 @@ impl Process {
             inputs: Vec::new(),
             outputs: Vec::new(),
             handed_scan: Cell::new(0),
+            handed_actuations: RefCell::default(),
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use iceoryx2::prelude::PortFactory;
-use shared_types::{Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample};
+use shared_types::{Actuation, Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample};
 
 use crate::counters::Counters;
 use crate::input::{Drain, Input, join};
@@ -147,6 +147,29 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     // The voice's third number came under another incarnation; the echo brought it late.
     assert_eq!((account.missing, account.used, account.open), (0, 2, 0));
     assert_eq!(account.late, shared_types::Span { incarnation: 7, first: 3, last: 3, reserved: 0 });
+}
+
+#[test]
+fn an_actuation_is_too_old_for_the_robot_only() {
+    let lab = Lab::new();
+    let read_by = |role: Role| {
+        let mut shared = lab.shared(role, 9);
+        Rc::get_mut(&mut shared).unwrap().clock = Clock::Monotonic;
+        shared.directive.borrow_mut().authority[Role::Actuator.index()].incarnation = 7;
+        (Input::<Actuation>::new(lab.bus(), Rc::clone(&shared)).unwrap(), shared)
+    };
+    let readers = [Role::Robot, Role::Estimator].map(read_by);
+    let mut voice = Voice::<Actuation>::new(lab.bus()).unwrap();
+    readers.iter().for_each(|(input, _)| input.drain().unwrap());
+    let mut block = Actuation::default();
+    (block.header.incarnation, block.header.scan_id) = (7, 1);
+    block.header.acquired_ns = crate::monotonic_ns() - 400_000_000;
+    voice.say(&mut block, false).unwrap();
+    let taken = readers.each_ref().map(|(input, _)| {
+        input.drain().unwrap();
+        input.take().is_some()
+    });
+    assert_eq!(taken, [false, true], "it asks nothing of the estimator, but tells it what the wheels did");
 }
 
 /// The outputs whose samples a controller joins, and its inputs.

@@ -166,6 +166,27 @@ fn after_a_long_gap_the_estimate_is_the_measurement() {
     assert_eq!((pose.x_m, pose.speed_mps, estimator.counters().restarts), (1.25, 0.0, 1));
 }
 
+/// A successor knows the state of scan 5; the wheels were blocked at scan 7, and it was not told.
+#[test]
+fn after_a_gap_the_measured_speed_wins_over_the_predicted_one_and_nothing_is_suspected() {
+    let (mut estimator, _) = straight(&ideal(), 5);
+    let pose = estimator.step(&odometry(15, 0.8, 0.0), None, at(15)).unwrap();
+    assert_eq!((pose.x_m, pose.speed_mps, pose.rejected, pose.alarm), (0.8, 0.0, 0, 0));
+    for scan in 16..30 {
+        let pose = estimator.step(&odometry(scan, 0.8, 0.0), None, at(scan)).unwrap();
+        assert!((pose.x_m - 0.8).abs() < 1e-9 && pose.rejected == 0 && pose.alarm == 0, "{scan}: {pose:?}");
+    }
+}
+
+#[test]
+fn a_jump_in_a_gap_that_the_robot_cannot_have_driven_is_refused() {
+    for (x, yaw) in [(2.0, 0.0), (0.1, 0.0), (0.8, 1.0)] {
+        let (mut estimator, _) = straight(&ideal(), 5);
+        let sample = Odometry { yaw_rad: yaw, ..odometry(9, x, 1.0) };
+        assert_eq!(estimator.step(&sample, None, at(9)).unwrap().rejected, 1, "{x} {yaw}");
+    }
+}
+
 #[test]
 fn yaw_passes_the_half_turn_without_a_jump() {
     let mut estimator = Estimator::new(&ideal()).unwrap();

@@ -1,9 +1,9 @@
 //! The state that a process leaves for the one that goes on from it.
 
-use shared_types::{Checkpoint, Described};
+use shared_types::{Actuation, Checkpoint, Described};
 
 use super::waiting::Need;
-use super::{CHECKPOINT_AGE_NS, JOIN_NS, Process};
+use super::{CHECKPOINT_AGE_NS, HANDOVER_AGE_NS, JOIN_NS, Process};
 use crate::handover::{self, Handover};
 use crate::{Observer, RuntimeError, environment, monotonic_ns};
 
@@ -34,7 +34,7 @@ impl Process {
         self.checkpoint.publish_silently(&mut checkpoint)
     }
 
-    /// The state that the process before this one left less than half a second ago.
+    /// The state that the process before this one left less than half a second before its end.
     ///
     /// # Errors
     /// [`RuntimeError::File`] when the hand-over can't be read.
@@ -57,18 +57,29 @@ impl Process {
         if !environment::is_restart() {
             return Ok(Handover::FirstStart);
         }
-        let Some(checkpoint) = handover::read(&self.domain, self.shared.role)? else {
+        let Some(data) = handover::read(&self.domain, self.shared.role)? else {
             tracing::warn!("the process before this one left no state");
             return Ok(Handover::Lost);
         };
-        // In lock-step the loop rests while a process starts, so its state does not age.
-        let age_ns = monotonic_ns().saturating_sub(checkpoint.issued_ns);
-        if age_ns > CHECKPOINT_AGE_NS && !self.shared.clock.is_simulated() {
-            tracing::warn!("the state of the process before this one is {} ms old", age_ns / 1_000_000);
-            return Ok(Handover::Lost);
+        // In lock-step the loop rests while a process starts: its state does not age, and contains all actuations.
+        if !self.shared.clock.is_simulated() {
+            let now_ns = monotonic_ns();
+            let (age_ns, waited_ns) = (data.age_ns(now_ns), now_ns.saturating_sub(data.checkpoint.issued_ns));
+            if age_ns > CHECKPOINT_AGE_NS || waited_ns > HANDOVER_AGE_NS {
+                let (age_ms, waited_ms) = (age_ns / 1_000_000, waited_ns / 1_000_000);
+                tracing::warn!(age_ms, waited_ms, "the state of the process before this one is too old");
+                return Ok(Handover::Lost);
+            }
+            *self.handed_actuations.borrow_mut() = data.actuations;
         }
-        self.handed_scan.set(checkpoint.header.scan_id);
-        Ok(Handover::State(checkpoint))
+        self.handed_scan.set(data.checkpoint.header.scan_id);
+        Ok(Handover::State(data.checkpoint))
+    }
+
+    /// The newest actuations that were sent before this process was started, oldest first: for a role that reads them
+    /// and has found a state with [`Process::resume`]. The process before this one may not have seen the last of them.
+    pub fn handed_actuations(&self) -> Vec<Actuation> {
+        self.handed_actuations.take()
     }
 
     /// The scan after which the state was taken that [`Process::resume`] has found; 0 without one.
