@@ -9,6 +9,7 @@ use crate::cli::SwapArguments;
 use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::swap::{MOST_TOLERANCE, SwapOutcome};
 
 /// A system that was told to stop has this long to end [ns].
@@ -31,11 +32,11 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
         },
     };
     if json {
-        println!("{}", serde_json::to_string_pretty(&status)?);
+        data(&serde_json::to_string_pretty(&status)?)?;
     } else {
-        eprint!("{}", table(&status));
+        note!("{}", table(&status));
         if status.state == DRIVERLESS {
-            eprintln!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
+            note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
         }
     }
     Ok(Exit::Done)
@@ -50,7 +51,7 @@ pub(crate) fn stop(domain: &Domain) -> anyhow::Result<Exit> {
         if !is_not_running(&error) || !driverless::stop(domain)? {
             return Err(error);
         }
-        eprintln!("system `{}` has stopped; it had lost its orchestrator", domain.system_id());
+        note!("system `{}` has stopped; it had lost its orchestrator", domain.system_id());
         return Ok(Exit::Done);
     }
     let deadline = monotonic_ns() + STOP_PATIENCE_NS;
@@ -60,7 +61,7 @@ pub(crate) fn stop(domain: &Domain) -> anyhow::Result<Exit> {
         }
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    eprintln!("system `{}` has stopped", domain.system_id());
+    note!("system `{}` has stopped", domain.system_id());
     Ok(Exit::Done)
 }
 
@@ -73,7 +74,7 @@ pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
     match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
         Reply::Refused(reason) => Err(Failure::bad_input(reason)),
         _ => {
-            eprintln!("{role} is being restarted");
+            note!("{role} is being restarted");
             Ok(Exit::Done)
         }
     }
@@ -111,15 +112,15 @@ pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
             Ok(_) => std::thread::sleep(SWAP_LOOK),
             Err(error) => {
-                eprintln!("the system ended before the exchange did: {error:#}");
+                note!("the system ended before the exchange did: {error:#}");
                 return Ok(Exit::NotReached);
             }
         }
     };
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&certificate)?);
+        data(&serde_json::to_string_pretty(&certificate)?)?;
     }
-    eprintln!("{certificate}");
+    note!("{certificate}");
     Ok(if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached })
 }
 
