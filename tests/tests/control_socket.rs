@@ -36,25 +36,34 @@ fn kib(system: &System, key: &str) -> u64 {
     line.trim_start_matches(':').split_whitespace().next().unwrap().parse().unwrap()
 }
 
+/// Sends a byte every 100 ms until the connection is closed; returns how long that took.
+fn dribble(mut client: UnixStream) -> Duration {
+    let started = Instant::now();
+    while client.write_all(b"x").is_ok() && started.elapsed() < CLOSED_LIMIT {
+        let sent = Instant::now();
+        while sent.elapsed() < Duration::from_millis(100) {
+            pause();
+        }
+    }
+    started.elapsed()
+}
+
 #[test]
 fn a_client_that_sends_a_byte_now_and_then_holds_up_nothing_and_is_closed() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless"]);
-    let mut clients: Vec<_> = (0..4).map(|_| connect(&system)).collect();
-    let started = Instant::now();
-    let (mut sent, mut answered) = (started, Duration::ZERO);
-    while !clients.is_empty() {
-        assert!(started.elapsed() < CLOSED_LIMIT, "{} clients are still served", clients.len());
-        if sent.elapsed() >= Duration::from_millis(100) {
-            sent = Instant::now();
-            clients.retain_mut(|client| client.write_all(b"x").is_ok());
-            let asked = Instant::now();
-            assert!(system.status().is_some());
-            answered = answered.max(asked.elapsed());
-        }
+    let clients: Vec<_> = (0..4).map(|_| connect(&system)).collect();
+    let clients: Vec<_> = clients.into_iter().map(|client| std::thread::spawn(|| dribble(client))).collect();
+    while !clients.iter().all(std::thread::JoinHandle::is_finished) {
+        let asked = Instant::now();
+        assert!(system.status().is_some());
+        assert!(asked.elapsed() < Duration::from_secs(2), "an answer took {:?}", asked.elapsed());
         pause();
     }
-    assert!(answered < Duration::from_secs(1), "the slowest answer took {answered:?}");
+    for client in clients {
+        let served = client.join().unwrap();
+        assert!(served < CLOSED_LIMIT, "served for {served:?}");
+    }
     end(system);
 }
 
@@ -94,26 +103,5 @@ fn many_idle_connections_stop_no_command_for_long() {
         answer.contains("too many connections").then_some(())
     });
     assert!(refused.count() >= 40 - 16);
-    end(system);
-}
-
-#[test]
-fn a_client_that_takes_no_answer_is_closed() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless"]);
-    // Each connection is answered once; one that never reads is gone with its thread a second later.
-    let clients: Vec<_> = (0..16)
-        .map(|_| {
-            let mut client = connect(&system);
-            client.write_all(b"\"status\"\n").unwrap();
-            client
-        })
-        .collect();
-    system.wait_until("the threads of the clients are gone", |system| {
-        let tasks = std::fs::read_dir(format!("/proc/{}/task", system.orchestrator())).unwrap();
-        let names = tasks.flatten().filter_map(|task| std::fs::read_to_string(task.path().join("comm")).ok());
-        names.filter(|name| name.trim() == "client").count() == 0
-    });
-    drop(clients);
     end(system);
 }
