@@ -1,5 +1,6 @@
 //! `scanloop run`: from the command line to the summary.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -213,13 +214,14 @@ fn write_results(
     recorder: &Recorder,
     out: &Path,
 ) -> anyhow::Result<()> {
-    let report_written = replace(&out.join("report.json"), report.to_json()?.as_bytes());
+    let (report_file, picture_file) = (out.join("report.json"), out.join("drive.svg"));
+    let report_written = or_none(&report_file, report.write(&report_file));
     let drawing = picture::draw(&scene_of(scenario, report), &recorder.drive())?;
-    report_written.and(replace(&out.join("drive.svg"), drawing.as_bytes()))
+    report_written.and(or_none(&picture_file, write_atomically(&picture_file, drawing.as_bytes())))
 }
 
-fn replace(path: &Path, content: &[u8]) -> anyhow::Result<()> {
-    let written = write_atomically(path, content);
+/// Removes the file of an earlier run when that of this run was not written.
+fn or_none(path: &Path, written: io::Result<()>) -> anyhow::Result<()> {
     if written.is_err() {
         let _ = std::fs::remove_file(path);
     }

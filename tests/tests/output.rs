@@ -35,7 +35,7 @@ fn terminal() -> (OwnedFd, OwnedFd) {
 
 /// Writes until not a byte more goes in.
 fn fill(output: &OwnedFd) {
-    // Another description of the same file, so that whoever writes to `output` waits as usual.
+    // Another description of the same file, so that writes to `output` itself block as usual.
     let path = format!("/proc/self/fd/{}", output.as_raw_fd());
     let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     let output = open(&path, flags, Mode::empty()).unwrap();
@@ -150,7 +150,7 @@ fn a_process_is_restarted_while_its_log_is_on_a_full_disk() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless"]);
     system.kill_orchestrator();
-    // The one who adopts goes on with the logs that are there.
+    // An adopting orchestrator appends to the logs that are there.
     let log = system.folder().join("out/logs/controller.log");
     std::fs::remove_file(&log).unwrap();
     symlink("/dev/full", &log).unwrap();

@@ -88,7 +88,7 @@ impl Drop for Server {
     }
 }
 
-/// Where connections hand in requests. Each holds one, which is how they are counted.
+/// Where connections hand in requests.
 #[derive(Debug, Clone)]
 struct Desk {
     sender: SyncSender<Asked>,
@@ -105,7 +105,7 @@ fn signal(event: &OwnedFd) {
 }
 
 fn accept_until(listener: &UnixListener, end: &OwnedFd, desk: &Desk) {
-    // Held by each connection, so that its count is theirs and ours.
+    // Each connection holds one more reference; their number is the number of connections.
     let places = Arc::new(());
     loop {
         wait_for(&[listener.as_fd(), end.as_fd()], ACCEPT_NS);
@@ -142,7 +142,7 @@ fn admit(stream: UnixStream, places: &Arc<()>, desk: &Desk) {
     let _ = std::thread::Builder::new().name("client".to_owned()).stack_size(STACK).spawn(serve);
 }
 
-/// The user of this process, and root, who could do anything to it anyway.
+/// The user of this process may, and root, which could do anything to it anyway.
 fn may_ask(peer: u32, own: u32) -> bool {
     peer == own || peer == 0
 }

@@ -146,10 +146,10 @@ impl Terminal {
 ///
 /// When no thread can be started, texts are written at once as before.
 pub fn start_terminal() {
-    let terminal = Arc::new(Terminal { state: Mutex::default(), changed: Condvar::new() });
     if TERMINAL.get().is_some() {
         return;
     }
+    let terminal = Arc::new(Terminal { state: Mutex::default(), changed: Condvar::new() });
     let writer = Arc::clone(&terminal);
     let started = std::thread::Builder::new().name("terminal".to_owned()).spawn(move || writer.serve());
     if started.is_ok() {
@@ -157,8 +157,11 @@ pub fn start_terminal() {
     }
 }
 
-/// Waits until all texts are written, but not longer than `limit`; what is not written then is lost.
+/// Takes the live line away and waits until all texts are written, but not longer than `limit`.
+///
+/// For the end of a process: what is not written then is lost.
 pub fn flush_terminal(limit: Duration) {
+    show_live_line(None);
     if let Some(terminal) = TERMINAL.get() {
         terminal.flush(limit);
     }
@@ -184,7 +187,7 @@ pub fn show_live_line(line: Option<&str>) {
 pub(crate) fn write(bytes: Vec<u8>) {
     match TERMINAL.get() {
         Some(terminal) => terminal.change(|state| state.queue.push(bytes)),
-        // Without a reader there is none to be told.
+        // What can't be written can't be reported either.
         None => _ = write_now(&bytes),
     }
 }
