@@ -21,6 +21,7 @@ pub use arguments::{
 };
 
 use crate::exit::{Exit, Failure};
+use crate::output::{self, note};
 use crate::picture::chart::{self, Chart};
 
 /// Answers the question, prints the answer and draws it.
@@ -45,10 +46,10 @@ fn publish(
     data: &impl Serialize,
 ) -> anyhow::Result<()> {
     let path = write(&output.out, name, &chart::draw(chart)?)?;
-    eprint!("{table}");
-    eprintln!("picture         {}", path.display());
+    note!("{table}");
+    note!("picture         {}", path.display());
     if output.json {
-        println!("{}", serde_json::to_string_pretty(data)?);
+        output::data(&serde_json::to_string_pretty(data)?)?;
     }
     Ok(())
 }

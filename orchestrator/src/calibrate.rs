@@ -18,6 +18,7 @@ pub use arguments::{CalibrateArguments, Kind};
 
 use crate::cli::Choice;
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::picture::panels;
 use crate::report::write_atomically;
 use crate::run::Plan;
@@ -56,9 +57,9 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
     }
     write(&out.join(format!("{name}.svg")), &panels::draw(&found.charts)?, "picture")?;
     write(&into, &merged.to_toml(), "calibration")?;
-    eprint!("{}", found.text);
+    note!("{}", found.text);
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&found.file)?);
+        data(&serde_json::to_string_pretty(&found.file)?)?;
     }
     Ok(Exit::Done)
 }
@@ -190,7 +191,7 @@ fn read_file(path: &Path) -> anyhow::Result<CalibrationFile> {
 
 fn write(path: &Path, text: &str, what: &str) -> anyhow::Result<()> {
     write_atomically(path, text.as_bytes()).with_context(|| format!("{}", path.display()))?;
-    eprintln!("{what:<15} {}", path.display());
+    note!("{what:<15} {}", path.display());
     Ok(())
 }
 

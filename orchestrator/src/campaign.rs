@@ -9,12 +9,13 @@ use std::sync::mpsc;
 use anyhow::Context;
 use emulator::course::{Family, of_campaign};
 use emulator::{Outcome, Scenario, feasible};
-use indicatif::{ProgressBar, ProgressStyle};
 use pipeline::Settings;
 use serde::Serialize;
 
 use crate::cli::CampaignArguments;
 use crate::exit::Exit;
+use crate::output::{data, note};
+use crate::progress::Steps;
 use crate::report::NO_OBSTACLE_M;
 
 /// How one course ended.
@@ -65,9 +66,9 @@ struct Summary {
 pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     let runs = drive_all(arguments)?;
     let summary = summarise(&runs, arguments)?;
-    eprint!("{}", text(&summary));
+    note!("{}", text(&summary));
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        data(&serde_json::to_string_pretty(&summary)?)?;
     }
     Ok(match (summary.collision, summary.bad.is_empty()) {
         (0, true) => Exit::Done,
@@ -77,8 +78,7 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
 }
 
 fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} courses, {elapsed} of {duration}")?;
-    let bar = ProgressBar::new(arguments.runs).with_style(style);
+    let mut steps = Steps::new(arguments.runs, "courses");
     let next = AtomicU64::new(0);
     let (sender, receiver) = mpsc::channel();
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
@@ -97,9 +97,8 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
             });
         }
         drop(sender);
-        receiver.iter().inspect(|_| bar.inc(1)).collect::<anyhow::Result<Vec<Run>>>()
+        receiver.iter().inspect(|_| steps.step("")).collect::<anyhow::Result<Vec<Run>>>()
     })?;
-    bar.finish_and_clear();
     runs.sort_by_key(|run| run.seed);
     Ok(runs)
 }

@@ -7,8 +7,11 @@ use emulator::Scenario;
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
 
+use runtime::printable;
+
 use crate::cli::{CheckArguments, Choice};
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::run::Plan;
 use crate::system::System;
 
@@ -18,7 +21,7 @@ use crate::system::System;
 /// The first file that is not allowed, with key, value and range; exit code 2.
 pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     if arguments.list {
-        Scenario::names().for_each(|name| println!("{name}"));
+        data(&Scenario::names().collect::<Vec<_>>().join("\n"))?;
         return Ok(Exit::Done);
     }
     let mut choice = arguments.choice.clone();
@@ -27,7 +30,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
         if is_system(file)? {
             choice.system = Some(PathBuf::from(file));
             Plan::read(None, &Choice { overrides: Vec::new(), ..choice.clone() })?;
-            eprintln!("{file}: a valid system");
+            note!("{file}: a valid system");
         } else {
             scenarios.push(file.as_str());
         }
@@ -35,7 +38,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     let mut plan = None;
     for scenario in &scenarios {
         let checked = Plan::read(Some(scenario), &choice)?;
-        eprintln!(
+        note!(
             "{scenario}: a valid scenario, {} obstacles, goal at ({}, {})",
             checked.scenario.placed_obstacles().len(),
             checked.scenario.goal.x_m,
@@ -47,7 +50,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
         Some(plan) => plan,
         None => Plan::read(None, &choice)?,
     };
-    print!("{}", graph(&plan.system));
+    data(&printable(&graph(&plan.system)))?;
     Ok(Exit::Done)
 }
 

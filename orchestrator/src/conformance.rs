@@ -37,6 +37,7 @@ pub use case::{Level, Outcome};
 pub use report::{CaseReport, Report};
 
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::system::IMPLEMENTATIONS;
 use case::{Case, Trouble, Verdict};
 use suite::Suite;
@@ -81,7 +82,7 @@ pub struct ConformanceArguments {
 pub(crate) fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     let role = arguments.role.as_deref().map(str::parse::<Role>).transpose().map_err(Failure::bad_input)?;
     if arguments.list {
-        print!("{}", list(role));
+        data(&list(role))?;
         return Ok(Exit::Done);
     }
     let role = role.context("a role")?;
@@ -94,11 +95,11 @@ pub(crate) fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Ex
     let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = Report::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
-        eprintln!("{}", report.add(case, verdict)?);
+        note!("{}", report.add(case, verdict)?);
     }
-    eprintln!("{}", report.summary());
+    note!("{}", report.summary());
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        data(&serde_json::to_string_pretty(&report)?)?;
     }
     Ok(if report.failed == 0 { Exit::Done } else { Exit::NotReached })
 }

@@ -1,22 +1,33 @@
 //! How commands reach a running orchestrator: one line of JSON each way over a socket in its directory.
+//!
+//! The loop of the session never touches a client: [`server`] reads and writes in threads of its own, with limits of
+//! number, length and time, and hands whole requests to the loop.
 
-use std::io::{BufRead, BufReader, ErrorKind, Write};
+mod line;
+mod server;
+
 use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::PathBuf;
-use std::time::Duration;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use runtime::{Domain, RuntimeError};
+use rustix::io::Errno;
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use serde::{Deserialize, Serialize};
 
+use self::line::{read_line, write_line};
+use self::server::{BUSY, Server};
 use crate::shadow::ShadowReport;
 use crate::swap::Certificate;
 
-/// A client that does not finish its line within this time is dropped; the loop does not depend on it.
-const PATIENCE: Duration = Duration::from_millis(200);
-/// How long a command waits for its answer.
-const ANSWER_PATIENCE: Duration = Duration::from_secs(10);
+/// A command waits this long for its answer, whatever the orchestrator does: longer than a request waits there.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(12);
+/// Longest answer [bytes]; a report of a shadow has some kilobytes.
+const MAX_ANSWER: usize = 16 << 20;
+/// A command comes again after this time when the orchestrator has too many connections.
+const BUSY_PAUSE: Duration = Duration::from_millis(50);
 
 /// What can be asked of a running orchestrator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -148,38 +159,31 @@ pub struct ProcessStatus {
 /// The orchestrator's end.
 #[derive(Debug)]
 pub struct ControlSocket {
-    listener: UnixListener,
+    server: Server,
 }
 
 impl ControlSocket {
     /// Opens the socket of the system.
     ///
     /// # Errors
-    /// Errors of the file system.
+    /// Errors of the file system, and a thread that can't be started.
     pub fn open(domain: &Domain) -> anyhow::Result<Self> {
         let path = socket_path(domain);
-        let _ = std::fs::remove_file(&path);
-        let listener = UnixListener::bind(&path).with_context(|| format!("{}", path.display()))?;
-        listener.set_nonblocking(true).with_context(|| format!("{}", path.display()))?;
-        Ok(Self { listener })
+        let server = Server::open(&path).with_context(|| format!("{}", path.display()))?;
+        Ok(Self { server })
     }
 
-    /// Readable when a client has come.
+    /// Readable when a request has come.
     pub fn descriptor(&self) -> BorrowedFd<'_> {
-        self.listener.as_fd()
+        self.server.wake.as_fd()
     }
 
-    /// Answers all clients that are waiting.
+    /// Answers all requests that are waiting; never waits for a client.
     pub fn serve(&self, mut answer: impl FnMut(Request) -> Reply) {
-        loop {
-            match self.listener.accept() {
-                Ok((stream, _)) => {
-                    if let Err(error) = converse(&stream, &mut answer) {
-                        tracing::debug!(%error, "a client of the control socket was dropped");
-                    }
-                }
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => return,
+        for asked in self.server.take() {
+            // A client that is gone must not be surprised later, except by a stop.
+            if asked.until > Instant::now() || asked.request == Request::Stop {
+                let _ = asked.answer.try_send(answer(asked.request));
             }
         }
     }
@@ -188,33 +192,52 @@ impl ControlSocket {
 /// Asks the orchestrator of a system.
 ///
 /// # Errors
-/// [`RuntimeError::NotRunning`] when nobody answers, and what was refused.
+/// [`RuntimeError::NotRunning`] when none answers, what was refused, and an answer that does not come in time.
 pub fn ask(domain: &Domain, request: &Request) -> anyhow::Result<Reply> {
-    let not_running = || RuntimeError::NotRunning(domain.system_id().to_owned());
-    let mut stream = UnixStream::connect(socket_path(domain)).map_err(|_| not_running())?;
-    stream.set_read_timeout(Some(ANSWER_PATIENCE))?;
-    writeln!(stream, "{}", serde_json::to_string(request)?)?;
-    let mut line = String::new();
-    BufReader::new(stream).read_line(&mut line).context("the orchestrator does not answer")?;
-    if line.is_empty() {
-        return Err(not_running().into());
+    let path = socket_path(domain);
+    let until = Instant::now() + ANSWER_TIMEOUT;
+    loop {
+        let reply = ask_once(&path, request, until)?;
+        let reply = reply.ok_or_else(|| RuntimeError::NotRunning(domain.system_id().to_owned()))?;
+        if !matches!(&reply, Reply::Refused(reason) if reason == BUSY) || Instant::now() + BUSY_PAUSE > until
+        {
+            return Ok(reply);
+        }
+        std::thread::sleep(BUSY_PAUSE);
     }
-    Ok(serde_json::from_str(&line)?)
 }
 
-fn converse(stream: &UnixStream, answer: &mut impl FnMut(Request) -> Reply) -> anyhow::Result<()> {
+/// One request and its answer; `None` when nothing is there to answer it.
+fn ask_once(path: &Path, request: &Request, until: Instant) -> anyhow::Result<Option<Reply>> {
+    let Some(stream) = connect_until(path, until)? else { return Ok(None) };
+    // A connection that is refused may be closed before the request is written: its answer tells why.
+    let _ = write_line(&stream, &serde_json::to_string(request)?, until);
+    match read_line(&stream, MAX_ANSWER, until) {
+        Ok(Some(line)) => Ok(Some(serde_json::from_str(&line)?)),
+        Ok(None) => Ok(None),
+        Err(error) if error.kind() == std::io::ErrorKind::ConnectionReset => Ok(None),
+        Err(error) => Err(error).context("the orchestrator does not answer"),
+    }
+}
+
+/// A connection to the socket; `None` when nothing listens there.
+fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStream>> {
+    let Ok(address) = SocketAddrUnix::new(path) else { return Ok(None) };
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
+    loop {
+        match connect(&socket, &address) {
+            Ok(()) => break,
+            Err(Errno::INTR) => {}
+            // An orchestrator that does not run for a while still listens, until too many wait.
+            Err(Errno::AGAIN) if Instant::now() < until => std::thread::sleep(BUSY_PAUSE),
+            Err(Errno::AGAIN) => anyhow::bail!("the orchestrator does not answer"),
+            Err(_) => return Ok(None),
+        }
+    }
+    let stream = UnixStream::from(socket);
     stream.set_nonblocking(false)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
-    let mut line = String::new();
-    BufReader::new(stream).read_line(&mut line)?;
-    let reply = match serde_json::from_str(&line) {
-        Ok(request) => answer(request),
-        Err(error) => Reply::Refused(format!("not a request: {error}")),
-    };
-    let mut stream = stream;
-    writeln!(stream, "{}", serde_json::to_string(&reply)?)?;
-    Ok(())
+    Ok(Some(stream))
 }
 
 fn socket_path(domain: &Domain) -> PathBuf {

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context;
 use runtime::{
@@ -13,6 +15,7 @@ use runtime::{
 };
 use shared_types::Role;
 
+use crate::background::Background;
 use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
 use crate::halt;
@@ -26,6 +29,8 @@ use crate::system::{ProcessEntry, System};
 
 /// How many of its last lines are shown when a process dies.
 const LAST_WORDS: usize = 10;
+/// A log on a disk that does not answer is not waited for longer than this.
+const LOG_LIMIT: Duration = Duration::from_millis(50);
 /// A share of a processor is measured over at least this long, however often it is asked for [ns].
 const LOAD_WINDOW_NS: u64 = 200_000_000;
 
@@ -46,6 +51,8 @@ pub(crate) struct Fleet {
     machine: Machine,
     room: Room,
     changed: bool,
+    /// Reads and writes the logs: the disk below them may be full or stand still.
+    disk: Background,
     // Dropped last: what it removes must not be in use any more.
     _lock: SystemLock,
 }
@@ -53,7 +60,7 @@ pub(crate) struct Fleet {
 /// One role and the process that fills it.
 struct Member {
     entry: ProcessEntry,
-    log: ChildLog,
+    log: Arc<ChildLog>,
     child: Option<Child>,
     incarnation: u32,
     starts: u32,
@@ -119,7 +126,7 @@ impl Fleet {
             }
             let member = Member {
                 entry: entry.clone(),
-                log: ChildLog::open(&path).with_context(|| format!("{}", path.display()))?,
+                log: Arc::new(ChildLog::open(&path).with_context(|| format!("{}", path.display()))?),
                 child: None,
                 incarnation: 0,
                 starts: 0,
@@ -143,6 +150,7 @@ impl Fleet {
             changed,
             machine,
             room: Room::default(),
+            disk: Background::new("logs"),
             _lock: lock,
         })
     }
@@ -255,8 +263,12 @@ impl Fleet {
         write_handover(&self.domain, role, handover)?;
         let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
-        let begun = member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()));
-        begun.with_context(|| format!("{}", member.log.path().display()))?;
+        let (log, text) =
+            (Arc::clone(&member.log), format!("{role} incarnation {incarnation}: {}", entry.label()));
+        // Before the process writes, if the disk allows; a full one keeps no process from being started.
+        if let Some(Err(error)) = self.disk.call(LOG_LIMIT, move || log.begin(&text)) {
+            tracing::warn!(%role, %error, "not written to its log: incarnation {incarnation} begins here");
+        }
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         self.changed = true;
         Ok(child)
@@ -378,7 +390,7 @@ impl Fleet {
         for (role, member) in &mut self.members {
             let Some(child) = &mut member.child else { continue };
             if let Ok(Some(exit)) = child.try_wait() {
-                member.last_words = member.log.last_lines(LAST_WORDS).unwrap_or_default();
+                member.last_words = last_lines(&self.disk, &member.log);
                 member.child = None;
                 ended.push((*role, member.incarnation, exit));
             }
@@ -407,15 +419,13 @@ impl Fleet {
 
     /// Last lines that were written for a role.
     pub(crate) fn newest_words(&self, role: Role) -> Vec<String> {
-        let member = self.members.get(&role);
-        member.and_then(|member| member.log.last_lines(LAST_WORDS).ok()).unwrap_or_default()
+        self.members.get(&role).map_or_else(Vec::new, |member| last_lines(&self.disk, &member.log))
     }
 
     /// Keeps the logs within their size.
     pub(crate) fn trim_logs(&self) {
-        for member in self.members.values() {
-            let _ = member.log.trim();
-        }
+        let logs: Vec<_> = self.members.values().map(|member| Arc::clone(&member.log)).collect();
+        self.disk.post(move || logs.iter().for_each(|log| _ = log.trim()));
     }
 
     /// Descriptors that become readable when a process ends.
@@ -519,6 +529,12 @@ pub(crate) fn environment_of(
 
 fn variable(name: &str, value: String) -> (OsString, OsString) {
     (OsString::from(name), OsString::from(value))
+}
+
+/// The last lines of a log, none when the disk does not give them in time.
+fn last_lines(disk: &Background, log: &Arc<ChildLog>) -> Vec<String> {
+    let log = Arc::clone(log);
+    disk.call(LOG_LIMIT, move || log.last_lines(LAST_WORDS)).and_then(Result::ok).unwrap_or_default()
 }
 
 /// Processor share since `before`, which is brought up to date, and memory.

@@ -2,6 +2,7 @@
 
 mod adopt;
 pub mod analyse;
+mod background;
 pub mod bench;
 pub mod calibrate;
 mod campaign;
@@ -21,6 +22,7 @@ pub mod latency;
 pub mod ledger;
 mod live_latency;
 mod lock;
+mod output;
 pub mod picture;
 pub mod progress;
 mod realtime;
@@ -48,20 +50,29 @@ mod types;
 mod vitals;
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
 use runtime::Domain;
 
 use cli::{Cli, Command, TopicCommand};
 use exit::{Exit, exit_of};
+use output::data;
+
+/// A terminal that is read takes the summary within microseconds; for one that is not, no command waits for longer.
+const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
+        runtime::start_terminal();
+    }
     let exit = dispatch(&cli).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
+    runtime::flush_terminal(FLUSH_LIMIT);
     ExitCode::from(exit as u8)
 }
 
@@ -93,7 +104,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Shadow(arguments) => shadow::shadow(&domain()?, arguments),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {
-            print!("{}", topic::list());
+            data(&topic::list())?;
             Ok(Exit::Done)
         }
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
@@ -103,7 +114,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             topic::echo(&domain()?, topic, *count, *short).map(|()| Exit::Done)
         }
         Command::Types(arguments) => {
-            print!("{}", types::print(arguments));
+            data(&types::print(arguments))?;
             Ok(Exit::Done)
         }
     }

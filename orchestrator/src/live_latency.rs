@@ -6,6 +6,7 @@ use shared_types::Actuation;
 use crate::control::{Reply, Request, ask};
 use crate::exit::Exit;
 use crate::latency::Latencies;
+use crate::output::{data, note};
 use crate::run::check_duration;
 use crate::summary::latency_table;
 
@@ -40,14 +41,14 @@ pub(crate) fn watch(domain: &Domain, duration_s: f64, json: bool) -> anyhow::Res
         })?;
         if monotonic_ns() >= next {
             next += TABLE_NS;
-            eprintln!("{}", latency_table(&second.report()));
+            note!("{}", latency_table(&second.report()));
             second = Latencies::new(status.lockstep);
         }
     }
-    eprintln!("system {}, {}, whole time:", status.system_id, status.scenario);
-    eprint!("{}", latency_table(&all.report()));
+    note!("system {}, {}, whole time:", status.system_id, status.scenario);
+    note!("{}", latency_table(&all.report()));
     if json {
-        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "latency_us": all.report() }))?);
+        data(&serde_json::to_string_pretty(&serde_json::json!({ "latency_us": all.report() }))?)?;
     }
     Ok(Exit::Done)
 }

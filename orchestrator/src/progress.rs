@@ -1,13 +1,13 @@
 //! One line that shows a running loop: a live line on a terminal, one plain line per second elsewhere.
 //!
-//! What the line says is a pure function of [`View`] and the words of the processes; only [`Progress`] touches
-//! standard error. A line keeps to the columns it is given: where it needs more, first the time goes, then names of
-//! roles become their first three letters, at last the end is cut off.
+//! What the line says is a pure function of [`View`] and the words of the processes; only [`Progress`] and [`Steps`]
+//! touch standard error, by the queue of `runtime`, so that no run waits for its terminal. A line keeps to the columns
+//! it is given: where it needs more, first the time goes, then names of roles become their first three letters, at last
+//! the end is cut off.
 
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use runtime::Priority;
+use runtime::{Priority, show_live_line, start_terminal};
 use shared_types::Role;
 
 /// Width of a plain line.
@@ -19,8 +19,8 @@ pub const TERMINAL_COLUMNS: usize = 80;
 /// Time between two plain lines.
 const PLAIN_PERIOD: Duration = Duration::from_secs(1);
 
-/// How often a terminal is redrawn at most [Hz].
-const REDRAWS_HZ: u8 = 10;
+/// Least time between two drawings of the live line.
+const LIVE_PERIOD: Duration = Duration::from_millis(100);
 
 /// What the line shows of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -52,40 +52,59 @@ pub struct ProcessWord<'a> {
 #[derive(Debug)]
 pub enum Progress {
     /// On a terminal: one line that is redrawn.
-    Live(ProgressBar),
+    Live(Pace),
     /// Elsewhere: one line per second.
-    Plain {
-        /// When the last line was written.
-        last: Option<Instant>,
-    },
+    Plain(Pace),
     /// Nowhere.
     Quiet,
+}
+
+/// Lets something happen once per period.
+#[derive(Debug)]
+pub struct Pace {
+    period: Duration,
+    last: Option<Instant>,
+}
+
+impl Pace {
+    fn new(period: Duration) -> Self {
+        Self { period, last: None }
+    }
+
+    fn is_due(&mut self, now: Instant) -> bool {
+        let due = self.last.is_none_or(|last| now.saturating_duration_since(last) >= self.period);
+        if due {
+            self.last = Some(now);
+        }
+        due
+    }
 }
 
 impl Progress {
     /// Progress for this standard error: live on a terminal, plain elsewhere, none when `quiet`.
     pub fn new(quiet: bool) -> Self {
-        use std::io::IsTerminal;
         // The journal is for news; systemd is told the line as its status.
         if quiet || runtime::writes_to_journal() {
             return Self::Quiet;
         }
-        if !std::io::stderr().is_terminal() {
-            return Self::Plain { last: None };
+        if !runtime::is_terminal() {
+            return Self::Plain(Pace::new(PLAIN_PERIOD));
         }
-        let target = ProgressDrawTarget::stderr_with_hz(REDRAWS_HZ);
-        let style = ProgressStyle::with_template("{wide_msg}").expect("the template is constant and valid");
-        Self::Live(ProgressBar::with_draw_target(None, target).with_style(style))
+        start_terminal();
+        Self::Live(Pace::new(LIVE_PERIOD))
     }
 
     /// Shows the state of the loop; ten calls a second are as good as more.
     pub fn update(&mut self, now: Instant, view: &View, processes: &[ProcessWord<'_>]) {
         match self {
-            Self::Live(bar) => bar.set_message(line(view, processes, TERMINAL_COLUMNS)),
-            Self::Plain { last } => {
-                if last.is_none_or(|then| now.saturating_duration_since(then) >= PLAIN_PERIOD) {
-                    *last = Some(now);
-                    eprintln!("{}", line(view, processes, COLUMNS));
+            Self::Live(pace) => {
+                if pace.is_due(now) {
+                    show_live_line(Some(&line(view, processes, TERMINAL_COLUMNS)));
+                }
+            }
+            Self::Plain(pace) => {
+                if pace.is_due(now) {
+                    runtime::print(Priority::Info, &line(view, processes, COLUMNS));
                 }
             }
             Self::Quiet => {}
@@ -94,26 +113,57 @@ impl Progress {
 
     /// Writes a line of text, above the live line; with `--quiet` too, because only news worth it come this way.
     pub fn note(&self, text: &str) {
-        self.print(Priority::Notice, text);
+        runtime::print(Priority::Notice, text);
     }
 
     /// [`Progress::note`] for what is not as it should be.
     pub fn warn(&self, text: &str) {
-        self.print(Priority::Warning, text);
-    }
-
-    fn print(&self, priority: Priority, text: &str) {
-        match self {
-            Self::Live(bar) => bar.suspend(|| runtime::print(priority, text)),
-            Self::Plain { .. } | Self::Quiet => runtime::print(priority, text),
-        }
+        runtime::print(Priority::Warning, text);
     }
 
     /// Takes the live line away.
     pub fn finish(&mut self) {
-        if let Self::Live(bar) = self {
-            bar.finish_and_clear();
+        if matches!(self, Self::Live(_)) {
+            show_live_line(None);
         }
+    }
+}
+
+/// A live line that counts steps of known number, on a terminal only: `12/500 courses, 3 s`.
+#[derive(Debug)]
+pub(crate) struct Steps {
+    what: &'static str,
+    total: u64,
+    done: u64,
+    started: Instant,
+    pace: Pace,
+}
+
+impl Steps {
+    /// Nothing is done yet.
+    pub(crate) fn new(total: u64, what: &'static str) -> Self {
+        if runtime::is_terminal() {
+            start_terminal();
+        }
+        Self { what, total, done: 0, started: Instant::now(), pace: Pace::new(LIVE_PERIOD) }
+    }
+
+    /// One step more; `note` stands at the end of the line.
+    pub(crate) fn step(&mut self, note: &str) {
+        self.done += 1;
+        let now = Instant::now();
+        if runtime::is_terminal() && self.pace.is_due(now) {
+            let seconds = (now - self.started).as_secs();
+            let Self { what, total, done, .. } = self;
+            show_live_line(Some(&format!("{done}/{total} {what}, {seconds} s{note}")));
+        }
+    }
+}
+
+impl Drop for Steps {
+    /// Takes the line away.
+    fn drop(&mut self) {
+        show_live_line(None);
     }
 }
 

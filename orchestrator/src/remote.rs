@@ -9,6 +9,7 @@ use crate::cli::SwapArguments;
 use crate::control::{Reply, Request, Status, SwapRequest, ask};
 use crate::driverless::{self, DRIVERLESS};
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::swap::{Certificate, MOST_TOLERANCE, SwapOutcome};
 
 /// Time between two looks at an exchange: a fifth of a scan period.
@@ -28,11 +29,11 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
         },
     };
     if json {
-        println!("{}", serde_json::to_string_pretty(&status)?);
+        data(&serde_json::to_string_pretty(&status)?)?;
     } else {
-        eprint!("{}", table(&status));
+        note!("{}", table(&status));
         if status.state == DRIVERLESS {
-            eprintln!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
+            note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
         }
     }
     Ok(Exit::Done)
@@ -48,12 +49,12 @@ pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         Reply::Accepted(number) => number,
         _ => {
-            eprintln!("{role} is being restarted");
+            note!("{role} is being restarted");
             return Ok(Exit::Done);
         }
     };
     let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
-    eprintln!("{}", certificate.of_restart());
+    note!("{}", certificate.of_restart());
     Ok(exit_of(&certificate))
 }
 
@@ -85,9 +86,9 @@ pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result
     };
     let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&certificate)?);
+        data(&serde_json::to_string_pretty(&certificate)?)?;
     }
-    eprintln!("{certificate}");
+    note!("{certificate}");
     Ok(exit_of(&certificate))
 }
 
@@ -99,7 +100,7 @@ fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificat
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
             Ok(_) => std::thread::sleep(SWAP_LOOK),
             Err(error) => {
-                eprintln!("the system ended before the swap did: {error:#}");
+                note!("the system ended before the swap did: {error:#}");
                 return Ok(None);
             }
         }

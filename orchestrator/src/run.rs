@@ -1,5 +1,6 @@
 //! `scanloop run`: from the command line to the summary.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -194,19 +195,39 @@ pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) ->
     let ending = session.drive()?;
     let (recorder, digests) = session.finish();
     let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
-    let report_file = out.join("report.json");
-    report.write(&report_file).with_context(|| format!("{}", report_file.display()))?;
-    let picture_file = out.join("drive.svg");
-    let drawing = picture::draw(&scene_of(scenario, &report), &recorder.drive())?;
-    write_atomically(&picture_file, drawing.as_bytes())
-        .with_context(|| format!("{}", picture_file.display()))?;
+    let written = write_results(&report, scenario, &recorder, out);
     runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
+    if let Err(error) = written {
+        // The drive is over and ended as it did: a full disk changes nothing of that.
+        runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
+    }
     Ok(match ending.outcome.exit_code() {
         0 => Exit::Done,
         3 => Exit::Collision,
         4 => Exit::ProcessFailed,
         _ => Exit::NotReached,
     })
+}
+
+/// Writes report and picture. Those of an earlier run do not stay where they can't be replaced.
+fn write_results(
+    report: &Report,
+    scenario: &Scenario,
+    recorder: &Recorder,
+    out: &Path,
+) -> anyhow::Result<()> {
+    let (report_file, picture_file) = (out.join("report.json"), out.join("drive.svg"));
+    let report_written = or_none(&report_file, report.write(&report_file));
+    let drawing = picture::draw(&scene_of(scenario, report), &recorder.drive())?;
+    report_written.and(or_none(&picture_file, write_atomically(&picture_file, drawing.as_bytes())))
+}
+
+/// Removes the file of an earlier run when that of this run was not written.
+fn or_none(path: &Path, written: io::Result<()>) -> anyhow::Result<()> {
+    if written.is_err() {
+        let _ = std::fs::remove_file(path);
+    }
+    written.with_context(|| format!("{}", path.display()))
 }
 
 /// A path as it is seen from the working folder.

@@ -1,10 +1,13 @@
 //! What systemd is told of a run: that it drives, what it does, that it lives, that it stops.
 //!
 //! Without systemd (`NOTIFY_SOCKET` is not set) nothing is said. The watchdog is fed by the loop of the session, so an
-//! orchestrator that hangs is killed and started anew, and adopts the processes, which drove on meanwhile.
+//! orchestrator that hangs is killed and started anew, and adopts the processes, which drove on meanwhile. A thread of its
+//! own sends, because a service manager that does not read would hold up the loop.
 
 use runtime::monotonic_ns;
 use sd_notify::{NotifyState, notify, watchdog_enabled};
+
+use crate::background::Background;
 
 /// Time between two lines of status [ns].
 const STATUS_NS: u64 = 1_000_000_000;
@@ -18,6 +21,7 @@ pub(crate) struct ServiceManager {
     told_ns: u64,
     is_ready: bool,
     is_stopping: bool,
+    sender: Background,
 }
 
 impl ServiceManager {
@@ -25,20 +29,27 @@ impl ServiceManager {
     pub(crate) fn new() -> Self {
         // Half of the time, as sd_watchdog_enabled(3) recommends.
         let feed_ns = watchdog_enabled().map(|limit| limit.as_nanos() as u64 / 2);
-        Self { feed_ns, fed_ns: 0, told_ns: 0, is_ready: false, is_stopping: false }
+        Self {
+            feed_ns,
+            fed_ns: 0,
+            told_ns: 0,
+            is_ready: false,
+            is_stopping: false,
+            sender: Background::new("notify"),
+        }
     }
 
     /// The robot drives. Repeats say nothing.
     pub(crate) fn ready(&mut self) {
         if !std::mem::replace(&mut self.is_ready, true) {
-            say(&[NotifyState::Ready]);
+            self.tell("READY=1".to_owned());
         }
     }
 
     /// The run ends. Repeats say nothing.
     pub(crate) fn stopping(&mut self) {
         if !std::mem::replace(&mut self.is_stopping, true) {
-            say(&[NotifyState::Stopping]);
+            self.tell("STOPPING=1".to_owned());
         }
     }
 
@@ -47,17 +58,19 @@ impl ServiceManager {
         let now = monotonic_ns();
         if self.feed_ns.is_some_and(|feed_ns| now.saturating_sub(self.fed_ns) >= feed_ns) {
             self.fed_ns = now;
-            say(&[NotifyState::Watchdog]);
+            self.tell("WATCHDOG=1".to_owned());
         }
         if now.saturating_sub(self.told_ns) >= STATUS_NS {
             self.told_ns = now;
-            say(&[NotifyState::Status(&status())]);
+            self.tell(format!("STATUS={}", status()));
         }
     }
-}
 
-fn say(state: &[NotifyState<'_>]) {
-    if let Err(error) = notify(state) {
-        tracing::debug!(%error, "the service manager was not told");
+    fn tell(&self, state: String) {
+        self.sender.post(move || {
+            if let Err(error) = notify(&[NotifyState::Custom(&state)]) {
+                tracing::debug!(%error, "the service manager was not told");
+            }
+        });
     }
 }

@@ -11,6 +11,7 @@ use shared_types::{
 };
 
 use crate::exit::Failure;
+use crate::output::data;
 use crate::run::check_duration;
 
 /// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
@@ -87,18 +88,16 @@ pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Resul
     while monotonic_ns() < end && watch.sleep() {
         watch.look(&mut |_| true)?;
         if monotonic_ns() >= next {
-            println!(
-                "{topic}: {:.2} Hz, {} samples, {} lost",
-                (watch.seen - before) as f64,
-                watch.seen,
-                watch.lost
-            );
+            let rate_hz = (watch.seen - before) as f64;
+            if !data(&format!("{topic}: {rate_hz:.2} Hz, {} samples, {} lost", watch.seen, watch.lost))? {
+                return Ok(());
+            }
             (next, before) = (next + 1_000_000_000, watch.seen);
         }
     }
     let seconds = (monotonic_ns() - started) as f64 * 1e-9;
-    println!("{topic}: {:.2} Hz on average over {seconds:.1} s", watch.seen as f64 / seconds);
-    Ok(())
+    data(&format!("{topic}: {:.2} Hz on average over {seconds:.1} s", watch.seen as f64 / seconds))
+        .map(|_| ())
 }
 
 /// Prints samples of a topic as JSON lines.
@@ -110,13 +109,15 @@ pub(crate) fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool
     let mut left = count.unwrap_or(u64::MAX);
     while left > 0 && watch.sleep() {
         let fields = watch.topic.fields();
+        let mut written = Ok(true);
         watch.look(&mut |bytes| {
             if left > 0 {
-                println!("{}", decode_struct(fields, bytes, short));
-                left -= 1;
+                written = data(&format!("{}", decode_struct(fields, bytes, short)));
+                left = if matches!(written, Ok(true)) { left - 1 } else { 0 };
             }
             left > 0
         })?;
+        written?;
     }
     Ok(())
 }

@@ -84,8 +84,13 @@ impl System {
     /// Starts an orchestrator with these variables and waits for nothing.
     pub fn launch(&mut self, arguments: &[&str], environment: &[(&str, &str)]) {
         let log = std::fs::OpenOptions::new().create(true).append(true).open(self.folder.join("stderr.txt"));
+        self.launch_into(log.expect("a log file").into(), arguments, environment);
+    }
+
+    /// [`System::launch`] with a standard error of one's own.
+    pub fn launch_into(&mut self, stderr: Stdio, arguments: &[&str], environment: &[(&str, &str)]) {
         let mut command = self.command(arguments);
-        command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(log.expect("a log file"));
+        command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(stderr);
         self.running = Some(command.spawn().expect("the executable runs"));
     }
 

@@ -87,6 +87,17 @@ fn process_tests_wait_on_conditions_and_never_sleep() {
     }
 }
 
+/// They panic when standard error has no reader any more, and wait for one that does not read.
+#[test]
+fn the_orchestrator_prints_without_panic_and_wait() {
+    for path in sources(&root().join("orchestrator/src")) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        for word in ["print!(", "println!(", "stderr().lock", "dbg!("] {
+            assert!(!text.contains(word), "{}: {word}", path.display());
+        }
+    }
+}
+
 #[test]
 fn the_page_of_topics_is_what_the_executable_prints() {
     let page = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();

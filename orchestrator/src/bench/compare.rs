@@ -18,6 +18,7 @@ use serde_json::Value;
 use self::statistics::FEWEST_ROUNDS;
 use self::verdict::Verdict;
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 
 /// What is compared without `--metric`; the first is the one that counts.
 const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p99"];
@@ -81,7 +82,7 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
         _ => return Err(Failure::bad_input("two files or two commands are needed")),
     };
     for Verdict { metric, a, b, text, .. } in &verdicts {
-        eprintln!("{metric:<32} A {a:.1}   B {b:.1}\n    {text}");
+        note!("{metric:<32} A {a:.1}   B {b:.1}\n    {text}");
     }
     let mut verdicts = verdicts.into_iter();
     let Some(first) = verdicts.next() else {
@@ -89,7 +90,7 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
     };
     if arguments.json {
         let answer = Answer { first, others: verdicts.collect(), rounds };
-        println!("{}", serde_json::to_string_pretty(&answer)?);
+        data(&serde_json::to_string_pretty(&answer)?)?;
     }
     Ok(Exit::Done)
 }

@@ -34,6 +34,7 @@ use crate::bench::scheduling::Scheduling;
 use crate::cli::Choice;
 use crate::exit::{Exit, Failure};
 use crate::lock::Claim;
+use crate::output::{data, note};
 use crate::realtime;
 use crate::report::{Outcome, Report};
 use crate::run::{Manner, Plan, out_folder, start};
@@ -96,18 +97,18 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         intervals,
         ..of_report(&report)
     };
-    eprint!("{}", text::text(&results));
+    note!("{}", text::text(&results));
     if let Some(out) = &arguments.out {
         files::write(out, &results, &collector, &noise)?;
-        eprintln!("{:<18} {}", "files", out.display());
+        note!("{:<18} {}", "files", out.display());
     }
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&results)?);
+        data(&serde_json::to_string_pretty(&results)?)?;
     }
     Ok(match report.outcome {
         Outcome::Timeout => Exit::Done,
         outcome => {
-            eprintln!("the drive ended early: {outcome}: {}", report.reason);
+            note!("the drive ended early: {outcome}: {}", report.reason);
             match outcome.exit_code() {
                 3 => Exit::Collision,
                 4 => Exit::ProcessFailed,

@@ -16,7 +16,6 @@ mod versus;
 
 use std::path::Path;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use nmpc::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Trajectory};
 use serde::Serialize;
 use shared_types::SolveStatus;
@@ -29,6 +28,8 @@ use self::problem::{Case, guess, problem};
 use self::versus::Versus;
 use crate::bench::SolverArguments;
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
+use crate::progress::Steps;
 
 /// The number of intervals that peers are compared with.
 const PEER_INTERVALS: usize = 6;
@@ -85,8 +86,7 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
         peers: Vec::new(),
         skipped: Vec::new(),
     };
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} cases, {elapsed}")?;
-    let bar = ProgressBar::new((cases.len() * lists.len()) as u64).with_style(style);
+    let mut steps = Steps::new((cases.len() * lists.len()) as u64, "cases");
     for intervals in lists {
         let mut peers = None;
         if arguments.peer && intervals == PEER_INTERVALS {
@@ -95,18 +95,18 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
                 Err(reason) => results.skipped.push(Skipped { name: "casadi", reason }),
             }
         }
-        measure(&cases, intervals, peers.as_mut(), &bar, &mut results)?;
+        measure(&cases, intervals, peers.as_mut(), &mut steps, &mut results)?;
     }
-    bar.finish_and_clear();
+    drop(steps);
     if arguments.peer && results.peers.is_empty() && results.skipped.is_empty() {
         let reason =
             format!("peers are compared with {PEER_INTERVALS} intervals, which --intervals leaves out");
         results.skipped.push(Skipped { name: "casadi", reason });
     }
     results.growth = growth(&results.solvers);
-    eprint!("{}", table::text(&results));
+    note!("{}", table::text(&results));
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&results)?);
+        data(&serde_json::to_string_pretty(&results)?)?;
     }
     Ok(Exit::Done)
 }
@@ -129,14 +129,14 @@ fn measure(
     cases: &[Case],
     intervals: usize,
     mut peers: Option<&mut Peers>,
-    bar: &ProgressBar,
+    steps: &mut Steps,
     results: &mut Results,
 ) -> anyhow::Result<()> {
     let mut contenders = Contender::all(intervals);
     let names = peers.as_ref().map(|peers| peers.about.peers.clone()).unwrap_or_default();
     let mut others: Vec<Versus> = names.iter().map(|name| Versus::new(name)).collect();
     for (index, (case, problem, guess)) in starts(cases, intervals).into_iter().enumerate() {
-        bar.inc(1);
+        steps.step("");
         let share = index as f64 / cases.len() as f64;
         let mut ours: Option<Solution> = None;
         for contender in &mut contenders {

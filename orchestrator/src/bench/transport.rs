@@ -13,13 +13,14 @@ use std::path::Path;
 
 use anyhow::Context;
 use hops::{Contender, HopError, Load, Plan, Policy};
-use indicatif::{ProgressBar, ProgressStyle};
 use runtime::Shutdown;
 
 pub use self::arguments::{TransportArguments, Waiting};
 use self::results::{Measured, Results, Skipped, figures};
 use super::scheduling::Scheduling;
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
+use crate::progress::Steps;
 
 /// Measures all contenders at all rates and prints the comparison.
 ///
@@ -37,14 +38,14 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         let stop = || shutdown.requested();
         let measured = match rounds(arguments, &base, rate_hz, &mut contenders, &mut skipped, &stop) {
             Err(error) if matches!(error.downcast_ref(), Some(HopError::Interrupted)) => {
-                eprintln!("interrupted");
+                note!("interrupted");
                 return Ok(Exit::NotReached);
             }
             measured => measured?,
         };
         add_rows(&mut csv, rate_hz, &measured);
         let results = Results::of(arguments, &base, rate_hz, &measured, skipped);
-        eprint!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results));
+        note!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results));
         all.push(results);
     }
     drop(load);
@@ -57,7 +58,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         write(folder, "transport.csv", &csv)?;
     }
     if arguments.json {
-        println!("{json}");
+        data(&json)?;
     }
     Ok(Exit::Done)
 }
@@ -103,17 +104,15 @@ fn rounds(
         samples: arguments.samples_per_round(rate_hz),
         ..base.clone()
     };
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} chains, {elapsed} of {duration}: {msg}")?;
-    let bar = ProgressBar::new(arguments.rounds * measured.len() as u64).with_style(style);
+    let mut steps = Steps::new(arguments.rounds * measured.len() as u64, "chains");
     for round in 0..arguments.rounds as usize {
         for turn in 0..measured.len() {
             let place = (round + turn) % measured.len();
             let Measured { contender, policy, .. } = measured[place];
-            bar.inc(1);
+            steps.step(&format!(": {rate_hz} Hz, {}, {}", contender.name(), policy.name()));
             if !contenders.contains(&contender) {
                 continue;
             }
-            bar.set_message(format!("{rate_hz} Hz, {}, {}", contender.name(), policy.name()));
             match hops::measure(&Plan { contender, policy, ..plan.clone() }, stop) {
                 Ok(block) => measured[place].blocks.push(block),
                 Err(HopError::Interrupted) => return Err(HopError::Interrupted.into()),
@@ -127,7 +126,6 @@ fn rounds(
             }
         }
     }
-    bar.finish_and_clear();
     measured.retain(|measured| contenders.contains(&measured.contender));
     Ok(measured)
 }

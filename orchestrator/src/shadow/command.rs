@@ -8,6 +8,7 @@ use shared_types::Role;
 
 use crate::control::{Reply, Request, ShadowRequest, ask};
 use crate::exit::{Exit, Failure};
+use crate::output::{data, note};
 use crate::remote::from_here;
 
 /// Time between two looks at a shadow [ns].
@@ -74,15 +75,15 @@ pub(crate) fn shadow(domain: &Domain, arguments: &ShadowArguments) -> anyhow::Re
                 runtime::wait_for(if told { &[] } else { &signal }, LOOK_NS);
             }
             Err(error) => {
-                eprintln!("the system ended before the shadow did: {error:#}");
+                note!("the system ended before the shadow did: {error:#}");
                 return Ok(Exit::NotReached);
             }
         }
     };
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        data(&serde_json::to_string_pretty(&report)?)?;
     }
-    eprint!("{report}");
+    note!("{report}");
     Ok(if report.outcome.is_good() { Exit::Done } else { Exit::NotReached })
 }
 

@@ -3,12 +3,14 @@
 //! Under systemd standard error may be the journal, which keeps time and priority itself: lines then begin with
 //! their priority (`<4>` for a warning) and hold neither times nor colours.
 
-use std::io::{self, IsTerminal, Write};
+use std::io;
 
 use rustix::fs::fstat;
 use tracing::{Level, Metadata};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
+
+use crate::terminal::{self, LogLine, is_terminal, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
 const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
@@ -31,16 +33,17 @@ pub enum Priority {
 /// Starts logging; `SCANLOOP_LOG` takes levels and targets (`debug`, `nmpc=debug`), the default is `info`.
 pub fn start_logging() {
     let filter = EnvFilter::try_from_env("SCANLOOP_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let is_journal = writes_to_journal();
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_ansi(io::stderr().is_terminal())
-        .without_time();
+        .with_ansi(is_terminal())
+        // A log that can't be written is no reason to panic.
+        .log_internal_errors(false)
+        .without_time()
+        .with_level(!is_journal)
+        .with_writer(Lines { is_journal });
     // A second start, as in tests, keeps the first subscriber.
-    let _ = if writes_to_journal() {
-        lines.with_level(false).with_writer(Journal).try_init()
-    } else {
-        lines.with_writer(io::stderr).try_init()
-    };
+    let _ = lines.try_init();
 }
 
 /// Whether standard error is the journal.
@@ -50,49 +53,36 @@ pub fn writes_to_journal() -> bool {
     fstat(io::stderr()).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
 }
 
-/// Writes lines for people to standard error.
+/// Writes lines for people to standard error, without control characters; what can't be written is dropped.
 pub fn print(priority: Priority, text: &str) {
-    if writes_to_journal() {
-        for line in text.lines() {
-            eprintln!("<{}>{line}", priority as u8);
-        }
+    let text = printable(text.strip_suffix('\n').unwrap_or(text));
+    let lines = if writes_to_journal() {
+        text.lines().map(|line| format!("<{}>{line}\n", priority as u8)).collect()
     } else {
-        eprintln!("{}", text.strip_suffix('\n').unwrap_or(text));
-    }
+        text + "\n"
+    };
+    terminal::write(lines.into_bytes());
 }
 
-/// Standard error, each line with its priority before it.
-struct Journal;
-
-struct Line(Priority);
-
-impl Write for Line {
-    /// The subscriber hands over one whole event at a time.
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut line = format!("<{}>", self.0 as u8).into_bytes();
-        line.extend_from_slice(bytes);
-        io::stderr().write_all(&line)?;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
+/// Makes a writer per event; for the journal each line begins with its priority.
+struct Lines {
+    is_journal: bool,
 }
 
-impl MakeWriter<'_> for Journal {
-    type Writer = Line;
+impl MakeWriter<'_> for Lines {
+    type Writer = LogLine;
 
-    fn make_writer(&self) -> Line {
-        Line(Priority::Info)
+    fn make_writer(&self) -> LogLine {
+        LogLine { prefix: String::new() }
     }
 
-    fn make_writer_for(&self, meta: &Metadata<'_>) -> Line {
-        Line(match *meta.level() {
+    fn make_writer_for(&self, meta: &Metadata<'_>) -> LogLine {
+        let priority = match *meta.level() {
             Level::ERROR => Priority::Error,
             Level::WARN => Priority::Warning,
             Level::INFO => Priority::Info,
             _ => Priority::Debug,
-        })
+        };
+        LogLine { prefix: if self.is_journal { format!("<{}>", priority as u8) } else { String::new() } }
     }
 }

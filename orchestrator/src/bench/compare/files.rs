@@ -9,6 +9,7 @@ use super::statistics::stretches;
 use super::verdict::Verdict;
 use crate::bench::latency::intervals;
 use crate::exit::Failure;
+use crate::output::note;
 
 /// What of a result is needed.
 #[derive(Debug, Deserialize)]
@@ -57,7 +58,7 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
         };
         let (of_a, of_b) = (histograms(&a, files[0])?, histograms(&b, files[1])?);
         let Some(difference) = stretches(&of_a, &of_b, quantile) else {
-            eprintln!("{metric}: left out, too few scans; run longer");
+            note!("{metric}: left out, too few scans; run longer");
             continue;
         };
         let us = |mut difference: super::statistics::Difference| {

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::statistics::{median, rounds};
 use super::verdict::Verdict;
 use crate::exit::Failure;
+use crate::output::note;
 
 /// The metric that is no key but the run time of the command.
 pub(super) const WALL: &str = "wall";
@@ -36,7 +37,7 @@ pub(super) fn compare(commands: &[String], count: usize, metrics: &[String]) -> 
             }
         }
         let [a, b] = figures[0][round];
-        eprintln!("round {:>3} of {count}   A {a:.3}   B {b:.3}", round + 1);
+        note!("round {:>3} of {count}   A {a:.3}   B {b:.3}", round + 1);
     }
     let verdicts = metrics
         .iter()

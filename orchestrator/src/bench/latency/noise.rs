@@ -15,6 +15,7 @@ use rustix::time::Timespec;
 use shared_types::StageStamps;
 
 use crate::figures::Distribution;
+use crate::output::data;
 
 /// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
 /// colon.
@@ -86,7 +87,7 @@ fn sleep_and_print(period_ns: u64, count: usize, slack_ns: u64) -> anyhow::Resul
     for late in late_ns {
         let _ = writeln!(text, "{late}");
     }
-    print!("{text}");
+    data(&text)?;
     Ok(())
 }
 

@@ -1,0 +1,200 @@
+//! The listener of the control socket: a thread that accepts, and a thread per connection that lives for seconds.
+
+use std::io::{self, ErrorKind};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use runtime::{peer_uid, wait_for};
+use rustix::event::{EventfdFlags, eventfd};
+use rustix::process::geteuid;
+
+use super::line::{read_line, write_line};
+use super::{Reply, Request};
+
+/// Most connections at once; one more is told [`BUSY`] and closed.
+const MAX_CONNECTIONS: usize = 16;
+/// Longest request [bytes]: a swap with a long command line.
+const MAX_REQUEST: usize = 64 << 10;
+/// A request must be there within this time.
+const READ_TIMEOUT: Duration = Duration::from_secs(1);
+/// An answer must be taken within this time.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+/// A request waits this long for the loop.
+const LOOP_TIMEOUT: Duration = Duration::from_secs(10);
+/// When the machine refuses a connection, as without free descriptors, the next one is taken after this time [ns].
+const REFUSED_PAUSE_NS: u64 = 50_000_000;
+/// No wait is without a time-out [ns].
+const ACCEPT_NS: u64 = 1_000_000_000;
+/// Stack of a connection's thread [bytes]: requests and answers are on the heap.
+const STACK: usize = 256 << 10;
+
+/// Answer to a connection too many.
+pub(super) const BUSY: &str = "too many connections to the orchestrator at once";
+
+/// A request that waits for the loop.
+#[derive(Debug)]
+pub(super) struct Asked {
+    pub(super) request: Request,
+    pub(super) answer: SyncSender<Reply>,
+    /// The client is gone after this time.
+    pub(super) until: Instant,
+}
+
+/// The threads of the socket; they end when this is dropped.
+#[derive(Debug)]
+pub(super) struct Server {
+    /// Readable when a request waits.
+    pub(super) wake: Arc<OwnedFd>,
+    requests: Receiver<Asked>,
+    /// Made readable when the listener is to end.
+    end: Arc<OwnedFd>,
+    listener: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Listens at `path`; what is there is replaced.
+    pub(super) fn open(path: &Path) -> io::Result<Self> {
+        let _ = std::fs::remove_file(path);
+        let listener = UnixListener::bind(path)?;
+        listener.set_nonblocking(true)?;
+        let (wake, end) = (Arc::new(event()?), Arc::new(event()?));
+        let (sender, requests) = sync_channel(MAX_CONNECTIONS);
+        let desk = Desk { sender, wake: Arc::clone(&wake) };
+        let until = Arc::clone(&end);
+        let accept = move || accept_until(&listener, &until, &desk);
+        let thread = std::thread::Builder::new().name("control".to_owned()).spawn(accept)?;
+        Ok(Self { wake, requests, end, listener: Some(thread) })
+    }
+
+    /// The requests that wait.
+    pub(super) fn take(&self) -> impl Iterator<Item = Asked> {
+        // First the signal, then the requests: one that comes in between is seen now or wakes again.
+        let _ = rustix::io::read(&*self.wake, &mut [0; 8]);
+        self.requests.try_iter()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        signal(&self.end);
+        if let Some(listener) = self.listener.take() {
+            let _ = listener.join();
+        }
+    }
+}
+
+/// Where connections hand in requests.
+#[derive(Debug, Clone)]
+struct Desk {
+    sender: SyncSender<Asked>,
+    wake: Arc<OwnedFd>,
+}
+
+fn event() -> io::Result<OwnedFd> {
+    Ok(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?)
+}
+
+fn signal(event: &OwnedFd) {
+    // It fails when it is readable already, which is all that is wanted.
+    let _ = rustix::io::write(event, &1u64.to_ne_bytes());
+}
+
+fn accept_until(listener: &UnixListener, end: &OwnedFd, desk: &Desk) {
+    // Each connection holds one more reference; their number is the number of connections.
+    let places = Arc::new(());
+    loop {
+        wait_for(&[listener.as_fd(), end.as_fd()], ACCEPT_NS);
+        if wait_for(&[end.as_fd()], 0) {
+            return;
+        }
+        match listener.accept() {
+            Ok((stream, _)) => admit(stream, &places, desk),
+            Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
+            Err(_) => _ = wait_for(&[end.as_fd()], REFUSED_PAUSE_NS),
+        }
+    }
+}
+
+/// Gives a connection a thread, if it may have one.
+fn admit(stream: UnixStream, places: &Arc<()>, desk: &Desk) {
+    if !peer_uid(&stream).is_ok_and(|peer| may_ask(peer, geteuid().as_raw())) {
+        return;
+    }
+    if Arc::strong_count(places) > MAX_CONNECTIONS {
+        // A new connection has room for so little, so this does not wait.
+        let _ = stream.set_nonblocking(true);
+        let _ = answer(&stream, &Reply::Refused(BUSY.to_owned()));
+        return;
+    }
+    let (place, desk) = (Arc::clone(places), desk.clone());
+    let serve = move || {
+        if let Err(error) = converse(&stream, &desk) {
+            tracing::debug!(%error, "a client of the control socket was dropped");
+        }
+        drop(place);
+    };
+    // Without a thread the connection is closed.
+    let _ = std::thread::Builder::new().name("client".to_owned()).stack_size(STACK).spawn(serve);
+}
+
+/// The user of this process may, and root, which could do anything to it anyway.
+fn may_ask(peer: u32, own: u32) -> bool {
+    peer == own || peer == 0
+}
+
+/// Reads a request, has it answered by the loop, and writes the answer.
+fn converse(stream: &UnixStream, desk: &Desk) -> io::Result<()> {
+    stream.set_nonblocking(false)?;
+    let request = match read_line(stream, MAX_REQUEST, Instant::now() + READ_TIMEOUT) {
+        Ok(Some(line)) => serde_json::from_str::<Request>(&line).map_err(|error| error.to_string()),
+        Ok(None) => return Ok(()),
+        Err(error) if error.kind() == ErrorKind::FileTooLarge => {
+            Err(format!("longer than {MAX_REQUEST} bytes"))
+        }
+        Err(error) => return Err(error),
+    };
+    let reply = match request {
+        Ok(request) => ask_loop(request, desk),
+        Err(reason) => Some(Reply::Refused(format!("not a request: {reason}"))),
+    };
+    // Without a reply the run is over, and closing says so.
+    reply.map_or(Ok(()), |reply| answer(stream, &reply))
+}
+
+/// What the loop answers; `None` when the run is over.
+fn ask_loop(request: Request, desk: &Desk) -> Option<Reply> {
+    let (answer, answers) = sync_channel(1);
+    let until = Instant::now() + LOOP_TIMEOUT;
+    let late = |within: &str| Some(Reply::Refused(format!("the orchestrator does not answer{within}")));
+    match desk.sender.try_send(Asked { request, answer, until }) {
+        Ok(()) => signal(&desk.wake),
+        Err(TrySendError::Full(_)) => return late(""),
+        Err(TrySendError::Disconnected(_)) => return None,
+    }
+    match answers.recv_timeout(LOOP_TIMEOUT) {
+        Ok(reply) => Some(reply),
+        Err(RecvTimeoutError::Timeout) => late(" within 10 s"),
+        Err(RecvTimeoutError::Disconnected) => None,
+    }
+}
+
+fn answer(stream: &UnixStream, reply: &Reply) -> io::Result<()> {
+    write_line(stream, &serde_json::to_string(reply)?, Instant::now() + WRITE_TIMEOUT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_same_user_and_root_may_ask() {
+        let [root, own, other] = [0, 1000, 1001];
+        assert!(may_ask(own, own) && may_ask(root, own) && may_ask(root, root));
+        assert!(!may_ask(other, own) && !may_ask(own, root));
+    }
+}

@@ -1,0 +1,267 @@
+//! Standard error of a process that must never wait for the reader of its terminal.
+//!
+//! Without [`start_terminal`] each text is written at once. After it, texts go into a bounded queue, and a thread of its
+//! own writes them: a terminal that is not read, a pipe without a reader and a full disk lose texts, but hold up no
+//! caller. The thread writes to the descriptor, not through `std::io::stderr`, so that it never holds the lock of
+//! that stream. When the queue is full its oldest texts are dropped; the next text that is written says how many.
+//!
+//! The live line is one line at the bottom of a terminal that is drawn again and again. Only the newest one is kept.
+
+use std::collections::VecDeque;
+use std::io::{self, IsTerminal, Write};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use rustix::termios::tcgetwinsize;
+
+/// Most texts in the queue: minutes of what a run has to tell, and nothing to the memory.
+const MAX_TEXTS: usize = 256;
+/// Most bytes in the queue.
+const MAX_BYTES: usize = 1 << 20;
+/// Columns of a terminal that does not tell its size.
+const DEFAULT_COLUMNS: usize = 80;
+/// Goes to the first column and clears the line.
+const CLEAR_LINE: &[u8] = b"\r\x1b[K";
+/// A descriptor in non-blocking mode that takes nothing for this long loses the text.
+const BUSY_LIMIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
+
+static TERMINAL: OnceLock<Arc<Terminal>> = OnceLock::new();
+
+/// What is to be written, and the thread that writes it.
+struct Terminal {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    queue: Queue,
+    /// The live line, while there is one.
+    live: Option<String>,
+    /// The live line on the terminal is not this one.
+    redraw: bool,
+    /// The thread is in a call to the system, which may last for ever.
+    writing: bool,
+}
+
+/// Texts in their order, at most as many as the limits allow.
+#[derive(Default)]
+struct Queue {
+    texts: VecDeque<Vec<u8>>,
+    bytes: usize,
+    lost: u64,
+}
+
+impl Queue {
+    /// Adds a text; the oldest ones go when there are too many.
+    fn push(&mut self, text: Vec<u8>) {
+        self.bytes += text.len();
+        self.texts.push_back(text);
+        while self.texts.len() > MAX_TEXTS || self.bytes > MAX_BYTES {
+            self.bytes -= self.texts.pop_front().map_or(0, |oldest| oldest.len());
+            self.lost += 1;
+        }
+    }
+
+    /// All texts as one, after a line about those that were lost, and how many texts were lost or are taken.
+    fn take(&mut self) -> (Vec<u8>, u64) {
+        let count = self.lost + self.texts.len() as u64;
+        let mut bytes = match std::mem::take(&mut self.lost) {
+            0 => Vec::new(),
+            lost => format!("({lost} earlier lines were dropped: this output was not read)\n").into_bytes(),
+        };
+        self.texts.drain(..).for_each(|text| bytes.extend(text));
+        self.bytes = 0;
+        (bytes, count)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.texts.is_empty() && self.lost == 0
+    }
+}
+
+impl Terminal {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn change(&self, change: impl FnOnce(&mut State)) {
+        change(&mut self.lock());
+        self.changed.notify_all();
+    }
+
+    /// Writes whatever comes, for as long as the process lives.
+    fn serve(&self) {
+        let mut drawn = false;
+        loop {
+            let (texts, count, live) = self.next();
+            let mut bytes = if drawn { CLEAR_LINE.to_vec() } else { Vec::new() };
+            bytes.extend(texts);
+            drawn = live.is_some();
+            if let Some(line) = live {
+                let columns = tcgetwinsize(io::stderr()).map_or(0, |size| usize::from(size.ws_col));
+                let columns = if columns == 0 { DEFAULT_COLUMNS } else { columns };
+                bytes.extend(line.chars().take(columns).collect::<String>().into_bytes());
+            }
+            let written = write_now(&bytes);
+            self.change(|state| {
+                state.writing = false;
+                state.queue.lost += if written { 0 } else { count };
+            });
+        }
+    }
+
+    /// Waits for texts or a new live line.
+    fn next(&self) -> (Vec<u8>, u64, Option<String>) {
+        let idle = |state: &mut State| state.queue.texts.is_empty() && !state.redraw;
+        let mut state = self.changed.wait_while(self.lock(), idle).unwrap_or_else(PoisonError::into_inner);
+        (state.redraw, state.writing) = (false, true);
+        let (texts, count) = state.queue.take();
+        (texts, count, state.live.clone())
+    }
+
+    /// Waits until all is written, but not longer than `limit`.
+    fn flush(&self, limit: Duration) {
+        let deadline = Instant::now() + limit;
+        let mut state = self.lock();
+        if !state.queue.is_empty() {
+            // What was lost is told with the next text, so let there be one.
+            state.queue.push(Vec::new());
+            self.changed.notify_all();
+        }
+        while state.writing || !state.queue.texts.is_empty() || state.redraw {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return;
+            }
+            let woken = self.changed.wait_timeout(state, left);
+            state = woken.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+/// From now on no call waits for the reader of standard error.
+///
+/// When no thread can be started, texts are written at once as before.
+pub fn start_terminal() {
+    if TERMINAL.get().is_some() {
+        return;
+    }
+    let terminal = Arc::new(Terminal { state: Mutex::default(), changed: Condvar::new() });
+    let writer = Arc::clone(&terminal);
+    let started = std::thread::Builder::new().name("terminal".to_owned()).spawn(move || writer.serve());
+    if started.is_ok() {
+        let _ = TERMINAL.set(terminal);
+    }
+}
+
+/// Takes the live line away and waits until all texts are written, but not longer than `limit`.
+///
+/// For the end of a process: what is not written then is lost.
+pub fn flush_terminal(limit: Duration) {
+    show_live_line(None);
+    if let Some(terminal) = TERMINAL.get() {
+        terminal.flush(limit);
+    }
+}
+
+/// Whether standard error is a terminal.
+pub fn is_terminal() -> bool {
+    io::stderr().is_terminal()
+}
+
+/// Shows a line at the bottom of the terminal, or takes it away; nothing happens before [`start_terminal`].
+pub fn show_live_line(line: Option<&str>) {
+    if let Some(terminal) = TERMINAL.get() {
+        let line = line.map(printable);
+        terminal.change(|state| {
+            state.redraw |= state.live != line;
+            state.live = line;
+        });
+    }
+}
+
+/// Writes whole lines to standard error, through the queue once there is one.
+pub(crate) fn write(bytes: Vec<u8>) {
+    match TERMINAL.get() {
+        Some(terminal) => terminal.change(|state| state.queue.push(bytes)),
+        // What can't be written can't be reported either.
+        None => _ = write_now(&bytes),
+    }
+}
+
+/// A text without what could move the cursor, colour the terminal or ask it for something: names come from files.
+pub fn printable(text: &str) -> String {
+    text.chars().filter(|letter| !letter.is_control() || matches!(letter, '\n' | '\t')).collect()
+}
+
+/// Writes to standard error; false when some of it could not be written.
+fn write_now(mut bytes: &[u8]) -> bool {
+    let descriptor = io::stderr();
+    while !bytes.is_empty() {
+        match rustix::io::write(&descriptor, bytes) {
+            Ok(0) => return false,
+            Ok(count) => bytes = &bytes[count..],
+            Err(Errno::INTR) => {}
+            Err(Errno::AGAIN) => {
+                let ready = poll(&mut [PollFd::new(&descriptor, PollFlags::OUT)], Some(&BUSY_LIMIT));
+                if !matches!(ready, Ok(1..) | Err(Errno::INTR)) {
+                    return false;
+                }
+            }
+            Err(_) => return false,
+        }
+    }
+    true
+}
+
+/// A line of a log; the subscriber hands over one whole event at a time.
+pub(crate) struct LogLine {
+    /// What stands before it.
+    pub(crate) prefix: String,
+}
+
+impl Write for LogLine {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        write([self.prefix.as_bytes(), bytes].concat());
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_queue_drops_its_oldest_texts_and_says_how_many() {
+        let mut queue = Queue::default();
+        (0..MAX_TEXTS + 3).for_each(|number| queue.push(format!("{number}\n").into_bytes()));
+        let (bytes, count) = queue.take();
+        let text = String::from_utf8(bytes).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "(3 earlier lines were dropped: this output was not read)");
+        assert_eq!((lines[1], lines.len() as u64), ("3", count - 2));
+        assert!(queue.is_empty());
+    }
+
+    #[test]
+    fn the_bytes_in_the_queue_are_bounded() {
+        let mut queue = Queue::default();
+        (0..20).for_each(|_| queue.push(vec![b'x'; MAX_BYTES / 4]));
+        assert_eq!((queue.texts.len(), queue.bytes, queue.lost), (4, MAX_BYTES, 16));
+        queue.push(vec![b'x'; 2 * MAX_BYTES]);
+        assert_eq!((queue.texts.len(), queue.bytes), (0, 0));
+    }
+
+    #[test]
+    fn escape_sequences_lose_what_makes_them_work() {
+        assert_eq!(printable("a\x1b[31mred\x07\u{9b}2J\r\n\tb\u{7f}"), "a[31mred2J\n\tb");
+        assert_eq!(printable("goal 1.0 m  rob\u{25cf} \u{e4}"), "goal 1.0 m  rob\u{25cf} \u{e4}");
+    }
+}

@@ -1,0 +1,193 @@
+//! What the orchestrator writes holds up no drive: terminals that are not read, full disks, readers that go.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs::File;
+use std::io::Read;
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::fs::symlink;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use emulator::Outcome;
+use rustix::fs::{Mode, OFlags, open};
+use rustix::process::Signal;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use scanloop_tests::{System, system_file};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A run that is interrupted is at rest and gone within this time, on a busy machine too.
+const END_LIMIT: Duration = Duration::from_secs(15);
+
+/// A short drive to the goal.
+const SHORT: [&str; 6] = ["run", "--out", "out", "free", "--set", "goal.x_m=3"];
+
+/// Both ends of a new terminal.
+fn terminal() -> (OwnedFd, OwnedFd) {
+    let near = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&near).unwrap();
+    unlockpt(&near).unwrap();
+    let name = ptsname(&near, Vec::new()).unwrap();
+    let far = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap();
+    (near, far)
+}
+
+/// Writes until not a byte more goes in.
+fn fill(output: &OwnedFd) {
+    // Another description of the same file, so that writes to `output` itself block as usual.
+    let path = format!("/proc/self/fd/{}", output.as_raw_fd());
+    let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    let output = open(&path, flags, Mode::empty()).unwrap();
+    for size in [1024, 1] {
+        while rustix::io::write(&output, &[b'x'; 1024][..size]).is_ok() {}
+    }
+}
+
+/// Drives with a standard error that takes nothing and is never read, and interrupts the run.
+fn drives_and_ends(output: OwnedFd) {
+    fill(&output);
+    let mut system = System::new(EXECUTABLE);
+    system.launch_into(output.into(), &["run", "--out", "out", "endless"], &[]);
+    system.wait_until_driving();
+    // Some lines of progress more.
+    system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > 30));
+    system.signal(system.orchestrator(), Signal::INT);
+    let interrupted = Instant::now();
+    assert_eq!(system.wait().code(), Some(1));
+    assert!(interrupted.elapsed() < END_LIMIT, "{:?}", interrupted.elapsed());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Interrupted);
+    assert_eq!(report.drive.final_speed_mps, 0.0, "the robot stands at the end");
+    assert_eq!((report.scans.lost, report.scans.unaccounted), (0, 0), "{:?}", report.scans);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_terminal_that_is_not_read_holds_up_neither_the_drive_nor_its_end() {
+    let (_near, far) = terminal();
+    drives_and_ends(far);
+}
+
+#[test]
+fn a_pipe_that_is_not_read_holds_up_neither_the_drive_nor_its_end() {
+    let (_reader, writer) = std::io::pipe().unwrap();
+    drives_and_ends(writer.into());
+}
+
+#[test]
+fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
+    let (near, far) = terminal();
+    let mut system = System::new(EXECUTABLE);
+    system.launch_into(far.into(), &SHORT, &[]);
+    let mut shown = Vec::new();
+    // Once all others have closed it, reading fails.
+    while let Ok(1..) = File::from(near.try_clone().unwrap()).by_ref().take(4096).read_to_end(&mut shown) {}
+    assert_eq!(system.wait().code(), Some(0));
+    let shown = String::from_utf8_lossy(&shown);
+    let (live, summary) = shown.rsplit_once("\r\u{1b}[K").expect("a live line that was cleared");
+    assert!(live.contains("\r\u{1b}[Kgoal ") && live.contains("con\u{25cf}"), "{live}");
+    assert!(summary.starts_with("outcome") && summary.contains("reached"), "{summary}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
+    let gone = || std::io::pipe().unwrap().1.into();
+    let full = || File::options().write(true).open("/dev/full").unwrap().into();
+    for stderr in [gone(), full()] {
+        let mut system = System::new(EXECUTABLE);
+        system.launch_into(stderr, &SHORT, &[]);
+        assert_eq!(system.wait().code(), Some(0));
+        assert_eq!(system.report().outcome, Outcome::Reached);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn commands_whose_reader_goes_end_without_a_panic() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let closed = || Stdio::from(std::io::pipe().unwrap().1);
+    for arguments in [
+        &["status"][..],
+        &["status", "--json"],
+        &["topic", "list"],
+        &["topic", "echo", "pose"],
+        &["topic", "hz", "pose"],
+        &["check"],
+        &["types"],
+        &["stop"],
+    ] {
+        let status = system.command(arguments).stdout(closed()).stderr(closed()).status().unwrap();
+        assert_eq!(status.code(), Some(0), "{arguments:?}");
+    }
+    // Data that was asked for and is not there is an error.
+    let full = File::options().write(true).open("/dev/full").unwrap();
+    let output = system.command(&["topic", "list"]).stdout(full).output().unwrap();
+    assert_eq!(output.status.code(), Some(5), "{output:?}");
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn results_that_cannot_be_written_change_neither_summary_nor_exit_code() {
+    let system = System::new(EXECUTABLE);
+    let out = system.folder().join("out");
+    // Folders in the places of the files: root too can't write there.
+    std::fs::create_dir_all(out.join("report.json")).unwrap();
+    let output = system.run(&["run", "--lockstep", "--quiet", "--out", "out", "free"]);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    assert!(text.contains("outcome") && text.contains("reached"), "{text}");
+    assert!(text.contains("error: the results were not written") && text.contains("report.json"), "{text}");
+    assert!(out.join("drive.svg").is_file());
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_process_is_restarted_while_its_log_is_on_a_full_disk() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    system.kill_orchestrator();
+    // An adopting orchestrator appends to the logs that are there.
+    let log = system.folder().join("out/logs/controller.log");
+    std::fs::remove_file(&log).unwrap();
+    symlink("/dev/full", &log).unwrap();
+    system.adopt(&[]);
+    let before = system.pid(Role::Controller);
+    assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(0));
+    system.wait_until("a new controller is ready", |system| {
+        let status = system.status().unwrap_or_default();
+        let controller = status.processes.iter().find(|process| process.role == "controller");
+        controller.is_some_and(|process| ![0, before].contains(&process.pid) && process.state == "ready")
+    });
+    system.signal(system.orchestrator(), Signal::INT);
+    assert_eq!(system.wait().code(), Some(1));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn escape_sequences_in_names_do_not_reach_the_terminal() {
+    let system = System::new(EXECUTABLE);
+    // It would clear the screen, set the title, ring, and colour what follows.
+    let evil = "\u{1b}[2J\u{1b}]0;title\u{7}\u{9b}31m";
+    let escaped: String = evil.chars().map(|letter| format!("\\u{:04x}", u32::from(letter))).collect();
+    std::fs::write(system.folder().join("scenario.toml"), format!("name = \"{escaped}\"")).unwrap();
+    let text = system_file(10, &[Role::Robot], "./EVIL", &[]).replace("EVIL", &escaped);
+    std::fs::write(system.folder().join("system.toml"), text).unwrap();
+    let name = format!("{evil}.toml");
+    for (arguments, code) in [
+        (&["check", "scenario.toml"][..], 2),
+        (&["run", &name], 2),
+        (&["check", "system.toml"], 0),
+        (&["run", "--system", "system.toml", "--out", "out", "free"], 4),
+    ] {
+        let output = system.run(arguments);
+        let text = String::from_utf8(output.stdout).unwrap() + &String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+        assert!(!text.contains(|letter: char| letter.is_control() && letter != '\n'), "{text:?}");
+        assert!(text.contains("[2J"), "{arguments:?}: the rest of the name is shown: {text}");
+    }
+    system.assert_nothing_left();
+}
