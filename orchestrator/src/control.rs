@@ -10,6 +10,7 @@ use anyhow::Context;
 use runtime::{Domain, RuntimeError};
 use serde::{Deserialize, Serialize};
 
+use crate::ledger::RefusedRow;
 use crate::shadow::ShadowReport;
 use crate::swap::Certificate;
 
@@ -118,6 +119,9 @@ pub struct Status {
     pub lockstep: bool,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
+    /// Samples that a reader dropped or refused for what stands in them: by writer, reader and rule.
+    #[serde(default)]
+    pub refused: Vec<RefusedRow>,
 }
 
 /// One process in [`Status`].

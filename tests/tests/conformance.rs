@@ -63,6 +63,7 @@ const FAULTS: [(&str, &str, &str, &[&str]); 52] = [
     ("controller", "controller", "careless", &["obeys-alarm"]),
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
+    ("controller", "controller", "unverified", &["verified"]),
     ("actuator", "actuator", "clamps", &["limits"]),
     ("actuator", "actuator", "factor", &["sends-what-is-desired", "calibration"]),
     ("actuator", "actuator", "drives-on", &["obeys-stop"]),

@@ -9,13 +9,14 @@ use std::sync::Arc;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::{Fate, Fault, InputAccount, Sample, Topic};
+use shared_types::{Fate, Fault, InputAccount, Refusal, Sample, Topic};
 
 use crate::bell::Bells;
 use crate::bus::WireSubscriber;
 use crate::ear::Ear;
 use crate::process::Shared;
 use crate::quality::{buffer, quality};
+use crate::refusals::Refusals;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
@@ -60,6 +61,7 @@ struct Reader<S: Sample> {
     dropped: RefCell<Vec<Taken<S>>>,
     last: Cell<Last>,
     account: RefCell<InputAccount>,
+    refusals: Refusals,
 }
 
 /// Of the sample accepted last.
@@ -83,6 +85,7 @@ impl<S: Sample> Input<S> {
             dropped: RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed())),
             last: Cell::default(),
             account: RefCell::default(),
+            refusals: Refusals::default(),
         })))
     }
 
@@ -121,6 +124,16 @@ impl<S: Sample> Input<S> {
         kept.drain(..).for_each(|older| self.0.settle(Fate::Replaced, &older));
         self.0.take(&sample);
         Some(sample)
+    }
+
+    /// Notes that the process refuses a sample that it has taken: in its log, and in its next heartbeat.
+    pub fn refuse(&self, sample: &S, fault: &Fault) {
+        self.0.refuse(sample, fault);
+    }
+
+    /// How many samples of the writer in charge were dropped or refused for what stands in them.
+    pub fn refused(&self) -> u64 {
+        self.0.refusals.newest().count
     }
 
     /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
@@ -189,6 +202,8 @@ pub(crate) trait Drain {
     fn review(&self);
     /// What became of all samples so far.
     fn account(&self) -> InputAccount;
+    /// Samples that were dropped or refused for what stands in them.
+    fn refusal(&self) -> Refusal;
 }
 
 impl<S: Sample> Drain for Input<S> {
@@ -258,14 +273,19 @@ impl<S: Sample> Drain for Input<S> {
         }
         account
     }
+
+    fn refusal(&self) -> Refusal {
+        self.0.refusals.newest()
+    }
 }
 
 impl<S: Sample> Reader<S> {
     /// Notes that a sample came from the bus, and drops it when its number or its content is wrong.
     fn arrive(&self, sample: Taken<S>) {
         let check = sample.check();
-        if let Err(Fault::Layout { .. }) = check {
+        if let Err(fault @ Fault::Layout { .. }) = check {
             self.account.borrow_mut().unreadable += 1;
+            self.refuse(&sample, &fault);
             self.dropped.borrow_mut().push(sample);
             return;
         }
@@ -282,10 +302,21 @@ impl<S: Sample> Reader<S> {
         if let Some(fate) = fate {
             self.discard(fate, sample);
         } else if let Err(fault) = check {
+            self.refuse(&sample, &fault);
             self.discard(Fate::Invalid, sample);
-            tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
         } else {
             self.offer(sample, false);
+        }
+    }
+
+    /// Tells of a sample whose content may not be used. Samples that would not count are no news: nothing follows from them.
+    fn refuse(&self, sample: &S, fault: &Fault) {
+        let header = sample.header();
+        let counts = S::TOPIC.writer().is_none_or(|writer| {
+            self.shared.directive.borrow().accepts(writer, header.incarnation, header.scan_id)
+        });
+        if counts && self.refusals.note(S::TOPIC, header, fault) {
+            self.shared.counters.news.set(true);
         }
     }
 

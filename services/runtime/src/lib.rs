@@ -46,6 +46,7 @@ mod output;
 mod process;
 mod quality;
 mod realtime;
+mod refusals;
 mod settings;
 mod shutdown;
 #[cfg(test)]

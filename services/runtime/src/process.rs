@@ -329,6 +329,7 @@ impl Process {
         for input in &self.inputs {
             if let Some(port) = self.shared.role.reads().iter().position(|topic| *topic == input.topic()) {
                 add_account(&mut heartbeat, port, input.account());
+                heartbeat.refused[port] = input.refusal();
             }
         }
         heartbeat
