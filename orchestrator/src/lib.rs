@@ -32,6 +32,7 @@ mod samples;
 mod service;
 mod service_manager;
 mod session;
+mod settings;
 pub mod shadow;
 pub mod summary;
 pub mod supervisor;

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use emulator::scenario::{Obstacle, Shape};
 use emulator::{Referee, Scenario};
-use runtime::{Bus, ClockKind, Domain, RunSettings, SETTINGS_FILE, Shutdown, Voice};
-use serde::Serialize;
+use runtime::{Bus, ClockKind, Domain, RunSettings, Shutdown, Voice};
 use shared_types::Directive;
 use toml::{Table, Value};
 use vehicle::frame::to_track;
@@ -29,6 +28,7 @@ use crate::roster::RunFile;
 use crate::samples::Samples;
 use crate::service_manager::ServiceManager;
 use crate::session::{End, Session, Shadows, Swaps};
+use crate::settings;
 use crate::summary;
 use crate::supervisor::{Event, Supervisor};
 use crate::survivors::Survivors;
@@ -96,18 +96,6 @@ impl Plan {
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
         Ok(Self { scenario, system })
     }
-}
-
-/// What processes read of the run, one table each.
-#[derive(Serialize)]
-pub(crate) struct SettingsFile<'a> {
-    pub(crate) run: RunSettings,
-    pub(crate) realtime: &'a runtime::Realtime,
-    pub(crate) scenario: &'a Scenario,
-    pub(crate) estimator: &'a estimator::Config,
-    pub(crate) obstacles: &'a obstacles::Config,
-    pub(crate) controller: &'a nmpc::Config,
-    pub(crate) actuator: &'a actuation::Config,
 }
 
 /// How a run is driven, apart from what.
@@ -225,7 +213,8 @@ pub(crate) fn start(
 ) -> anyhow::Result<Session> {
     write_settings(domain, plan, manner.lockstep)?;
     let Manner { out, lockstep, duration_s, .. } = manner.clone();
-    RunFile { out, lockstep, duration_s, system: plan.system.clone() }.write(domain)?;
+    let Plan { scenario, system } = plan.clone();
+    RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
     let bus = Bus::create(domain)?;
     let fleet = Fleet::new(domain.clone(), lock, &plan.system, manner.out.join("logs"), false)?;
     let mut directive = Directive::default();
@@ -298,22 +287,13 @@ pub(crate) fn assemble(
 }
 
 fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Result<()> {
-    let tuning = plan.system.tuning().for_scenario(&plan.scenario);
-    let settings = SettingsFile {
-        run: RunSettings {
-            period_ns: plan.system.period_ns(),
-            clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_timeout_ns: (plan.system.orphan_timeout_s * 1e9) as u64,
-        },
-        realtime: &plan.system.realtime,
-        scenario: &plan.scenario,
-        estimator: &tuning.estimator,
-        obstacles: &tuning.obstacles,
-        controller: &tuning.controller,
-        actuator: &tuning.actuator,
+    let Plan { scenario, system } = plan;
+    let run = RunSettings {
+        period_ns: system.period_ns(),
+        clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+        orphan_timeout_ns: (system.orphan_timeout_s * 1e9) as u64,
     };
-    let path = domain.directory().join(SETTINGS_FILE);
-    std::fs::write(&path, toml::to_string(&settings)?).with_context(|| format!("{}", path.display()))
+    settings::write(domain, &run, &system.realtime, scenario, &system.tuning().for_scenario(scenario))
 }
 
 /// The table of a scenario file, or of a shipped scenario, and its name in messages.

@@ -10,7 +10,7 @@ use std::rc::Rc;
 use bytemuck::{Pod, Zeroable};
 use runtime::{
     Bus, ClockKind, Domain, INCARNATION_VARIABLE, Input, Observer, Output, Process, RunSettings,
-    RuntimeError, SETTINGS_FILE, SYSTEM_ID_VARIABLE, Voice,
+    RuntimeError, SYSTEM_ID_VARIABLE, Voice, settings_file,
 };
 use shared_types::{
     Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
@@ -250,8 +250,10 @@ impl System {
         let realtime = Realtime { poll_us: if policy == Policy::Poll { POLL_US } else { 0 } };
         let text = toml::to_string(&Settings { run, realtime })
             .map_err(|error| HopError::transport("write the settings", error))?;
-        std::fs::write(domain.directory().join(SETTINGS_FILE), text)
-            .map_err(HopError::system("write the settings"))?;
+        for role in Role::ALL {
+            std::fs::write(domain.directory().join(settings_file(*role)), &text)
+                .map_err(HopError::system("write the settings"))?;
+        }
         let bus = create(&domain, payload).map_err(error)?;
         Ok(Self {
             directives: Voice::new(&bus).map_err(error)?,

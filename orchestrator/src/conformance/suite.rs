@@ -5,14 +5,13 @@ use std::ffi::OsString;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use anyhow::Context;
-use runtime::{ClockKind, Domain, Realtime, RunSettings, SETTINGS_FILE, Shutdown};
+use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
 use shared_types::Role;
 
 use super::case::Trouble;
 use super::drive::{Course, Drive};
 use super::stand::Stand;
-use crate::run::SettingsFile;
+use crate::settings;
 use crate::survivors::clear;
 
 /// What all cases of a suite share.
@@ -83,23 +82,13 @@ impl Suite {
 
 /// Writes the settings that a candidate finds.
 pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
-    let settings = &drive.settings;
-    let tuning = settings.tuning.clone().for_scenario(&settings.scenario);
-    let file = SettingsFile {
-        run: RunSettings {
-            period_ns: settings.period_ns,
-            clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_timeout_ns: setup.orphan_ns,
-        },
-        realtime: &Realtime::default(),
-        scenario: &settings.scenario,
-        estimator: &tuning.estimator,
-        obstacles: &tuning.obstacles,
-        controller: &tuning.controller,
-        actuator: &tuning.actuator,
+    let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
+    let run = RunSettings {
+        period_ns: *period_ns,
+        clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+        orphan_timeout_ns: setup.orphan_ns,
     };
-    let path = domain.directory().join(SETTINGS_FILE);
-    std::fs::write(&path, toml::to_string(&file)?).with_context(|| format!("{}", path.display()))
+    settings::write(domain, &run, &Realtime::default(), scenario, &tuning.clone().for_scenario(scenario))
 }
 
 /// Removes what suites that were killed have left: systems that are named after a process which is gone.

@@ -72,6 +72,6 @@ pub use output::Output;
 pub use process::Process;
 pub use quality::buffer;
 pub use realtime::{Realtime, Scheduler};
-pub use settings::{ClockKind, RunSettings, SETTINGS_FILE};
+pub use settings::{ClockKind, RunSettings, settings_file, settings_table};
 pub use shutdown::Shutdown;
 pub use wake::wait_for;

@@ -38,7 +38,9 @@ impl Lab {
     /// Settings as the orchestrator writes them, for processes that join.
     fn write_settings(&self) {
         let text = "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_timeout_ns = 60000000000\n";
-        std::fs::write(self.domain.directory().join(crate::SETTINGS_FILE), text).unwrap();
+        for role in Role::ALL {
+            std::fs::write(self.domain.directory().join(crate::settings_file(*role)), text).unwrap();
+        }
     }
 
     /// What a process of a role shares; the estimator in charge is incarnation 7, the obstacles are 8.
