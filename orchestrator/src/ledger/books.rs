@@ -195,9 +195,10 @@ impl Books {
     fn hear_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
-            if let Some(ledger) = self.topics.get_mut(topic)
-                && heartbeat.looked_ns > 0
-            {
+            let Some(ledger) = self.topics.get_mut(topic) else { continue };
+            if heartbeat.looked_ns == 0 {
+                ledger.heard_silent(incarnation, role);
+            } else {
                 let looked_ns = heartbeat.looked_ns;
                 let midway = self.midway;
                 ledger.heard(Word {
