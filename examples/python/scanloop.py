@@ -215,8 +215,10 @@ class Input:
         self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
         if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
             max_age_ns = max(MAX_AGE_PERIODS * self._process.period_ns, YOUNG_NS)
-            if self._process.now_ns() - header.acquired_ns > max_age_ns:
+            age_ns = self._process.now_ns() - header.acquired_ns
+            if age_ns > max_age_ns:
                 counters["stale"] += 1
+                self._refuse(header, Rule.TOO_OLD, "age_ms", age_ns * 1e-6)
                 return False
         return True
 

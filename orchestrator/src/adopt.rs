@@ -7,7 +7,7 @@
 //! Where this fails: how an adopted process ends is not told to us, so an exit with code 0 counts as a failure;
 //! exchanges that were going on are over without a certificate; and the account begins with the first scan seen.
 
-use runtime::{Bus, Domain, Priority, monotonic_ns, print};
+use runtime::{Bus, Domain, Priority, Shutdown, monotonic_ns, print};
 use shared_types::{Authority, Directive, Phase, Role};
 
 use crate::child::Child;
@@ -26,6 +26,7 @@ use crate::survivors::Survivors;
 /// Nothing to adopt, or an orchestrator that lives (exit code 2), and errors of the bus or the file system.
 pub(crate) fn adopt(domain: &Domain, arguments: &AdoptArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
+    let shutdown = Shutdown::on_signals()?;
     let nothing = |left: &[String]| {
         let system_id = domain.system_id();
         let left: String = left.iter().map(|stranger| format!("; {stranger}")).collect();
@@ -41,7 +42,7 @@ pub(crate) fn adopt(domain: &Domain, arguments: &AdoptArguments) -> anyhow::Resu
         lock.own();
         return Err(nothing(&survivors.strangers));
     }
-    take_over(domain, lock, survivors, arguments)
+    take_over(domain, lock, shutdown, survivors, arguments)
 }
 
 /// [`adopt`] for who holds the lock and has found someone.
@@ -51,6 +52,7 @@ pub(crate) fn adopt(domain: &Domain, arguments: &AdoptArguments) -> anyhow::Resu
 pub(crate) fn take_over(
     domain: &Domain,
     mut lock: SystemLock,
+    shutdown: Shutdown,
     survivors: Survivors,
     arguments: &AdoptArguments,
 ) -> anyhow::Result<Exit> {
@@ -133,7 +135,7 @@ pub(crate) fn take_over(
         quiet: arguments.quiet,
         out: out.clone(),
     };
-    let beginning = Beginning { bus, fleet, events, directive, first_scan: 0 };
+    let beginning = Beginning { bus, fleet, shutdown, events, directive, first_scan: 0 };
     let mut session = assemble(domain, &plan, manner, beginning)?;
     session.resume_end(roster.outcome, roster.reason);
     conclude(session, &plan.scenario, &out)

@@ -18,6 +18,7 @@ pub mod figures;
 mod fleet;
 pub mod latency;
 pub mod ledger;
+mod limits;
 mod live_latency;
 mod lock;
 pub mod picture;
@@ -42,6 +43,7 @@ mod system;
 mod table;
 mod topic;
 mod types;
+mod user_file;
 mod vitals;
 
 use std::process::ExitCode;
@@ -54,12 +56,24 @@ use exit::{Exit, exit_of};
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
-    let exit = dispatch(&cli).unwrap_or_else(|error| {
+    let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
     ExitCode::from(exit as u8)
+}
+
+/// In a frame of its own, which a small stack has no room for.
+#[inline(never)]
+fn parse_and_run() -> anyhow::Result<Exit> {
+    let cli = Cli::parse();
+    if matches!(
+        cli.command,
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)
+    ) {
+        limits::require_open_files()?;
+    }
+    dispatch(&cli)
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {

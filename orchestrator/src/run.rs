@@ -34,6 +34,7 @@ use crate::supervisor::{Event, Supervisor};
 use crate::survivors::Survivors;
 use crate::system::System;
 use crate::table;
+use crate::user_file::{self, TEXT_BYTES};
 use crate::vitals::Vitals;
 
 /// Scenario of a run without one.
@@ -115,6 +116,8 @@ pub(crate) struct Manner {
 pub(crate) struct Beginning {
     pub bus: Bus,
     pub fleet: Fleet,
+    /// Listens since before the first of them was made.
+    pub shutdown: Shutdown,
     pub events: Vec<Event>,
     pub directive: Directive,
     /// 0 when another orchestrator has begun.
@@ -132,12 +135,14 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     if arguments.adopt {
         return adopt::adopt(&domain, &to_adopt);
     }
+    // Before anything is made: a run that a signal ends removes it again.
+    let shutdown = Shutdown::on_signals()?;
     let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
     check_duration(*duration)?;
     let mut lock = SystemLock::take(&domain)?;
     let survivors = Survivors::find(&domain);
     if arguments.adopt_or_start && !survivors.is_empty() {
-        return adopt::take_over(&domain, lock, survivors, &to_adopt);
+        return adopt::take_over(&domain, lock, shutdown, survivors, &to_adopt);
     }
     if survivors.is_empty() {
         // Nobody else will remove what is there.
@@ -155,7 +160,11 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     lock.own();
     domain.remove_bus_files()?;
     let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
-    let session = start(&domain, &plan, manner.clone(), lock)?;
+    if shutdown.requested() {
+        runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
+        return Ok(Exit::NotReached);
+    }
+    let session = start(&domain, &plan, manner.clone(), lock, shutdown)?;
     conclude(session, &plan.scenario, &manner.out)
 }
 
@@ -171,6 +180,12 @@ pub(crate) fn check_duration(duration_s: Option<f64>) -> anyhow::Result<()> {
 
 /// Makes the folder of the results; returns its absolute path.
 pub(crate) fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
+    if std::path::absolute(&out).is_ok_and(|path| path.to_str().is_none()) {
+        let out = out.display();
+        return Err(Failure::bad_input(format!(
+            "--out {out}: the path of the folder is not UTF-8; name another one"
+        )));
+    }
     let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
     made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))
 }
@@ -210,6 +225,7 @@ pub(crate) fn start(
     plan: &Plan,
     manner: Manner,
     lock: SystemLock,
+    shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
     write_settings(domain, plan, manner.lockstep)?;
     let Manner { out, lockstep, duration_s, .. } = manner.clone();
@@ -223,7 +239,7 @@ pub(crate) fn start(
         domain,
         plan,
         manner,
-        Beginning { bus, fleet, events: vec![Event::Start], directive, first_scan: 1 },
+        Beginning { bus, fleet, shutdown, events: vec![Event::Start], directive, first_scan: 1 },
     )
 }
 
@@ -235,8 +251,7 @@ pub(crate) fn assemble(
     beginning: Beginning,
 ) -> anyhow::Result<Session> {
     let Plan { scenario, system } = plan;
-    let Beginning { bus, fleet, events, directive, first_scan } = beginning;
-    let shutdown = Shutdown::on_signals()?;
+    let Beginning { bus, fleet, shutdown, events, directive, first_scan } = beginning;
     let control = ControlSocket::open(domain)?;
     let period_ns = system.period_ns();
     let policies = shared_types::Role::ALL
@@ -302,7 +317,7 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
     let (text, file) = match Scenario::shipped(name) {
         Some(text) if !path.is_file() => (text.to_owned(), format!("shipped scenario {name}")),
         _ => {
-            let text = std::fs::read_to_string(path).map_err(|error| {
+            let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
                 let shipped: Vec<&str> = Scenario::names().collect();
                 Failure::bad_input(format!("{name}: {error}; shipped scenarios are {}", shipped.join(", ")))
             })?;

@@ -36,6 +36,11 @@ impl Rule {
             Self::Layout | Self::NotFinite | Self::OutOfRange | Self::UnknownValue | Self::NotVerified
         )
     }
+
+    /// Whether the writer of the sample is the one at fault; age and number may also be due to what came before it.
+    pub const fn is_of_writer(self) -> bool {
+        self.is_of_content() || matches!(self, Self::OutsideBounds)
+    }
 }
 
 /// What is wrong with a sample.

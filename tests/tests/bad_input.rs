@@ -1,6 +1,8 @@
 //! Bad input ends with exit code 2 and one message that names file, key, value and what is allowed.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::os::unix::ffi::OsStrExt;
+
 use scanloop_tests::System;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -86,6 +88,89 @@ fn systems_and_options_are_checked() {
     refused(&system, &["status"], &["not running"]);
     refused(&system, &["stop"], &["not running"]);
     refused(&system, &["fly"], &["fly"]);
+}
+
+/// Runs a command below a limit of the shell, which must be refused with exit code 4.
+fn limited(system: &System, limit: &str, arguments: &str, names: &[&str]) {
+    let id = system.domain().system_id();
+    let script = format!("ulimit {limit}; exec {EXECUTABLE} --system-id {id} {arguments}");
+    let mut shell = std::process::Command::new("bash");
+    let output = shell.args(["-c", &script]).current_dir(system.folder()).output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{script}: {message}");
+    assert!(names.iter().all(|name| message.contains(name)), "{script}: {message}");
+    assert!(!message.contains("panicked") && !message.contains("overflow"), "{message}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn limits_that_are_too_small_are_named_with_the_command_that_sets_them() {
+    let system = System::new(EXECUTABLE);
+    for files in [16, 32, 128] {
+        limited(&system, &format!("-n {files}"), "run --quiet", &[&files.to_string(), "`ulimit -n "]);
+    }
+    // With the hard limit too: a soft one is raised where that is allowed, which root always may.
+    for stack in [64, 256] {
+        let stacked = format!("-s {stack}");
+        if rustix::process::getuid().is_root() {
+            let id = system.domain().system_id();
+            let script = format!(
+                "ulimit {stacked}; exec {EXECUTABLE} --system-id {id} run --lockstep --quiet --duration 1"
+            );
+            let mut shell = std::process::Command::new("bash");
+            let output = shell.args(["-c", &script]).current_dir(system.folder()).output().unwrap();
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(1), "the limit is raised: {message}");
+        } else {
+            limited(&system, &stacked, "run --quiet", &[&stack.to_string(), "`ulimit -s "]);
+        }
+    }
+}
+
+#[test]
+fn an_out_folder_that_is_no_utf8_is_refused_before_anything_is_made() {
+    let system = System::new(EXECUTABLE);
+    let folder = std::ffi::OsStr::from_bytes(b"out\xff");
+    for arguments in [["run", "--quiet", "--out"], ["run", "--lockstep", "--out"]] {
+        let output = system.command(&arguments).arg(folder).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("--out") && message.contains("UTF-8"), "{message}");
+        assert!(!system.folder().join(folder).exists());
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn files_that_are_no_regular_files_or_too_large_are_refused() {
+    let system = System::new(EXECUTABLE);
+    let fifo = system.folder().join("fifo.toml");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    std::fs::write(system.folder().join("large.toml"), "#".repeat((1 << 20) + 1)).unwrap();
+    std::fs::write(system.folder().join("bytes.toml"), [0xff]).unwrap();
+    for (file, reason) in [
+        ("fifo.toml", "regular file"),
+        ("/dev/zero", "regular file"),
+        ("/dev/stdin", "regular file"),
+        (".", "regular file"),
+        ("large.toml", "1048576"),
+        ("bytes.toml", "UTF-8"),
+    ] {
+        for arguments in [
+            &["run", file][..],
+            &["check", file],
+            &["run", "--system", file],
+            &["check", "--system", file],
+            &["run", "--calibration", file],
+        ] {
+            refused(&system, arguments, &[file, reason]);
+        }
+    }
+    for command in
+        [&["bench", "compare", "fifo.toml", "fifo.toml"][..], &["calibrate", "velocity", "fifo.toml"]]
+    {
+        refused(&system, command, &["fifo.toml", "regular file"]);
+    }
 }
 
 #[test]

@@ -128,3 +128,47 @@ fn a_process_that_had_to_drop_all_its_inputs_is_not_blamed_for_having_no_output(
     );
     system.assert_nothing_left();
 }
+
+/// What the processes of a running system may read.
+#[test]
+fn a_stage_can_not_read_the_scenario_and_finds_all_its_settings() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "30"]);
+    let directory = system.domain().directory();
+    for role in Role::ALL.iter().copied() {
+        let path = directory.join(runtime::settings_file(role));
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text.contains("[[scenario.obstacle]]"), role == Role::Robot, "{}", path.display());
+        assert!(text.contains(&format!("[{}", runtime::settings_table(role))), "{text}");
+    }
+    assert!(!directory.join("settings.toml").exists());
+    let estimator = std::fs::read_to_string(directory.join("settings-estimator.toml")).unwrap();
+    for key in ["odometry_longitudinal = 0.01", "odometry_lateral_rate = 0.0", "gate = true", "correction = "]
+    {
+        assert!(estimator.contains(key), "{key}: {estimator}");
+    }
+    // Another orchestrator finds the scenario elsewhere.
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    assert_eq!(system.status().unwrap().scenario, "corridor");
+    assert!(system.run(&["stop"]).status.success());
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn an_interrupt_at_any_moment_of_the_start_leaves_nothing() {
+    for delay_us in (0..40_000).step_by(2_000) {
+        let mut system = System::new(EXECUTABLE);
+        system.launch(&["run", "--quiet", "--out", "out"], &[]);
+        let started = std::time::Instant::now();
+        while started.elapsed().as_micros() < delay_us {
+            std::hint::spin_loop();
+        }
+        system.signal(system.orchestrator(), rustix::process::Signal::INT);
+        let status = system.wait();
+        // Before the handlers are there the signal ends the process, which has made nothing yet.
+        assert!(status.code() == Some(1) || status.code().is_none(), "{status}: {}", system.stderr());
+        system.assert_nothing_left();
+    }
+}

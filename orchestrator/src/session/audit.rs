@@ -4,7 +4,7 @@
 //! long before the loop would be given up.
 
 use runtime::monotonic_ns;
-use shared_types::Phase;
+use shared_types::{Phase, Rule};
 
 use super::{End, Session};
 use crate::ledger::RefusedRow;
@@ -53,7 +53,7 @@ impl Session {
                 "its {topic} for scan {newest_scan} was dropped by {reader}: {}",
                 refusal.row.fault()
             );
-            if refusal.is_first && self.end == End::NotYet {
+            if refusal.is_first && refusal.rule.is_of_writer() && self.end == End::NotYet {
                 let is_current =
                     self.supervisor.process(role).is_some_and(|view| view.incarnation == incarnation);
                 let name =
@@ -71,7 +71,12 @@ impl Session {
     pub(super) fn blame(&self) -> String {
         let lately = LATELY_SCANS + LATELY_NS / self.period_ns.max(1);
         let newest = self.samples.newest_scan();
-        let rows = self.books.refused().iter().filter(|row| row.newest_scan.saturating_add(lately) >= newest);
+        let of_writer = |name: &str| Rule::ALL.iter().any(|rule| rule.name() == name && rule.is_of_writer());
+        let rows = self
+            .books
+            .refused()
+            .iter()
+            .filter(|row| row.newest_scan.saturating_add(lately) >= newest && of_writer(&row.rule));
         rows.map(|row| format!("; {row}")).collect()
     }
 

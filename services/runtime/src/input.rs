@@ -131,9 +131,9 @@ impl<S: Sample> Input<S> {
         self.0.refuse(sample, fault);
     }
 
-    /// How many samples of the writer in charge were dropped or refused for what stands in them.
-    pub fn refused(&self) -> u64 {
-        self.0.refusals.newest().count
+    /// How many samples of the writer in charge were dropped for their content.
+    pub fn dropped(&self) -> u64 {
+        self.0.refusals.of_content()
     }
 
     /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
@@ -338,18 +338,21 @@ impl<S: Sample> Reader<S> {
         }
         let scan_id = header.scan_id.max(last.scan_id);
         self.last.set(Last { incarnation: header.incarnation, scan_id });
-        if self.is_stale(&sample) {
+        if let Some(age_ns) = self.age_of_stale(&sample) {
+            self.refuse(&sample, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
             return self.discard(Fate::Stale, sample);
         }
         self.push(&self.kept, sample, KEPT, Fate::Replaced);
     }
 
-    fn is_stale(&self, sample: &S) -> bool {
-        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() {
-            return false;
-        }
+    /// The age of a sample that is too old [ns].
+    fn age_of_stale(&self, sample: &S) -> Option<u64> {
         let acquired_ns = sample.header().acquired_ns;
-        acquired_ns > 0 && self.shared.clock.now_ns().saturating_sub(acquired_ns) > self.shared.max_age_ns()
+        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() || acquired_ns == 0 {
+            return None;
+        }
+        let age_ns = self.shared.clock.now_ns().saturating_sub(acquired_ns);
+        (age_ns > self.shared.max_age_ns()).then_some(age_ns)
     }
 
     fn take(&self, sample: &S) {

@@ -16,6 +16,7 @@ pub(crate) struct Refusals(RefCell<Told>);
 #[derive(Debug, Default)]
 struct Told {
     newest: Refusal,
+    of_content: u64,
     /// Writer of the newest, and a bit for each rule that a line has told of since it came.
     writer: u32,
     rules: u32,
@@ -37,6 +38,11 @@ impl Refusals {
         is_new
     }
 
+    /// How many samples were dropped because every reader has to.
+    pub(crate) fn of_content(&self) -> u64 {
+        self.0.borrow().of_content
+    }
+
     /// The row of the heartbeat.
     pub(crate) fn newest(&self) -> Refusal {
         self.0.borrow().newest
@@ -47,6 +53,7 @@ impl Told {
     /// Counts a sample; whether its rule is new for its writer, and how many samples a line is to tell of now.
     fn note(&mut self, header: &Header, fault: &Fault, now_ns: u64) -> (bool, Option<u64>) {
         self.newest.note(header, fault);
+        self.of_content += u64::from(fault.rule().is_of_content());
         if self.writer != header.incarnation {
             (self.writer, self.rules) = (header.incarnation, 0);
         }
