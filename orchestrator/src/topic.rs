@@ -214,7 +214,7 @@ fn kind_name(kind: &Kind) -> String {
 fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
     let mut object = Map::new();
     for field in fields {
-        let long = matches!(field.kind, Kind::Array(_, length) if length > 16);
+        let long = matches!(field.kind, Kind::Array(_, length) if length > 16 && !is_text(&field.kind));
         if field.name != "reserved" && !(short && long) {
             let (bytes, kind) = (&bytes[field.offset..], &field.kind);
             let value = name_of(field, bytes).unwrap_or_else(|| decode(kind, bytes, short));
@@ -235,9 +235,13 @@ fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
     enumeration.values.iter().find(|value| value.number == number).map(|value| json!(value.name))
 }
 
+fn is_text(kind: &Kind) -> bool {
+    matches!(kind, Kind::Array(Kind::Scalar("u8"), ..=LONGEST_TEXT))
+}
+
 fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {
     match kind {
-        Kind::Array(Kind::Scalar("u8"), length @ ..=LONGEST_TEXT) => {
+        Kind::Array(_, length) if is_text(kind) => {
             json!(String::from_utf8_lossy(&bytes[..*length]).trim_end_matches('\0'))
         }
         Kind::Scalar(name) => scalar(name, bytes),
