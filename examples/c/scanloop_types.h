@@ -130,6 +130,20 @@ enum scanloop_block_reason {
     SCANLOOP_BLOCK_REASON_START = 7, /* Nothing has been commanded yet. */
 };
 
+/* The rule that a dropped or refused sample failed. */
+enum scanloop_rule {
+    SCANLOOP_RULE_NONE = 0, /* None was failed. */
+    SCANLOOP_RULE_FOREIGN_LAYOUT = 1, /* Its layout is that of this system. */
+    SCANLOOP_RULE_NOT_FINITE = 2, /* Its numbers are finite. */
+    SCANLOOP_RULE_OUT_OF_RANGE = 3, /* Its numbers are within what the fields can mean. */
+    SCANLOOP_RULE_UNKNOWN_VALUE = 4, /* Its enumerations hold known numbers. */
+    SCANLOOP_RULE_NOT_VERIFIED = 5, /* A command to drive was verified. */
+    SCANLOOP_RULE_OUTSIDE_BOUNDS = 6, /* A command to drive is within the hard limits of the actuator. */
+    SCANLOOP_RULE_TOO_OLD = 7, /* Its scan is young enough. */
+    SCANLOOP_RULE_FROM_THE_FUTURE = 8, /* Its scan does not lie in the future. */
+    SCANLOOP_RULE_ANSWERED_BEFORE = 9, /* Its scan was not answered before. */
+};
+
 /* A part of samples. */
 typedef struct scanloop_stage_stamps {
     uint64_t woken_ns; /* When the stage was woken for the scan [ns] */
@@ -271,6 +285,23 @@ _Static_assert(offsetof(scanloop_input_account, open_sum) == 256, "scanloop_inpu
 _Static_assert(offsetof(scanloop_input_account, waiting) == 264, "scanloop_input_account.waiting");
 _Static_assert(offsetof(scanloop_input_account, waiting_sum) == 272, "scanloop_input_account.waiting_sum");
 _Static_assert(offsetof(scanloop_input_account, unreadable) == 280, "scanloop_input_account.unreadable");
+
+/* A part of samples. */
+typedef struct scanloop_refusal {
+    uint64_t count; /* Samples since the process started */
+    uint64_t scan_id; /* Scan of the newest */
+    double value; /* The value found in it; 0 where it was not finite */
+    uint32_t incarnation; /* Incarnation of its writer */
+    uint32_t rule; /* The rule that it failed, `Rule` */
+    uint8_t field[32]; /* Name of the field at fault in ASCII, zeros behind it */
+} scanloop_refusal;
+_Static_assert(sizeof(scanloop_refusal) == 64, "scanloop_refusal");
+_Static_assert(offsetof(scanloop_refusal, count) == 0, "scanloop_refusal.count");
+_Static_assert(offsetof(scanloop_refusal, scan_id) == 8, "scanloop_refusal.scan_id");
+_Static_assert(offsetof(scanloop_refusal, value) == 16, "scanloop_refusal.value");
+_Static_assert(offsetof(scanloop_refusal, incarnation) == 24, "scanloop_refusal.incarnation");
+_Static_assert(offsetof(scanloop_refusal, rule) == 28, "scanloop_refusal.rule");
+_Static_assert(offsetof(scanloop_refusal, field) == 32, "scanloop_refusal.field");
 
 /* A part of samples. */
 typedef struct scanloop_authority {
@@ -479,8 +510,9 @@ typedef struct scanloop_heartbeat {
     uint64_t answered_scans; /* Sum of the scan ids of the answers */
     uint64_t written[2]; /* Sequence of the newest sample per topic that the role writes, in the order of `Role::writes` */
     scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
+    scanloop_refusal refused[2]; /* Samples dropped or refused for what stands in them, per topic that the role reads */
 } scanloop_heartbeat;
-_Static_assert(sizeof(scanloop_heartbeat) == 944, "scanloop_heartbeat");
+_Static_assert(sizeof(scanloop_heartbeat) == 1072, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
 _Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
 _Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
@@ -505,6 +537,7 @@ _Static_assert(offsetof(scanloop_heartbeat, answered) == 336, "scanloop_heartbea
 _Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 344, "scanloop_heartbeat.answered_scans");
 _Static_assert(offsetof(scanloop_heartbeat, written) == 352, "scanloop_heartbeat.written");
 _Static_assert(offsetof(scanloop_heartbeat, inputs) == 368, "scanloop_heartbeat.inputs");
+_Static_assert(offsetof(scanloop_heartbeat, refused) == 944, "scanloop_heartbeat.refused");
 
 /* Topic directive, published ten times a second by the orchestrator, and at each change. */
 typedef struct scanloop_directive {
@@ -782,7 +815,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_velocity_mps", sent_velocity_mps),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
-    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v2"),
+    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v3"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.incarnation", header.incarnation),
@@ -852,6 +885,13 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.waiting", inputs[0].waiting),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.waiting_sum", inputs[0].waiting_sum),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "inputs.unreadable", inputs[0].unreadable),
+    SCANLOOP_STRUCTS("heartbeat", scanloop_heartbeat, "refused", "Refusal", refused),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.count", refused[0].count),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.scan_id", refused[0].scan_id),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.value", refused[0].value),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.incarnation", refused[0].incarnation),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.rule", refused[0].rule),
+    SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "refused.field", refused[0].field),
     SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v1"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),

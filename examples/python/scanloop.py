@@ -9,11 +9,14 @@
     if process.start():
         while process.wait():
             for pose, described in process.join(poses, obstacles):
-                commands.publish(plan(pose, described))     # yours; its header is `answer(pose, described)`
+                command = plan(pose, described)             # yours
+                command.header = answer(described, pose)    # first the sample that comes last for the role
+                commands.publish(command)
 
 It does what the Rust crate `runtime` does: it waits with a time-out, drops samples that do not count and counts them,
 carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT. Samples are copied out
-of shared memory. Of a sample it checks layout, finiteness and counts; numbers that are finite and out of range come out.
+of shared memory. Of a sample it checks layout, finiteness, counts and `verified`; other numbers that are out of range come
+out. What it drops for what stands in it is told in the log of the process and in its heartbeats.
 
 Needs Python 3.11 and the packages of requirements.txt.
 """
@@ -32,7 +35,19 @@ import tomllib
 import iceoryx2 as iox2
 
 import scanloop_types as types
-from scanloop_types import Actuation, Checkpoint, Directive, Header, Heartbeat, Phase, ProcessState, Role
+from scanloop_types import (
+    Actuation,
+    Checkpoint,
+    CommandKind,
+    Directive,
+    Header,
+    Heartbeat,
+    Phase,
+    ProcessState,
+    Refusal,
+    Role,
+    Rule,
+)
 
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
 LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
@@ -62,7 +77,10 @@ class Handover(enum.Enum):
 
 
 def answer(to, also=None):
-    """The header of an answer to one sample, or to two of one scan: same scan, stamps carried on."""
+    """The header of an answer to one sample, or to two of one scan: same scan, stamps carried on.
+
+    Of two, `to` is the one that comes last for the role, and `also` adds the stamps of stages that `to` has not passed.
+    """
     header = Header.from_buffer_copy(to.header)
     header.layout = header.incarnation = header.sequence = 0
     if also is not None:
@@ -143,6 +161,7 @@ class Input:
         self._last = (0, 0, 0)  # incarnation, sequence, scan
         self._writer = next((role for role, topics in types.WRITES.items() if sample in topics), None)
         self._numbers = list(_numbers(sample, 0))
+        self._refusal, self._told = Refusal(), set()
 
     def take(self):
         """The oldest sample not taken yet, or None."""
@@ -174,19 +193,25 @@ class Input:
 
     def _offer(self, sample, was_aside=False):
         counters, header = self._process.counters, sample.header
-        if not self._is_valid(sample):
-            counters["invalid"] += 1
-            return
+        accepted, exchanged, stands_by = True, False, False
         if self._writer is not None:
             authority = self._process.directive.authority[self._writer]
             exchanged = 0 != authority.incarnation != authority.previous != 0
             counts = authority.incarnation if header.scan_id >= authority.from_scan else authority.previous
-            if counts == 0 or counts != header.incarnation:
-                if exchanged and header.incarnation in (authority.incarnation, authority.previous):
-                    _push(self._aside, sample, ASIDE, counters, "foreign")
-                else:
-                    counters["foreign"] += 1
-                return
+            accepted = counts != 0 and counts == header.incarnation
+            stands_by = exchanged and header.incarnation in (authority.incarnation, authority.previous)
+        if fault := self._fault(sample):
+            counters["invalid"] += 1
+            if accepted:
+                self._refuse(header, *fault)
+            return
+        if not accepted:
+            if stands_by:
+                _push(self._aside, sample, ASIDE, counters, "foreign")
+            else:
+                counters["foreign"] += 1
+            return
+        if self._writer is not None:
             other = was_aside or exchanged and header.incarnation != self._last[0]
             if other and header.scan_id <= self._last[2]:
                 counters["duplicate"] += 1
@@ -207,18 +232,40 @@ class Input:
             return True
         if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
             max_age_ns = max(MAX_AGE_PERIODS * self._process.period_ns, YOUNG_NS)
-            if self._process.now_ns() - header.acquired_ns > max_age_ns:
+            age_ns = self._process.now_ns() - header.acquired_ns
+            if age_ns > max_age_ns:
                 counters["stale"] += 1
+                self._refuse(header, Rule.TOO_OLD, "age_ms", age_ns * 1e-6)
                 return False
         return True
 
-    def _is_valid(self, sample):
+    def _fault(self, sample):
+        """The rule that a sample fails, the field at fault and its value; None when it may be used."""
         if sample.header.layout != self._sample.LAYOUT:
-            return False
-        if getattr(sample, "count", 0) > types.MAX_OBSTACLES or getattr(sample, "plan_length", 0) > types.PLAN_NODES:
-            return False
+            return Rule.FOREIGN_LAYOUT, "header.layout", sample.header.layout
+        for field, most in (("count", types.MAX_OBSTACLES), ("plan_length", types.PLAN_NODES)):
+            if getattr(sample, field, 0) > most:
+                return Rule.OUT_OF_RANGE, field, getattr(sample, field)
         numbers = memoryview(sample).cast("B").cast("d")
-        return all(math.isfinite(numbers[index]) for index in self._numbers)
+        bad = next((index for index in self._numbers if not math.isfinite(numbers[index])), None)
+        if bad is not None:
+            fields = [name for name, _ in sample._fields_ if getattr(type(sample), name).offset <= 8 * bad]
+            return Rule.NOT_FINITE, fields[-1], 0.0
+        if self._sample is types.Command and sample.kind == CommandKind.DRIVE and sample.verified != 1:
+            return Rule.NOT_VERIFIED, "verified", sample.verified
+        return None
+
+    def _refuse(self, header, rule, field, value):
+        refusal, key = self._refusal, (header.incarnation, rule)
+        refusal.count += 1
+        refusal.scan_id, refusal.incarnation, refusal.rule, refusal.value = header.scan_id, header.incarnation, rule, value
+        name = field.encode()[: len(refusal.field)]
+        refusal.field[:] = name.ljust(len(refusal.field), b"\0")
+        if key not in self._told:
+            self._told.add(key)
+            words = f"{self._sample.TOPIC} of incarnation {header.incarnation} for scan {header.scan_id}"
+            rule = rule.name.lower().replace("_", " ")
+            print(f"warning: dropped {words}: {rule}: {field} = {value}", file=sys.stderr, flush=True)
 
 
 class Output:
@@ -264,7 +311,7 @@ class Process:
         self.role, self.incarnation = Role(role), int(incarnation)
         self.directory = f"/tmp/scanloop-{os.getuid()}/{system_id}"
         self._verify()
-        with open(f"{self.directory}/settings.toml", "rb") as file:
+        with open(f"{self.directory}/settings-{self.role.name.lower()}.toml", "rb") as file:
             self._settings = tomllib.load(file)
         run = self._settings["run"]
         self.period_ns, self.simulated = run["period_ns"], run["clock"] == "simulated"
@@ -283,9 +330,9 @@ class Process:
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
-    def settings(self, name=None):
-        """The settings of the role, docs/settings.md, as a dict."""
-        return self._settings.get(name or self.role.name.lower(), {})
+    def settings(self):
+        """The settings of the role, docs/settings.md, as a dict with all keys; the robot's are the scenario."""
+        return self._settings["scenario" if self.role == Role.ROBOT else self.role.name.lower()]
 
     def now_ns(self):
         """The time of the loop: CLOCK_MONOTONIC, or simulated in lock-step."""
@@ -453,6 +500,8 @@ class Process:
         beat = Heartbeat(role=self.role, state=self._state, pid=os.getpid(), issued_ns=now)
         for name, value in self.counters.items():
             setattr(beat, name, value)
+        for reader in self._inputs:
+            beat.refused[types.READS[self.role].index(reader._sample)] = reader._refusal
         beat.header.scan_id = self._last_scan
         self._heartbeat.publish(beat, wake=False)
 

@@ -128,6 +128,21 @@ class BlockReason(enum.IntEnum):
     START = 7  # Nothing has been commanded yet.
 
 
+class Rule(enum.IntEnum):
+    """The rule that a dropped or refused sample failed."""
+
+    NONE = 0  # None was failed.
+    FOREIGN_LAYOUT = 1  # Its layout is that of this system.
+    NOT_FINITE = 2  # Its numbers are finite.
+    OUT_OF_RANGE = 3  # Its numbers are within what the fields can mean.
+    UNKNOWN_VALUE = 4  # Its enumerations hold known numbers.
+    NOT_VERIFIED = 5  # A command to drive was verified.
+    OUTSIDE_BOUNDS = 6  # A command to drive is within the hard limits of the actuator.
+    TOO_OLD = 7  # Its scan is young enough.
+    FROM_THE_FUTURE = 8  # Its scan does not lie in the future.
+    ANSWERED_BEFORE = 9  # Its scan was not answered before.
+
+
 class StageStamps(ctypes.Structure):
     """A part of samples."""
 
@@ -223,6 +238,19 @@ class InputAccount(ctypes.Structure):
         ("waiting", ctypes.c_uint64),  # Samples that wait in the process; all that is open
         ("waiting_sum", ctypes.c_uint64),  # Sum of the numbers of samples that wait
         ("unreadable", ctypes.c_uint64),  # Samples of another layout, whose numbers mean nothing
+    ]
+
+
+class Refusal(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("count", ctypes.c_uint64),  # Samples since the process started
+        ("scan_id", ctypes.c_uint64),  # Scan of the newest
+        ("value", ctypes.c_double),  # The value found in it; 0 where it was not finite
+        ("incarnation", ctypes.c_uint32),  # Incarnation of its writer
+        ("rule", ctypes.c_uint32),  # The rule that it failed, `Rule`
+        ("field", ctypes.c_uint8 * 32),  # Name of the field at fault in ASCII, zeros behind it
     ]
 
 
@@ -388,7 +416,7 @@ class Heartbeat(ctypes.Structure):
     """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
 
     TOPIC = "heartbeat"
-    LAYOUT = 0x85405b86
+    LAYOUT = 0xb0b84903
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -414,11 +442,12 @@ class Heartbeat(ctypes.Structure):
         ("answered_scans", ctypes.c_uint64),  # Sum of the scan ids of the answers
         ("written", ctypes.c_uint64 * 2),  # Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
         ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
+        ("refused", Refusal * 2),  # Samples dropped or refused for what stands in them, per topic that the role reads
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Heartbeat.v2"
+        return "scanloop.Heartbeat.v3"
 
 
 class Directive(ctypes.Structure):

@@ -7,7 +7,7 @@
 //! Where this fails: how an adopted process ends is not told to us, so an exit with code 0 counts as a failure;
 //! exchanges that were going on are over without a certificate; and the account begins with the first scan seen.
 
-use runtime::{Bus, Domain, Priority, RuntimeError, StopWord, latch_on_crash, monotonic_ns, print};
+use runtime::{Bus, Domain, Priority, RuntimeError, Shutdown, StopWord, latch_on_crash, monotonic_ns, print};
 use shared_types::{Authority, Directive, Phase, Role};
 
 use crate::child::Child;
@@ -27,6 +27,7 @@ use crate::survivors::Survivors;
 /// Nothing to adopt, or an orchestrator that lives (exit code 2), and errors of the bus or the file system.
 pub(crate) fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Result<Exit> {
     check_duration(arguments.duration)?;
+    let shutdown = Shutdown::of_orchestrator()?;
     let nothing = |left: &[String]| {
         let left: String = left.iter().map(|stranger| format!("; {stranger}")).collect();
         Failure::bad_input(format!("system `{system_id}` has no processes that could be adopted{left}"))
@@ -39,7 +40,7 @@ pub(crate) fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Resu
         lock.own();
         return Err(nothing(&survivors.strangers));
     }
-    take_over(&domain, lock, survivors, arguments)
+    take_over(&domain, lock, shutdown, survivors, arguments)
 }
 
 /// [`adopt`] for who holds the lock and has found someone.
@@ -49,6 +50,7 @@ pub(crate) fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Resu
 pub(crate) fn take_over(
     domain: &Domain,
     mut lock: SystemLock,
+    shutdown: Shutdown,
     survivors: Survivors,
     arguments: &AdoptArguments,
 ) -> anyhow::Result<Exit> {
@@ -135,7 +137,7 @@ pub(crate) fn take_over(
         quiet: arguments.quiet,
         out: out.clone(),
     };
-    let beginning = Beginning { bus, word, fleet, events, directive, first_scan: 0 };
+    let beginning = Beginning { bus, word, fleet, shutdown, events, directive, first_scan: 0 };
     let mut session = assemble(domain, &plan, manner, beginning)?;
     session.resume_end(roster.outcome, roster.reason);
     conclude(session, &plan.scenario, &out)

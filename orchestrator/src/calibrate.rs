@@ -23,6 +23,7 @@ use crate::picture::panels;
 use crate::report::write_atomically;
 use crate::run::Plan;
 use crate::table;
+use crate::user_file::{self, DATA_BYTES, TEXT_BYTES};
 
 /// What one calibration found, and what it was found from.
 struct Found {
@@ -162,8 +163,8 @@ fn collect<R: Record>(
     let mut runs: Vec<R> = Vec::new();
     for path in &arguments.files {
         let name = path.display().to_string();
-        let text =
-            std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
+        let text = user_file::read(path, DATA_BYTES)
+            .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
         let mut more = record::read::<R>(&text, &name).map_err(Failure::bad_input)?;
         record::append(&mut runs, &mut more);
     }
@@ -185,7 +186,7 @@ fn merge(path: &Path, new: &CalibrationFile) -> anyhow::Result<CalibrationFile> 
 fn read_file(path: &Path) -> anyhow::Result<CalibrationFile> {
     let name = path.display().to_string();
     let text =
-        std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
+        user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
     CalibrationFile::parse(&text, &name).map_err(Failure::bad_input)
 }
 

@@ -14,6 +14,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::{data, note};
 use crate::run::Plan;
 use crate::system::System;
+use crate::user_file::{self, TEXT_BYTES};
 
 /// Validates all files named, or the default scenario and system, and prints the graph.
 ///
@@ -83,7 +84,7 @@ fn is_system(file: &str) -> anyhow::Result<bool> {
         return Ok(false);
     }
     let text =
-        std::fs::read_to_string(path).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
+        user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
     // What is no TOML is reported as a scenario, with the line.
     let Ok(table) = text.parse::<Table>() else { return Ok(false) };
     let system_keys = [

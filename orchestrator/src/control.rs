@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use self::line::{read_line, write_line};
 use self::server::{BUSY, Server};
+use crate::ledger::RefusedRow;
 use crate::shadow::ShadowReport;
 use crate::swap::Certificate;
 
@@ -129,6 +130,9 @@ pub struct Status {
     pub lockstep: bool,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
+    /// Samples that a reader dropped or refused for what stands in them: by writer, reader and rule.
+    #[serde(default)]
+    pub refused: Vec<RefusedRow>,
 }
 
 /// One process in [`Status`].

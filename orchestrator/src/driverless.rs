@@ -82,6 +82,7 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
         // In lock-step nothing moves without an orchestrator.
         lockstep: false,
         processes,
+        refused: Vec::new(),
     })
 }
 

@@ -9,9 +9,9 @@ use std::time::Duration;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE,
-    ROLE_VARIABLE, RUN_ID_VARIABLE, RuntimeError, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE, StopWord,
-    monotonic_ns, write_handover,
+    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
+    RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RuntimeError, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
+    StopWord, monotonic_ns, write_handover,
 };
 use shared_types::Role;
 

@@ -15,18 +15,20 @@ mod books;
 mod fault;
 #[cfg(test)]
 mod model;
+mod refused;
 mod stream;
 mod sweep;
 mod topic;
 
 use std::collections::BTreeMap;
 
-use shared_types::{BlockReason, Role};
+use shared_types::Role;
 
 use crate::report::ScanReport;
 
 pub use self::books::{ACCOUNTS, Books};
 pub use self::fault::{Fault, Kind};
+pub use self::refused::{NewRefusal, RefusedRow};
 pub use self::topic::{TopicLedger, Word};
 
 /// A sample that has been on its way for this long does not come any more: four heartbeats, and four times the
@@ -55,7 +57,7 @@ pub struct Ledger {
     newest_answered: u64,
     ended_at: Option<u64>,
     entries: BTreeMap<u64, Entry>,
-    refusals: BTreeMap<u64, BlockReason>,
+    refusals: BTreeMap<u64, &'static str>,
     outages: Vec<Outage>,
     settled: ScanReport,
 }
@@ -128,8 +130,8 @@ impl Ledger {
         }
     }
 
-    /// Notes that the actuator refused the command for a scan; it is the reason if no other command answers it.
-    pub fn refused(&mut self, scan_id: u64, reason: BlockReason) {
+    /// Notes why a sample of a scan was dropped or refused; it is the reason if no other sample leads to an answer.
+    pub fn refused(&mut self, scan_id: u64, reason: &'static str) {
         if scan_id >= self.oldest_kept() {
             self.refusals.insert(scan_id, reason);
         }
@@ -214,7 +216,7 @@ impl Ledger {
         let covers =
             |outage: &&Outage| scan_id >= outage.from && outage.until.is_none_or(|until| scan_id <= until);
         if let Some(refusal) = self.refusals.get(&scan_id) {
-            refusal.name().to_owned()
+            (*refusal).to_owned()
         } else if let Some(outage) = self.outages.iter().find(covers) {
             outage.reason.clone()
         } else if scan_id > self.newest_answered
@@ -286,7 +288,7 @@ mod tests {
         for scan_id in 7..=9 {
             ledger.published(scan_id, scan_id * PERIOD_NS);
         }
-        ledger.refused(8, BlockReason::InvalidCommand);
+        ledger.refused(8, "invalid_command");
         for scan_id in 10..=12 {
             ledger.published(scan_id, scan_id * PERIOD_NS);
             ledger.answered(scan_id, scan_id * PERIOD_NS + 1);

@@ -20,6 +20,7 @@ mod fleet;
 mod halt;
 pub mod latency;
 pub mod ledger;
+mod limits;
 mod live_latency;
 mod lock;
 mod output;
@@ -37,6 +38,7 @@ mod samples;
 mod service;
 mod service_manager;
 mod session;
+mod settings;
 pub mod shadow;
 mod stop;
 pub mod summary;
@@ -47,6 +49,7 @@ mod system;
 mod table;
 mod topic;
 mod types;
+mod user_file;
 mod vitals;
 
 use std::process::ExitCode;
@@ -64,16 +67,28 @@ const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
-    if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
-        runtime::start_terminal();
-    }
-    let exit = dispatch(&cli).unwrap_or_else(|error| {
+    let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
     runtime::flush_terminal(FLUSH_LIMIT);
     ExitCode::from(exit as u8)
+}
+
+/// In a frame of its own, which a small stack has no room for.
+#[inline(never)]
+fn parse_and_run() -> anyhow::Result<Exit> {
+    let cli = Cli::parse();
+    if matches!(
+        cli.command,
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)
+    ) {
+        limits::require_open_files()?;
+    }
+    if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
+        runtime::start_terminal();
+    }
+    dispatch(&cli)
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {

@@ -11,7 +11,7 @@ mod tally;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use shared_types::{Actuation, BlockReason, Command, Obstacles, Pose, Role, Truth};
+use shared_types::{Actuation, BlockReason, Command, Obstacles, Pose, Role, Rule, Truth};
 
 use self::rows::Rows;
 use self::tally::Tally;
@@ -110,6 +110,11 @@ impl Recorder {
         self.ledger.excused(scan_id, reason);
     }
 
+    /// A sample of a scan was dropped for that rule; it is the reason if nothing answers the scan.
+    pub fn sample_refused(&mut self, scan_id: u64, rule: Rule) {
+        self.ledger.refused(scan_id, rule.name());
+    }
+
     /// What the robot really did up to a scan; it says too that the scan was published.
     pub fn truth(&mut self, truth: &Truth) {
         let scan_id = truth.header.scan_id;
@@ -169,7 +174,7 @@ impl Recorder {
         } else if let Ok(reason @ (BlockReason::InvalidCommand | BlockReason::StaleCommand)) =
             BlockReason::try_from(actuation.reason)
         {
-            self.ledger.refused(header.scan_id, reason);
+            self.ledger.refused(header.scan_id, reason.name());
         }
         self.tally.actuation(actuation);
         self.actuation = Some(*actuation);
@@ -328,7 +333,14 @@ mod tests {
     use shared_types::{Header, Obstacle};
 
     fn info(lockstep: bool) -> RunInfo {
-        RunInfo { scenario: "corridor".to_owned(), seed: 1, lockstep, first_scan: 1, goal_m: [10.0, 0.0] }
+        RunInfo {
+            run_id: String::new(),
+            scenario: "corridor".to_owned(),
+            seed: 1,
+            lockstep,
+            first_scan: 1,
+            goal_m: [10.0, 0.0],
+        }
     }
 
     fn truth(scan_id: u64, x_m: f64) -> Truth {

@@ -161,6 +161,9 @@ fn table(status: &Status) -> String {
         for line in &process.last_words {
             let _ = writeln!(text, "            | {line}");
         }
+        for row in status.refused.iter().filter(|row| row.writer == process.role) {
+            let _ = writeln!(text, "            ! {row}");
+        }
     }
     text
 }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
 use crate::figures::Figures;
-use crate::ledger::Fault;
+use crate::ledger::{Fault, RefusedRow};
 use crate::swap::Certificate;
 
 pub use self::write::write_atomically;
@@ -112,7 +112,7 @@ pub struct ScanReport {
 }
 
 /// Account of all samples of all topics.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LedgerReport {
     /// How often the books were closed.
@@ -127,6 +127,8 @@ pub struct LedgerReport {
     pub unobserved: u64,
     /// The account per topic and role that reads it.
     pub topics: Vec<LedgerRow>,
+    /// Samples that a reader dropped or refused for what stands in them: by writer, reader and rule.
+    pub refused: Vec<RefusedRow>,
     /// What was found wrong, sample by sample; at most a thousand.
     pub faults: Vec<Fault>,
 }

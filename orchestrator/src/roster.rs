@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use emulator::{Outcome, Scenario};
-use runtime::{Domain, Identity, PROCESSES_FILE, SETTINGS_FILE};
+use runtime::{Domain, Identity, PROCESSES_FILE};
 use serde::{Deserialize, Serialize};
 use shared_types::{Authority, ROLES, Role};
 
@@ -17,7 +17,7 @@ use crate::system::{ProcessEntry, System};
 
 const RUN_FILE: &str = "run.toml";
 
-/// What is driven, apart from the scenario, which stands in the settings of the processes.
+/// What is driven.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RunFile {
     /// Where the results are written.
@@ -29,6 +29,8 @@ pub(crate) struct RunFile {
     pub duration_s: Option<f64>,
     /// The process table with all settings.
     pub system: System,
+    /// The scenario.
+    pub scenario: Scenario,
 }
 
 /// Who fills the roles, and what everyone was told last.
@@ -146,13 +148,8 @@ impl RunFile {
     /// # Errors
     /// When it was not written down, or cannot be read.
     pub(crate) fn read(domain: &Domain) -> anyhow::Result<(Self, Plan)> {
-        #[derive(Deserialize)]
-        struct Settings {
-            scenario: Scenario,
-        }
         let run: Self = read(domain, RUN_FILE)?;
-        let Settings { scenario } = read(domain, SETTINGS_FILE)?;
-        let plan = Plan { scenario, system: run.system.clone() };
+        let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone() };
         Ok((run, plan))
     }
 }

@@ -6,11 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use emulator::scenario::{Obstacle, Shape};
 use emulator::{Referee, Scenario};
-use runtime::{
-    Bus, ClockKind, Domain, RunSettings, RuntimeError, SETTINGS_FILE, Shutdown, StopWord, Voice,
-    latch_on_crash,
-};
-use serde::Serialize;
+use runtime::{Bus, ClockKind, Domain, RunSettings, RuntimeError, Shutdown, StopWord, Voice, latch_on_crash};
 use shared_types::Directive;
 use toml::{Table, Value};
 use vehicle::frame::to_track;
@@ -33,11 +29,13 @@ use crate::roster::RunFile;
 use crate::samples::Samples;
 use crate::service_manager::ServiceManager;
 use crate::session::{End, Session, Shadows, Swaps};
+use crate::settings;
 use crate::summary;
 use crate::supervisor::{Event, Supervisor};
 use crate::survivors::Survivors;
 use crate::system::System;
 use crate::table;
+use crate::user_file::{self, TEXT_BYTES};
 use crate::vitals::Vitals;
 
 /// Scenario of a run without one.
@@ -102,18 +100,6 @@ impl Plan {
     }
 }
 
-/// What processes read of the run, one table each.
-#[derive(Serialize)]
-pub(crate) struct SettingsFile<'a> {
-    pub(crate) run: RunSettings,
-    pub(crate) realtime: &'a runtime::Realtime,
-    pub(crate) scenario: &'a Scenario,
-    pub(crate) estimator: &'a estimator::Config,
-    pub(crate) obstacles: &'a obstacles::Config,
-    pub(crate) controller: &'a nmpc::Config,
-    pub(crate) actuator: &'a actuation::Config,
-}
-
 /// How a run is driven, apart from what.
 #[derive(Debug, Clone)]
 pub(crate) struct Manner {
@@ -132,6 +118,8 @@ pub(crate) struct Beginning {
     pub bus: Bus,
     pub word: StopWord,
     pub fleet: Fleet,
+    /// Listens since before the first of them was made.
+    pub shutdown: Shutdown,
     pub events: Vec<Event>,
     pub directive: Directive,
     /// 0 when another orchestrator has begun.
@@ -148,6 +136,8 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     if arguments.adopt {
         return adopt::adopt(system_id, &to_adopt);
     }
+    // Before anything is made: a run that a signal ends removes it again.
+    let shutdown = Shutdown::of_orchestrator()?;
     let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
     check_duration(*duration)?;
     if Domain::take_stopped_mark(system_id)? && arguments.adopt_or_start {
@@ -156,7 +146,7 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     if let Claim::Left(domain, lock) = Claim::take(system_id)? {
         let survivors = Survivors::find(&domain);
         if arguments.adopt_or_start && !survivors.is_empty() {
-            return adopt::take_over(&domain, lock, survivors, &to_adopt);
+            return adopt::take_over(&domain, lock, shutdown, survivors, &to_adopt);
         }
         if !survivors.is_empty() {
             let words = survivors.words();
@@ -170,7 +160,11 @@ pub(crate) fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<E
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
     let (domain, lock) = Claim::take_new(system_id)?;
     let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
-    let session = start(&domain, &plan, manner.clone(), lock)?;
+    if shutdown.requested() {
+        runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
+        return Ok(Exit::NotReached);
+    }
+    let session = start(&domain, &plan, manner.clone(), lock, shutdown)?;
     conclude(session, &plan.scenario, &manner.out)
 }
 
@@ -186,6 +180,12 @@ pub(crate) fn check_duration(duration_s: Option<f64>) -> anyhow::Result<()> {
 
 /// Makes the folder of the results; returns its absolute path.
 pub(crate) fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
+    if std::path::absolute(&out).is_ok_and(|path| path.to_str().is_none()) {
+        let out = out.display();
+        return Err(Failure::bad_input(format!(
+            "--out {out}: the path of the folder is not UTF-8; name another one"
+        )));
+    }
     let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
     made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))
 }
@@ -245,12 +245,14 @@ pub(crate) fn start(
     plan: &Plan,
     manner: Manner,
     lock: SystemLock,
+    shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
     let word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
     latch_on_crash(&word);
     write_settings(domain, plan, manner.lockstep)?;
     let Manner { out, lockstep, duration_s, .. } = manner.clone();
-    RunFile { out, lockstep, duration_s, system: plan.system.clone() }.write(domain)?;
+    let Plan { scenario, system } = plan.clone();
+    RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
     let bus = Bus::create(domain)?;
     let logs = manner.out.join("logs");
     let fleet = Fleet::new(domain.clone(), lock, word.clone(), &plan.system, logs, false)?;
@@ -260,7 +262,7 @@ pub(crate) fn start(
         domain,
         plan,
         manner,
-        Beginning { bus, word, fleet, events: vec![Event::Start], directive, first_scan: 1 },
+        Beginning { bus, word, fleet, shutdown, events: vec![Event::Start], directive, first_scan: 1 },
     )
 }
 
@@ -272,8 +274,7 @@ pub(crate) fn assemble(
     beginning: Beginning,
 ) -> anyhow::Result<Session> {
     let Plan { scenario, system } = plan;
-    let Beginning { bus, word, fleet, events, directive, first_scan } = beginning;
-    let shutdown = Shutdown::of_orchestrator()?;
+    let Beginning { bus, word, fleet, shutdown, events, directive, first_scan } = beginning;
     shutdown.latch_also(&word)?;
     let control = ControlSocket::open(domain)?;
     let period_ns = system.period_ns();
@@ -328,22 +329,14 @@ pub(crate) fn assemble(
 }
 
 fn write_settings(domain: &Domain, plan: &Plan, lockstep: bool) -> anyhow::Result<()> {
-    let tuning = plan.system.tuning().for_scenario(&plan.scenario);
-    let settings = SettingsFile {
-        run: RunSettings {
-            period_ns: plan.system.period_ns(),
-            clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_stop_ns: (plan.system.orphan_stop_s() * 1e9) as u64,
-            orphan_timeout_ns: (plan.system.orphan_timeout_s * 1e9) as u64,
-        },
-        realtime: &plan.system.realtime,
-        scenario: &plan.scenario,
-        estimator: &tuning.estimator,
-        obstacles: &tuning.obstacles,
-        controller: &tuning.controller,
-        actuator: &tuning.actuator,
+    let Plan { scenario, system } = plan;
+    let run = RunSettings {
+        period_ns: system.period_ns(),
+        clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+        orphan_stop_ns: (system.orphan_stop_s() * 1e9) as u64,
+        orphan_timeout_ns: (system.orphan_timeout_s * 1e9) as u64,
     };
-    Ok(domain.folder().write(SETTINGS_FILE, toml::to_string(&settings)?.as_bytes())?)
+    settings::write(domain, &run, &system.realtime, scenario, &system.tuning().for_scenario(scenario))
 }
 
 /// The table of a scenario file, or of a shipped scenario, and its name in messages.
@@ -352,7 +345,7 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
     let (text, file) = match Scenario::shipped(name) {
         Some(text) if !path.is_file() => (text.to_owned(), format!("shipped scenario {name}")),
         _ => {
-            let text = std::fs::read_to_string(path).map_err(|error| {
+            let text = user_file::read(path, TEXT_BYTES).map_err(|error| {
                 let shipped: Vec<&str> = Scenario::names().collect();
                 Failure::bad_input(format!("{name}: {error}; shipped scenarios are {}", shipped.join(", ")))
             })?;

@@ -8,7 +8,8 @@ use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
 use shared_types::{
-    Actuation, Command, Directive, Fault, Obstacles, Odometry, Pose, Sample, Scan, Truth, YOUNG_NS,
+    Actuation, Command, Directive, Fault, Header, Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth,
+    YOUNG_NS,
 };
 
 use crate::ledger::Books;
@@ -42,7 +43,12 @@ impl<S: Sample> Queue<S> {
         })
     }
 
-    fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<u64, RuntimeError> {
+    fn poll(
+        &mut self,
+        directive: &Directive,
+        books: &mut Books,
+        refused: &mut Vec<(u64, Rule)>,
+    ) -> Result<u64, RuntimeError> {
         let Self { observer, waiting, aside, last } = self;
         // As the processes do: what was kept aside may count now, unless its scan was answered meanwhile.
         let kept = std::mem::take(aside);
@@ -64,7 +70,7 @@ impl<S: Sample> Queue<S> {
             waiting.push_back(*sample);
         };
         kept.iter().for_each(|sample| put(sample, true));
-        look(observer, books, |sample| put(sample, false))
+        look(observer, directive, books, refused, |sample| put(sample, false))
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
@@ -76,10 +82,13 @@ impl<S: Sample> Queue<S> {
     }
 }
 
-/// Hands all valid samples of a topic to `each`, and all that came to the books; returns how many were invalid.
+/// Hands all valid samples of a topic to `each`, and all that came to the books; returns how many were invalid. The scans
+/// of those that would have counted are `refused`.
 fn look<S: Sample>(
     observer: &Observer<S>,
+    directive: &Directive,
     books: &mut Books,
+    refused: &mut Vec<(u64, Rule)>,
     mut each: impl FnMut(&S),
 ) -> Result<u64, RuntimeError> {
     let now_ns = monotonic_ns();
@@ -92,7 +101,13 @@ fn look<S: Sample>(
         }
         match check {
             Ok(()) => each(sample),
-            Err(_) => invalid += 1,
+            Err(fault) => {
+                invalid += 1;
+                let Header { incarnation, scan_id, .. } = *sample.header();
+                if S::TOPIC.writer().is_some_and(|role| directive.accepts(role, incarnation, scan_id)) {
+                    refused.push((scan_id, fault.rule()));
+                }
+            }
         }
     })?;
     if came >= buffer(S::TOPIC) {
@@ -137,6 +152,7 @@ pub(crate) struct Samples {
     newest_scan: u64,
     answered_scan: u64,
     invalid: u64,
+    refused: Vec<(u64, Rule)>,
 }
 
 impl Samples {
@@ -158,6 +174,7 @@ impl Samples {
             newest_scan: 0,
             answered_scan: 0,
             invalid: 0,
+            refused: Vec::new(),
         })
     }
 
@@ -174,20 +191,21 @@ impl Samples {
 
     /// Takes what has come from the bus, and notes all of it in the books.
     pub(crate) fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<(), RuntimeError> {
-        self.invalid += self.truths.poll(directive, books)?;
-        self.invalid += look(&self.scans, books, |_| ())?;
-        self.invalid += look(&self.odometries, books, |_| ())?;
+        let Self { refused, .. } = self;
+        self.invalid += self.truths.poll(directive, books, refused)?;
+        self.invalid += look(&self.scans, directive, books, refused, |_| ())?;
+        self.invalid += look(&self.odometries, directive, books, refused, |_| ())?;
         // Against the stream: when an answer is there, so is all that it came from.
         let before = self.actuations.waiting.len();
-        self.invalid += self.actuations.poll(directive, books)?;
+        self.invalid += self.actuations.poll(directive, books, refused)?;
         self.actuations
             .waiting
             .iter()
             .skip(before)
             .for_each(|actuation| remember(&mut self.recent, actuation));
-        self.invalid += self.commands.poll(directive, books)?;
-        self.invalid += self.obstacles.poll(directive, books)?;
-        self.invalid += self.poses.poll(directive, books)?;
+        self.invalid += self.commands.poll(directive, books, refused)?;
+        self.invalid += self.obstacles.poll(directive, books, refused)?;
+        self.invalid += self.poses.poll(directive, books, refused)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }
@@ -202,6 +220,11 @@ impl Samples {
     /// The newest actuations without repetitions, oldest first.
     pub(crate) fn recent_actuations(&self) -> impl Iterator<Item = &Actuation> {
         self.recent.iter()
+    }
+
+    /// Scans of which a sample that would have counted was invalid since the last time, and the rule that it failed.
+    pub(crate) fn take_refused(&mut self) -> Vec<(u64, Rule)> {
+        std::mem::take(&mut self.refused)
     }
 
     /// The newest scan published.

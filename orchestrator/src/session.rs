@@ -178,7 +178,7 @@ impl Session {
             }
             self.handle(event)?;
         }
-        Ok(())
+        self.blame_writers()
     }
 
     /// On a machine that has too much to do a process may wait longer for a processor than one that hangs is given.
@@ -321,8 +321,10 @@ impl Session {
 
     fn decide(&mut self, outcome: Outcome, reason: &str) {
         if self.end == End::NotYet {
+            let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
+            let reason = if is_explained { reason.to_owned() } else { reason.to_owned() + &self.blame() };
             let patience = if self.lockstep { 0 } else { REST_PATIENCE_NS };
-            self.end = End::Resting(outcome, reason.to_owned(), monotonic_ns() + patience);
+            self.end = End::Resting(outcome, reason, monotonic_ns() + patience);
             self.directive.stop = 1;
             self.dirty = true;
         }
@@ -555,6 +557,7 @@ impl Session {
             scan: self.samples.newest_scan(),
             lockstep: self.lockstep,
             processes,
+            refused: self.books.refused().to_vec(),
         }
     }
 

@@ -19,6 +19,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     ));
     rows.push(("scans", scans(&report.scans)));
     rows.push(("samples", samples(&report.ledger)));
+    rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
     if !report.controller.status.is_empty() {
         rows.push(("solver", counts(report.controller.status.iter())));
     }
@@ -269,6 +270,26 @@ files           out/corridor
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }
+    }
+
+    #[test]
+    fn dropped_samples_are_said_with_their_writer_and_rule() {
+        let mut report = report();
+        report.ledger.refused = vec![crate::ledger::RefusedRow {
+            topic: "command".to_owned(),
+            writer: "controller".to_owned(),
+            incarnation: 2,
+            reader: "actuator".to_owned(),
+            rule: "outside_bounds".to_owned(),
+            field: "velocity_mps".to_owned(),
+            value: 1.5,
+            count: 44,
+            ..Default::default()
+        }];
+        let expected = "dropped         44 command of controller (incarnation 2) dropped by actuator: \
+                        outside bounds (velocity_mps = 1.5)\n";
+        let text = text(&report, None);
+        assert!(text.contains(expected), "{text}");
     }
 
     #[test]

@@ -51,7 +51,7 @@ pub use slot::{ProcessView, VisibleState};
 
 use policy::nanoseconds;
 use shared_types::{Phase, ProcessState, Role};
-use slot::{Alive, Ending, Life, Slot};
+use slot::{Alive, Ending, Life, Refused, Slot};
 
 /// A process in lock-step is called hung after this time at the earliest [ms].
 const LOCKSTEP_HANG_AFTER_MS: u64 = 5_000;
@@ -177,6 +177,9 @@ impl Supervisor {
                 }
             }
             Event::Starved { role, incarnation } => self.starved(now_ns, role, incarnation),
+            Event::Refused { role, incarnation, reader, words } => {
+                self.refused(now_ns, role, incarnation, Refused { reader, words }, &mut actions);
+            }
             Event::Exited { role, incarnation, exit } => {
                 self.exited(now_ns, role, incarnation, exit, &mut actions)
             }
@@ -279,6 +282,7 @@ impl Supervisor {
         let role = slot.policy.role;
         slot.restarts += u32::from(slot.incarnation != 0);
         slot.incarnation = incarnation;
+        slot.refused = None;
         slot.life = Life::Spawning;
         actions.push(Action::Grant { role, incarnation });
         actions.push(Action::Spawn { role, incarnation });
@@ -364,6 +368,7 @@ impl Supervisor {
             return;
         }
         slot.incarnation = incarnation;
+        slot.refused = None;
         if is_restart {
             slot.restarts += 1;
         } else {

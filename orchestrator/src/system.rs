@@ -11,6 +11,7 @@ use vehicle::{Invalid, require};
 use crate::exit::Failure;
 use crate::realtime;
 use crate::supervisor::{ProcessPolicy, Restart};
+use crate::user_file::{self, TEXT_BYTES};
 
 /// The built-in process table.
 pub(crate) const BUILT_IN: &str = include_str!("../systems/default.toml");
@@ -133,7 +134,7 @@ impl System {
             Some(path) => {
                 let name = path.display().to_string();
                 (
-                    std::fs::read_to_string(path)
+                    user_file::read(path, TEXT_BYTES)
                         .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?,
                     name,
                 )

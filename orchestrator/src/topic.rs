@@ -6,8 +6,8 @@ use std::time::Duration;
 use runtime::{Bus, Domain, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use shared_types::{
-    Actuation, Checkpoint, Command, Directive, Field, Heartbeat, Kind, Obstacles, Odometry, Pose, Role,
-    Sample, Scan, TOPICS, Topic, Truth,
+    Actuation, Checkpoint, Command, Directive, ENUMERATIONS, Field, Heartbeat, Kind, Obstacles, Odometry,
+    Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
 use crate::exit::Failure;
@@ -16,6 +16,9 @@ use crate::run::check_duration;
 
 /// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
 const LOOK_NS: u64 = 20_000_000;
+
+/// Arrays of bytes up to this length hold texts [bytes].
+const LONGEST_TEXT: usize = 64;
 
 /// The table of topics as text.
 pub(crate) fn list() -> String {
@@ -212,16 +215,36 @@ fn kind_name(kind: &Kind) -> String {
 fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
     let mut object = Map::new();
     for field in fields {
-        let long = matches!(field.kind, Kind::Array(_, length) if length > 16);
+        let long = matches!(field.kind, Kind::Array(_, length) if length > 16 && !is_text(&field.kind));
         if field.name != "reserved" && !(short && long) {
-            object.insert(field.name.to_owned(), decode(&field.kind, &bytes[field.offset..], short));
+            let (bytes, kind) = (&bytes[field.offset..], &field.kind);
+            let value = name_of(field, bytes).unwrap_or_else(|| decode(kind, bytes, short));
+            object.insert(field.name.to_owned(), value);
         }
     }
     Value::Object(object)
 }
 
+/// The name of a number of an enumeration, which the documentation of its field names; `None` for one without a meaning.
+fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
+    if field.kind != Kind::Scalar("u32") {
+        return None;
+    }
+    let mut quoted = field.doc.split('`').skip(1).step_by(2);
+    let enumeration = quoted.find_map(|name| ENUMERATIONS.iter().find(|known| known.name == name))?;
+    let number = bytemuck::pod_read_unaligned::<u32>(&bytes[..4]);
+    enumeration.values.iter().find(|value| value.number == number).map(|value| json!(value.name))
+}
+
+fn is_text(kind: &Kind) -> bool {
+    matches!(kind, Kind::Array(Kind::Scalar("u8"), ..=LONGEST_TEXT))
+}
+
 fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {
     match kind {
+        Kind::Array(_, length) if is_text(kind) => {
+            json!(String::from_utf8_lossy(&bytes[..*length]).trim_end_matches('\0'))
+        }
         Kind::Scalar(name) => scalar(name, bytes),
         Kind::Array(element, length) => {
             let size = element.size();
@@ -251,6 +274,41 @@ mod tests {
         for topic in TOPICS {
             let last = topic.fields().last().unwrap();
             assert_eq!(last.offset + last.kind.size(), topic.size(), "{topic}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_enumerations_have_names_and_unknown_ones_stay_numbers() {
+        let mut command = Command { kind: 1, reason: 8, level: 77, verified: 1, ..Command::default() };
+        let value = decode_struct(Command::FIELDS, bytemuck::bytes_of(&command), true);
+        assert_eq!((&value["kind"], &value["reason"]), (&json!("drive"), &json!("state_lost")));
+        assert_eq!((&value["level"], &value["verified"]), (&json!(77), &json!(1)));
+        command.kind = 2;
+        let value = decode_struct(Command::FIELDS, bytemuck::bytes_of(&command), true);
+        assert_eq!(value["kind"], json!("land"));
+        let mut heartbeat = Heartbeat { role: 4, state: 2, ..Heartbeat::default() };
+        heartbeat.refused[0].note(&command.header, &shared_types::Fault::NotVerified { value: 0 });
+        let value = decode_struct(Heartbeat::FIELDS, bytemuck::bytes_of(&heartbeat), true);
+        assert_eq!((&value["role"], &value["state"]), (&json!("actuator"), &json!("ready")));
+        let refused = &value["refused"][0];
+        assert_eq!((&refused["rule"], &refused["field"]), (&json!("not_verified"), &json!("verified")));
+    }
+
+    #[test]
+    fn every_enumeration_is_named_by_the_fields_that_hold_it() {
+        fn named(fields: &'static [Field], found: &mut Vec<&str>) {
+            for field in fields {
+                match &field.kind {
+                    Kind::Struct(_, inner) | Kind::Array(Kind::Struct(_, inner), _) => named(inner, found),
+                    _ if name_of(field, &[0; 4]).is_some() => found.extend(field.doc.split('`').nth(1)),
+                    _ => {}
+                }
+            }
+        }
+        let mut found = Vec::new();
+        TOPICS.iter().for_each(|topic| named(topic.fields(), &mut found));
+        for enumeration in ENUMERATIONS {
+            assert!(found.contains(&enumeration.name), "{}", enumeration.name);
         }
     }
 

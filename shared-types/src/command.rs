@@ -154,12 +154,13 @@ fn check(command: &Command) -> Result<(), Fault> {
     Level::try_from(command.level)?;
     SolveStatus::try_from(command.status)?;
     StopReason::try_from(command.reason)?;
-    finite("command", &[command.velocity_mps, command.steering_rad])?;
+    finite("velocity_mps", &[command.velocity_mps])?;
+    finite("steering_rad", &[command.steering_rad])?;
     if command.plan_length as usize > PLAN_NODES {
         return Err(Fault::OutOfRange { field: "plan_length", value: f64::from(command.plan_length) });
     }
     if kind == CommandKind::Drive && command.verified != 1 {
-        return Err(Fault::OutOfRange { field: "verified", value: f64::from(command.verified) });
+        return Err(Fault::NotVerified { value: command.verified });
     }
     Ok(())
 }
@@ -173,10 +174,10 @@ mod tests {
     fn a_drive_command_that_was_not_verified_is_refused() {
         let mut command = Command { kind: CommandKind::Drive.wire(), ..Command::default() };
         command.header.layout = Command::LAYOUT;
-        assert_eq!(command.check(), Err(Fault::OutOfRange { field: "verified", value: 0.0 }));
+        assert_eq!(command.check(), Err(Fault::NotVerified { value: 0 }));
         command.verified = 1;
         assert_eq!(command.check(), Ok(()));
         command.steering_rad = f64::INFINITY;
-        assert_eq!(command.check(), Err(Fault::NotFinite { field: "command" }));
+        assert_eq!(command.check(), Err(Fault::NotFinite { field: "steering_rad" }));
     }
 }

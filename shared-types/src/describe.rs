@@ -53,7 +53,7 @@ pub struct EnumerationValue {
 }
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 11] = [
+pub const ENUMERATIONS: [Enumeration; 12] = [
     crate::Role::ENUMERATION,
     crate::Phase::ENUMERATION,
     crate::ProcessState::ENUMERATION,
@@ -65,6 +65,7 @@ pub const ENUMERATIONS: [Enumeration; 11] = [
     crate::StopReason::ENUMERATION,
     crate::ActuationKind::ENUMERATION,
     crate::BlockReason::ENUMERATION,
+    crate::Rule::ENUMERATION,
 ];
 
 /// One field of a sample: its place and meaning.

@@ -1,4 +1,47 @@
-//! Why the content of a sample may not be used.
+//! Why a sample may not be used: what is wrong with it, and the rule that it failed.
+
+use crate::sample::wire_enum;
+
+wire_enum! {
+    /// The rule that a dropped or refused sample failed.
+    pub enum Rule {
+        /// None was failed.
+        None = 0 "none",
+        /// Its layout is that of this system.
+        Layout = 1 "foreign_layout",
+        /// Its numbers are finite.
+        NotFinite = 2 "not_finite",
+        /// Its numbers are within what the fields can mean.
+        OutOfRange = 3 "out_of_range",
+        /// Its enumerations hold known numbers.
+        UnknownValue = 4 "unknown_value",
+        /// A command to drive was verified.
+        NotVerified = 5 "not_verified",
+        /// A command to drive is within the hard limits of the actuator.
+        OutsideBounds = 6 "outside_bounds",
+        /// Its scan is young enough.
+        TooOld = 7 "too_old",
+        /// Its scan does not lie in the future.
+        FromTheFuture = 8 "from_the_future",
+        /// Its scan was not answered before.
+        AnsweredBefore = 9 "answered_before",
+    }
+}
+
+impl Rule {
+    /// Whether every reader drops a sample that fails it, whatever the time and the scans before.
+    pub const fn is_of_content(self) -> bool {
+        matches!(
+            self,
+            Self::Layout | Self::NotFinite | Self::OutOfRange | Self::UnknownValue | Self::NotVerified
+        )
+    }
+
+    /// Whether the writer of the sample is the one at fault; age and number may also be due to what came before it.
+    pub const fn is_of_writer(self) -> bool {
+        self.is_of_content() || matches!(self, Self::OutsideBounds)
+    }
+}
 
 /// What is wrong with a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,6 +72,69 @@ pub enum Fault {
         /// The layout in the sample.
         found: u32,
     },
+    /// A command to drive was not verified.
+    NotVerified {
+        /// The number found in `verified`.
+        value: u32,
+    },
+    /// A command to drive is outside the hard limits of its reader.
+    OutsideBounds {
+        /// Name of the field.
+        field: &'static str,
+        /// The value found.
+        value: f64,
+        /// The lowest value allowed.
+        lowest: f64,
+        /// The highest value allowed.
+        highest: f64,
+    },
+    /// The scan behind it is too old.
+    TooOld {
+        /// Its age [ms].
+        age_ms: f64,
+    },
+    /// The scan behind it lies in the future.
+    FromTheFuture {
+        /// By so much [ms].
+        ahead_ms: f64,
+    },
+    /// Its scan was answered before.
+    AnsweredBefore {
+        /// The newest scan answered.
+        newest: u64,
+    },
+}
+
+impl Fault {
+    /// The rule that the sample failed.
+    pub const fn rule(&self) -> Rule {
+        match self {
+            Self::NotFinite { .. } => Rule::NotFinite,
+            Self::OutOfRange { .. } => Rule::OutOfRange,
+            Self::UnknownValue { .. } => Rule::UnknownValue,
+            Self::Layout { .. } => Rule::Layout,
+            Self::NotVerified { .. } => Rule::NotVerified,
+            Self::OutsideBounds { .. } => Rule::OutsideBounds,
+            Self::TooOld { .. } => Rule::TooOld,
+            Self::FromTheFuture { .. } => Rule::FromTheFuture,
+            Self::AnsweredBefore { .. } => Rule::AnsweredBefore,
+        }
+    }
+
+    /// Name of the field at fault, and the value found; the value is 0 when it is not finite.
+    pub fn finding(&self) -> (&'static str, f64) {
+        let (field, value) = match *self {
+            Self::NotFinite { field } => (field, 0.0),
+            Self::OutOfRange { field, value } | Self::OutsideBounds { field, value, .. } => (field, value),
+            Self::UnknownValue { field, value } => (field, f64::from(value)),
+            Self::Layout { found, .. } => ("header.layout", f64::from(found)),
+            Self::NotVerified { value } => ("verified", f64::from(value)),
+            Self::TooOld { age_ms } => ("age_ms", age_ms),
+            Self::FromTheFuture { ahead_ms } => ("ahead_ms", ahead_ms),
+            Self::AnsweredBefore { newest } => ("header.scan_id", newest as f64),
+        };
+        (field, if value.is_finite() { value } else { 0.0 })
+    }
 }
 
 impl std::fmt::Display for Fault {
@@ -39,6 +145,19 @@ impl std::fmt::Display for Fault {
             Self::UnknownValue { field, value } => write!(formatter, "{field} = {value} is unknown"),
             Self::Layout { expected, found } => {
                 write!(formatter, "layout {found:#010x} where {expected:#010x} was expected")
+            }
+            Self::NotVerified { value } => {
+                write!(formatter, "not verified: verified = {value}, 1 is required of a command to drive")
+            }
+            Self::OutsideBounds { field, value, lowest, highest } => {
+                write!(formatter, "outside bounds: {field} = {value} is not within {lowest} to {highest}")
+            }
+            Self::TooOld { age_ms } => write!(formatter, "too old: its scan was taken {age_ms} ms ago"),
+            Self::FromTheFuture { ahead_ms } => {
+                write!(formatter, "from the future: its scan is {ahead_ms} ms ahead")
+            }
+            Self::AnsweredBefore { newest } => {
+                write!(formatter, "answered before: scan {newest} was answered already")
             }
         }
     }

@@ -1,7 +1,7 @@
 //! What processes tell the orchestrator, and what it tells them.
 
 use crate::sample::{layout, sample, wire_enum};
-use crate::{Fault, Header, InputAccount, PORTS, ROLES, Role};
+use crate::{Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role};
 
 wire_enum! {
     /// What the whole system is doing.
@@ -89,7 +89,7 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(944, Heartbeat, 0x8540_5b86, "scanloop.Heartbeat.v2", check_heartbeat) {
+    pub struct Heartbeat(1072, Heartbeat, 0xb0b8_4903, "scanloop.Heartbeat.v3", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
         /// Role of the process, `Role`
@@ -138,6 +138,8 @@ sample! {
         pub written: [u64; PORTS],
         /// What became of the samples per topic that the role reads, in the order of `Role::reads`
         pub inputs: [InputAccount; PORTS],
+        /// Samples dropped or refused for what stands in them, per topic that the role reads
+        pub refused: [Refusal; PORTS],
     }
 }
 

@@ -1,6 +1,8 @@
 //! Bad input ends with exit code 2 and one message that names file, key, value and what is allowed.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::os::unix::ffi::OsStrExt;
+
 use scanloop_tests::System;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -86,6 +88,84 @@ fn systems_and_options_are_checked() {
     refused(&system, &["status"], &["not running"]);
     refused(&system, &["stop"], &["not running"]);
     refused(&system, &["fly"], &["fly"]);
+}
+
+/// Runs a command below a limit of the shell; its exit code and message.
+fn limited(system: &System, limit: &str, arguments: &str) -> (Option<i32>, String) {
+    let id = system.id();
+    let script = format!("ulimit {limit}; exec {EXECUTABLE} --system-id {id} run --quiet {arguments}");
+    let mut shell = std::process::Command::new("bash");
+    let output = shell.args(["-c", &script]).current_dir(system.folder()).output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!message.contains("panicked") && !message.contains("overflow"), "{script}: {message}");
+    system.assert_nothing_left();
+    (output.status.code(), message)
+}
+
+#[test]
+fn limits_that_are_too_small_are_named_with_the_command_that_sets_them() {
+    let system = System::new(EXECUTABLE);
+    for (limit, value, command) in [
+        ("-n 16", "16", "`ulimit -n 256`"),
+        ("-n 32", "32", "`ulimit -n 256`"),
+        ("-n 128", "128", "`ulimit -n 256`"),
+        ("-s 64", "64", "`ulimit -s 1024`"),
+        ("-s 256", "256", "`ulimit -s 1024`"),
+    ] {
+        let (code, message) = limited(&system, limit, "");
+        assert_eq!(code, Some(4), "{limit}: {message}");
+        assert!(message.contains(value) && message.contains(command), "{limit}: {message}");
+    }
+    for limit in ["-Sn 32", "-Ss 64"] {
+        let (code, message) = limited(&system, limit, "--lockstep --duration 1");
+        assert_eq!(code, Some(1), "{limit} may be raised, and the run ends after its duration: {message}");
+    }
+}
+
+#[test]
+fn an_out_folder_that_is_no_utf8_is_refused_before_anything_is_made() {
+    let system = System::new(EXECUTABLE);
+    let folder = std::ffi::OsStr::from_bytes(b"out\xff");
+    for arguments in [["run", "--quiet", "--out"], ["run", "--lockstep", "--out"]] {
+        let output = system.command(&arguments).arg(folder).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains("--out") && message.contains("UTF-8"), "{message}");
+        assert!(!system.folder().join(folder).exists());
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn files_that_are_no_regular_files_or_too_large_are_refused() {
+    let system = System::new(EXECUTABLE);
+    let fifo = system.folder().join("fifo.toml");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    std::fs::write(system.folder().join("large.toml"), "#".repeat((1 << 20) + 1)).unwrap();
+    std::fs::write(system.folder().join("bytes.toml"), [0xff]).unwrap();
+    for (file, reason) in [
+        ("fifo.toml", "regular file"),
+        ("/dev/zero", "regular file"),
+        ("/dev/stdin", "regular file"),
+        (".", "regular file"),
+        ("large.toml", "1048576"),
+        ("bytes.toml", "UTF-8"),
+    ] {
+        for arguments in [
+            &["run", file][..],
+            &["check", file],
+            &["run", "--system", file],
+            &["check", "--system", file],
+            &["run", "--calibration", file],
+        ] {
+            refused(&system, arguments, &[file, reason]);
+        }
+    }
+    for command in
+        [&["bench", "compare", "fifo.toml", "fifo.toml"][..], &["calibrate", "velocity", "fifo.toml"]]
+    {
+        refused(&system, command, &["fifo.toml", "regular file"]);
+    }
 }
 
 #[test]

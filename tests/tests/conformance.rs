@@ -23,7 +23,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the odd one, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 52] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 53] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -63,6 +63,7 @@ const FAULTS: [(&str, &str, &str, &[&str]); 52] = [
     ("controller", "controller", "careless", &["obeys-alarm"]),
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
+    ("controller", "controller", "unverified", &["verified"]),
     ("actuator", "actuator", "clamps", &["limits"]),
     ("actuator", "actuator", "factor", &["sends-what-is-desired", "calibration"]),
     ("actuator", "actuator", "drives-on", &["obeys-stop"]),

@@ -178,6 +178,7 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
         .collect();
     assert_eq!(lines.len(), 2);
     assert!(lines[0]["header"]["scan_id"].as_u64() < lines[1]["header"]["scan_id"].as_u64());
+    assert_eq!((&lines[0]["suspect"], &lines[0]["alarm"]), (&"none".into(), &"none".into()));
 
     let latency: serde_json::Value =
         serde_json::from_slice(&system.run(&["latency", "--duration", "0.5", "--json"]).stdout).unwrap();

@@ -10,7 +10,7 @@ use std::rc::Rc;
 use bytemuck::{Pod, Zeroable};
 use runtime::{
     Bus, ClockKind, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Input, Observer, Output, Process,
-    RUN_ID_VARIABLE, RunSettings, RuntimeError, SETTINGS_FILE, SYSTEM_ID_VARIABLE, Voice,
+    RUN_ID_VARIABLE, RunSettings, RuntimeError, SYSTEM_ID_VARIABLE, Voice, settings_file,
 };
 use shared_types::{
     Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
@@ -254,7 +254,9 @@ impl System {
         let realtime = Realtime { poll_us: if policy == Policy::Poll { POLL_US } else { 0 } };
         let text = toml::to_string(&Settings { run, realtime })
             .map_err(|error| HopError::transport("write the settings", error))?;
-        domain.folder().write(SETTINGS_FILE, text.as_bytes()).map_err(error)?;
+        for role in Role::ALL {
+            domain.folder().write(&settings_file(*role), text.as_bytes()).map_err(error)?;
+        }
         let bus = create(&domain, payload).map_err(error)?;
         Ok(Self {
             directives: Voice::new(&bus).map_err(error)?,

@@ -22,6 +22,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use anyhow::Context;
+use runtime::Shutdown;
 use shared_types::Role;
 
 pub use self::arguments::{Compute, LatencyArguments};
@@ -55,9 +56,10 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         Some(out) => out_folder(out.clone())?,
         None => domain.directory().to_owned(),
     };
+    let shutdown = Shutdown::of_orchestrator()?;
     let manner =
         Manner { lockstep: false, duration_s: Some(arguments.duration), quiet: arguments.quiet, out: logs };
-    let mut session = start(&domain, &plan, manner, lock)?;
+    let mut session = start(&domain, &plan, manner, lock, shutdown)?;
     if arguments.payload.is_some() {
         for topic in echo::PAYLOAD_TOPICS {
             session.bus.create_blobs(topic)?;

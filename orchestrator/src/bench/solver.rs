@@ -30,6 +30,7 @@ use crate::bench::SolverArguments;
 use crate::exit::{Exit, Failure};
 use crate::output::{data, note};
 use crate::progress::Steps;
+use crate::user_file::{self, DATA_BYTES};
 
 /// The number of intervals that peers are compared with.
 const PEER_INTERVALS: usize = 6;
@@ -113,7 +114,7 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
 
 fn read(file: Option<&Path>) -> anyhow::Result<Vec<Case>> {
     let Some(file) = file else { return Ok(cases::parse(SHIPPED)?) };
-    let text = std::fs::read_to_string(file)
+    let text = user_file::read(file, DATA_BYTES)
         .map_err(|error| Failure::bad_input(format!("--cases {}: {error}", file.display())))?;
     cases::parse(&text).map_err(|error| Failure::bad_input(format!("{}: {error}", file.display())))
 }

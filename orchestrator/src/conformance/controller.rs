@@ -20,7 +20,7 @@ const IN_FRONT_M: f64 = 0.8;
 const ROUNDING: f64 = 1e-6;
 
 /// The cases of controllers alone.
-pub(crate) const CASES: [Case; 8] = [
+pub(crate) const CASES: [Case; 9] = [
     Case {
         name: "drives",
         level: Level::Required,
@@ -60,6 +60,14 @@ pub(crate) const CASES: [Case; 8] = [
         why: "Pose and obstacles contradict each other.",
         tries: LIVE,
         play: obstacle_inside,
+    },
+    Case {
+        name: "verified",
+        level: Level::Required,
+        requirement: "A drive command says `verified` = 1, and says so only of a plan that keeps bounds, obstacles and model.",
+        why: "The actuator drops any other drive command, and the wheels are blocked.",
+        tries: LIVE,
+        play: verified,
     },
     Case {
         name: "obeys-alarm",
@@ -110,6 +118,22 @@ fn drives(suite: &Suite) -> Verdict {
     let driven = count_drives(&stand.rounds(SCANS)?)?;
     require(driven * 10 >= SCANS * 9, || format!("{driven} of {SCANS} commands drive"))?;
     Ok(format!("{driven} of {SCANS} commands drive"))
+}
+
+fn verified(suite: &Suite) -> Verdict {
+    let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
+    let mut driven = 0;
+    for heard in stand.rounds(SCANS)? {
+        let command = command(&heard.message)?;
+        if command.kind == CommandKind::Drive.wire() {
+            require(command.verified == 1, || {
+                format!("scan {}: `verified` is {}", command.header.scan_id, command.verified)
+            })?;
+            driven += 1;
+        }
+    }
+    require(driven > 0, || "it never drove".to_owned())?;
+    Ok(format!("{driven} drive commands"))
 }
 
 fn stops_before_a_barrier(suite: &Suite) -> Verdict {

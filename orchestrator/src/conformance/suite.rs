@@ -5,14 +5,14 @@ use std::ffi::OsString;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use runtime::{ClockKind, Domain, Realtime, RunSettings, SETTINGS_FILE, Shutdown};
+use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
 use shared_types::Role;
 
 use super::case::Trouble;
 use super::drive::{Course, Drive};
 use super::stand::Stand;
 use crate::lock::{SystemLock, clear};
-use crate::run::SettingsFile;
+use crate::settings;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -82,23 +82,14 @@ impl Suite {
 
 /// Writes the settings that a candidate finds.
 pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
-    let settings = &drive.settings;
-    let tuning = settings.tuning.clone().for_scenario(&settings.scenario);
-    let file = SettingsFile {
-        run: RunSettings {
-            period_ns: settings.period_ns,
-            clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_stop_ns: setup.orphan_ns,
-            orphan_timeout_ns: setup.orphan_ns,
-        },
-        realtime: &Realtime::default(),
-        scenario: &settings.scenario,
-        estimator: &tuning.estimator,
-        obstacles: &tuning.obstacles,
-        controller: &tuning.controller,
-        actuator: &tuning.actuator,
+    let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
+    let run = RunSettings {
+        period_ns: *period_ns,
+        clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+        orphan_stop_ns: setup.orphan_ns,
+        orphan_timeout_ns: setup.orphan_ns,
     };
-    Ok(domain.folder().write(SETTINGS_FILE, toml::to_string(&file)?.as_bytes())?)
+    settings::write(domain, &run, &Realtime::default(), scenario, &tuning.clone().for_scenario(scenario))
 }
 
 /// Removes what suites that were killed have left: systems that are named after a process which is gone.

@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
 
 use super::fault::{Fault, Kind};
+use super::refused::{NewRefusal, Refused, RefusedRow};
 use super::sweep::{Lack, Sweep};
 use super::topic::{TopicLedger, Word};
 use super::{NOT_OBSERVED, PATIENCE_NS, ROBOT_HELD_UP};
@@ -49,6 +50,7 @@ pub struct Books {
     faults: Vec<Fault>,
     reported: usize,
     counts: Counts,
+    refused: Refused,
     closings: u64,
 }
 
@@ -98,6 +100,7 @@ impl Books {
             faults: Vec::new(),
             reported: 0,
             counts: Counts::default(),
+            refused: Refused::default(),
             closings: 0,
         }
     }
@@ -165,6 +168,7 @@ impl Books {
             return;
         };
         let midway = self.midway;
+        self.refused.hear(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
         let worker = self.workers.entry(incarnation).or_insert_with(|| Worker {
             told: if midway { Worker::debt(heartbeat) } else { (0, 0) },
             ..Worker::default()
@@ -191,9 +195,10 @@ impl Books {
     fn hear_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
-            if let Some(ledger) = self.topics.get_mut(topic)
-                && heartbeat.looked_ns > 0
-            {
+            let Some(ledger) = self.topics.get_mut(topic) else { continue };
+            if heartbeat.looked_ns == 0 {
+                ledger.heard_silent(incarnation, role);
+            } else {
                 let looked_ns = heartbeat.looked_ns;
                 let midway = self.midway;
                 ledger.heard(Word {
@@ -238,6 +243,16 @@ impl Books {
         self.counts.residual > 0
     }
 
+    /// What readers dropped or refused for what stands in it since the last time.
+    pub fn new_refusals(&mut self) -> Vec<NewRefusal> {
+        self.refused.take_news()
+    }
+
+    /// Samples that readers dropped or refused for what stands in them.
+    pub fn refused(&self) -> &[RefusedRow] {
+        self.refused.rows()
+    }
+
     /// Scans that nothing needs to be known of, since the last time, each with the reason.
     pub fn excused(&mut self) -> Vec<(u64, &'static str)> {
         std::mem::take(&mut self.excused)
@@ -253,6 +268,7 @@ impl Books {
             reordered: self.counts.reordered,
             unobserved: self.topics.values().map(TopicLedger::unobserved).sum(),
             topics: loop_topics.flat_map(|(_, ledger)| ledger.rows()).collect(),
+            refused: self.refused.rows().to_vec(),
             faults: self.faults.clone(),
         }
     }

@@ -30,6 +30,8 @@ pub struct TopicLedger {
     capacity: u64,
     streams: BTreeMap<u32, Stream>,
     readers: BTreeMap<u32, Reader>,
+    /// Processes that read the topic and send no accounts.
+    silent: BTreeMap<u32, SilentReader>,
     before_ns: u64,
     now_ns: u64,
 }
@@ -50,6 +52,13 @@ struct Reader {
     spans: BTreeMap<u32, Span>,
     /// First spans that do not begin with 1, and too short for the buffer to have been full before.
     begun: Vec<Span>,
+    end: Option<ReaderEnd>,
+}
+
+/// A process that says nothing of its samples: what was published while it lived was for it.
+#[derive(Debug, Clone)]
+struct SilentReader {
+    role: Role,
     end: Option<ReaderEnd>,
 }
 
@@ -83,7 +92,15 @@ impl TopicLedger {
     /// An account that is empty; `capacity` samples of a writer can wait at a reader.
     pub fn new(topic: Topic, capacity: usize) -> Self {
         let capacity = capacity as u64;
-        Self { topic, capacity, streams: BTreeMap::new(), readers: BTreeMap::new(), before_ns: 0, now_ns: 0 }
+        Self {
+            topic,
+            capacity,
+            streams: BTreeMap::new(),
+            readers: BTreeMap::new(),
+            silent: BTreeMap::new(),
+            before_ns: 0,
+            now_ns: 0,
+        }
     }
 
     /// When the topic was last looked at [ns].
@@ -132,6 +149,7 @@ impl TopicLedger {
     /// A reader said what became of its samples.
     pub fn heard(&mut self, word: Word<'_>) {
         let Word { incarnation, role, from_start, midway, connected_ns, looked_ns, account } = word;
+        self.silent.remove(&incarnation);
         let reader = self.readers.entry(incarnation).or_insert_with(|| Reader {
             role,
             from_start,
@@ -160,14 +178,22 @@ impl TopicLedger {
         }
     }
 
+    /// A process reads the topic and sends no accounts.
+    pub fn heard_silent(&mut self, incarnation: u32, role: Role) {
+        self.silent.entry(incarnation).or_insert(SilentReader { role, end: None });
+    }
+
     /// A process ended, as writer or as reader; `is_death` when it was not asked to.
     pub fn ended(&mut self, incarnation: u32, now_ns: u64, is_death: bool) {
         if let Some(stream) = self.streams.get_mut(&incarnation) {
             stream.ended(now_ns, is_death);
         }
         let newest = self.streams.iter().map(|(writer, stream)| (*writer, stream.newest())).collect();
-        if let Some(reader) = self.readers.get_mut(&incarnation) {
-            reader.end.get_or_insert(ReaderEnd { newest, is_death });
+        let end = ReaderEnd { newest, is_death };
+        if let Some(reader) = self.silent.get_mut(&incarnation) {
+            reader.end.get_or_insert(end);
+        } else if let Some(reader) = self.readers.get_mut(&incarnation) {
+            reader.end.get_or_insert(end);
         }
     }
 
@@ -205,7 +231,7 @@ impl TopicLedger {
             ..LedgerRow::default()
         };
         let mut covered: BTreeMap<u32, u64> = BTreeMap::new();
-        for reader in self.readers.values().filter(|reader| reader.role == role) {
+        for (&incarnation, reader) in self.readers.iter().filter(|(_, reader)| reader.role == role) {
             let account = &reader.account;
             row.published += reader.spans.values().map(Span::count).sum::<u64>();
             row.used += account.used;
@@ -217,6 +243,7 @@ impl TopicLedger {
                 let span = reader.spans.get(&writer);
                 // What a reader that died had not heard of, its successor may have missed too.
                 if let (Some(span), Some(end)) = (span, covered.get(&writer)) {
+                    let end = self.silent_until(role, incarnation, writer).max(*end);
                     let gap = span.first.saturating_sub(end + 1);
                     (row.published, row.lost) = (row.published + gap, row.lost + gap);
                 }
@@ -234,6 +261,18 @@ impl TopicLedger {
         }
         row.residual = row.published.saturating_sub(row.used + row.replaced + row.lost + row.in_flight);
         row
+    }
+}
+
+impl TopicLedger {
+    /// The largest number of a writer that was for a reader without accounts which came before `incarnation`.
+    fn silent_until(&self, role: Role, incarnation: u32, writer: u32) -> u64 {
+        let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
+        let newest = before.map(|(_, reader)| match &reader.end {
+            Some(end) => end.newest.get(&writer).copied().unwrap_or(0),
+            None => self.streams.get(&writer).map_or(0, Stream::newest),
+        });
+        newest.max().unwrap_or(0)
     }
 }
 
@@ -341,6 +380,30 @@ mod tests {
 
     fn named(faults: &[Fault]) -> Vec<(Kind, u64, u64)> {
         faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
+    }
+
+    #[test]
+    fn what_a_reader_without_accounts_had_between_two_others_is_not_lost() {
+        for (is_heard, lost) in [(true, 0), (false, 20)] {
+            let mut ledger = TopicLedger::new(Topic::Pose, 16);
+            ledger.look(5);
+            let mut account = InputAccount { used: 4, arrived: 4, ..InputAccount::default() };
+            (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+            account.writers[0] = span(1, 4);
+            ledger.heard(word(&account, 5));
+            if is_heard {
+                ledger.heard_silent(5, Role::Obstacles);
+            }
+            ledger.ended(READER, 6, true);
+            (5..=24).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+            ledger.ended(5, 7, true);
+            (25..=28).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
+            account.writers[0] = span(25, 28);
+            ledger.heard(Word { incarnation: 7, from_start: false, ..word(&account, 8) });
+            let rows = ledger.rows();
+            let row = rows.first().unwrap();
+            assert_eq!((row.lost, row.used, row.residual), (lost, 8, 0), "{row:?}");
+        }
     }
 
     #[test]

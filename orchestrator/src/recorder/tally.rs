@@ -71,7 +71,9 @@ impl Tally {
     /// Counts a command.
     pub(super) fn command(&mut self, command: &Command) {
         let status = SolveStatus::try_from(command.status);
-        count(&mut self.status, status.map_or("unknown", SolveStatus::name));
+        if status != Ok(SolveStatus::NotSolved) {
+            count(&mut self.status, status.map_or("unknown", SolveStatus::name));
+        }
         count(&mut self.level, Level::try_from(command.level).map_or("unknown", Level::name));
         match StopReason::try_from(command.reason) {
             Ok(StopReason::None) => {}
@@ -159,7 +161,7 @@ mod tests {
         tally.command(&Command { status: 99, ..Command::default() });
         let controller = tally.controller();
         assert_eq!(controller.status["converged"], 2);
-        assert_eq!((controller.status["not_solved"], controller.status["unknown"]), (1, 1));
+        assert_eq!((controller.status.get("not_solved"), controller.status["unknown"]), (None, 1));
         assert_eq!((controller.level["converged"], controller.level["stop"]), (2, 2));
         assert_eq!(controller.solve_us.max, 4000.0);
         assert_eq!(tally.stops(), BTreeMap::from([("blocked".to_owned(), 1)]));

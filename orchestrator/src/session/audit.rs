@@ -4,15 +4,22 @@
 //! long before the loop would be given up.
 
 use runtime::monotonic_ns;
-use shared_types::Phase;
+use shared_types::{Phase, Rule};
 
 use super::{End, Session};
+use crate::ledger::RefusedRow;
 use crate::report::Outcome;
+use crate::supervisor::Event;
 
 /// Time between two closings, of this computer and of the drive [ns].
 const CLOSING_NS: u64 = 1_000_000_000;
 /// Time between two closings when a lock-step stands still [ns].
 const STANDSTILL_NS: u64 = 100_000_000;
+
+/// Samples dropped this long before the end of a run have to do with it: heartbeats come ten times a second.
+const LATELY_NS: u64 = 500_000_000;
+/// The same in scans, for slow ones.
+const LATELY_SCANS: u64 = 5;
 
 impl Session {
     /// Closes the books when it is time to; ends a lock-step that can't go on.
@@ -32,6 +39,45 @@ impl Session {
             let fault = self.books.report().faults.last().map_or_else(String::new, ToString::to_string);
             self.decide(Outcome::Failed, &format!("the loop stands still: {fault}"));
         }
+    }
+
+    /// Says whose samples were dropped or refused, and tells the supervisor, so that it does not blame the reader.
+    pub(super) fn blame_writers(&mut self) -> anyhow::Result<()> {
+        for (scan_id, rule) in self.samples.take_refused() {
+            self.recorder.sample_refused(scan_id, rule);
+        }
+        for refusal in self.books.new_refusals() {
+            let RefusedRow { topic, incarnation, reader, newest_scan, .. } = &refusal.row;
+            let (role, incarnation) = (refusal.writer, *incarnation);
+            let words = format!(
+                "its {topic} for scan {newest_scan} was dropped by {reader}: {}",
+                refusal.row.fault()
+            );
+            if refusal.is_first && refusal.rule.is_of_writer() && self.end == End::NotYet {
+                let is_current =
+                    self.supervisor.process(role).is_some_and(|view| view.incarnation == incarnation);
+                let name =
+                    if is_current { self.fleet.label(role) } else { format!("incarnation {incarnation}") };
+                self.progress.warn(&format!("{role} ({name}): {words}"));
+            }
+            if refusal.rule.is_of_content() {
+                self.handle(Event::Refused { role, incarnation, reader: refusal.reader, words })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What was dropped or refused lately, in words that follow the reason for the end of a run.
+    pub(super) fn blame(&self) -> String {
+        let lately = LATELY_SCANS + LATELY_NS / self.period_ns.max(1);
+        let newest = self.samples.newest_scan();
+        let of_writer = |name: &str| Rule::ALL.iter().any(|rule| rule.name() == name && rule.is_of_writer());
+        let rows = self
+            .books
+            .refused()
+            .iter()
+            .filter(|row| row.newest_scan.saturating_add(lately) >= newest && of_writer(&row.rule));
+        rows.map(|row| format!("; {row}")).collect()
     }
 
     /// Closes the books, and says what was found.

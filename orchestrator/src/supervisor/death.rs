@@ -74,9 +74,15 @@ impl Supervisor {
             Some(Ending::Hung) => format!("made no progress for {} ms", slot.policy.hang_after_ms),
             Some(Ending::StartTimeout) => format!("did not start within {} ms", slot.policy.start_timeout_ms),
             Some(Ending::NoOutput) => format!("had no output within {} ms", slot.policy.start_timeout_ms),
+            Some(Ending::Refused) => {
+                let words = slot.refused.as_ref().map_or("", |refused| refused.words.as_str());
+                format!("had no valid output within {} ms: {words}", slot.policy.start_timeout_ms)
+            }
             _ if exit.is_success() => format!("ended by itself with {exit}"),
             _ => exit.to_string(),
         };
+        // Outputs that nobody can use are none.
+        let ready_ns = ready_ns.filter(|_| ending != Some(Ending::Refused));
         let limit = slot.count_death(now_ns, ready_ns);
         let is_final = match slot.policy.effective_restart() {
             Restart::Never => true,
@@ -115,11 +121,14 @@ impl Supervisor {
         if let Some(slot) = self.slot(role) {
             slot.life = Life::Failed;
         }
-        self.end_run(now_ns, role, reason, actions);
+        self.end_failed(now_ns, role, reason, actions);
     }
 
-    /// Ends the run because of the process of a role, which may live.
-    pub(super) fn end_run(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
+    /// Ends the run because of a process that lives or has died.
+    pub(super) fn end_failed(&mut self, now_ns: u64, role: Role, reason: String, actions: &mut Vec<Action>) {
+        if let Some(slot) = self.slot(role) {
+            slot.is_at_fault = true;
+        }
         actions.push(Action::Log(Severity::Error, format!("{role} {reason}: the run ends")));
         actions.push(Action::RunFailed { role, reason: reason.clone() });
         self.failure = Some((role, reason));

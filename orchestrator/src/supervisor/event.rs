@@ -59,6 +59,17 @@ pub enum Event {
         /// Its incarnation.
         incarnation: u32,
     },
+    /// A reader dropped samples of a process for what stands in them.
+    Refused {
+        /// Role of the process that wrote them.
+        role: Role,
+        /// Its incarnation.
+        incarnation: u32,
+        /// Role of the reader.
+        reader: Role,
+        /// Which sample it was, and what is wrong with it.
+        words: String,
+    },
     /// A process of [`super::Supervisor::suspects`] has work to do and does not get a processor.
     Starved {
         /// Its role.

@@ -140,6 +140,8 @@ pub(super) enum Ending {
     StartTimeout,
     /// It had all it reads, and no output in time.
     NoOutput,
+    /// Its outputs were dropped, and a reader had none that it could use in time.
+    Refused,
 }
 
 /// A limit that a death has reached.
@@ -166,6 +168,19 @@ pub(super) struct Slot {
     /// Times of the deaths after readiness within the window [ns].
     pub(super) deaths: VecDeque<u64>,
     pub(super) last_exit: Option<String>,
+    /// Its outputs are dropped by a reader that has had none that it could use.
+    pub(super) refused: Option<Refused>,
+    /// The run ends because of it.
+    pub(super) is_at_fault: bool,
+}
+
+/// Outputs of a process that were dropped.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Refused {
+    /// Who dropped them.
+    pub(super) reader: Role,
+    /// The newest of them, and what is wrong with it.
+    pub(super) words: String,
 }
 
 impl Slot {
@@ -179,6 +194,8 @@ impl Slot {
             failed_starts: 0,
             deaths: VecDeque::new(),
             last_exit: None,
+            refused: None,
+            is_at_fault: false,
         }
     }
 
@@ -259,6 +276,7 @@ impl Slot {
 
     pub(super) fn view(&self) -> ProcessView {
         let (state, pid) = match self.life {
+            Life::Stopped if self.is_at_fault => (VisibleState::Failed, None),
             Life::Idle | Life::Stopped => (VisibleState::Stopped, None),
             Life::Spawning => (VisibleState::Starting, None),
             Life::CleaningUp { .. } | Life::Waiting { .. } => (VisibleState::Backoff, None),

@@ -3,7 +3,7 @@
 use shared_types::{Phase, ProcessState, ROLES, Role, Topic};
 
 use super::policy::nanoseconds;
-use super::slot::{Ending, Life};
+use super::slot::{Ending, Life, Refused};
 use super::{Action, Supervisor, warn};
 
 /// A kill is repeated at most this often [ms]: one that had no effect is worth a line in the log, not a flood.
@@ -31,6 +31,7 @@ impl Supervisor {
                     } else if due(alive.start_deadline_ns) {
                         let connected = alive.reached >= Some(ProcessState::Connected);
                         let (ending, what) = match connected {
+                            true if slot.refused.is_some() => (Ending::Refused, "had no valid output"),
                             true => (Ending::NoOutput, "had no output"),
                             false => (Ending::StartTimeout, "did not start"),
                         };
@@ -57,31 +58,61 @@ impl Supervisor {
         if let Some(limit) = hung_robot_ms.filter(|_| self.failure.is_none()) {
             let reason =
                 format!("made no progress for {limit} ms; it is not killed, because it may be moving");
-            self.end_run(now_ns, Role::Robot, reason, actions);
+            self.end_failed(now_ns, Role::Robot, reason, actions);
         }
     }
 
-    /// Starts the clock for the first output of who has all it reads, and stops it for who has not: a process
-    /// without inputs has nothing to say.
+    /// Starts the clock for the first output of a process that has all it reads, and stops it for one that has not: a
+    /// process without inputs has no output. Inputs that it had to drop are none; then the clock of their writer runs.
     pub(super) fn watch_first_outputs(&mut self, now_ns: u64) {
         if self.phase != Phase::Driving || self.is_ending() {
             return;
         }
-        let mut missing = [false; ROLES];
-        self.slots.iter().for_each(|slot| missing[slot.policy.role.index()] = !slot.is_ready());
+        let mut ready = [false; ROLES];
+        self.slots.iter().for_each(|slot| ready[slot.policy.role.index()] = slot.is_ready());
+        let mut supplies = ready;
+        for slot in &mut self.slots {
+            // The reader has had one that it could use.
+            slot.refused.take_if(|refused| ready[refused.reader.index()]);
+            supplies[slot.policy.role.index()] &= slot.refused.is_none();
+        }
         for slot in &mut self.slots {
             let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
-            let served = feeders(slot.policy.role).all(|feeder| !missing[feeder.index()]);
+            let is_due = match slot.is_ready() {
+                true => slot.refused.is_some(),
+                false => feeders(slot.policy.role).all(|feeder| supplies[feeder.index()]),
+            };
             if let Life::Alive(alive) = &mut slot.life
                 && alive.ending.is_none()
-                && alive.reached == Some(ProcessState::Connected)
+                && alive.reached >= Some(ProcessState::Connected)
             {
-                match served {
+                match is_due {
                     true => _ = alive.start_deadline_ns.get_or_insert(deadline_ns),
                     false => alive.start_deadline_ns = None,
                 }
             }
         }
+    }
+
+    /// In lock-step a sample that was dropped stops the loop: the run ends because of its writer. In real time the
+    /// writer is given time for one that can be used.
+    pub(super) fn refused(
+        &mut self,
+        now_ns: u64,
+        role: Role,
+        incarnation: u32,
+        refused: Refused,
+        actions: &mut Vec<Action>,
+    ) {
+        let (is_ending, lockstep) = (self.is_ending(), self.lockstep);
+        let Some(slot) = self.slot(role) else { return };
+        if is_ending || slot.alive(incarnation).is_none() {
+            return;
+        }
+        if lockstep {
+            return self.end_failed(now_ns, role, refused.words, actions);
+        }
+        slot.refused = Some(refused);
     }
 
     /// Time in which the caller was stopped is nobody's silence: processes may have been stopped with it.

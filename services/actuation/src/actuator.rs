@@ -14,11 +14,11 @@
 //! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. Where a clock jumps ahead the wheels
 //! are blocked for silence, where it jumps back commands seem to come from the future and are refused.
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Command, Header, StopReason, YOUNG_NS};
+use shared_types::{Actuation, ActuationKind, BlockReason, Command, Fault, Header, StopReason, YOUNG_NS};
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
-use crate::verdict::{Wish, judge};
+use crate::verdict::{Wish, block_reason, judge};
 use crate::{ActuatorState, Config};
 
 /// Decides what is sent to the robot.
@@ -30,6 +30,10 @@ pub struct Actuator {
     timeout_ns: u64,
     max_age_ns: u64,
     state: ActuatorState,
+    /// Why the last command was refused, if it was.
+    refusal: Option<Fault>,
+    /// Commands were dropped on their way here since the last valid one.
+    dropped: bool,
 }
 
 impl Actuator {
@@ -50,6 +54,8 @@ impl Actuator {
             period_ns,
             config,
             state: ActuatorState::default(),
+            refusal: None,
+            dropped: false,
         })
     }
 
@@ -64,23 +70,24 @@ impl Actuator {
         self.state.told_ns = now_ns;
         self.state.awake = 1;
 
-        let from_future = command.header.acquired_ns > now_ns.saturating_add(self.period_ns);
-        let answered_before = command.header.scan_id <= self.state.header.scan_id;
-        if from_future || answered_before {
-            self.refuse();
-            let reason = if from_future { BlockReason::InvalidCommand } else { BlockReason::StaleCommand };
-            return self.block(reason, 0, StopReason::None.wire());
+        self.refusal = None;
+        if let Some(fault) = self.disbelieved(&command.header, now_ns) {
+            self.refuse(fault);
+            return self.block(block_reason(&fault), 0, StopReason::None.wire());
         }
 
         self.state.header = command.header.answer();
         let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None).wire();
-        let stale = now_ns.saturating_sub(command.header.acquired_ns) > self.max_age_ns;
-        let verdict =
-            if stale { Err(BlockReason::StaleCommand) } else { judge(command, &self.config.bounds) };
+        let age_ns = now_ns.saturating_sub(command.header.acquired_ns);
+        let verdict = if age_ns > self.max_age_ns {
+            Err(Fault::TooOld { age_ms: milliseconds(age_ns) })
+        } else {
+            judge(command, &self.config.bounds)
+        };
         match verdict {
-            Err(reason) => {
-                self.refuse();
-                self.block(reason, 1, stop_reason)
+            Err(fault) => {
+                self.refuse(fault);
+                self.block(block_reason(&fault), 1, stop_reason)
             }
             Ok(wish) => {
                 self.accept(now_ns);
@@ -93,6 +100,16 @@ impl Actuator {
                 }
             }
         }
+    }
+
+    /// The rule that the last command failed, if it was refused.
+    pub fn refusal(&self) -> Option<&Fault> {
+        self.refusal.as_ref()
+    }
+
+    /// Notes that commands were dropped on their way here: they are the reason of the silence that follows.
+    pub fn note_dropped(&mut self) {
+        self.dropped = true;
     }
 
     /// A block that the actuator decides by itself, when there has been no valid command for
@@ -110,11 +127,13 @@ impl Actuator {
         if !silent {
             return None;
         }
-        let reason = if self.state.commanded == 1 {
+        if self.state.commanded == 1 {
             self.fall_silent();
-            BlockReason::NoCommand
-        } else {
-            BlockReason::Start
+        }
+        let reason = match self.state.commanded {
+            _ if self.dropped => BlockReason::InvalidCommand,
+            1 => BlockReason::NoCommand,
+            _ => BlockReason::Start,
         };
         if now_ns.saturating_sub(self.state.told_ns) < self.period_ns {
             return None;
@@ -174,13 +193,24 @@ impl Actuator {
         self.state.streak = 0;
     }
 
-    fn refuse(&mut self) {
+    /// Why the header of a command is not to be believed.
+    fn disbelieved(&self, header: &Header, now_ns: u64) -> Option<Fault> {
+        if header.acquired_ns > now_ns.saturating_add(self.period_ns) {
+            return Some(Fault::FromTheFuture { ahead_ms: milliseconds(header.acquired_ns - now_ns) });
+        }
+        let newest = self.state.header.scan_id;
+        (header.scan_id <= newest).then_some(Fault::AnsweredBefore { newest })
+    }
+
+    fn refuse(&mut self, fault: Fault) {
+        self.refusal = Some(fault);
         self.state.refused += 1;
         self.state.streak = 0;
     }
 
     fn accept(&mut self, now_ns: u64) {
         let is_apart = now_ns.saturating_sub(self.state.valid_ns) >= self.period_ns / 2;
+        self.dropped = false;
         self.state.commanded = 1;
         self.state.valid_ns = now_ns;
         if is_apart || self.state.streak == 0 {
@@ -231,6 +261,10 @@ impl Actuator {
             refused: self.state.refused,
         }
     }
+}
+
+fn milliseconds(time_ns: u64) -> f64 {
+    time_ns as f64 * 1e-6
 }
 
 #[cfg(test)]

@@ -29,6 +29,7 @@ pub fn run() -> anyhow::Result<()> {
     }
     // The watch is looked at ten times a period, so it is late by a tenth at most.
     let look_ns = process.period_ns() / 10;
+    let mut dropped = 0;
     while process.wait(Some(process.clock().now_ns() + look_ns))? {
         let stop = process.directive().stop == 1;
         if stop && !actuator.is_stopped() {
@@ -36,8 +37,15 @@ pub fn run() -> anyhow::Result<()> {
         } else if !stop && actuator.is_stopped() {
             actuator.release();
         }
+        if commands.dropped() > dropped {
+            dropped = commands.dropped();
+            actuator.note_dropped();
+        }
         while let Some(command) = commands.take() {
             let mut actuation = actuator.answer(&command, process.clock().now_ns());
+            if let Some(fault) = actuator.refusal() {
+                commands.refuse(&command, fault);
+            }
             actuations.publish(&mut actuation)?;
             process.save(&actuation.header, &actuator.state())?;
         }

@@ -1,6 +1,6 @@
 //! Whether one command may move the wheels.
 
-use shared_types::{BlockReason, Command, CommandKind, Level, SolveStatus, StopReason};
+use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveStatus, StopReason};
 use vehicle::{Bounds, Control};
 
 /// How far desired values may be outside their hard limits [m/s, rad]: the rounding of a solver, no more.
@@ -15,24 +15,46 @@ pub(crate) enum Wish {
     Block(BlockReason),
 }
 
-/// What a command asks for, judged by its content alone, or `InvalidCommand`.
+/// What a command asks for, judged by its content alone, or the rule that it fails.
 ///
 /// A command to stop or land needs no verification and no limits, but its numbers must be numbers: where they are
 /// not, its producer is broken, and the wheels are blocked for that reason.
-pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, BlockReason> {
-    let known = Level::try_from(command.level).is_ok()
-        && SolveStatus::try_from(command.status).is_ok()
-        && StopReason::try_from(command.reason).is_ok();
+pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
+    let kind = CommandKind::try_from(command.kind)?;
+    Level::try_from(command.level)?;
+    SolveStatus::try_from(command.status)?;
+    StopReason::try_from(command.reason)?;
     let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
-    match CommandKind::try_from(command.kind) {
-        Ok(kind) if known && desired.is_finite() => match kind {
-            CommandKind::Stop => Ok(Wish::Block(BlockReason::Commanded)),
-            CommandKind::Land => Ok(Wish::Block(BlockReason::Landed)),
-            CommandKind::Drive if command.verified == 1 && bounds.contains(desired, TOLERANCE) => {
-                Ok(Wish::Drive(bounds.clamp(desired)))
-            }
-            CommandKind::Drive => Err(BlockReason::InvalidCommand),
-        },
-        _ => Err(BlockReason::InvalidCommand),
+    for (field, value) in [("velocity_mps", desired.velocity), ("steering_rad", desired.steering)] {
+        if !value.is_finite() {
+            return Err(Fault::NotFinite { field });
+        }
+    }
+    match kind {
+        CommandKind::Stop => Ok(Wish::Block(BlockReason::Commanded)),
+        CommandKind::Land => Ok(Wish::Block(BlockReason::Landed)),
+        CommandKind::Drive if command.verified != 1 => Err(Fault::NotVerified { value: command.verified }),
+        CommandKind::Drive if bounds.contains(desired, TOLERANCE) => Ok(Wish::Drive(bounds.clamp(desired))),
+        CommandKind::Drive => Err(outside(desired, bounds)),
+    }
+}
+
+/// Which of the two is outside of its limits.
+fn outside(desired: Control, bounds: &Bounds) -> Fault {
+    let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = *bounds;
+    let velocities = velocity_min_mps - TOLERANCE..=velocity_max_mps + TOLERANCE;
+    let (field, value, lowest, highest) = if velocities.contains(&desired.velocity) {
+        ("steering_rad", desired.steering, -steering_max_rad, steering_max_rad)
+    } else {
+        ("velocity_mps", desired.velocity, velocity_min_mps, velocity_max_mps)
+    };
+    Fault::OutsideBounds { field, value, lowest, highest }
+}
+
+/// Why the wheels are blocked in answer to a command that fails a rule.
+pub(crate) fn block_reason(fault: &Fault) -> BlockReason {
+    match fault.rule() {
+        Rule::TooOld | Rule::AnsweredBefore => BlockReason::StaleCommand,
+        _ => BlockReason::InvalidCommand,
     }
 }

@@ -4,7 +4,7 @@
 use std::ffi::c_void;
 use std::rc::Rc;
 
-use runtime::{Handover, Input, Output, Process, Taken, join};
+use runtime::{Handover, Input, Output, Process, Taken, join, settings_table};
 use shared_types::{
     Actuation, Checkpoint, Command, Header, Layouts, Obstacles, Odometry, Pose, Role, Sample, Scan, Topic,
 };
@@ -41,7 +41,7 @@ impl CProcess {
     pub(crate) fn open(role: Role, layouts: &Layouts) -> Result<Self, Refusal> {
         runtime::verify_layouts(role, layouts)?;
         let mut process = Process::attach(role)?;
-        let settings = process.settings(role.name())?;
+        let settings = process.settings(settings_table(role))?;
         let inputs = match role {
             Role::Robot => Inputs::Robot(Port::open(&mut process)?),
             Role::Estimator => Inputs::Estimator(Port::open(&mut process)?, Port::open(&mut process)?),

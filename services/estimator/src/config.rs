@@ -172,6 +172,23 @@ impl Config {
         Ok(settings)
     }
 
+    /// The same with every key set: those that are not come from the profile.
+    ///
+    /// # Errors
+    /// [`Invalid`] as [`Self::settings`].
+    pub fn complete(&self) -> Result<Self, Invalid> {
+        let Settings { process_noise, measurement_noise, drift, gate, .. } = self.settings()?;
+        Ok(Self {
+            process_noise: Some(process_noise),
+            measurement_noise: Some(measurement_noise),
+            correction: Some(drift.mode),
+            odometry_longitudinal: Some(drift.longitudinal),
+            odometry_lateral_rate: Some(drift.lateral_rate),
+            gate: Some(gate),
+            ..self.clone()
+        })
+    }
+
     /// Passes when all settings are within their ranges and determine the state.
     ///
     /// # Errors

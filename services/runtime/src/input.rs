@@ -9,13 +9,14 @@ use std::sync::Arc;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::{Fate, Fault, InputAccount, Role, Sample, Topic};
+use shared_types::{Fate, Fault, InputAccount, Refusal, Role, Sample, Topic};
 
 use crate::bell::Bells;
 use crate::bus::WireSubscriber;
 use crate::ear::Ear;
 use crate::process::Shared;
 use crate::quality::{buffer, quality};
+use crate::refusals::Refusals;
 use crate::wire::Wire;
 use crate::{Bus, RuntimeError};
 
@@ -60,6 +61,7 @@ struct Reader<S: Sample> {
     dropped: RefCell<Vec<Taken<S>>>,
     last: Cell<Last>,
     account: RefCell<InputAccount>,
+    refusals: Refusals,
 }
 
 /// Of the sample accepted last.
@@ -83,6 +85,7 @@ impl<S: Sample> Input<S> {
             dropped: RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed())),
             last: Cell::default(),
             account: RefCell::default(),
+            refusals: Refusals::default(),
         })))
     }
 
@@ -130,6 +133,16 @@ impl<S: Sample> Input<S> {
         }
         self.0.take(&sample);
         Some(sample)
+    }
+
+    /// Notes that the process refuses a sample that it has taken: in its log, and in its next heartbeat.
+    pub fn refuse(&self, sample: &S, fault: &Fault) {
+        self.0.refuse(sample, fault);
+    }
+
+    /// How many samples of the writer in charge were dropped for their content.
+    pub fn dropped(&self) -> u64 {
+        self.0.refusals.of_content()
     }
 
     /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
@@ -198,6 +211,8 @@ pub(crate) trait Drain {
     fn review(&self);
     /// What became of all samples so far.
     fn account(&self) -> InputAccount;
+    /// Samples that were dropped or refused for what stands in them.
+    fn refusal(&self) -> Refusal;
 }
 
 impl<S: Sample> Drain for Input<S> {
@@ -267,14 +282,19 @@ impl<S: Sample> Drain for Input<S> {
         }
         account
     }
+
+    fn refusal(&self) -> Refusal {
+        self.0.refusals.newest()
+    }
 }
 
 impl<S: Sample> Reader<S> {
     /// Notes that a sample came from the bus, and drops it when its number or its content is wrong.
     fn arrive(&self, sample: Taken<S>) {
         let check = sample.check();
-        if let Err(Fault::Layout { .. }) = check {
+        if let Err(fault @ Fault::Layout { .. }) = check {
             self.account.borrow_mut().unreadable += 1;
+            self.refuse(&sample, &fault);
             self.dropped.borrow_mut().push(sample);
             return;
         }
@@ -291,10 +311,21 @@ impl<S: Sample> Reader<S> {
         if let Some(fate) = fate {
             self.discard(fate, sample);
         } else if let Err(fault) = check {
+            self.refuse(&sample, &fault);
             self.discard(Fate::Invalid, sample);
-            tracing::debug!(topic = %S::TOPIC, %fault, "sample dropped");
         } else {
             self.offer(sample, false);
+        }
+    }
+
+    /// Tells of a sample whose content may not be used. Samples that would not count are no news: nothing follows from them.
+    fn refuse(&self, sample: &S, fault: &Fault) {
+        let header = sample.header();
+        let counts = S::TOPIC.writer().is_none_or(|writer| {
+            self.shared.directive.borrow().accepts(writer, header.incarnation, header.scan_id)
+        });
+        if counts && self.refusals.note(S::TOPIC, header, fault) {
+            self.shared.counters.news.set(true);
         }
     }
 
@@ -316,20 +347,23 @@ impl<S: Sample> Reader<S> {
         }
         let scan_id = header.scan_id.max(last.scan_id);
         self.last.set(Last { incarnation: header.incarnation, scan_id });
-        if self.is_stale(&sample) {
+        if let Some(age_ns) = self.age_of_stale(&sample) {
+            self.refuse(&sample, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
             return self.discard(Fate::Stale, sample);
         }
         self.push(&self.kept, sample, KEPT, Fate::Replaced);
     }
 
-    fn is_stale(&self, sample: &S) -> bool {
+    /// The age of a sample that is too old [ns].
+    fn age_of_stale(&self, sample: &S) -> Option<u64> {
         // An actuation asks something of the robot only. Others read in it what the wheels did, which stays true.
         let is_record = S::TOPIC == Topic::Actuation && self.shared.role != Role::Robot;
-        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() || is_record {
-            return false;
-        }
         let acquired_ns = sample.header().acquired_ns;
-        acquired_ns > 0 && self.shared.clock.now_ns().saturating_sub(acquired_ns) > self.shared.max_age_ns()
+        if self.shared.clock.is_simulated() || S::TOPIC.writer().is_none() || is_record || acquired_ns == 0 {
+            return None;
+        }
+        let age_ns = self.shared.clock.now_ns().saturating_sub(acquired_ns);
+        (age_ns > self.shared.max_age_ns()).then_some(age_ns)
     }
 
     fn take(&self, sample: &S) {

@@ -165,9 +165,9 @@ impl Process {
     /// Joins a system as one incarnation of a role.
     pub(crate) fn enrol(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
         let shutdown = Shutdown::on_signals()?;
-        let settings = settings::read(&domain)?;
-        let run: RunSettings = settings::table(&domain, &settings, "run")?;
-        let realtime: Realtime = settings::table(&domain, &settings, "realtime")?;
+        let settings = settings::read(&domain, role)?;
+        let run: RunSettings = settings::table(&domain, role, &settings, "run")?;
+        let realtime: Realtime = settings::table(&domain, role, &settings, "realtime")?;
         realtime.apply_timer_slack();
         require_room(Some(role))?;
         let bus = Bus::open(&domain, role.name())?;
@@ -225,12 +225,12 @@ impl Process {
         })
     }
 
-    /// The settings of this role: the table `name` of the checked settings of the system.
+    /// The settings of this role, the table [`crate::settings_table`]; all others are empty here.
     ///
     /// # Errors
     /// [`RuntimeError::Settings`] with the key that does not fit.
     pub fn settings<T: DeserializeOwned>(&self, name: &str) -> Result<T, RuntimeError> {
-        settings::table(&self.domain, &self.settings, name)
+        settings::table(&self.domain, self.shared.role, &self.settings, name)
     }
 
     /// Scan period [ns].
@@ -373,6 +373,7 @@ impl Process {
         for input in &self.inputs {
             if let Some(port) = self.shared.role.reads().iter().position(|topic| *topic == input.topic()) {
                 add_account(&mut heartbeat, port, input.account());
+                heartbeat.refused[port] = input.refusal();
             }
         }
         heartbeat

@@ -1,12 +1,20 @@
-//! Typed settings of a process: one table of the file that the orchestrator has checked and written.
+//! Typed settings of a process: one table of the file that the orchestrator has checked and written for its role.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use shared_types::Role;
 
 use crate::{Clock, Domain, RuntimeError};
 
-/// Name of the file in the directory of the system.
-pub const SETTINGS_FILE: &str = "settings.toml";
+/// Name of the settings file of a role in the directory of the system.
+pub fn settings_file(role: Role) -> String {
+    format!("settings-{role}.toml")
+}
+
+/// Name of the table in it that belongs to the role alone. The robot, and nobody else, is told the scenario.
+pub fn settings_table(role: Role) -> &'static str {
+    if role == Role::Robot { "scenario" } else { role.name() }
+}
 
 /// Which time the loop lives in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,11 +50,12 @@ pub struct RunSettings {
     pub orphan_timeout_ns: u64,
 }
 
-/// The file as a table.
-pub(crate) fn read(domain: &Domain) -> Result<toml::Table, RuntimeError> {
-    let text = domain.folder().read_text(SETTINGS_FILE)?;
+/// The file of a role as a table.
+pub(crate) fn read(domain: &Domain, role: Role) -> Result<toml::Table, RuntimeError> {
+    let name = settings_file(role);
+    let text = domain.folder().read_text(&name)?;
     text.parse().map_err(|error: toml::de::Error| RuntimeError::Settings {
-        path: domain.directory().join(SETTINGS_FILE),
+        path: domain.directory().join(name),
         reason: error.to_string(),
     })
 }
@@ -54,12 +63,13 @@ pub(crate) fn read(domain: &Domain) -> Result<toml::Table, RuntimeError> {
 /// One table of the file as settings of type `T`; a table that is absent reads as empty.
 pub(crate) fn table<T: DeserializeOwned>(
     domain: &Domain,
+    role: Role,
     all: &toml::Table,
     name: &str,
 ) -> Result<T, RuntimeError> {
     let value = all.get(name).cloned().unwrap_or_else(|| toml::Value::Table(toml::Table::new()));
     value.try_into().map_err(|error: toml::de::Error| RuntimeError::Settings {
-        path: domain.directory().join(SETTINGS_FILE),
+        path: domain.directory().join(settings_file(role)),
         reason: format!("{name}: {error}"),
     })
 }

@@ -39,7 +39,9 @@ impl Lab {
     fn write_settings(&self) {
         let text = "[run]\nperiod_ns = 1000000000\nclock = \"simulated\"\norphan_stop_ns = 60000000000\n\
                     orphan_timeout_ns = 60000000000\n";
-        self.domain.folder().write(crate::SETTINGS_FILE, text.as_bytes()).unwrap();
+        for role in Role::ALL {
+            self.domain.folder().write(&crate::settings_file(*role), text.as_bytes()).unwrap();
+        }
     }
 
     /// What a process of a role shares; the estimator in charge is incarnation 7, the obstacles are 8.

@@ -104,6 +104,28 @@ fn controllers_in_python_take_over_from_the_built_in_one_and_from_each_other() {
     reached(system, &certificates);
 }
 
+/// What a process without accounts was given is known to the bus: nothing of it was lost.
+#[test]
+fn a_swap_to_python_and_back_leaves_no_lost_samples_in_the_account() {
+    let Some(python) = python("a_swap_to_python_and_back") else { return };
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["free", "--set", "goal.x_m=21", "--set", "rate_hz=5"]);
+    let mut certificates = Vec::new();
+    let program = examples("python").join("pure_pursuit.py");
+    let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
+    swap(&system, "controller", &command, &mut certificates);
+    let scan = system.status().unwrap().scan;
+    system
+        .wait_until("it drives in Python", |system| system.status().is_some_and(|now| now.scan > scan + 10));
+    swap(&system, "controller", &[EXECUTABLE, "service", "nmpc"], &mut certificates);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    let lost: u64 = report.ledger.topics.iter().map(|row| row.lost).sum();
+    assert_eq!((lost, report.scans.lost, report.ledger.residual), (0, 0, 0), "{:?}", report.ledger.topics);
+    assert!(!report.controller.status.contains_key("not_solved"), "{:?}", report.controller.status);
+    system.assert_nothing_left();
+}
+
 /// At half the usual rate in Python, for the sake of machines that do other things as well.
 #[test]
 fn the_examples_honour_all_that_is_asked_of_their_roles() {

@@ -10,6 +10,7 @@ use super::verdict::Verdict;
 use crate::bench::latency::intervals;
 use crate::exit::Failure;
 use crate::output::note;
+use crate::user_file::{self, DATA_BYTES};
 
 /// What of a result is needed.
 #[derive(Debug, Deserialize)]
@@ -83,7 +84,7 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
 
 fn read(file: &Path) -> anyhow::Result<(Run, Value)> {
     let bad = |reason: String| Failure::bad_input(format!("{}: {reason}", file.display()));
-    let text = std::fs::read_to_string(file).map_err(|error| bad(error.to_string()))?;
+    let text = user_file::read(file, DATA_BYTES).map_err(bad)?;
     let json: Value = serde_json::from_str(&text).map_err(|error| bad(error.to_string()))?;
     let run = Run::deserialize(&json)
         .map_err(|error| bad(format!("{error}: not what `scanloop bench latency --json` prints")))?;

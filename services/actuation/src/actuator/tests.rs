@@ -1,7 +1,7 @@
 //! Each test asserts on what reaches the wheels.
 
 use proptest::prelude::*;
-use shared_types::{CommandKind, Level, Role, Sample, SolveStatus};
+use shared_types::{CommandKind, Level, Role, Rule, Sample, SolveStatus};
 use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use super::*;
@@ -128,6 +128,48 @@ fn whatever_is_wrong_with_a_command_blocks_the_wheels() {
         assert_blocked(&actuator.answer(&drive(3), arrival(3)), BlockReason::NoCommand, 1);
         assert!(turns(&actuator.answer(&drive(4), arrival(4))), "{name}: the reason is gone");
     }
+}
+
+#[test]
+fn a_refused_command_is_told_which_rule_it_fails() {
+    type Spoil = fn(&mut Command);
+    let wrong: [(Rule, &str, Spoil); 7] = [
+        (Rule::NotFinite, "steering_rad", |c| c.steering_rad = f64::NAN),
+        (Rule::NotVerified, "verified", |c| c.verified = 0),
+        (Rule::UnknownValue, "Level", |c| c.level = 9),
+        (Rule::OutsideBounds, "velocity_mps", |c| c.velocity_mps = 1.5),
+        (Rule::OutsideBounds, "steering_rad", |c| c.steering_rad = -0.5),
+        (Rule::AnsweredBefore, "header.scan_id", |c| c.header.scan_id = 1),
+        (Rule::FromTheFuture, "ahead_ms", |c| c.header.acquired_ns += 10 * PERIOD_NS),
+    ];
+    for (rule, field, spoil) in wrong {
+        let mut actuator = driving(1);
+        assert_eq!(actuator.refusal(), None);
+        let mut command = drive(2);
+        spoil(&mut command);
+        actuator.answer(&command, arrival(2));
+        let fault = actuator.refusal().expect("it is refused");
+        assert_eq!((fault.rule(), fault.finding().0), (rule, field));
+        actuator.answer(&drive(3), arrival(3));
+        assert_eq!(actuator.refusal(), None, "of the last command only");
+    }
+    let mut actuator = driving(1);
+    actuator.answer(&drive(2), arrival(9));
+    assert_eq!(actuator.refusal().map(Fault::rule), Some(Rule::TooOld));
+}
+
+#[test]
+fn a_silence_because_commands_were_dropped_has_that_reason() {
+    let mut first = actuator();
+    assert_eq!(first.tick(1_000), None);
+    first.note_dropped();
+    assert_blocked(&first.tick(1_001 + PERIOD_NS * 3 / 2).unwrap(), BlockReason::InvalidCommand, 0);
+    let mut later = driving(3);
+    later.note_dropped();
+    assert_blocked(&later.tick(arrival(5)).unwrap(), BlockReason::InvalidCommand, 0);
+    later.answer(&drive(6), arrival(6));
+    later.answer(&drive(7), arrival(7));
+    assert_blocked(&later.tick(arrival(9)).unwrap(), BlockReason::NoCommand, 0);
 }
 
 #[test]

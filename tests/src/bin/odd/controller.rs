@@ -6,7 +6,7 @@ use shared_types::{Command, CommandKind, Obstacles, Pose, Role, StopReason};
 
 use crate::Outcome;
 
-/// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`.
+/// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
     let config = process.settings::<nmpc::Config>("controller")?;
@@ -36,6 +36,9 @@ pub(crate) fn run(fault: &str) -> Outcome {
                 }
                 "mute" => command.reason = StopReason::None.wire(),
                 "planless" => command.plan_length = 0,
+                "unverified" => command.verified = 0,
+                "too-fast" => command.velocity_mps = 1.5,
+                "not-finite" => command.steering_rad = f64::NAN,
                 _ => {}
             }
             commands.publish(&mut command)?;

@@ -5,7 +5,7 @@ use shared_types::{Actuation, Header, Odometry, Pose, Role};
 
 use crate::{Outcome, everything};
 
-/// Faults of what comes out: `skips`, `twice`, `late`, `header`, `nan`, `random`, `stateless`, `amnesia`, `guesses`,
+/// Faults of what comes out: `skips`, `twice`, `late`, `header`, `nan`, `infinite`, `random`, `stateless`, `amnesia`, `guesses`,
 /// `off`, `behind`, `uncorrected`, `gullible`, `sure`. Of what goes in: `trusts` (who wrote it, how old it is, whether
 /// it came before), `believes` (what stands in it), `stays` (with the first producer), `invents`.
 pub(crate) fn run(fault: &str) -> Outcome {
@@ -101,6 +101,7 @@ fn spoil(fault: &str, pose: &mut Pose, process: &Process) -> bool {
         }
         "header" => pose.header.chain = Header::default().chain,
         "nan" if pose.header.scan_id.is_multiple_of(7) => pose.x_m = f64::NAN,
+        "infinite" => pose.x_m = f64::INFINITY,
         "random" => pose.nis = monotonic_ns() as f64,
         "off" => pose.y_m += 0.2,
         "behind" => (pose.predicted_x_m, pose.predicted_ns) = (pose.x_m - 0.1, pose.header.acquired_ns),

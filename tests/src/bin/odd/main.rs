@@ -10,7 +10,7 @@ mod loner;
 mod obstacles;
 mod robot;
 
-use runtime::{Bus, Domain, Observer, SYSTEM_ID_VARIABLE};
+use runtime::{Bus, Domain, Observer};
 use shared_types::Sample;
 
 /// What a process ends with.

@@ -1,0 +1,80 @@
+//! What a reader says of the samples that it dropped or refused for what stands in them.
+
+use crate::sample::layout;
+use crate::{Fault, Header, Rule};
+
+/// Longest name of a field in a [`Refusal`] [bytes].
+pub const FIELD_NAME_BYTES: usize = 32;
+
+layout! {
+    /// How many samples of one input were dropped or refused for what stands in them, and the newest of them.
+    pub struct Refusal(64) {
+        /// Samples since the process started
+        pub count: u64,
+        /// Scan of the newest
+        pub scan_id: u64,
+        /// The value found in it; 0 where it was not finite
+        pub value: f64,
+        /// Incarnation of its writer
+        pub incarnation: u32,
+        /// The rule that it failed, `Rule`
+        pub rule: u32,
+        /// Name of the field at fault in ASCII, zeros behind it
+        pub field: [u8; FIELD_NAME_BYTES],
+    }
+}
+
+impl Refusal {
+    /// Counts one more sample, and what is wrong with it.
+    pub fn note(&mut self, header: &Header, fault: &Fault) {
+        let (field, value) = fault.finding();
+        let mut name = [0; FIELD_NAME_BYTES];
+        name.iter_mut().zip(field.bytes()).for_each(|(place, letter)| *place = letter);
+        *self = Self {
+            count: self.count + 1,
+            scan_id: header.scan_id,
+            value,
+            incarnation: header.incarnation,
+            rule: fault.rule().wire(),
+            field: name,
+        };
+    }
+
+    /// The rule that the newest failed; `None` also for a number without a meaning.
+    pub fn failed(&self) -> Rule {
+        Rule::try_from(self.rule).unwrap_or(Rule::None)
+    }
+
+    /// Name of the field at fault; empty when it is not readable.
+    pub fn field_name(&self) -> &str {
+        let length = self.field.iter().position(|letter| *letter == 0).unwrap_or(FIELD_NAME_BYTES);
+        let name = std::str::from_utf8(&self.field[..length]).unwrap_or_default();
+        if name.chars().all(|letter| letter.is_ascii_graphic()) { name } else { "" }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_names_the_newest_fault_and_counts_all() {
+        let mut refusal = Refusal::default();
+        assert_eq!((refusal.failed(), refusal.field_name()), (Rule::None, ""));
+        let header = Header { scan_id: 8, incarnation: 3, ..Header::default() };
+        refusal.note(&header, &Fault::NotFinite { field: "steering_rad" });
+        refusal.note(&header, &Fault::NotVerified { value: 0 });
+        assert_eq!((refusal.count, refusal.scan_id, refusal.incarnation), (2, 8, 3));
+        assert_eq!(
+            (refusal.failed(), refusal.field_name(), refusal.value),
+            (Rule::NotVerified, "verified", 0.0)
+        );
+        refusal.note(
+            &header,
+            &Fault::OutOfRange { field: "a_name_that_is_longer_than_there_is_room", value: f64::NAN },
+        );
+        assert_eq!((refusal.field_name().len(), refusal.value), (FIELD_NAME_BYTES, 0.0));
+        refusal.field = [0x1b; FIELD_NAME_BYTES];
+        assert_eq!(refusal.field_name(), "");
+    }
+}

@@ -1,0 +1,174 @@
+//! Samples that are dropped: their writer and the rule that they fail are named, live and in lock-step.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use emulator::Outcome;
+use orchestrator::ledger::RefusedRow;
+use orchestrator::report::Report;
+use scanloop_tests::{System, system_file};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd");
+
+/// A system in which `role` is filled by a faulty program.
+fn system_with(role: Role, fault: &str) -> System {
+    let system = System::new(EXECUTABLE);
+    std::fs::write(system.folder().join("system.toml"), system_file(10, &[role], ODD, &[fault])).unwrap();
+    system
+}
+
+fn state_of(report: &Report, role: Role) -> &str {
+    &report.processes.iter().find(|process| process.role == role.name()).unwrap().state
+}
+
+fn log_of(system: &System, role: Role) -> String {
+    std::fs::read_to_string(system.folder().join("out/logs").join(format!("{role}.log"))).unwrap()
+}
+
+/// Drives live with a faulty controller until the wheels were blocked for a second; the only row of what was dropped.
+fn dropped_commands(fault: &str, rule: &str, block: &str) -> RefusedRow {
+    let mut system = system_with(Role::Controller, fault);
+    system.start(&["--system", "system.toml", "--set", "stop_final_s=2"]);
+    system.wait_until("the status names the rule", |system| {
+        let refused = system.status().map_or(Vec::new(), |status| status.refused);
+        refused.iter().any(|row| row.writer == "controller" && row.reader == "actuator" && row.rule == rule)
+    });
+    let table = String::from_utf8_lossy(&system.run(&["status"]).stderr).into_owned();
+    let words = rule.replace('_', " ");
+    assert!(table.contains("dropped by actuator") && table.contains(&words), "{table}");
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Stopped, "{}", report.reason);
+    assert!(report.reason.contains("of controller") && report.reason.contains(&words), "{}", report.reason);
+    assert!(report.stop_reasons.contains_key(block), "{:?}", report.stop_reasons);
+    let warnings = system.stderr();
+    assert!(warnings.contains("controller (") && warnings.contains(&words), "{warnings}");
+    let log = log_of(&system, Role::Actuator);
+    let lines = log.lines().filter(|line| line.contains("dropped") && line.contains("controller"));
+    assert!(log.contains(&words), "{log}");
+    assert!((1..=2).contains(&lines.count()), "one line, not one per sample: {log}");
+    assert_eq!(state_of(&report, Role::Actuator), "exited");
+    system.assert_nothing_left();
+    let [row] = report.ledger.refused.as_slice() else { panic!("{:?}", report.ledger.refused) };
+    assert!(row.count > 5 && row.count + 5 > report.scans.published, "{row:?} {:?}", report.scans);
+    if rule == "not_verified" {
+        assert!(report.scans.lost_reasons.contains_key(rule), "{:?}", report.scans);
+        assert!(!report.scans.lost_reasons.contains_key("no_command"), "{:?}", report.scans);
+    }
+    row.clone()
+}
+
+#[test]
+fn commands_that_are_not_verified_are_laid_to_the_controller() {
+    let row = dropped_commands("unverified", "not_verified", "invalid_command");
+    assert_eq!((row.field.as_str(), row.value), ("verified", 0.0));
+}
+
+#[test]
+fn commands_outside_the_bounds_are_laid_to_the_controller_with_key_and_value() {
+    let row = dropped_commands("too-fast", "outside_bounds", "invalid_command");
+    assert_eq!((row.field.as_str(), row.value), ("velocity_mps", 1.5));
+}
+
+#[test]
+fn in_lockstep_the_run_ends_with_the_writer_of_a_dropped_sample_and_the_rule() {
+    for (role, fault, words) in [
+        (
+            Role::Controller,
+            "unverified",
+            "its command for scan 1 was dropped by actuator: not verified (verified = 0)",
+        ),
+        (Role::Controller, "not-finite", "dropped by actuator: not finite (steering_rad)"),
+        (Role::Estimator, "nan", "its pose for scan 7 was dropped by "),
+    ] {
+        let system = system_with(role, fault);
+        let output = system.run(&["run", "--lockstep", "--quiet", "--system", "system.toml", "--out", "out"]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(4), "{message}");
+        let report = system.report();
+        assert_eq!(report.outcome, Outcome::Failed, "{}", report.reason);
+        assert!(report.reason.starts_with(&format!("{role} (")), "{}", report.reason);
+        assert!(report.reason.contains(words) && message.contains(words), "{} {message}", report.reason);
+        assert_eq!(state_of(&report, role), "failed");
+        let failed = report.processes.iter().filter(|process| process.state == "failed").count();
+        assert_eq!(failed, 1, "{:?}", report.processes);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_process_that_had_to_drop_all_its_inputs_is_not_blamed_for_having_no_output() {
+    let system = system_with(Role::Estimator, "infinite");
+    let output = system.run(&[
+        "run",
+        "--quiet",
+        "--system",
+        "system.toml",
+        "--out",
+        "out",
+        "--set",
+        "process.estimator.start_timeout_s=1.5",
+        "--set",
+        "process.obstacles.start_timeout_s=1",
+        "--set",
+        "process.controller.start_timeout_s=1",
+        "--set",
+        "stop_final_s=20",
+    ]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{message}");
+    let report = system.report();
+    for words in ["estimator (", "had no valid output within 1500 ms", "its pose for scan", "not finite"] {
+        assert!(report.reason.contains(words), "{words}: {}", report.reason);
+    }
+    assert_eq!(state_of(&report, Role::Estimator), "failed");
+    assert_eq!(
+        (state_of(&report, Role::Obstacles), state_of(&report, Role::Controller)),
+        ("exited", "exited")
+    );
+    system.assert_nothing_left();
+}
+
+/// What the processes of a running system may read.
+#[test]
+fn a_stage_can_not_read_the_scenario_and_finds_all_its_settings() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["--duration", "30"]);
+    let directory = system.domain().directory();
+    for role in Role::ALL.iter().copied() {
+        let path = directory.join(runtime::settings_file(role));
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text.contains("[[scenario.obstacle]]"), role == Role::Robot, "{}", path.display());
+        assert!(text.contains(&format!("[{}", runtime::settings_table(role))), "{text}");
+    }
+    assert!(!directory.join("settings.toml").exists());
+    let estimator = std::fs::read_to_string(directory.join("settings-estimator.toml")).unwrap();
+    for key in ["odometry_longitudinal = 0.01", "odometry_lateral_rate = 0.0", "gate = true", "correction = "]
+    {
+        assert!(estimator.contains(key), "{key}: {estimator}");
+    }
+    // Another orchestrator finds the scenario elsewhere.
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    assert_eq!(system.status().unwrap().scenario, "corridor");
+    assert!(system.run(&["stop"]).status.success());
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn an_interrupt_at_any_moment_of_the_start_leaves_nothing() {
+    for delay_us in (0..40_000).step_by(2_000) {
+        let mut system = System::new(EXECUTABLE);
+        system.launch(&["run", "--quiet", "--out", "out"], &[]);
+        let started = std::time::Instant::now();
+        while started.elapsed().as_micros() < delay_us {
+            std::hint::spin_loop();
+        }
+        system.signal(system.orchestrator(), rustix::process::Signal::INT);
+        let status = system.wait();
+        // Before the handlers are there the signal ends the process, which has made nothing yet.
+        assert!(status.code() == Some(1) || status.code().is_none(), "{status}: {}", system.stderr());
+        system.assert_nothing_left();
+    }
+}
