@@ -25,6 +25,7 @@ import collections
 import ctypes
 import enum
 import math
+import mmap
 import os
 import signal
 import struct
@@ -37,6 +38,8 @@ import iceoryx2 as iox2
 import scanloop_types as types
 from scanloop_types import (
     Actuation,
+    ActuationKind,
+    BlockReason,
     Checkpoint,
     CommandKind,
     Directive,
@@ -151,6 +154,35 @@ def read_layouts(text):
     return [(row[0], row[1], row[2], int(row[3]), int(row[4]), int(row[5])) for row in rows]
 
 
+class Wheels(enum.IntEnum):
+    """What the wheels do, for StopWord."""
+
+    UNKNOWN, TURNING, BLOCKED, RESTING = range(4)
+
+
+class StopWord:
+    """The page through which a run is stopped: driving needs its exact armed value, anything else is a stop."""
+
+    ARMED, WORD_AT, ROWS_AT, ROW = 0x5CA1AB1ED01ED0E5, 8, 64, 64
+
+    def __init__(self, role):
+        self._role, self._page = role, None
+        try:
+            self._page = mmap.mmap(int(os.environ["SCANLOOP_STOP_FD"]), 4096)
+        except (KeyError, ValueError, OSError):
+            print("warning: this process will not see the stop word, and is ended when the run is stopped", file=sys.stderr)
+
+    def is_armed(self):
+        """Whether wheels may turn."""
+        return self._page is None or struct.unpack_from("=Q", self._page, self.WORD_AT)[0] == self.ARMED
+
+    def report(self, wheels):
+        """Notes what the wheels do, for who stops the run."""
+        if self._page is not None and wheels != Wheels.UNKNOWN:
+            place = self.ROWS_AT + self._role * self.ROW
+            struct.pack_into("=QQQ", self._page, place, os.getpid(), wheels, time.monotonic_ns())
+
+
 class Input:
     """Reads samples of one type: valid ones of the producer in charge, each once and in order."""
 
@@ -165,7 +197,12 @@ class Input:
 
     def take(self):
         """The oldest sample not taken yet, or None."""
-        return self._process._taken(self._kept.popleft()) if self._kept else None
+        while self._kept:
+            sample = self._kept.popleft()
+            if not self._process._refuses(sample):
+                return self._process._taken(sample)
+            self._process.counters["foreign"] += 1
+        return None
 
     def take_newest(self):
         """The newest sample, or None; older ones are dropped."""
@@ -284,6 +321,8 @@ class Output:
         process, header = self._process, sample.header
         computed_ns = process.now_ns()
         self._sequence += 1
+        if self._sample is Actuation:
+            process._hold_back(sample)
         header.layout, header.incarnation, header.sequence = self._sample.LAYOUT, process.incarnation, self._sequence
         if self._is_ours:
             stage = header.chain[process.role]
@@ -292,6 +331,8 @@ class Output:
             process._last_scan = header.scan_id
             process.counters["published"] += self._sample is types.WRITES[process.role][0]
         delivered = self._publisher.loan_uninit().write_payload(sample).send()
+        if self._sample is Actuation:
+            process.report_wheels(Wheels.TURNING if sample.kind == ActuationKind.DRIVE else Wheels.BLOCKED)
         if delivered < self._service.dynamic_config.number_of_subscribers:
             process.counters["undelivered"] += 1
         if wake:
@@ -305,17 +346,19 @@ class Process:
     """A process of the loop; refuses with exit code 2 when it was started by hand or built against other samples."""
 
     def __init__(self, role):
-        system_id, incarnation = (os.environ.get(name) for name in ("SCANLOOP_SYSTEM_ID", "SCANLOOP_INCARNATION"))
-        if not system_id or not incarnation:
+        names = ("SCANLOOP_INCARNATION", "SCANLOOP_RUN_ID", "SCANLOOP_DIRECTORY")
+        incarnation, run_id, directory = (os.environ.get(name) for name in names)
+        if not incarnation or not run_id or not directory:
             _refuse("processes are started by `scanloop run`, or joined with `scanloop swap`")
         self.role, self.incarnation = Role(role), int(incarnation)
-        self.directory = f"/tmp/scanloop-{os.getuid()}/{system_id}"
+        self.directory = directory
         self._verify()
         with open(f"{self.directory}/settings-{self.role.name.lower()}.toml", "rb") as file:
             self._settings = tomllib.load(file)
         run = self._settings["run"]
         self.period_ns, self.simulated = run["period_ns"], run["clock"] == "simulated"
-        self._orphan_timeout_ns = run["orphan_timeout_ns"]
+        self._orphan_stop_ns, self._orphan_timeout_ns = run["orphan_stop_ns"], run["orphan_timeout_ns"]
+        self._stop_word, self._wheels = StopWord(self.role), Wheels.UNKNOWN
         self.counters = collections.Counter()
         self.directive = Directive()
         self.handed_actuations = []
@@ -323,7 +366,7 @@ class Process:
         self._ended = False
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._end)
-        self._node = self._join_bus(system_id)
+        self._node = self._join_bus(run_id)
         self._inputs, self._outputs, self._state = [], [], ProcessState.ATTACHED
         self._orders = Input(self, Directive)
         self._heartbeat, self._checkpoint = Output(self, Heartbeat), Output(self, Checkpoint)
@@ -431,10 +474,30 @@ class Process:
     def _end(self, *_):
         self._ended = True
 
-    def _join_bus(self, system_id):
+    def must_stop(self):
+        """Whether wheels must be blocked: the run was stopped for good, or its orchestrator has been silent for too long."""
+        silent = not self.simulated and time.monotonic_ns() - self._directive_seen_ns > self._orphan_stop_ns
+        return silent or not self._stop_word.is_armed()
+
+    def report_wheels(self, wheels):
+        """Notes what the wheels do, for who stops the run: a robot calls it each time it is awake."""
+        self._wheels = wheels
+        if self.directive.authority[self.role].incarnation == self.incarnation:
+            self._stop_word.report(wheels)
+
+    def _hold_back(self, actuation):
+        if actuation.kind == ActuationKind.DRIVE and self.must_stop():
+            actuation.kind, actuation.reason = ActuationKind.BLOCK, BlockReason.STOP_REQUESTED
+            actuation.desired_velocity_mps = actuation.sent_velocity_mps = 0.0
+
+    def _refuses(self, sample):
+        drives = isinstance(sample, Actuation) and sample.kind == ActuationKind.DRIVE
+        return drives and self.role == Role.ROBOT and self.must_stop()
+
+    def _join_bus(self, run_id):
         iox2.set_log_level_from_env_or(iox2.LogLevel.Fatal)
         config = iox2.config.default()
-        name = f"scanloop{os.getuid()}_{system_id}"
+        name = f"scanloop-{run_id}"
         config.global_cfg.prefix = iox2.FileName.new(f"{name}_")
         config.global_cfg.root_path = iox2.Path.new(f"/dev/shm/{name}")
         builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(self.role.name.lower())).config(config)
@@ -480,7 +543,11 @@ class Process:
                 reader._review()
         for reader in self._inputs:
             reader._drain()
-        orphaned = time.monotonic_ns() - self._directive_seen_ns > self._orphan_timeout_ns
+        if self.must_stop():
+            self.directive.stop = 1
+        self.report_wheels(self._wheels)
+        timeout_ns = self._orphan_timeout_ns if self._stop_word.is_armed() else self._orphan_stop_ns
+        orphaned = time.monotonic_ns() - self._directive_seen_ns > min(timeout_ns, self._orphan_timeout_ns)
         return not self._ended and not orphaned
 
     @staticmethod

@@ -134,7 +134,8 @@ fn a_process_that_had_to_drop_all_its_inputs_is_not_blamed_for_having_no_output(
 fn a_stage_can_not_read_the_scenario_and_finds_all_its_settings() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["--duration", "30"]);
-    let directory = system.domain().directory();
+    let domain = system.domain();
+    let directory = domain.directory();
     for role in Role::ALL.iter().copied() {
         let path = directory.join(runtime::settings_file(role));
         let text = std::fs::read_to_string(&path).unwrap();

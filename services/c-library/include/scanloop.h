@@ -106,7 +106,14 @@ uint64_t scanloop_now_ns(scanloop_process *process);
 /* Time between two scans [ns]. */
 uint64_t scanloop_period_ns(scanloop_process *process);
 
-/* The counters of this process and the last word of the orchestrator; either may be NULL. */
+/* What the wheels do, for who stops the run; SCANLOOP_TURNING, SCANLOOP_BLOCKED or SCANLOOP_RESTING. A robot calls it each
+ * time it is awake; what an actuator publishes is noted by itself. */
+enum scanloop_wheels { SCANLOOP_TURNING = 1, SCANLOOP_BLOCKED = 2, SCANLOOP_RESTING = 3 };
+int scanloop_report_wheels(scanloop_process *process, uint32_t wheels);
+
+/* The counters of this process and the newest directive; either may be NULL. `stop` of the directive is 1 also when the
+ * run was stopped for good, or its orchestrator has been silent for orphan_stop_s: then no actuation that drives leaves
+ * an actuator's port or comes out of a robot's. */
 int scanloop_status(scanloop_process *process, scanloop_heartbeat *counters, scanloop_directive *orders);
 
 /* A line in the log of the process, logs/ROLE.log; the last lines of a process that ends are shown to the user. */

@@ -14,6 +14,7 @@ mod process;
 use std::ffi::{CStr, c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use runtime::Wheels;
 use shared_types::{Directive, Header, Heartbeat, LayoutRow, Layouts, Role, Topic};
 
 use error::Refusal;
@@ -210,6 +211,15 @@ pub unsafe extern "C" fn scanloop_now_ns(process: *mut CProcess) -> u64 {
 pub unsafe extern "C" fn scanloop_period_ns(process: *mut CProcess) -> u64 {
     // SAFETY: C passes what `scanloop_open` gave it, or null.
     unsafe { process.as_ref() }.map_or(0, |process| process.process.period_ns())
+}
+
+/// See `scanloop.h`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn scanloop_report_wheels(process: *mut CProcess, wheels: u32) -> c_int {
+    with(process, |process| {
+        process.process.report_wheels(Wheels::from(u64::from(wheels)));
+        Ok(YES)
+    })
 }
 
 /// See `scanloop.h`.
