@@ -76,6 +76,23 @@ fn a_pipe_that_is_not_read_holds_up_neither_the_drive_nor_its_end() {
 }
 
 #[test]
+fn an_output_that_is_read_again_has_the_lines_of_the_time_between_and_the_summary() {
+    let (mut reader, writer) = std::io::pipe().unwrap();
+    let writer = OwnedFd::from(writer);
+    fill(&writer);
+    let mut system = System::new(EXECUTABLE);
+    system.launch_into(writer.into(), &SHORT, &[]);
+    system.wait_until_driving();
+    system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > 20));
+    let mut text = String::new();
+    reader.read_to_string(&mut text).unwrap();
+    assert_eq!(system.wait().code(), Some(0));
+    let text = text.trim_start_matches('x');
+    assert!(text.starts_with("goal") && text.contains("\noutcome         reached"), "{text}");
+    system.assert_nothing_left();
+}
+
+#[test]
 fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
     let (near, far) = terminal();
     let mut system = System::new(EXECUTABLE);
