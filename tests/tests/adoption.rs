@@ -150,7 +150,7 @@ fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
 }
 
 #[test]
-fn a_controller_goes_on_from_the_state_of_one_that_hung_for_longer_than_a_state_may_be_old() {
+fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_may_be_old() {
     let mut system = System::new(EXECUTABLE);
     // At 5 Hz a hang is found after 0.6 s; the state was young when it began.
     system.start(&["corridor", "--set", "rate_hz=5"]);
