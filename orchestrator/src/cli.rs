@@ -53,7 +53,7 @@ pub enum Command {
     /// Start one process of a running system again, without losing a scan.
     ///
     /// The new process takes over from one that works and only then the old one ends; exit code 1 when the new one does
-    /// not come up, and the old one goes on. A process that does not work is ended first.
+    /// not come up, and the old one keeps driving. A process that does not work is ended first.
     Restart {
         /// robot, estimator, obstacles, controller or actuator.
         role: String,

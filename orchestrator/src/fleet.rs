@@ -285,7 +285,7 @@ impl Fleet {
         Some(ProcessEntry { implementation, command, ..member.entry.clone() })
     }
 
-    /// Starts a process beside the one that fills the role; it goes on from `handover`, or a newer state.
+    /// Starts a process beside the one that fills the role; it resumes from `handover`, or a newer state.
     pub(crate) fn spawn_beside(
         &mut self,
         role: Role,

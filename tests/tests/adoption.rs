@@ -140,14 +140,19 @@ fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert!(blocked.longest_blind_s <= LONGEST_BLIND_S);
     system.adopt(&[]);
+    // The orchestrator that had its state is gone.
+    let log = system.folder().join("out/logs/controller.log");
+    system.wait_until("it says what it waits for", |_| {
+        std::fs::read_to_string(&log).is_ok_and(|log| log.contains("the robot has to rest first"))
+    });
     let report = assert_reached(system);
     assert_eq!(report.processes[Role::Controller.index()].restarts, 1);
 }
 
 #[test]
-fn a_controller_without_a_fresh_state_lets_the_robot_rest_before_it_drives() {
+fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_may_be_old() {
     let mut system = System::new(EXECUTABLE);
-    // At 5 Hz a hang is found after 0.6 s: no state is then younger than half a second.
+    // At 5 Hz a hang is found after 0.6 s; the state was young when it began.
     system.start(&["corridor", "--set", "rate_hz=5"]);
     let watch = Watch::new(&system);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
@@ -159,7 +164,8 @@ fn a_controller_without_a_fresh_state_lets_the_robot_rest_before_it_drives() {
         truth.header.scan_id > rest.header.scan_id && truth.blocked == 0 && truth.speed_mps > 0.5
     });
     let log = std::fs::read_to_string(system.folder().join("out/logs/controller.log")).unwrap();
-    assert!(log.contains("the robot has to rest first"), "{log}");
+    assert!(!log.contains("the state of the process before this one"), "{log}");
+    assert!(!log.contains("the robot has to rest first"), "{log}");
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();
     let report = system.report();

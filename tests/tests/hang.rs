@@ -1,4 +1,4 @@
-//! Processes that hang while the robot drives: the next one goes on where they hung, and the goal is reached.
+//! Processes that hang while the robot drives: the successor resumes from their state, and the goal is reached.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::time::{Duration, Instant};
@@ -28,7 +28,7 @@ fn reaches_the_goal(role: Role, stopped_for: Duration) {
     assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
     let process = report.processes.iter().find(|process| process.role == role.name()).unwrap();
-    // One that goes on by itself may do so before it is killed.
+    // One that resumes by itself may do so before it is killed.
     let must_be_killed = stopped_for > Duration::from_millis(500);
     let counts = [u32::from(must_be_killed), 1];
     assert!(counts.contains(&process.restarts), "{:?}", report.processes);
@@ -56,7 +56,7 @@ fn the_goal_is_reached_after_the_actuator_hung_for_a_second() {
 }
 
 #[test]
-fn the_goal_is_reached_by_an_estimator_that_goes_on_when_it_is_about_to_be_killed() {
+fn the_goal_is_reached_by_an_estimator_that_resumes_when_it_is_about_to_be_killed() {
     reaches_the_goal(Role::Estimator, Duration::from_millis(300));
 }
 

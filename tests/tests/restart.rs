@@ -89,7 +89,7 @@ fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
     let before = rows(&system, Role::Controller);
     let (code, said) = restart(&system, Role::Controller);
     assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("controller was not restarted, the process before goes on"), "{said}");
+    assert!(said.contains("controller was not restarted, the old process keeps driving"), "{said}");
     assert!(said.contains("no room for another one"), "{said}");
     assert_eq!(rows(&system, Role::Controller), before);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());

@@ -1,4 +1,4 @@
-//! What a process of a run leaves to the one that goes on in its place.
+//! What a process of a run leaves to the one that takes its place.
 
 use runtime::HandoverData;
 use shared_types::{Role, Topic};

@@ -45,7 +45,7 @@ impl Certificate {
                 )
             }
             (SwapOutcome::Swapped, None) => format!("{role} was restarted: {reason}"),
-            _ => format!("{role} was not restarted, the process before goes on: {reason}"),
+            _ => format!("{role} was not restarted, the old process keeps driving: {reason}"),
         }
     }
 }

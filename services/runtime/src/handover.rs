@@ -66,7 +66,7 @@ impl HandoverData {
     }
 }
 
-/// Writes down what the process that is about to be started goes on from; without it, that there is nothing.
+/// Writes down what the process that is about to be started resumes from; without it, that there is nothing.
 ///
 /// # Errors
 /// [`RuntimeError::File`].
