@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, RuntimeError,
+    BESIDE_VARIABLE, Bus, Domain, INCARNATION_VARIABLE, Identity, RESTART_VARIABLE, RuntimeError,
     SYSTEM_ID_VARIABLE, monotonic_ns, write_handover,
 };
 use shared_types::{Checkpoint, Role};
@@ -254,7 +254,10 @@ impl Fleet {
         ];
         environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
         let begun = member.log.begin(&format!("{role} incarnation {incarnation}: {}", entry.label()));
-        begun.with_context(|| format!("{}", member.log.path().display()))?;
+        if let Err(error) = begun {
+            // A full disk costs a line of the log, not a process.
+            tracing::warn!("{}: {error}", member.log.path().display());
+        }
         let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
         self.changed = true;
         Ok(child)
@@ -347,9 +350,10 @@ impl Fleet {
         }
     }
 
-    /// Holds shared memory for one more process, unless one is on its way or leaves; what is missing is returned once.
-    pub(crate) fn keep_room(&mut self) -> Option<RuntimeError> {
-        if self.beside.is_empty() && self.leaving.is_empty() { self.room.keep() } else { None }
+    /// Holds shared memory for one more process, unless one of a role starts, or another comes or leaves; what is
+    /// missing is returned once.
+    pub(crate) fn keep_room(&mut self, bus: &Bus, starts: bool) -> Option<RuntimeError> {
+        self.room.keep(bus, starts || !self.beside.is_empty() || !self.leaving.is_empty())
     }
 
     /// Asks a process to end, or kills it.
