@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
+    BESIDE_VARIABLE, Bus, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
     RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RuntimeError, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
     StopWord, monotonic_ns, write_handover,
 };
@@ -370,9 +370,10 @@ impl Fleet {
         Some(child.pid())
     }
 
-    /// Holds shared memory for one more process, unless one is on its way or leaves; what is missing is returned once.
-    pub(crate) fn keep_room(&mut self) -> Option<RuntimeError> {
-        if self.beside.is_empty() && self.leaving.is_empty() { self.room.keep() } else { None }
+    /// Holds shared memory for one more process, unless one of a role starts, or another comes or leaves; what is
+    /// missing is returned once.
+    pub(crate) fn keep_room(&mut self, bus: &Bus, starts: bool) -> Option<RuntimeError> {
+        self.room.keep(bus, starts || !self.beside.is_empty() || !self.leaving.is_empty())
     }
 
     /// Asks a process to end, or kills it.

@@ -1,6 +1,5 @@
 //! The start of a process beside the one that fills its role: complete, or not at all.
 
-use runtime::RuntimeError;
 use shared_types::Role;
 
 use super::Session;
@@ -33,12 +32,8 @@ impl Session {
     /// Holds shared memory for the next process, while none is on its way.
     pub(super) fn keep_room(&mut self) {
         let starts = self.supervisor.processes().any(|view| view.state == VisibleState::Starting);
-        if let Some(shortage) = (!starts).then(|| self.fleet.keep_room()).flatten() {
-            self.progress.warn(&no_room(&shortage));
+        if let Some(shortage) = self.fleet.keep_room(&self.bus, starts) {
+            self.progress.warn(&format!("no reserve for a swap or a restart: {shortage}"));
         }
     }
-}
-
-fn no_room(shortage: &RuntimeError) -> String {
-    format!("no reserve for a swap or a restart: {shortage}")
 }

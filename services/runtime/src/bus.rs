@@ -118,7 +118,10 @@ impl Bus {
 
     /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
     /// later. To be called once the ports of a process are open.
-    pub(crate) fn allocate(&self) -> Result<(), RuntimeError> {
+    ///
+    /// # Errors
+    /// [`RuntimeError::SharedMemory`] when there is no room.
+    pub fn allocate(&self) -> Result<(), RuntimeError> {
         allocate_files(&self.domain)
     }
 

@@ -57,7 +57,8 @@ impl Shortage {
 /// A file without a name: nothing is left of it, however its process ends.
 #[derive(Debug)]
 pub struct Reserve {
-    _file: OwnedFd,
+    /// `None` where a file system has no files without a name: there the room is only checked.
+    _file: Option<OwnedFd>,
 }
 
 impl Reserve {
@@ -66,11 +67,13 @@ impl Reserve {
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when they are not there; then nothing was allocated, not even for a moment.
     pub fn take(bytes: u64) -> Result<Self, RuntimeError> {
+        require(&directory()?, bytes)?;
         let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
-        let file = open(SHARED_MEMORY, flags, Mode::RUSR | Mode::WUSR).map_err(error)?;
-        require(&file, bytes)?;
-        allocate(&file, bytes, bytes)?;
-        Ok(Self { _file: file })
+        match open(SHARED_MEMORY, flags, Mode::RUSR | Mode::WUSR) {
+            Ok(file) => allocate(&file, bytes, bytes).map(|()| Self { _file: Some(file) }),
+            Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(Self { _file: None }),
+            Err(reason) => Err(error(reason)),
+        }
     }
 
     /// Memory of one more process, of whatever role [bytes].
@@ -92,8 +95,11 @@ impl Reserve {
 /// # Errors
 /// [`RuntimeError::SharedMemory`] when there is not.
 pub(crate) fn require_room(role: Option<Role>) -> Result<(), RuntimeError> {
-    let directory = open(SHARED_MEMORY, OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty()).map_err(error)?;
-    require(&directory, role.map_or_else(observer_bytes, process_bytes))
+    require(&directory()?, role.map_or_else(observer_bytes, process_bytes))
+}
+
+fn directory() -> Result<OwnedFd, RuntimeError> {
+    open(SHARED_MEMORY, OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty()).map_err(error)
 }
 
 /// Allocates all files that a system has in shared memory to their length. One that is allocated already costs a look.
@@ -131,10 +137,10 @@ fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
     allocate(&file, status.len(), missing)
 }
 
-/// Allocates a file to `length`, for which `missing` bytes are needed. A file that was sparse keeps what is in it.
+/// Allocates a file to `length`, for which `missing` bytes are needed, where the file system can; what is in it stays.
 pub(crate) fn allocate(file: impl AsFd, length: u64, missing: u64) -> Result<(), RuntimeError> {
     match fallocate(&file, FallocateFlags::empty(), 0, length) {
-        Ok(()) => Ok(()),
+        Ok(()) | Err(Errno::OPNOTSUPP) => Ok(()),
         Err(Errno::NOSPC) => Err(Shortage { needed: missing, free: free(file)?.unwrap_or_default() }.into()),
         Err(reason) => Err(error(reason)),
     }

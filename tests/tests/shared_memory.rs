@@ -1,0 +1,264 @@
+//! Shared memory or the directory of the system full: an error with what is missing, never a signal, and the robot drives.
+//!
+//! Each test has file systems of its own in a mount namespace of its own, for which it starts itself again.
+
+use std::fs::{File, OpenOptions};
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use orchestrator::swap::{Certificate, SwapOutcome};
+use rustix::fs::{FallocateFlags, fallocate, statvfs};
+use rustix::process::Signal;
+use scanloop_tests::System;
+use scanloop_tests::exchange::{assert_reached, assert_seamless, begin, certificate, rows, swap};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const SHARED_MEMORY: &str = "/dev/shm";
+/// Says to a test that it runs among file systems of its own.
+const INSIDE: &str = "SCANLOOP_TEST_INSIDE";
+/// Fits one system with its reserve, and not two.
+const ROOMY: &str = "24m";
+
+/// Whether this is the test among file systems of its own, of these sizes at these places; else it is run there, and
+/// its result is ours. Says so where mounting is not permitted.
+fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
+    if std::env::var(INSIDE).is_ok_and(|inside| inside == test) {
+        return true;
+    }
+    if !Command::new("unshare").args(["-m", "true"]).status().is_ok_and(|status| status.success()) {
+        eprintln!("skipped {test}: mounting is not permitted");
+        return false;
+    }
+    let mount = |(size, place): &(&str, &Path)| {
+        let place = place.display();
+        format!("mkdir -p '{place}' && mount -t tmpfs -o mode=1777,size={size} tmpfs '{place}' && ")
+    };
+    let script = mounts.iter().map(mount).collect::<String>() + "exec \"$0\" \"$@\"";
+    let status = Command::new("unshare")
+        .args(["-m", "sh", "-c", &script])
+        .arg(std::env::current_exe().expect("this test"))
+        .args(["--exact", test, "--nocapture"])
+        .env(INSIDE, test)
+        .status()
+        .expect("unshare runs");
+    assert!(status.success(), "{test}: {status}");
+    false
+}
+
+/// A file that takes all but so many bytes of a file system until it is dropped.
+struct Ballast(PathBuf);
+
+impl Ballast {
+    fn leave(free: u64, place: &Path) -> Self {
+        let path = place.join(format!("ballast{free}"));
+        let file = OpenOptions::new().create_new(true).write(true).open(&path).expect("a new file");
+        let there = free_bytes(place);
+        if let Some(bytes) = there.checked_sub(free).filter(|bytes| *bytes > 0) {
+            fallocate(&file, FallocateFlags::empty(), 0, bytes).expect("the bytes are free");
+        }
+        Self(path)
+    }
+}
+
+impl Drop for Ballast {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+fn free_bytes(place: &Path) -> u64 {
+    let status = statvfs(place).expect("a file system");
+    status.f_bavail * status.f_frsize
+}
+
+/// The sum in a message that ends with `N KiB are missing`.
+fn missing_kib(text: &str) -> u64 {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let end = words.windows(4).rposition(|words| words[1..] == ["KiB", "are", "missing"]);
+    let end = end
+        .or_else(|| words.windows(4).rposition(|words| words[1] == "KiB" && words[3].starts_with("missing")));
+    end.and_then(|index| words[index].parse().ok()).unwrap_or_else(|| panic!("no sum in: {text}"))
+}
+
+fn swapped(system: &System) -> Certificate {
+    let certificate = swap(system, &["controller", "--to", "nmpc"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    assert_seamless(&certificate);
+    certificate
+}
+
+fn refused(system: &System, reason: &str) -> Certificate {
+    let old = rows(system, Role::Controller);
+    let certificate = swap(system, &["controller", "--to", "nmpc"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+    assert!(certificate.reason.contains(reason), "{}", certificate.reason);
+    assert_eq!(rows(system, Role::Controller), old, "the old one drives on");
+    assert_seamless(&certificate);
+    certificate
+}
+
+/// That no process of the run was ended by SIGBUS.
+fn assert_no_signal(system: &System) {
+    assert!(!system.stderr().contains("signal 7"), "{}", system.stderr());
+    let logs = std::fs::read_dir(system.folder().join("out/logs")).expect("logs").flatten();
+    for log in logs {
+        let text = std::fs::read_to_string(log.path()).expect("a log");
+        assert!(!text.contains("SIGBUS"), "{}: {text}", log.path().display());
+    }
+}
+
+fn reached(system: System, certificates: &[Certificate]) {
+    assert_no_signal(&system);
+    assert_reached(system, certificates);
+}
+
+/// Waits until the orchestrator holds its reserve, after which so much is free.
+fn wait_for_reserve(system: &System, free: u64) {
+    system.wait_until("the reserve is held", |_| free_bytes(Path::new(SHARED_MEMORY)) <= free);
+}
+
+#[test]
+fn a_system_that_does_not_fit_is_refused_with_what_is_missing() {
+    for size in ["64k", "1m", "8m"] {
+        if !is_inside(
+            "a_system_that_does_not_fit_is_refused_with_what_is_missing",
+            &[(size, SHARED_MEMORY.as_ref())],
+        ) {
+            continue;
+        }
+        let system = System::new(EXECUTABLE);
+        let free_kib = free_bytes(SHARED_MEMORY.as_ref()) / 1024;
+        for arguments in [["run", "--quiet", "corridor"], ["run", "--lockstep", "corridor"]] {
+            let output = system.run(&arguments);
+            let text = String::from_utf8_lossy(&output.stderr);
+            assert_eq!((output.status.code(), output.status.signal()), (Some(4), None), "{text}");
+            assert!(text.contains(&format!("/dev/shm has {free_kib} KiB free")), "{text}");
+            assert!((8_000..20_000).contains(&(missing_kib(&text) + free_kib)), "{text}");
+            system.assert_nothing_left();
+            assert_eq!(free_bytes(SHARED_MEMORY.as_ref()) / 1024, free_kib);
+        }
+        return;
+    }
+}
+
+#[test]
+fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
+    let place = Path::new(SHARED_MEMORY);
+    if !is_inside("a_swap_finds_the_reserve_however_full_shared_memory_is", &[(ROOMY, place)]) {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let held = free_bytes(place);
+    let mut certificates = Vec::new();
+    for free in [0, 4 << 10, 100 << 10, 1 << 20] {
+        wait_for_reserve(&system, held);
+        let ballast = Ballast::leave(free, place);
+        certificates.push(swapped(&system));
+        // What the old one had is free now: enough to hold the reserve again.
+        wait_for_reserve(&system, free + (1 << 20));
+        drop(ballast);
+    }
+    assert!(!system.stderr().contains("no reserve"), "{}", system.stderr());
+    reached(system, &certificates);
+}
+
+#[test]
+fn a_swap_without_room_is_refused_with_what_is_missing_and_nobody_notices() {
+    let place = Path::new(SHARED_MEMORY);
+    if !is_inside("a_swap_without_room_is_refused_with_what_is_missing_and_nobody_notices", &[(ROOMY, place)])
+    {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let mut certificates = Vec::new();
+    // The reserve is free while a process starts that takes nothing of it.
+    let sleeper = begin(&system, &["controller", "--", "sleep", "60"]);
+    system.wait_until("it starts", |system| rows(system, Role::Controller).len() == 2);
+    let ballast = Ballast::leave(0, place);
+    certificates.push(certificate(&sleeper.wait_with_output().unwrap()));
+    system.wait_until("it warns", |system| system.stderr().contains("no reserve for a swap or a restart"));
+    let refusal = refused(&system, "KiB are missing");
+    assert!((2_000..5_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
+    certificates.push(refusal);
+    // One that looks on would make the processes take memory that is not there.
+    let observer = system.run(&["topic", "hz", "pose", "--duration", "1"]);
+    let text = String::from_utf8_lossy(&observer.stderr);
+    assert_eq!(observer.status.code(), Some(4), "{text}");
+    assert!(missing_kib(&text) > 100, "{text}");
+    drop(ballast);
+    certificates.push(swapped(&system));
+    reached(system, &certificates);
+}
+
+#[test]
+fn a_restart_after_a_death_finds_room_in_full_shared_memory() {
+    let place = Path::new(SHARED_MEMORY);
+    if !is_inside("a_restart_after_a_death_finds_room_in_full_shared_memory", &[(ROOMY, place)]) {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let _ballast = Ballast::leave(0, place);
+    for role in [Role::Obstacles, Role::Controller] {
+        let old = system.pid(role);
+        system.signal(old, Signal::KILL);
+        system.wait_until("it is there again", |system| {
+            rows(system, role).first().is_some_and(|(pid, state)| *pid != old && state == "ready")
+        });
+    }
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    assert_no_signal(&system);
+    assert!(system.report().processes.iter().all(|process| process.restarts <= 1), "{}", system.stderr());
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_process_whose_memory_is_cut_off_says_so_before_it_ends() {
+    let place = Path::new(SHARED_MEMORY);
+    if !is_inside("a_process_whose_memory_is_cut_off_says_so_before_it_ends", &[(ROOMY, place)]) {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    for entry in std::fs::read_dir(place).unwrap().flatten() {
+        if entry.file_name().to_string_lossy().contains("doorbells") {
+            File::options().write(true).open(entry.path()).unwrap().set_len(0).unwrap();
+        }
+    }
+    system.wait_until("a process says so", |system| {
+        let log = |role: &Role| system.folder().join(format!("out/logs/{role}.log"));
+        Role::ALL.iter().any(|role| {
+            let text = std::fs::read_to_string(log(role)).unwrap_or_default();
+            text.contains("shared memory ran out or was cut off (SIGBUS)")
+        })
+    });
+}
+
+#[test]
+fn a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file() {
+    let test = "a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file";
+    let place = runtime::Domain::new("x").unwrap().directory().parent().unwrap().to_path_buf();
+    if !is_inside(test, &[("1m", &place)]) {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["long"]);
+    let mut certificates = vec![];
+    // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.
+    for (free, name) in
+        [(0, "controller.checkpoint"), (4 << 10, "controller.checkpoint"), (12 << 10, "processes")]
+    {
+        let ballast = Ballast::leave(free, &place);
+        let refusal = refused(&system, "No space left on device");
+        let file = system.domain().directory().join(name);
+        assert!(refusal.reason.contains(file.to_str().unwrap()), "{}", refusal.reason);
+        certificates.push(refusal);
+        drop(ballast);
+    }
+    certificates.push(swapped(&system));
+    reached(system, &certificates);
+}
