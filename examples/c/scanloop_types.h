@@ -510,7 +510,7 @@ typedef struct scanloop_heartbeat {
     uint64_t answered_scans; /* Sum of the scan ids of the answers */
     uint64_t written[2]; /* Sequence of the newest sample per topic that the role writes, in the order of `Role::writes` */
     scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
-    scanloop_refusal refused[2]; /* Samples dropped or refused for what stands in them, per topic that the role reads */
+    scanloop_refusal refused[2]; /* Samples dropped or refused because of their content, per topic that the role reads */
 } scanloop_heartbeat;
 _Static_assert(sizeof(scanloop_heartbeat) == 1072, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");

@@ -16,7 +16,7 @@
 It does what the Rust crate `runtime` does: it waits with a time-out, drops samples that do not count and counts them,
 carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT. Samples are copied out
 of shared memory. Of a sample it checks layout, finiteness, counts and `verified`; other numbers that are out of range come
-out. What it drops for what stands in it is told in the log of the process and in its heartbeats.
+out. What it drops because of its content is told in the log of the process and in its heartbeats.
 
 Needs Python 3.11 and the packages of requirements.txt.
 """
@@ -373,9 +373,10 @@ class Process:
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
-    def settings(self):
+    def settings(self, name=None):
         """The settings of the role, docs/settings.md, as a dict with all keys; the robot's are the scenario."""
-        return self._settings["scenario" if self.role == Role.ROBOT else self.role.name.lower()]
+        own = "scenario" if self.role == Role.ROBOT else self.role.name.lower()
+        return self._settings.get(name or own, {})
 
     def now_ns(self):
         """The time of the loop: CLOCK_MONOTONIC, or simulated in lock-step."""

@@ -442,7 +442,7 @@ class Heartbeat(ctypes.Structure):
         ("answered_scans", ctypes.c_uint64),  # Sum of the scan ids of the answers
         ("written", ctypes.c_uint64 * 2),  # Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
         ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
-        ("refused", Refusal * 2),  # Samples dropped or refused for what stands in them, per topic that the role reads
+        ("refused", Refusal * 2),  # Samples dropped or refused because of their content, per topic that the role reads
     ]
 
     @staticmethod

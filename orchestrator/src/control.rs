@@ -130,7 +130,7 @@ pub struct Status {
     pub lockstep: bool,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
-    /// Samples that a reader dropped or refused for what stands in them: by writer, reader and rule.
+    /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     #[serde(default)]
     pub refused: Vec<RefusedRow>,
 }

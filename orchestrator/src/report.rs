@@ -127,7 +127,7 @@ pub struct LedgerReport {
     pub unobserved: u64,
     /// The account per topic and role that reads it.
     pub topics: Vec<LedgerRow>,
-    /// Samples that a reader dropped or refused for what stands in them: by writer, reader and rule.
+    /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     pub refused: Vec<RefusedRow>,
     /// What was found wrong, sample by sample; at most a thousand.
     pub faults: Vec<Fault>,

@@ -1,4 +1,4 @@
-//! What a reader says of the samples that it dropped or refused for what stands in them.
+//! What a reader says of the samples that it dropped or refused because of their content.
 
 use crate::sample::layout;
 use crate::{Fault, Header, Rule};
@@ -7,7 +7,7 @@ use crate::{Fault, Header, Rule};
 pub const FIELD_NAME_BYTES: usize = 32;
 
 layout! {
-    /// How many samples of one input were dropped or refused for what stands in them, and the newest of them.
+    /// How many samples of one input were dropped or refused because of their content, and the newest of them.
     pub struct Refusal(64) {
         /// Samples since the process started
         pub count: u64,

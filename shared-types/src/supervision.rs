@@ -138,7 +138,7 @@ sample! {
         pub written: [u64; PORTS],
         /// What became of the samples per topic that the role reads, in the order of `Role::reads`
         pub inputs: [InputAccount; PORTS],
-        /// Samples dropped or refused for what stands in them, per topic that the role reads
+        /// Samples dropped or refused because of their content, per topic that the role reads
         pub refused: [Refusal; PORTS],
     }
 }

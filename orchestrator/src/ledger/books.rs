@@ -168,7 +168,7 @@ impl Books {
             return;
         };
         let midway = self.midway;
-        self.refused.hear(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
+        self.refused.add_heartbeat(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
         let worker = self.workers.entry(incarnation).or_insert_with(|| Worker {
             told: if midway { Worker::debt(heartbeat) } else { (0, 0) },
             ..Worker::default()
@@ -197,7 +197,7 @@ impl Books {
         for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
             let Some(ledger) = self.topics.get_mut(topic) else { continue };
             if heartbeat.looked_ns == 0 {
-                ledger.heard_silent(incarnation, role);
+                ledger.add_silent_reader(incarnation, role);
             } else {
                 let looked_ns = heartbeat.looked_ns;
                 let midway = self.midway;
@@ -243,12 +243,12 @@ impl Books {
         self.counts.residual > 0
     }
 
-    /// What readers dropped or refused for what stands in it since the last time.
+    /// What readers dropped or refused because of its content since the last time.
     pub fn new_refusals(&mut self) -> Vec<NewRefusal> {
         self.refused.take_news()
     }
 
-    /// Samples that readers dropped or refused for what stands in them.
+    /// Samples that readers dropped or refused because of their content.
     pub fn refused(&self) -> &[RefusedRow] {
         self.refused.rows()
     }

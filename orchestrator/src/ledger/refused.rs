@@ -1,4 +1,4 @@
-//! Samples that their readers dropped or refused for what stands in them: by writer, reader and rule.
+//! Samples that their readers dropped or refused because of their content: by writer, reader and rule.
 //!
 //! A heartbeat names the newest such sample of each input and says how many there were. Where samples fail several
 //! rules between two heartbeats, all of them count for the rule of the newest.
@@ -63,7 +63,7 @@ pub(super) struct Refused {
 
 impl Refused {
     /// A process said what it dropped and refused. With `midway` it may have said so to another orchestrator before.
-    pub(super) fn hear(&mut self, role: Role, heartbeat: &Heartbeat, midway: bool) {
+    pub(super) fn add_heartbeat(&mut self, role: Role, heartbeat: &Heartbeat, midway: bool) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, refusal) in role.reads().iter().zip(&heartbeat.refused) {
             let first = if midway { refusal.count } else { 0 };
@@ -170,8 +170,8 @@ mod tests {
         ] {
             let header = Header { scan_id, incarnation, ..Header::default() };
             heartbeat.refused[0].note(&header, &fault);
-            refused.hear(Role::Actuator, &heartbeat, false);
-            refused.hear(Role::Actuator, &heartbeat, false);
+            refused.add_heartbeat(Role::Actuator, &heartbeat, false);
+            refused.add_heartbeat(Role::Actuator, &heartbeat, false);
         }
         let told: Vec<String> = refused.rows().iter().map(ToString::to_string).collect();
         assert_eq!(
@@ -195,7 +195,7 @@ mod tests {
         let mut refused = Refused::default();
         let mut heartbeat = Heartbeat::default();
         heartbeat.refused[0].note(&Header::default(), &Fault::NotVerified { value: 0 });
-        refused.hear(Role::Actuator, &heartbeat, true);
+        refused.add_heartbeat(Role::Actuator, &heartbeat, true);
         assert_eq!(refused.rows(), []);
     }
 }

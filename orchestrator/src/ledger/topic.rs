@@ -179,7 +179,7 @@ impl TopicLedger {
     }
 
     /// A process reads the topic and sends no accounts.
-    pub fn heard_silent(&mut self, incarnation: u32, role: Role) {
+    pub fn add_silent_reader(&mut self, incarnation: u32, role: Role) {
         self.silent.entry(incarnation).or_insert(SilentReader { role, end: None });
     }
 
@@ -392,7 +392,7 @@ mod tests {
             account.writers[0] = span(1, 4);
             ledger.heard(word(&account, 5));
             if is_heard {
-                ledger.heard_silent(5, Role::Obstacles);
+                ledger.add_silent_reader(5, Role::Obstacles);
             }
             ledger.ended(READER, 6, true);
             (5..=24).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));

@@ -81,7 +81,7 @@ impl Supervisor {
             _ if exit.is_success() => format!("ended by itself with {exit}"),
             _ => exit.to_string(),
         };
-        // Outputs that nobody can use are none.
+        // Outputs that no reader can use do not count.
         let ready_ns = ready_ns.filter(|_| ending != Some(Ending::Refused));
         let limit = slot.count_death(now_ns, ready_ns);
         let is_final = match slot.policy.effective_restart() {

@@ -59,7 +59,7 @@ pub enum Event {
         /// Its incarnation.
         incarnation: u32,
     },
-    /// A reader dropped samples of a process for what stands in them.
+    /// A reader dropped samples of a process because of their content.
     Refused {
         /// Role of the process that wrote them.
         role: Role,

@@ -177,7 +177,7 @@ pub(super) struct Slot {
 /// Outputs of a process that were dropped.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Refused {
-    /// Who dropped them.
+    /// Role of the process that dropped them.
     pub(super) reader: Role,
     /// The newest of them, and what is wrong with it.
     pub(super) words: String,

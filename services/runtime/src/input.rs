@@ -211,7 +211,7 @@ pub(crate) trait Drain {
     fn review(&self);
     /// What became of all samples so far.
     fn account(&self) -> InputAccount;
-    /// Samples that were dropped or refused for what stands in them.
+    /// Samples that were dropped or refused because of their content.
     fn refusal(&self) -> Refusal;
 }
 

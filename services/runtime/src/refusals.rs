@@ -1,4 +1,4 @@
-//! What a process tells of samples that it drops for what stands in them: a line in its log, and a row in its heartbeat.
+//! What a process tells of samples that it drops because of their content: a line in its log, and a row in its heartbeat.
 
 use std::cell::RefCell;
 

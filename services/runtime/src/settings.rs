@@ -11,7 +11,7 @@ pub fn settings_file(role: Role) -> String {
     format!("settings-{role}.toml")
 }
 
-/// Name of the table in it that belongs to the role alone. The robot, and nobody else, is told the scenario.
+/// Name of the table in it that belongs to the role alone. Only the robot reads the scenario.
 pub fn settings_table(role: Role) -> &'static str {
     if role == Role::Robot { "scenario" } else { role.name() }
 }
