@@ -112,21 +112,21 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => remote::status(&domain()?, *json),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
-        Command::Latency { duration, json } => live_latency::watch(&domain()?, *duration, *json),
-        Command::Restart { role } => remote::restart(&domain()?, role),
-        Command::Swap(arguments) => remote::swap(&domain()?, arguments),
+        Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
+        Command::Restart { role } => remote::restart(&cli.system_id, role),
+        Command::Swap(arguments) => remote::swap(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
-        Command::Shadow(arguments) => shadow::shadow(&domain()?, arguments),
+        Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
         Command::Topic(TopicCommand::List) => {
             data(&topic::list())?;
             Ok(Exit::Done)
         }
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
-            topic::hz(&domain()?, topic, *duration).map(|()| Exit::Done)
+            topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
-            topic::echo(&domain()?, topic, *count, *short).map(|()| Exit::Done)
+            topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
         Command::Types(arguments) => {
             data(&types::print(arguments))?;

@@ -19,8 +19,9 @@ const TABLE_NS: u64 = 1_000_000_000;
 ///
 /// # Errors
 /// A time that is not allowed or a system that is not running (exit code 2), and errors of the bus.
-pub(crate) fn watch(domain: &Domain, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
+pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
     check_duration(Some(duration_s))?;
+    let domain = &Domain::existing(system_id)?;
     let Reply::Status(status) = ask(domain, &Request::Status)? else {
         anyhow::bail!("the orchestrator did not answer with a status");
     };

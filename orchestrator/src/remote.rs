@@ -43,8 +43,9 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 ///
 /// # Errors
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
-pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
+pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
     let role: Role = role.parse().map_err(Failure::bad_input)?;
+    let domain = &Domain::existing(system_id)?;
     let number = match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         Reply::Accepted(number) => number,
@@ -62,7 +63,7 @@ pub(crate) fn restart(domain: &Domain, role: &str) -> anyhow::Result<Exit> {
 ///
 /// # Errors
 /// An unknown role or implementation, a system that is not running or already exchanges one; exit code 2.
-pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result<Exit> {
+pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
     let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
     let tolerance = arguments.tolerance;
     // JSON has no word for NaN, so the orchestrator could not say what is wrong with it.
@@ -79,6 +80,7 @@ pub(crate) fn swap(domain: &Domain, arguments: &SwapArguments) -> anyhow::Result
         standby_scans: arguments.standby_scans,
         tolerance,
     };
+    let domain = &Domain::existing(system_id)?;
     let number = match ask(domain, &Request::Swap(request))? {
         Reply::Accepted(number) => number,
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),

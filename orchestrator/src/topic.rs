@@ -82,9 +82,9 @@ fn field_table(text: &mut String, fields: &[Field]) {
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
-pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Result<()> {
+pub(crate) fn hz(system_id: &str, topic: &str, duration_s: f64) -> anyhow::Result<()> {
     check_duration(Some(duration_s))?;
-    let mut watch = Watch::open(domain, topic)?;
+    let mut watch = Watch::open(system_id, topic)?;
     let started = monotonic_ns();
     let end = started + Duration::from_secs_f64(duration_s).as_nanos() as u64;
     let (mut next, mut before) = (started + 1_000_000_000, 0);
@@ -107,8 +107,8 @@ pub(crate) fn hz(domain: &Domain, topic: &str, duration_s: f64) -> anyhow::Resul
 ///
 /// # Errors
 /// An unknown topic, or a system that is not running.
-pub(crate) fn echo(domain: &Domain, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
-    let mut watch = Watch::open(domain, topic)?;
+pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
+    let mut watch = Watch::open(system_id, topic)?;
     let mut left = count.unwrap_or(u64::MAX);
     while left > 0 && watch.sleep() {
         let fields = watch.topic.fields();
@@ -140,12 +140,9 @@ struct Watch {
 }
 
 impl Watch {
-    fn open(domain: &Domain, topic: &str) -> anyhow::Result<Self> {
+    fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
         let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
-        if !domain.folder().contains("control.sock") {
-            return Err(RuntimeError::NotRunning(domain.system_id().to_owned()).into());
-        }
-        let bus = Bus::open(domain, "observer")?;
+        let bus = Bus::open(&Domain::existing(system_id)?, "observer")?;
         fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))

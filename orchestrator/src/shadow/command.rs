@@ -43,12 +43,13 @@ pub struct ShadowArguments {
 /// # Errors
 /// An unknown role or implementation, a system that is not running, does not drive, runs in lock-step or has a
 /// process beside that role already; exit code 2.
-pub(crate) fn shadow(domain: &Domain, arguments: &ShadowArguments) -> anyhow::Result<Exit> {
+pub(crate) fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Exit> {
     let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
     let (command, duration) = split(&arguments.command, arguments.duration)?;
     if command.is_empty() && arguments.to.is_none() {
         return Err(Failure::bad_input("a command is missing after `--`"));
     }
+    let domain = &Domain::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
     let request = ShadowRequest {
         role: role.name().to_owned(),
