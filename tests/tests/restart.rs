@@ -101,6 +101,22 @@ fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
 }
 
 #[test]
+fn a_restart_whose_state_cannot_be_written_leaves_the_old_one_driving() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["corridor"]);
+    // As on a full disk, nothing can be written to a folder.
+    std::fs::create_dir(system.domain().directory().join("controller.checkpoint")).unwrap();
+    let before = rows(&system, Role::Controller);
+    let (code, said) = restart(&system, Role::Controller);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("could not be started") && said.contains("controller.checkpoint"), "{said}");
+    assert_eq!(rows(&system, Role::Controller), before);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    assert_every_scan_answered_once(&system);
+    system.assert_nothing_left();
+}
+
+#[test]
 fn a_restart_in_lock_step_changes_no_bit_of_the_drive() {
     let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "120"]);
     let mut system = System::new(EXECUTABLE);
