@@ -64,7 +64,7 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
         (vec!["false"], "the new process ended: exit code 1"),
         (vec!["sleep", "60"], "no output within 3 s"),
         (vec![ODD, "steer"], "steering angle differs by"),
-        (vec![ODD, "nan"], "command is not finite"),
+        (vec![ODD, "nan"], "steering_rad is not finite"),
         (vec![ODD, "late"], "late: "),
         (vec![ODD, "flood"], "not the first for that scan"),
         (vec![ODD, "exit-after", "3"], "the new process ended: exit code 1"),

@@ -89,6 +89,7 @@ enum Deed {
     Report(Role, ProcessState),
     Progress(Role),
     Starve(Role),
+    Refuse(Role, Role),
     Die(Role, Exit),
     Clean(Role),
     Wait(u64),
@@ -137,6 +138,7 @@ fn any_deed() -> impl Strategy<Value = Deed> {
         12 => (any_role(), any_state()).prop_map(|(role, state)| Deed::Report(role, state)),
         6 => any_role().prop_map(Deed::Progress),
         2 => any_role().prop_map(Deed::Starve),
+        3 => (any_role(), any_role()).prop_map(|(role, reader)| Deed::Refuse(role, reader)),
         6 => (any_role(), any_exit()).prop_map(|(role, exit)| Deed::Die(role, exit)),
         8 => any_role().prop_map(Deed::Clean),
         6 => (0_u64..5_000).prop_map(Deed::Wait),
@@ -156,6 +158,7 @@ fn perform(world: &mut World, deed: Deed) {
             let incarnation = world.incarnation(role);
             world.send(Event::Starved { role, incarnation });
         }
+        Deed::Refuse(role, reader) => world.refuse(role, reader),
         Deed::Die(role, exit) => world.die(role, exit),
         Deed::Clean(role) => world.clean(role),
         Deed::Wait(milliseconds) => {

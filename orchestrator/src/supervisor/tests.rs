@@ -778,12 +778,6 @@ fn a_replacement_that_comes_after_the_stop_is_ended_with_its_wave() {
     assert_eq!(world.supervisor.process(Role::Controller).unwrap().pid, Some(77));
 }
 
-/// A reader dropped what a process wrote.
-fn refuse(world: &mut World, role: Role, reader: Role) {
-    let words = format!("its output was dropped by {reader}: not finite");
-    world.send(Event::Refused { role, incarnation: world.incarnation(role), reader, words });
-}
-
 /// Lets time pass in which all processes make progress.
 fn watch(world: &mut World, steps: u32) {
     for _ in 0..steps {
@@ -815,7 +809,7 @@ fn killed(world: &World) -> Vec<Role> {
 #[test]
 fn a_process_whose_outputs_are_dropped_is_ended_for_them_and_its_reader_is_not() {
     let mut world = with_a_new_reader();
-    refuse(&mut world, Role::Estimator, Role::Obstacles);
+    world.refuse(Role::Estimator, Role::Obstacles);
     watch(&mut world, 99);
     assert_eq!(killed(&world), []);
     watch(&mut world, 1);
@@ -828,7 +822,7 @@ fn a_process_whose_outputs_are_dropped_is_ended_for_them_and_its_reader_is_not()
 #[test]
 fn a_reader_that_had_a_valid_input_after_all_ends_the_blame() {
     let mut world = with_a_new_reader();
-    refuse(&mut world, Role::Estimator, Role::Obstacles);
+    world.refuse(Role::Estimator, Role::Obstacles);
     watch(&mut world, 50);
     world.report(Role::Obstacles, ProcessState::Ready);
     watch(&mut world, 200);
@@ -840,10 +834,10 @@ fn in_lockstep_a_dropped_output_ends_the_run_with_its_writer() {
     let mut world = World::new(policies(), true);
     world.send(Event::Start);
     world.bring_up();
-    refuse(&mut world, Role::Controller, Role::Actuator);
+    world.refuse(Role::Controller, Role::Actuator);
     let reason = "its output was dropped by actuator: not finite".to_owned();
     assert_eq!(world.failure, Some((Role::Controller, reason)));
-    refuse(&mut world, Role::Estimator, Role::Obstacles);
+    world.refuse(Role::Estimator, Role::Obstacles);
     world.bring_down(true);
     assert_eq!(state(&world, Role::Controller), VisibleState::Failed);
     assert_eq!(state(&world, Role::Actuator), VisibleState::Stopped);

@@ -35,6 +35,8 @@ pub(super) struct Process {
     ready_ns: Option<u64>,
     pub(super) terminated_ns: Option<u64>,
     pub(super) killed: bool,
+    /// The reader that dropped its outputs.
+    refused: Option<Role>,
 }
 
 /// The supervisor and all it acts on.
@@ -56,7 +58,7 @@ pub(super) struct World {
 
 impl Process {
     fn new(incarnation: u32) -> Self {
-        Self { incarnation, reached: None, ready_ns: None, terminated_ns: None, killed: false }
+        Self { incarnation, reached: None, ready_ns: None, terminated_ns: None, killed: false, refused: None }
     }
 
     fn is_asked_to_end(&self) -> bool {
@@ -175,6 +177,7 @@ impl World {
     pub(super) fn report(&mut self, role: Role, state: ProcessState) {
         let now_ns = self.now_ns;
         let Some(process) = &mut self.places[role.index()].process else { return };
+        let is_first = state == ProcessState::Ready && process.ready_ns.is_none();
         if state == ProcessState::Ready {
             process.ready_ns.get_or_insert(now_ns);
         }
@@ -182,7 +185,22 @@ impl World {
             process.reached = process.reached.max(Some(state));
         }
         let incarnation = process.incarnation;
+        if is_first {
+            // From now on only outputs that are dropped count against it.
+            self.places[role.index()].mute_since_ns = None;
+        }
         self.send(Event::StateReported { role, incarnation, state });
+    }
+
+    /// A reader dropped what a process wrote.
+    pub(super) fn refuse(&mut self, role: Role, reader: Role) {
+        let Some(process) = &mut self.places[role.index()].process else { return };
+        let incarnation = process.incarnation;
+        if !self.stopping {
+            process.refused = Some(reader);
+        }
+        let words = format!("its output was dropped by {reader}: not finite");
+        self.send(Event::Refused { role, incarnation, reader, words });
     }
 
     pub(super) fn progress(&mut self, role: Role) {
@@ -197,10 +215,13 @@ impl World {
         let Some(process) = place.process.take() else { return };
         place.dirty = true;
         let restart_asked = process.terminated_ns.is_some();
-        if !restart_asked && process.ready_ns.is_some() {
+        // A process that was killed because its outputs were dropped did not start well, one that hung did.
+        let is_unclear = process.killed && process.refused.is_some();
+        if !restart_asked && !is_unclear && process.ready_ns.is_some() {
             place.deaths.push(self.now_ns);
         }
         match process.ready_ns {
+            _ if is_unclear => {}
             Some(ready_ns) if self.now_ns - ready_ns >= healthy_ns && !restart_asked => place.dead_starts = 0,
             Some(_) => {}
             // A process that was asked to end did not fail to start.
@@ -370,11 +391,15 @@ impl World {
 
     /// Counts anew how long each process has had all it reads and no output.
     fn forgive_first_outputs(&mut self) {
-        let is_ready = |role: Role| {
-            let place = &self.places[role.index()];
-            let ready = |process: &Process| process.ready_ns.is_some() && !process.is_asked_to_end();
+        let ready = |process: &Process| process.ready_ns.is_some() && !process.is_asked_to_end();
+        let readers = self.places.each_ref().map(|place| place.process.as_ref().is_some_and(ready));
+        for process in self.places.iter_mut().filter_map(|place| place.process.as_mut()) {
+            process.refused.take_if(|reader| readers[reader.index()]);
+        }
+        let serves = |role: Role| {
+            let serves = |process: &Process| ready(process) && process.refused.is_none();
             !self.policies.iter().any(|policy| policy.role == role)
-                || place.process.as_ref().is_some_and(ready)
+                || self.places[role.index()].process.as_ref().is_some_and(serves)
         };
         // Of a run that has failed only the end counts.
         let driving = self.supervisor.phase() == Phase::Driving && !self.stopping;
@@ -383,7 +408,9 @@ impl World {
                 process.reached == Some(ProcessState::Connected) && !process.is_asked_to_end()
             };
             let place = &self.places[role.index()];
-            driving && place.process.as_ref().is_some_and(waits) && feeders(*role).all(is_ready)
+            let is_dropped = |process: &Process| ready(process) && process.refused.is_some();
+            let has_inputs = place.process.as_ref().is_some_and(waits) && feeders(*role).all(serves);
+            driving && (has_inputs || place.process.as_ref().is_some_and(is_dropped))
         });
         let mute: Vec<bool> = mute.collect();
         for (place, mute) in self.places.iter_mut().zip(mute) {
