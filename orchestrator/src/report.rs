@@ -30,8 +30,6 @@ pub const SCHEMA: u32 = 1;
 pub struct Report {
     /// [`SCHEMA`].
     pub schema: u32,
-    /// The random id of the run, by which its shared memory was named.
-    pub run_id: String,
     /// Name of the scenario.
     pub scenario: String,
     /// Seed of all random numbers.
@@ -42,6 +40,8 @@ pub struct Report {
     pub reason: String,
     /// Whether time was simulated.
     pub lockstep: bool,
+    /// The random id of the run, by which its shared memory was named.
+    pub run_id: String,
     /// Whether another orchestrator began the run; what follows then tells of the time since it was adopted, but for
     /// what the robot itself counts.
     pub adopted: bool,

@@ -1,53 +1,117 @@
-//! A process that runs out of shared memory says so before it ends.
+//! What a process says and does before a fault of its own ends it.
 //!
-//! The kernel reports a page that it can't provide by SIGBUS, whose default ends a process without a word. The handler
-//! writes one line to standard error, which is the log of the process, and gives the signal to the one before it.
-#![expect(unsafe_code, reason = "a signal that comes from a fault needs a handler of the system's own kind")]
+//! The kernel reports a page that it can't provide by SIGBUS, and a bad address by SIGSEGV, whose defaults end a process
+//! without a word. The handler writes one line to standard error, which is the log of a process. In an orchestrator it
+//! latches the stop word first, and so does a panic. It runs on a stack of its own, so that a stack overflow does not keep
+//! it from running; then it gives the signal back to the handler that was there before, and lets it happen again.
+//!
+//! Where this fails: KILL, an abort, and a machine without memory leave no time. Then the processes notice the silence.
+#![expect(unsafe_code, reason = "signal handlers are installed for signals that no safe interface allows")]
 
 use std::cell::UnsafeCell;
 use std::mem::MaybeUninit;
-use std::sync::Once;
+use std::sync::{Once, OnceLock};
+use std::time::Duration;
 
-/// What the handler writes.
-const LINE: &[u8] = b"shared memory ran out or was cut off (SIGBUS): see `df /dev/shm`\n";
+use crate::logging::{Priority, print};
+use crate::stop::StopWord;
+use crate::terminal::flush_terminal;
 
-/// What was set for SIGBUS before.
-static BEFORE: Before = Before(UnsafeCell::new(MaybeUninit::zeroed()));
+/// Signals of the processor that end a process.
+const SIGNALS: [libc::c_int; 3] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGILL];
+/// Memory for the handler, on which the handler before it runs as well [bytes].
+const STACK: usize = 64 << 10;
+/// The words of a panic are waited for so long at most.
+const FLUSH: Duration = Duration::from_millis(300);
+
+/// The stop word of the run that this process orchestrates.
+static WORD: OnceLock<StopWord> = OnceLock::new();
 static INSTALLED: Once = Once::new();
+/// What the signals did before.
+static BEFORE: Before = Before([const { UnsafeCell::new(MaybeUninit::zeroed()) }; SIGNALS.len()]);
 
-struct Before(UnsafeCell<MaybeUninit<libc::sigaction>>);
+struct Before([UnsafeCell<MaybeUninit<libc::sigaction>>; SIGNALS.len()]);
 
-// SAFETY: written once, in `report_crashes` before the handler is set; from then on only read, by the handler.
+// SAFETY: each cell is written once, before its handler can run, and only read afterwards.
 unsafe impl Sync for Before {}
 
-/// Lets SIGBUS write a line to standard error before it does what it did before. Once per process; a kernel that
-/// refuses leaves everything as it is.
+/// From now on a crash of this process writes a line to standard error. Once per process; a kernel that refuses leaves
+/// everything as it is.
 pub fn report_crashes() {
     INSTALLED.call_once(|| {
-        // SAFETY: the structure is zeroed, which is a valid value of plain C fields, and filled as sigaction(2) asks; the
-        // handler has the signature that SA_SIGINFO asks for. `BEFORE` is written here only, before a handler reads it.
-        unsafe {
-            if libc::sigaction(libc::SIGBUS, std::ptr::null(), BEFORE.0.get().cast()) != 0 {
-                return;
+        // The main thread has a stack for stack overflows already, but a small one.
+        let stack = Box::leak(vec![0_u8; STACK].into_boxed_slice());
+        let stack = libc::stack_t { ss_sp: stack.as_mut_ptr().cast(), ss_flags: 0, ss_size: STACK };
+        // SAFETY: the memory is never freed, and no handler runs on the stack that it replaces.
+        unsafe { libc::sigaltstack(&raw const stack, std::ptr::null_mut()) };
+        for (index, signal) in SIGNALS.into_iter().enumerate() {
+            // SAFETY: a zeroed `sigaction` is valid; the handler does only what a signal handler may do; the place for
+            // the old action is written before the new one is in force.
+            unsafe {
+                if libc::sigaction(signal, std::ptr::null(), BEFORE.0[index].get().cast()) != 0 {
+                    continue;
+                }
+                let mut action: libc::sigaction = std::mem::zeroed();
+                action.sa_sigaction = handle as *const () as libc::sighandler_t;
+                action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
+                libc::sigaction(signal, &raw const action, std::ptr::null_mut());
             }
-            let mut action: libc::sigaction = std::mem::zeroed();
-            action.sa_sigaction = handle as *const () as usize;
-            action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
-            libc::sigaction(libc::SIGBUS, &action, std::ptr::null_mut());
         }
     });
 }
 
-/// Writes the line and restores what was set before. A fault then happens again by itself when this returns; a signal
-/// that a process has sent is raised again.
+/// From now on a panic or a crash of this process, an orchestrator, latches `word` before anything else. Once per process.
+pub fn latch_on_crash(word: &StopWord) {
+    if WORD.set(word.clone()).is_err() {
+        return;
+    }
+    std::panic::set_hook(Box::new(|panic| {
+        latch();
+        // Not by the default hook, which would wait for a terminal that is not read.
+        print(Priority::Error, &format!("internal error: {panic}; wheels are blocked"));
+        flush_terminal(FLUSH);
+    }));
+    report_crashes();
+}
+
+fn latch() {
+    if let Some(word) = WORD.get() {
+        word.latch();
+    }
+}
+
+/// The line for a signal.
+fn line(signal: libc::c_int) -> &'static [u8] {
+    match (signal, WORD.get().is_some()) {
+        (libc::SIGBUS, false) => b"shared memory ran out or was cut off (SIGBUS): see `df /dev/shm`\n",
+        (libc::SIGBUS, true) => {
+            b"scanloop: shared memory ran out or was cut off (SIGBUS): the orchestrator ends, wheels are blocked\n"
+        }
+        (libc::SIGILL, false) => b"this process ends: illegal instruction (SIGILL)\n",
+        (libc::SIGILL, true) => b"scanloop: the orchestrator ends (SIGILL), wheels are blocked\n",
+        (_, false) => b"this process ends: bad address or stack overflow (SIGSEGV)\n",
+        (_, true) => b"scanloop: the orchestrator ends (SIGSEGV), wheels are blocked\n",
+    }
+}
+
+/// A fault happens again by itself when this returns; a signal that a process has sent is sent once more.
 extern "C" fn handle(signal: libc::c_int, information: *mut libc::siginfo_t, _: *mut libc::c_void) {
-    // SAFETY: write(2), sigaction(2) and raise(3) may be called in a signal handler; the kernel hands over a valid
-    // `information`, and `BEFORE` was filled before this handler was set.
+    latch();
+    let text = line(signal);
+    // SAFETY: plain system calls on valid memory; the old action was stored before this handler could run, and the kernel
+    // hands over a valid `information`.
     unsafe {
-        libc::write(libc::STDERR_FILENO, LINE.as_ptr().cast(), LINE.len());
-        libc::sigaction(signal, BEFORE.0.get().cast(), std::ptr::null_mut());
-        if (*information).si_code <= 0 {
+        // A terminal that is not read must not hold this up.
+        let mut ready = libc::pollfd { fd: libc::STDERR_FILENO, events: libc::POLLOUT, revents: 0 };
+        if libc::poll(&raw mut ready, 1, 0) == 1 {
+            let _ = libc::write(libc::STDERR_FILENO, text.as_ptr().cast(), text.len());
+        }
+        let is_sent = information.as_ref().is_none_or(|information| information.si_code <= 0);
+        if is_sent {
+            libc::signal(signal, libc::SIG_DFL);
             libc::raise(signal);
+        } else if let Some(index) = SIGNALS.iter().position(|known| *known == signal) {
+            libc::sigaction(signal, BEFORE.0[index].get().cast(), std::ptr::null_mut());
         }
     }
 }

@@ -36,7 +36,6 @@ mod domain;
 mod ear;
 mod environment;
 mod error;
-mod fatal;
 mod folder;
 mod guard;
 mod handover;
@@ -68,14 +67,14 @@ pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
-pub use crash::report_crashes;
+pub use crash::{latch_on_crash, report_crashes};
 pub use domain::{Domain, remove_bus_files_of};
 pub use environment::{
     BESIDE_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, ROLE_VARIABLE,
     RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
 };
 pub use error::RuntimeError;
-pub use fatal::latch_on_crash;
+
 pub use folder::Folder;
 pub use handover::{Handover, HandoverData, write as write_handover};
 pub use identity::{

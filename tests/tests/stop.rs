@@ -1,0 +1,268 @@
+//! `scanloop stop` blocks the wheels whatever the orchestrator does, and each way out of the orchestrator does what
+//! docs/supervision.md says.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::Output;
+
+use emulator::Outcome;
+use rustix::process::Signal;
+use scanloop_tests::{System, Watch};
+use shared_types::{Role, Truth};
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+/// The command returns after a second at the latest when wheels are blocked [ms].
+const LIMIT_MS: u64 = 1000;
+
+/// A system that drives.
+fn driving(arguments: &[&str]) -> (System, Watch) {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&["endless"], arguments].concat());
+    let watch = Watch::new(&system);
+    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    (system, watch)
+}
+
+fn wait_for(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
+    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
+    watch.newest().unwrap()
+}
+
+fn wait_for_rest(system: &System, watch: &Watch) {
+    let rest = wait_for(system, watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
+    assert_eq!(rest.collided, 0);
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Stops the system, which must acknowledge within the limit; returns what was printed.
+fn stop(system: &System) -> String {
+    let output = system.run(&["stop"]);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    let after = text.split("wheels blocked after ").nth(1).unwrap_or_else(|| panic!("{text}"));
+    let after_ms: u64 = after.split(' ').next().unwrap().parse().unwrap();
+    assert!(after_ms <= LIMIT_MS, "{text}");
+    text
+}
+
+#[test]
+fn a_run_is_stopped_and_its_report_says_so() {
+    let (mut system, watch) = driving(&[]);
+    stop(&system);
+    wait_for_rest(&system, &watch);
+    assert_eq!(system.wait().code(), Some(1));
+    let report = system.report();
+    assert_eq!((report.outcome, report.reason.as_str()), (Outcome::Interrupted, "stopped by command"));
+    assert_eq!((report.drive.final_speed_mps, report.scans.unaccounted), (0.0, 0));
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn an_orchestrator_that_is_suspended_keeps_nobody_from_stopping() {
+    for signal in [Signal::STOP, Signal::TSTP] {
+        let (mut system, watch) = driving(&[]);
+        system.signal(system.orchestrator(), signal);
+        stop(&system);
+        wait_for_rest(&system, &watch);
+        // It is woken by what the command leaves in the background, and ends its run itself.
+        assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+        assert_eq!(system.report().reason, "stopped by command");
+        drop(watch);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn processes_that_are_suspended_as_well_are_woken_and_stop() {
+    let (mut system, watch) = driving(&[]);
+    let stages = [Role::Actuator, Role::Robot].map(|role| system.pid(role));
+    system.signal(system.orchestrator(), Signal::STOP);
+    stages.iter().for_each(|pid| system.signal(*pid, Signal::STOP));
+    stop(&system);
+    wait_for_rest(&system, &watch);
+    system.wait();
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_system_that_lost_its_orchestrator_is_stopped_without_its_directory() {
+    let (mut system, watch) = driving(&[]);
+    let directory = system.domain().directory().to_path_buf();
+    system.kill_orchestrator();
+    std::fs::remove_dir_all(directory).unwrap();
+    let text = stop(&system);
+    assert!(text.contains("had lost its orchestrator"), "{text}");
+    wait_for_rest(&system, &watch);
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_stop_is_never_taken_back() {
+    let (mut system, watch) = driving(&["--set", "orphan_timeout_s=60"]);
+    system.signal(system.orchestrator(), Signal::STOP);
+    stop(&system);
+    let adopted = system.run(&["adopt", "--quiet"]);
+    assert_ne!(adopted.status.code(), Some(0), "{}", stderr(&adopted));
+    wait_for_rest(&system, &watch);
+    system.wait();
+    let all = watch.all();
+    let stopped = all.iter().position(|truth| truth.speed_mps <= 0.0 && truth.header.scan_id > 10).unwrap();
+    assert!(all[stopped..].iter().all(|truth| truth.speed_mps <= 0.0), "it moved again after the stop");
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
+    for signal in [Signal::SEGV, Signal::BUS, Signal::ILL] {
+        let (mut system, watch) = driving(&["--set", "orphan_timeout_s=3"]);
+        system.signal(system.orchestrator(), signal);
+        assert_eq!(system.wait().code(), None, "a signal ends it");
+        wait_for_rest(&system, &watch);
+        assert!(system.stderr().contains("wheels are blocked"), "{}", system.stderr());
+        let adopted = system.run(&["adopt", "--quiet"]);
+        assert_eq!(adopted.status.code(), Some(1), "{}", stderr(&adopted));
+        assert!(stderr(&adopted).contains("was stopped"), "{}", stderr(&adopted));
+        drop(watch);
+        // Nobody can take it over, so it ends by itself.
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_closed_terminal_and_a_quit_key_end_the_run_in_order() {
+    for signal in [Signal::HUP, Signal::QUIT, Signal::TERM] {
+        let (mut system, watch) = driving(&[]);
+        system.signal(system.orchestrator(), signal);
+        assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+        let report = system.report();
+        assert_eq!((report.outcome, report.drive.final_speed_mps), (Outcome::Interrupted, 0.0));
+        drop(watch);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() {
+    for signal in [Signal::KILL, Signal::ABORT] {
+        let (mut system, watch) = driving(&["--set", "orphan_stop_s=1.5", "--set", "timeout_s=600"]);
+        let killed = watch.newest().unwrap();
+        system.signal(system.orchestrator(), signal);
+        system.wait();
+        wait_for_rest(&system, &watch);
+        let blocked = watch
+            .all()
+            .into_iter()
+            .find(|truth| truth.header.scan_id > killed.header.scan_id && truth.blocked == 1)
+            .unwrap();
+        let alone_s = blocked.time_s - killed.time_s;
+        assert!((1.2..3.0).contains(&alone_s), "it drove on for {alone_s} s");
+        system.adopt(&[]);
+        wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+        stop(&system);
+        system.wait();
+        drop(watch);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_run_that_was_suspended_goes_on() {
+    let (mut system, watch) = driving(&["--set", "orphan_stop_s=0.5", "--set", "timeout_s=600"]);
+    system.signal(system.orchestrator(), Signal::STOP);
+    wait_for_rest(&system, &watch);
+    system.signal(system.orchestrator(), Signal::CONT);
+    wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+    stop(&system);
+    system.wait();
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+/// The built-in system in which these roles are started without the stop word.
+fn without_stop_word(system: &System, roles: &[Role]) -> String {
+    let names = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
+    let mut text = String::new();
+    for (role, name) in Role::ALL.iter().zip(names) {
+        text += &format!("[[process]]\nrole = \"{role}\"\n");
+        text += &match roles.contains(role) {
+            true => {
+                let command = ["env", "-u", "SCANLOOP_STOP_FD", EXECUTABLE, "service", name];
+                format!("command = {command:?}\n")
+            }
+            false => format!("implementation = \"{name}\"\n"),
+        };
+    }
+    let path = system.folder().join("system.toml");
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_process_that_does_not_see_the_stop_word_is_ended_and_the_block_is_confirmed_by_the_other() {
+    for role in [Role::Actuator, Role::Robot] {
+        let mut system = System::new(EXECUTABLE);
+        let file = without_stop_word(&system, &[role]);
+        system.start(&["endless", "--system", &file]);
+        let watch = Watch::new(&system);
+        wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+        system.signal(system.orchestrator(), Signal::STOP);
+        stop(&system);
+        wait_for_rest(&system, &watch);
+        system.wait();
+        drop(watch);
+        system.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() {
+    let mut system = System::new(EXECUTABLE);
+    let file = without_stop_word(&system, &[Role::Actuator, Role::Robot]);
+    system.start(&["endless", "--system", &file]);
+    let watch = Watch::new(&system);
+    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    system.signal(system.orchestrator(), Signal::STOP);
+    let output = system.run(&["stop"]);
+    let text = stderr(&output);
+    // The robot may end, at rest, before the time is over: then it has no wheels any more.
+    match output.status.code() {
+        Some(4) => assert!(text.contains("is not confirmed") && text.contains("alive: "), "{text}"),
+        code => assert_eq!(code, Some(0), "{text}"),
+    }
+    wait_for_rest(&system, &watch);
+    system.wait();
+    drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_wrong_id_names_the_systems_that_run() {
+    let (mut system, watch) = driving(&[]);
+    let output =
+        std::process::Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains(&format!("`{}`", system.id())), "{}", stderr(&output));
+    stop(&system);
+    system.wait();
+    drop(watch);
+    system.assert_nothing_left();
+    let again = system.run(&["stop"]);
+    assert_eq!(again.status.code(), Some(2), "{}", stderr(&again));
+}
+
+#[test]
+fn a_new_run_waits_for_one_that_was_just_stopped() {
+    let (mut system, watch) = driving(&[]);
+    drop(watch);
+    stop(&system);
+    let report = system.lockstep(&["free"]);
+    assert_eq!(report.outcome, Outcome::Reached);
+    system.wait();
+    system.assert_nothing_left();
+}
