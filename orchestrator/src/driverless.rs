@@ -9,12 +9,15 @@ use crate::child::usage_of;
 use crate::control::{ProcessStatus, Status};
 use crate::ledger::Books;
 use crate::roster::RunFile;
+use crate::runs::LivingRun;
 use crate::supervisor::Event;
 use crate::survivors::Survivors;
 use crate::vitals::Vitals;
 
 /// State of a system whose orchestrator died, in `status`.
 pub(crate) const DRIVERLESS: &str = "driverless";
+/// State of one that was stopped as well, and is about to end.
+const STOPPED: &str = "stopped";
 
 /// Heartbeats are listened to for this long: five of each process that lives [ns].
 const LISTEN_NS: u64 = 500_000_000;
@@ -76,7 +79,7 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
     processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
     Some(Status {
         system_id: domain.system_id().to_owned(),
-        state: DRIVERLESS.to_owned(),
+        state: if is_stopped(domain) { STOPPED } else { DRIVERLESS }.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
         scan,
         // In lock-step nothing moves without an orchestrator.
@@ -84,6 +87,11 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
         processes,
         refused: Vec::new(),
     })
+}
+
+/// Whether the run was stopped, so that it can only end.
+fn is_stopped(domain: &Domain) -> bool {
+    LivingRun::of(domain.run_id()).and_then(|run| run.word).is_some_and(|word| !word.is_armed())
 }
 
 /// What processes say of themselves in half a second; `None` when the bus cannot be joined.

@@ -419,6 +419,10 @@ impl Session {
                 self.speak()?;
             }
             Action::Spawn { role, .. } if !self.word.is_armed() => {
+                self.heed_stop();
+                if self.supervisor.phase() != Phase::Driving {
+                    self.handle(Event::StopRequested)?;
+                }
                 return Ok(Some(Event::SpawnFailed { role, error: "the run was stopped".to_owned() }));
             }
             Action::Spawn { role, incarnation } => {

@@ -41,8 +41,9 @@ impl Domain {
         let folder = make_folder(system_id)?;
         let run_id = random_id();
         let domain = Self::assemble(system_id, run_id, folder);
+        // The id is for people who look there; where shared memory is full it is left out.
         let made = Folder::make(&domain.bus_directory())
-            .and_then(|bus| bus.write(SYSTEM_ID_FILE, system_id.as_bytes()))
+            .map(|bus| _ = bus.write(SYSTEM_ID_FILE, system_id.as_bytes()))
             .and_then(|()| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
         if let Err(error) = made {
             let _ = domain.remove();
