@@ -566,6 +566,7 @@ class Process:
         now = time.monotonic_ns()
         self._next_heartbeat_ns = now + HEARTBEAT_NS
         beat = Heartbeat(role=self.role, state=self._state, pid=os.getpid(), issued_ns=now)
+        beat.obeys_stop = self._stop_word._page is not None
         for name, value in self.counters.items():
             setattr(beat, name, value)
         for reader in self._inputs:

@@ -156,6 +156,9 @@ pub struct ProcessStatus {
     pub cpu_percent: f64,
     /// Resident memory [KiB].
     pub memory_kib: u64,
+    /// Whether it sees the stop word, and so obeys `scanloop stop` by itself.
+    #[serde(default)]
+    pub obeys_stop: bool,
     /// Last lines that a process wrote before it died.
     pub last_words: Vec<String>,
 }

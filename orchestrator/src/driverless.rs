@@ -72,6 +72,7 @@ pub(crate) fn status(domain: &Domain) -> Option<Status> {
             last_sample_age_ms,
             cpu_percent: 100.0 * (cpu(process.pid()) - before_s).max(0.0) / elapsed_s.max(1e-3),
             memory_kib: usage.map_or(0, |usage| usage.memory_kib),
+            obeys_stop: heard.as_ref().is_some_and(|(vitals, _)| vitals.obeys_stop(incarnation)),
             last_words: Vec::new(),
         }
     });

@@ -160,6 +160,9 @@ fn table(status: &Status) -> String {
             process.cpu_percent,
             process.memory_kib
         );
+        if !process.obeys_stop && ["robot", "actuator"].contains(&process.role.as_str()) {
+            let _ = writeln!(text, "            ! it does not see the stop word: `scanloop stop` ends it");
+        }
         for line in &process.last_words {
             let _ = writeln!(text, "            | {line}");
         }

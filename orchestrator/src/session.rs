@@ -547,6 +547,7 @@ impl Session {
                 last_sample_age_ms,
                 cpu_percent: load.cpu_percent,
                 memory_kib: load.memory_kib,
+                obeys_stop: self.vitals.obeys_stop(view.incarnation),
                 last_words: self.fleet.last_words(view.role).to_vec(),
             }
         });

@@ -29,6 +29,7 @@ struct Pulse {
     published: VecDeque<(u64, u64)>,
     newest_output_ns: u64,
     scan: u64,
+    obeys_stop: bool,
 }
 
 impl Vitals {
@@ -100,6 +101,11 @@ impl Vitals {
         self.pulses.get(&incarnation).map_or(0, |pulse| pulse.scan)
     }
 
+    /// Whether an incarnation sees the stop word, as it says; one that has not said anything is given the benefit of doubt.
+    pub(crate) fn obeys_stop(&self, incarnation: u32) -> bool {
+        self.pulses.get(&incarnation).is_none_or(|pulse| pulse.obeys_stop)
+    }
+
     /// Outputs per second of an incarnation, and the age of its newest output [ms].
     pub(crate) fn rate_and_age(&self, incarnation: u32) -> (f64, f64) {
         let Some(pulse) = self.pulses.get(&incarnation) else { return (0.0, 0.0) };
@@ -124,6 +130,7 @@ impl Pulse {
             self.newest_output_ns = now;
         }
         self.beat_ns = now;
+        self.obeys_stop = heartbeat.obeys_stop == 1;
         self.scan = self.scan.max(heartbeat.header.scan_id);
         self.published.push_back((now, published));
         while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {

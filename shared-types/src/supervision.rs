@@ -89,7 +89,7 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(1072, Heartbeat, 0xb0b8_4903, "scanloop.Heartbeat.v3", check_heartbeat) {
+    pub struct Heartbeat(1080, Heartbeat, 0xb0b8_4903, "scanloop.Heartbeat.v3", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
         /// Role of the process, `Role`
@@ -98,6 +98,10 @@ sample! {
         pub state: u32,
         /// Process id
         pub pid: u64,
+        /// 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself
+        pub obeys_stop: u32,
+        /// Unused, zero
+        pub reserved: u32,
         /// When it was published [ns of CLOCK_MONOTONIC]
         pub issued_ns: u64,
         /// Times round the loop; a process that hangs stops counting

@@ -204,22 +204,26 @@ impl System {
     /// What `stop` leaves to a process in the background is waited for.
     pub fn assert_nothing_left(&self) {
         let started = Instant::now();
-        while (self.find().is_some() || !self.processes().is_empty()) && started.elapsed() < DEADLINE {
+        while self.left().is_some() && started.elapsed() < DEADLINE {
             pause();
         }
-        let left = self.find();
-        assert!(left.is_none(), "left: {left:?}");
-        let processes = self.processes();
-        assert!(processes.is_empty(), "left running: {processes:?}");
-        for run_id in self.runs.borrow().iter().filter(|run_id| !run_id.is_empty()) {
-            let files: Vec<_> = std::fs::read_dir("/dev/shm")
-                .expect("shared memory")
-                .flatten()
-                .map(|entry| entry.file_name().to_string_lossy().into_owned())
-                .filter(|name| name.contains(run_id))
-                .collect();
-            assert!(files.is_empty(), "left in shared memory: {files:?}");
+        assert_eq!(self.left(), None, "{}", self.stderr());
+    }
+
+    /// What there is of the system, in words: its directory, processes, and files in shared memory.
+    fn left(&self) -> Option<String> {
+        if let Some(domain) = self.find() {
+            return Some(format!("directory {}", domain.directory().display()));
         }
+        let processes = self.processes();
+        if !processes.is_empty() {
+            return Some(format!("processes {processes:?}"));
+        }
+        let runs = self.runs.borrow();
+        let names = std::fs::read_dir("/dev/shm").expect("shared memory").flatten();
+        let mut names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let is_ours = |name: &String| runs.iter().any(|run| !run.is_empty() && name.contains(run));
+        names.find(is_ours).map(|name| format!("shared memory {name}"))
     }
 }
 

@@ -196,6 +196,7 @@ impl Session {
                 last_sample_age_ms,
                 cpu_percent: load.cpu_percent,
                 memory_kib: load.memory_kib,
+                obeys_stop: self.vitals.obeys_stop(lane.incarnation),
                 last_words: Vec::new(),
             };
             processes.insert(index + 1, row);

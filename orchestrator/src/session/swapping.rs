@@ -305,6 +305,7 @@ impl Session {
             last_sample_age_ms,
             cpu_percent: load.cpu_percent,
             memory_kib: load.memory_kib,
+            obeys_stop: self.vitals.obeys_stop(plan.new),
             last_words: Vec::new(),
         };
         // Who is in charge comes first.

@@ -240,7 +240,7 @@ impl Domain {
 fn make_folder(system_id: &str) -> Result<Folder, RuntimeError> {
     let mut tries = 100;
     loop {
-        match place::make()?.make_folder(system_id) {
+        match place::make().and_then(|place| place.make_folder(system_id)) {
             Err(RuntimeError::File { source, .. }) if source.kind() == ErrorKind::NotFound && tries > 0 => {
                 tries -= 1
             }

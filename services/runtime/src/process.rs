@@ -365,6 +365,7 @@ impl Process {
             role: self.shared.role.wire(),
             state: self.state.wire(),
             pid: u64::from(std::process::id()),
+            obeys_stop: u32::from(self.shared.guard.word().is_some()),
             issued_ns: monotonic_ns(),
             looked_ns: self.looked_ns,
             ..Heartbeat::default()
