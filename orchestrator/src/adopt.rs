@@ -32,7 +32,7 @@ pub(crate) fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Resu
         let left: String = left.iter().map(|stranger| format!("; {stranger}")).collect();
         Failure::bad_input(format!("system `{system_id}` has no processes that could be adopted{left}"))
     };
-    let Some(domain) = Domain::find(system_id)? else { return Err(nothing(&[])) };
+    let Some(domain) = crate::runs::find(system_id)? else { return Err(nothing(&[])) };
     let mut lock = SystemLock::take(&domain)?;
     let survivors = Survivors::find(&domain);
     if survivors.is_empty() {

@@ -12,9 +12,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use runtime::{Domain, RuntimeError};
+use runtime::{Domain, RuntimeError, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
+use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 
 use self::line::{read_line, write_line};
@@ -244,6 +245,10 @@ fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStrea
     }
     let stream = UnixStream::from(socket);
     stream.set_nonblocking(false)?;
+    // A link in the place of the socket may lead to another user's.
+    if peer_uid(&stream)? != geteuid().as_raw() {
+        return Ok(None);
+    }
     Ok(Some(stream))
 }
 

@@ -12,7 +12,7 @@
 use std::time::Duration;
 
 use runtime::{Domain, Identified, StopWord, Wheels, monotonic_ns, remove_bus_files_of};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use shared_types::Role;
 
 use crate::runs::{LivingRun, RunProcess};
@@ -112,7 +112,7 @@ pub(crate) fn wait_for_end(run: &LivingRun, timeout_ns: u64) -> bool {
 /// Ends all processes of a run that was stopped and removes its files; returns what could not be ended, in words.
 pub(crate) fn finish(run: &LivingRun) -> Vec<String> {
     if let Some(pid) = foreign_orchestrator(run) {
-        signal(pid, Signal::CONT);
+        signal_orchestrator(run, pid, Signal::CONT);
         wait_for_end(run, ORCHESTRATOR_NS);
     }
     let mut left = end_processes(run);
@@ -180,7 +180,7 @@ fn end_orchestrator(run: &LivingRun, pid: u32) {
     if starts_again && let Err(error) = Domain::mark_stopped(&run.system_id) {
         tracing::warn!("a service manager may start the system again: {error}");
     }
-    signal(pid, Signal::KILL);
+    signal_orchestrator(run, pid, Signal::KILL);
     wait_for_end(run, KILLED_NS);
 }
 
@@ -209,9 +209,12 @@ fn clean(run: &LivingRun) {
     }
 }
 
-/// The caller has just made sure of the start time that belongs to the id.
-fn signal(pid: u32, signal: Signal) {
-    if let Some(pid) = Pid::from_raw(pid.cast_signed()) {
-        let _ = kill_process(pid, signal);
+/// Signals the orchestrator. It is opened first and compared then, so that no other process with its number is signalled.
+fn signal_orchestrator(run: &LivingRun, pid: u32, signal: Signal) {
+    let opened = Pid::from_raw(pid.cast_signed()).and_then(|raw| pidfd_open(raw, PidfdFlags::empty()).ok());
+    if let Some(process) = opened
+        && run.orchestrator() == Some(pid)
+    {
+        let _ = pidfd_send_signal(process, signal);
     }
 }

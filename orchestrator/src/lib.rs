@@ -56,7 +56,6 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use runtime::Domain;
 
 use cli::{Cli, Command, TopicCommand};
 use exit::{Exit, exit_of};
@@ -67,6 +66,7 @@ const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
+    limits::keep_own_rights();
     let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
@@ -92,7 +92,7 @@ fn parse_and_run() -> anyhow::Result<Exit> {
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
-    let domain = || Domain::existing(&cli.system_id);
+    let domain = || crate::runs::existing(&cli.system_id);
     match &cli.command {
         Command::Run(arguments) => {
             runtime::start_logging();

@@ -1,6 +1,7 @@
-//! Limits of the kernel that a system needs more of than some shells allow.
+//! Limits of the kernel, and a umask, that leave a system less than it needs.
 
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use rustix::fs::Mode;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit, umask};
 
 use crate::exit::Failure;
 
@@ -10,6 +11,13 @@ const MIN_STACK_BYTES: u64 = 1 << 20;
 const MIN_OPEN_FILES: u64 = 256;
 /// What is asked for where it is allowed.
 const OPEN_FILES: u64 = 1024;
+
+/// Clears the owner's bits of the umask: with them, only root could enter the directories that the bus makes. The
+/// rest of the umask stays as the user wants it.
+pub(crate) fn keep_own_rights() {
+    let mask = umask(Mode::RWXG | Mode::RWXO);
+    umask(mask & (Mode::RWXG | Mode::RWXO));
+}
 
 /// Passes when the stack suffices; raises its limit when that is allowed. The kernel looks at the limit whenever the
 /// stack of a process grows, so this holds at once, and for all processes started from now on.

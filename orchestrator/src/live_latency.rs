@@ -1,6 +1,6 @@
 //! `scanloop latency`: the way of each scan, read from the headers of the actuations on the bus.
 
-use runtime::{Bus, Domain, Observer, Shutdown, monotonic_ns, wait_for};
+use runtime::{Bus, Observer, Shutdown, monotonic_ns, wait_for};
 use shared_types::Actuation;
 
 use crate::control::{Reply, Request, ask};
@@ -21,7 +21,7 @@ const TABLE_NS: u64 = 1_000_000_000;
 /// A time that is not allowed or a system that is not running (exit code 2), and errors of the bus.
 pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
     check_duration(Some(duration_s))?;
-    let domain = &Domain::existing(system_id)?;
+    let domain = &crate::runs::existing(system_id)?;
     let Reply::Status(status) = ask(domain, &Request::Status)? else {
         anyhow::bail!("the orchestrator did not answer with a status");
     };

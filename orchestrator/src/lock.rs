@@ -9,7 +9,7 @@ use runtime::{Domain, LEAVING, LOCK_FILE, RuntimeError, monotonic_ns};
 use rustix::fs::{FlockOperation, OFlags, flock};
 
 use crate::halt;
-use crate::runs::LivingRun;
+use crate::runs::{self, LivingRun};
 
 /// The last process of a system without an orchestrator cleans up within this time, and so does a run that was stopped [ns].
 const LEAVING_NS: u64 = 15_000_000_000;
@@ -44,7 +44,7 @@ impl Claim {
         loop {
             let taken = match Domain::find(system_id)? {
                 Some(domain) => SystemLock::try_take(&domain)?.map(|lock| Self::Left(domain, lock)),
-                None => match elsewhere(system_id) {
+                None => match runs::living(system_id) {
                     Some(run) => return Err(already_running(system_id, &run)),
                     None => Self::make(system_id)?,
                 },
@@ -53,8 +53,7 @@ impl Claim {
                 return Ok(claim);
             }
             if !is_leaving(system_id) || monotonic_ns() > deadline_ns {
-                let run = LivingRun::all(own_uid()).into_iter().find(|run| run.system_id == system_id);
-                let pid = run
+                let pid = runs::living(system_id)
                     .and_then(|run| run.orchestrator())
                     .map_or("unknown".to_owned(), |pid| pid.to_string());
                 return Err(RuntimeError::AlreadyRunning { system_id: system_id.to_owned(), pid }.into());
@@ -190,11 +189,7 @@ fn is_leaving(system_id: &str) -> bool {
     text.contains(LEAVING) || stopped
 }
 
-/// A living run of that id whose directory is not where one is looked for.
-fn elsewhere(system_id: &str) -> Option<LivingRun> {
-    LivingRun::all(own_uid()).into_iter().find(|run| run.system_id == system_id)
-}
-
+/// A run whose directory is not where one is looked for.
 fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
     let place = run.directory.as_ref().map_or("no directory".to_owned(), |path| path.display().to_string());
     let alive = run.alive().join(", ");
@@ -202,8 +197,4 @@ fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
         "system `{system_id}` is already running in {place} ({alive}); `scanloop stop` ends it, or choose another with \
          --system-id"
     ))
-}
-
-fn own_uid() -> u32 {
-    rustix::process::geteuid().as_raw()
 }

@@ -45,7 +45,7 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
 pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
     let role: Role = role.parse().map_err(Failure::bad_input)?;
-    let domain = &Domain::existing(system_id)?;
+    let domain = &crate::runs::existing(system_id)?;
     let number = match ask(domain, &Request::Restart { role: role.name().to_owned() })? {
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
         Reply::Accepted(number) => number,
@@ -80,7 +80,7 @@ pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result
         standby_scans: arguments.standby_scans,
         tolerance,
     };
-    let domain = &Domain::existing(system_id)?;
+    let domain = &crate::runs::existing(system_id)?;
     let number = match ask(domain, &Request::Swap(request))? {
         Reply::Accepted(number) => number,
         Reply::Refused(reason) => return Err(Failure::bad_input(reason)),

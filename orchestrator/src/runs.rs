@@ -3,11 +3,12 @@
 //! A process of a run names its run, system and role in its environment, and every process of it holds the page of the
 //! stop word open. So a run is found without its directory, its bus, its lock and its orchestrator.
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use runtime::{
-    DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, SYSTEM_ID_VARIABLE, Seen, StopWord,
-    identify, start_ticks, started_processes,
+    DIRECTORY_VARIABLE, Domain, Identified, Identity, ROLE_VARIABLE, RuntimeError, SYSTEM_ID_VARIABLE, Seen,
+    StopWord, identify, start_ticks, started_processes, uid_of,
 };
 use shared_types::Role;
 
@@ -87,10 +88,11 @@ impl LivingRun {
         self.processes.iter().filter(move |process| process.role == Some(role)).filter_map(RunProcess::open)
     }
 
-    /// Process id of the orchestrator, if it lives.
+    /// Process id of the orchestrator, if it lives. Any process of the user can write into the page of the stop word, so a
+    /// process of another user is never taken for the orchestrator: root would be led to end it.
     pub(crate) fn orchestrator(&self) -> Option<u32> {
         let (pid, ticks) = self.word.as_ref()?.orchestrator();
-        (pid != 0 && start_ticks(pid) == Some(ticks)).then_some(pid)
+        (pid != 0 && uid_of(pid) == Some(self.uid) && start_ticks(pid) == Some(ticks)).then_some(pid)
     }
 
     /// Whether neither a process nor the orchestrator lives.
@@ -109,12 +111,11 @@ impl LivingRun {
         processes.chain(self.orchestrator().map(|pid| format!("orchestrator {pid}"))).collect()
     }
 
-    /// The directory of its system, if it is this user's and still of this run.
+    /// The directory of its system, if it is this user's and still of this run; also one in a place that is not searched,
+    /// because the run was started with other variables.
     pub(crate) fn domain(&self) -> Option<Domain> {
-        let path = self.directory.as_ref()?;
-        let domain = Domain::at(&self.system_id, &self.run_id, path).ok()?;
-        let written = Domain::find(&self.system_id).ok().flatten();
-        written.filter(|written| *written == domain)
+        let domain = Domain::at(&self.system_id, &self.run_id, self.directory.as_ref()?).ok()?;
+        domain.is_current().then_some(domain)
     }
 
     fn begin(run_id: &str, uid: u32) -> Self {
@@ -150,14 +151,40 @@ impl LivingRun {
     }
 }
 
-/// Run ids and paths of all stop words that processes of a user hold open.
+/// The system of that id, wherever its directory is.
+///
+/// # Errors
+/// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that is not this user's alone.
+pub(crate) fn find(system_id: &str) -> Result<Option<Domain>, RuntimeError> {
+    let found = Domain::find(system_id)?;
+    Ok(found.or_else(|| living(system_id)?.domain()))
+}
+
+/// [`find`] for a command that needs one.
+///
+/// # Errors
+/// [`RuntimeError::NotRunning`] when there is none, and as [`find`].
+pub(crate) fn existing(system_id: &str) -> Result<Domain, RuntimeError> {
+    find(system_id)?.ok_or_else(|| RuntimeError::NotRunning(system_id.to_owned()))
+}
+
+/// A living run of that id of this user.
+pub(crate) fn living(system_id: &str) -> Option<LivingRun> {
+    let own = rustix::process::geteuid().as_raw();
+    LivingRun::all(own).into_iter().find(|run| run.system_id == system_id)
+}
+
+/// Run ids and paths of all stop words of a user that his processes hold open; a process may also hold a file that
+/// another user handed to it.
 fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
     let mut found = Vec::new();
     for pid in runtime::processes(uid) {
         let Ok(entries) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { continue };
         for path in entries.flatten().map(|entry| entry.path()) {
             let Ok(link) = std::fs::read_link(&path) else { continue };
-            if let Some(run_id) = StopWord::run_id_of_link(Path::new(&link)) {
+            if let Some(run_id) = StopWord::run_id_of_link(Path::new(&link))
+                && std::fs::metadata(&path).is_ok_and(|page| page.uid() == uid)
+            {
                 found.push((run_id.to_owned(), path));
             }
         }

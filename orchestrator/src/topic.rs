@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use runtime::{Bus, Domain, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
+use runtime::{Bus, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use shared_types::{
     Actuation, Checkpoint, Command, Directive, ENUMERATIONS, Field, Heartbeat, Kind, Obstacles, Odometry,
@@ -142,7 +142,7 @@ struct Watch {
 impl Watch {
     fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
         let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
-        let bus = Bus::open(&Domain::existing(system_id)?, "observer")?;
+        let bus = Bus::open(&crate::runs::existing(system_id)?, "observer")?;
         fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))

@@ -2,7 +2,9 @@
 
 pub mod audit;
 pub mod exchange;
+pub mod namespace;
 pub mod soak;
+pub mod stranger;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

@@ -5,47 +5,29 @@
 use std::fs::{File, OpenOptions};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use orchestrator::swap::{Certificate, SwapOutcome};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
-use scanloop_tests::System;
 use scanloop_tests::exchange::{assert_reached, assert_seamless, begin, certificate, rows, swap};
+use scanloop_tests::{System, namespace};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const SHARED_MEMORY: &str = "/dev/shm";
-/// Says to a test that it runs among file systems of its own.
-const INSIDE: &str = "SCANLOOP_TEST_INSIDE";
 /// Fits one system with its reserve, and not two.
 const ROOMY: &str = "24m";
 
-/// Whether this is the test among file systems of its own, of these sizes at these places; else it is run there, and
-/// its result is ours. Says so where mounting is not permitted.
+/// Whether this is the test among file systems of its own, of these sizes at these places; else it is run there.
 fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
-    if std::env::var(INSIDE).is_ok_and(|inside| inside == test) {
-        return true;
-    }
-    if !Command::new("unshare").args(["-m", "true"]).status().is_ok_and(|status| status.success()) {
-        eprintln!("skipped {test}: mounting is not permitted");
-        return false;
-    }
     let mount = |(size, place): &(&str, &Path)| {
         let place = place.display();
-        format!("mkdir -p '{place}' && mount -t tmpfs -o mode=0700,size={size} tmpfs '{place}' && ")
+        format!("mkdir -p '{place}' && mount -t tmpfs -o mode=0700,size={size} tmpfs '{place}' &&")
     };
-    let script = mounts.iter().map(mount).collect::<String>() + "exec \"$0\" \"$@\"";
-    let status = Command::new("unshare")
-        .args(["-m", "sh", "-c", &script])
-        .arg(std::env::current_exe().expect("this test"))
-        .args(["--exact", test, "--nocapture"])
-        .env(INSIDE, test)
-        .envs(mounts.iter().filter(|(_, place)| *place != Path::new(SHARED_MEMORY)).map(runtime_dir))
-        .status()
-        .expect("unshare runs");
-    assert!(status.success(), "{test}: {status}");
-    false
+    let script = mounts.iter().map(mount).collect::<String>();
+    namespace::is_inside(test, &script, |command| {
+        command.envs(mounts.iter().filter(|(_, place)| *place != Path::new(SHARED_MEMORY)).map(runtime_dir));
+    })
 }
 
 /// The place of systems, on a file system of the test's own.

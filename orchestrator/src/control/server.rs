@@ -1,7 +1,9 @@
 //! The listener of the control socket: a thread that accepts, and a thread per connection that lives for seconds.
 
+use std::fs::Permissions;
 use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::sync::Arc;
@@ -61,6 +63,8 @@ impl Server {
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         let _ = std::fs::remove_file(path);
         let listener = UnixListener::bind(path)?;
+        // Whatever the umask; the directory is private, so there was no time at which others could connect.
+        std::fs::set_permissions(path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
         let (wake, end) = (Arc::new(event()?), Arc::new(event()?));
         let (sender, requests) = sync_channel(MAX_CONNECTIONS);

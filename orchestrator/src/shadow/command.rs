@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use clap::Args;
-use runtime::{Domain, Shutdown};
+use runtime::Shutdown;
 use shared_types::Role;
 
 use crate::control::{Reply, Request, ShadowRequest, ask};
@@ -49,7 +49,7 @@ pub(crate) fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Re
     if command.is_empty() && arguments.to.is_none() {
         return Err(Failure::bad_input("a command is missing after `--`"));
     }
-    let domain = &Domain::existing(system_id)?;
+    let domain = &crate::runs::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
     let request = ShadowRequest {
         role: role.name().to_owned(),

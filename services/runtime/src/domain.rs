@@ -153,6 +153,11 @@ impl Domain {
         self.folder.path()
     }
 
+    /// Whether the directory is still that of this run.
+    pub fn is_current(&self) -> bool {
+        self.folder.read_text(RUN_ID_FILE).is_ok_and(|run_id| run_id == self.run_id)
+    }
+
     /// Whether the directory is still there.
     pub fn exists(&self) -> bool {
         self.folder.path().exists()

@@ -224,8 +224,8 @@ fn stat_number(fields: &str, place: usize) -> Option<u64> {
     fields.split_whitespace().nth(place - 3)?.parse().ok()
 }
 
-/// The real user of a process.
-fn uid_of(pid: u32) -> Option<u32> {
+/// The real user of a process; `None` when there is no such process.
+pub fn uid_of(pid: u32) -> Option<u32> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     status.lines().find_map(|line| line.strip_prefix("Uid:"))?.split_whitespace().next()?.parse().ok()
 }

@@ -79,7 +79,7 @@ pub use folder::Folder;
 pub use handover::{Handover, HandoverData, write as write_handover};
 pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
-    started_processes,
+    started_processes, uid_of,
 };
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
