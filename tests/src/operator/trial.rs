@@ -20,6 +20,8 @@ use crate::{System, fill, pause};
 const START_NS: u64 = 20_000_000_000;
 /// After a stop all processes and files are gone within this time [ns].
 const GONE_NS: u64 = 45_000_000_000;
+/// Processes that live after damage to the bus clean up within this time, if they can [ns].
+const CRASHED_NS: u64 = 12_000_000_000;
 /// A run that began while another was stopped is waited for this long before it is stopped too [ns].
 const LATE_NS: u64 = 16_000_000_000;
 /// Calls of `stop` at the end when runs may begin meanwhile; one is enough otherwise.
@@ -242,7 +244,8 @@ impl Trial {
         if !self.programs[index].signal(signal) {
             return;
         }
-        if STOPPING.contains(&signal) && !self.touched {
+        let is_ignored = signal == Signal::HUP && ignores_hangup();
+        if STOPPING.contains(&signal) && !self.touched && !is_ignored {
             self.seen.ends_ns.push(sent_ns);
         }
         if SILENCING.contains(&signal) {
@@ -392,11 +395,24 @@ impl Trial {
         self.programs.iter_mut().filter(|program| program.name == "load").for_each(|load| {
             load.signal(Signal::TERM);
         });
-        let deadline_ns = monotonic_ns() + GONE_NS;
-        while !self.left().is_empty() && monotonic_ns() < deadline_ns {
+        // Processes that damage has ended leave their files to the next `stop` or `run`.
+        if plan.damages() && !self.is_clean_within(CRASHED_NS) {
+            self.launch_command(&["stop"]);
+        }
+        self.is_clean_within(GONE_NS);
+        self.seen.left = self.left();
+    }
+
+    /// Waits until nothing is left of the system; whether that is so in time.
+    fn is_clean_within(&mut self, limit_ns: u64) -> bool {
+        let deadline_ns = monotonic_ns() + limit_ns;
+        while !self.left().is_empty() {
+            if monotonic_ns() > deadline_ns {
+                return false;
+            }
             self.look();
         }
-        self.seen.left = self.left();
+        true
     }
 
     /// Whether no `stop` is under way.
@@ -443,6 +459,13 @@ impl Trial {
         seen.over_ns = monotonic_ns();
         (system, seen)
     }
+}
+
+/// Whether this program, and all that it starts, ignores SIGHUP, as under `nohup`.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
 }
 
 /// Lines of a panic, in what was said and in all logs.

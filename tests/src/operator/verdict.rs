@@ -178,7 +178,8 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
         let was_silent = seen.silences.iter().any(|silence| silence.from_ns < program.ended_ns);
         let is_known = program.sent.contains(&signal)
             || (plan.damages() && CRASHES.contains(&signal))
-            || (signal == KILL && was_silent);
+            // `stop` ends one that does not respond.
+            || (signal == KILL && (was_silent || plan.damages()));
         if !is_known {
             found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.said)));
         }
