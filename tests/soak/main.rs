@@ -61,6 +61,9 @@ struct OperatorArguments {
     /// Seed of the first; the others count on from it.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Keep the files of good trials too.
+    #[arg(long)]
+    keep: bool,
 }
 
 fn main() -> std::process::ExitCode {
@@ -98,7 +101,7 @@ fn operator(arguments: &OperatorArguments, executable: &str) -> std::process::Ex
     place::enter();
     let (mut stops_s, mut blocked_ms, mut failed) = (Vec::new(), Vec::new(), 0);
     for seed in arguments.seed..arguments.seed.saturating_add(arguments.trials) {
-        let judged = trial(executable, seed);
+        let judged = trial(executable, seed, arguments.keep);
         println!("{judged}");
         stops_s.extend(&judged.stops_s);
         blocked_ms.extend(&judged.blocked_ms);

@@ -43,7 +43,7 @@ pub struct Judged {
     pub took: Duration,
     /// What was wrong; nothing in a good trial.
     pub problems: Vec<String>,
-    /// Where the files of a failed trial are.
+    /// Where the files of the trial are, if they were kept.
     pub kept: Option<PathBuf>,
 }
 
@@ -63,13 +63,13 @@ impl fmt::Display for Judged {
     }
 }
 
-/// Does the trial of a seed and judges it; the files of a failed one stay.
-pub fn trial(executable: &str, seed: u64) -> Judged {
+/// Does the trial of a seed and judges it; the files of a failed one stay, those of a good one when they are to be kept.
+pub fn trial(executable: &str, seed: u64, keeps: bool) -> Judged {
     let started = Instant::now();
     let plan = Plan::of(seed);
     let (system, evidence) = trial::drive(executable, &plan);
     let problems = verdict::problems(&plan, &evidence);
-    let kept = (!problems.is_empty()).then(|| keep(seed, system.folder())).flatten();
+    let kept = (keeps || !problems.is_empty()).then(|| keep(seed, system.folder())).flatten();
     Judged {
         stops_s: evidence.stops().filter_map(|stop| stop.took_s()).collect(),
         blocked_ms: evidence.stops().filter_map(|stop| verdict::blocked_after_ms(&stop.said)).collect(),

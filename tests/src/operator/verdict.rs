@@ -85,12 +85,16 @@ fn drives_later(plan: &Plan, seen: &Evidence, stop: &Ended) -> bool {
     !plan.runs_again() && seen.drives.iter().any(later)
 }
 
-/// What a stop demands: no start after the first time, rest at the second [ns].
+/// What a stop demands: when it was asked for, from when on wheels are blocked, and when they rest [ns].
 fn demands(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64, u64)> {
     let slide_ns = SLIDE_NS + 3 * plan.period_ns() + SCHEDULED_NS;
     let limit_ns = stop_limit_ns(plan.period_ns());
     let stops = seen.stops().filter(|stop| matches!(stop.code, Some(0 | 4)) && stop.ended_ns > 0);
-    let stops = stops.map(|stop| (stop.began_ns, stop.ended_ns, stop.ended_ns + slide_ns));
+    let stops = stops.map(|stop| {
+        let by_ns = stop.ended_ns + slide_ns;
+        // Without an acknowledgement the dead man blocks.
+        (stop.began_ns, if stop.code == Some(0) { stop.ended_ns } else { by_ns }, by_ns)
+    });
     let ends = seen.ends_ns.iter().map(|at_ns| (*at_ns, at_ns + limit_ns, at_ns + limit_ns + slide_ns));
     stops.chain(ends).collect()
 }
@@ -109,6 +113,9 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
             found.push(format!("{name}: wheels turn {after_ms} ms after a stop, by the log of the emulator"));
         }
         let is_gone = seen.robot_killed || plan.damages();
+        if !is_gone && state_at(&drive.changes, from_ns) == Some(State::Turning) {
+            found.push(format!("{name}: wheels are not blocked after a stop, by the log of the emulator"));
+        }
         let state = state_at(&drive.changes, by_ns);
         if !is_gone && state != Some(State::Resting) {
             found.push(format!("{name}: {state:?} instead of rest after a stop, by the log of the emulator"));
@@ -297,13 +304,16 @@ mod tests {
 
     #[test]
     fn each_thing_that_may_be_wrong_is_found() {
-        let spoil: [(&str, Spoil); 13] = [
+        let spoil: [(&str, Spoil); 14] = [
             ("says nothing of the wheels", |seen| seen.drives[0].changes.clear()),
             ("did not drive", |seen| seen.drove = false),
             ("stop took 2.500 s", |seen| seen.programs[1].ended_ns = 12 * SECOND + SECOND / 2),
             ("stop did not return", |seen| seen.programs[1].ended_ns = 0),
             ("stop ended with Some(4)", |seen| seen.programs[1].code = Some(4)),
             ("instead of rest", |seen| seen.drives[0].changes.truncate(3)),
+            ("wheels are not blocked after a stop", |seen| {
+                seen.drives[0].changes[2..].iter_mut().for_each(|change| change.at_ns += SECOND);
+            }),
             ("wheels turn 500 ms after a stop", |seen| {
                 seen.drives[0].changes.push(Change { at_ns: 11 * SECOND, wheels: State::Turning });
             }),
