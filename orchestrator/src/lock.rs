@@ -83,7 +83,11 @@ impl Claim {
             }
             made => made?,
         };
-        let Some(mut lock) = SystemLock::try_take(&domain)? else { return Ok(None) };
+        let Some(mut lock) = SystemLock::try_take(&domain)? else {
+            // A `stop` that came in between removes the directory, but may not have seen the run id.
+            domain.remove_bus_files()?;
+            return Ok(None);
+        };
         // No other process will remove what is there.
         lock.own();
         Ok(Some(Self::New(domain, lock)))
@@ -184,9 +188,9 @@ fn is_leaving(system_id: &str) -> bool {
     if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
         let _ = file.read_to_string(&mut text);
     }
-    let run = LivingRun::of(domain.run_id());
-    let stopped = run.and_then(|run| run.word).is_some_and(|word| !word.is_armed());
-    text.contains(LEAVING) || stopped
+    // Without a living process it is just being made or removed.
+    let Some(run) = LivingRun::of(domain.run_id()) else { return true };
+    text.contains(LEAVING) || run.word.is_some_and(|word| !word.is_armed())
 }
 
 /// A run whose directory is not where one is looked for.
@@ -197,4 +201,26 @@ fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
         "system `{system_id}` is already running in {place} ({alive}); `scanloop stop` ends it, or choose another with \
          --system-id"
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_waits_for_a_stop_that_removes_what_was_left() {
+        let id = format!("lock{}", std::process::id());
+        let left = Domain::create(&id).unwrap();
+        let mut stop = SystemLock::take(&left).unwrap();
+        stop.own();
+        let run = std::thread::spawn(move || {
+            let (domain, _lock) = Claim::take_new(&id)?;
+            anyhow::Ok(domain)
+        });
+        std::thread::sleep(5 * RETRY);
+        assert!(!run.is_finished(), "nothing lives that could be running already");
+        drop(stop);
+        let made = run.join().unwrap().unwrap();
+        assert!(made.run_id() != left.run_id() && !made.exists() && !left.bus_directory().exists());
+    }
 }

@@ -89,7 +89,7 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(1080, Heartbeat, 0xb0b8_4903, "scanloop.Heartbeat.v3", check_heartbeat) {
+    pub struct Heartbeat(1080, Heartbeat, 0x6f85_6755, "scanloop.Heartbeat.v3", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
         /// Role of the process, `Role`

@@ -1,10 +1,12 @@
 //! `soak`: thousands of exchanges, kills and stops, several systems side by side, until one of them shows a fault.
+//! `soak operator`: random actions of an operator, one live drive after the other.
 //!
 //! The program is its own `scanloop`: the processes that it starts are itself.
 
 use std::time::Instant;
 
-use clap::Parser;
+use clap::{Args, Parser, Subcommand};
+use scanloop_tests::operator::{place, quantile, trial};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
 /// As in the executable that is shipped.
@@ -38,6 +40,30 @@ struct Arguments {
     /// Seed of what happens when.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Another campaign.
+    #[command(subcommand)]
+    campaign: Option<Campaign>,
+}
+
+/// Other campaigns.
+#[derive(Debug, Subcommand)]
+enum Campaign {
+    /// Random actions of an operator during live drives; exit code 1 when one does not end as it must.
+    Operator(OperatorArguments),
+}
+
+/// Arguments of `operator`.
+#[derive(Debug, Args)]
+struct OperatorArguments {
+    /// Live drives, one after the other.
+    #[arg(long, value_name = "N", default_value_t = 500)]
+    trials: u64,
+    /// Seed of the first; the others count on from it.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Keep the files of good trials too.
+    #[arg(long)]
+    keep: bool,
 }
 
 fn main() -> std::process::ExitCode {
@@ -50,6 +76,9 @@ fn main() -> std::process::ExitCode {
         return std::process::ExitCode::FAILURE;
     };
     let executable = executable.to_string_lossy().into_owned();
+    if let Some(Campaign::Operator(arguments)) = &arguments.campaign {
+        return operator(arguments, &executable);
+    }
     for _ in 0..arguments.load {
         std::thread::spawn(|| {
             loop {
@@ -65,6 +94,27 @@ fn main() -> std::process::ExitCode {
         return std::process::ExitCode::FAILURE;
     }
     std::process::ExitCode::SUCCESS
+}
+
+/// All trials, with a line for each.
+fn operator(arguments: &OperatorArguments, executable: &str) -> std::process::ExitCode {
+    place::enter();
+    let (mut stops_s, mut blocked_ms, mut failed) = (Vec::new(), Vec::new(), 0);
+    for seed in arguments.seed..arguments.seed.saturating_add(arguments.trials) {
+        let judged = trial(executable, seed, arguments.keep);
+        println!("{judged}");
+        stops_s.extend(&judged.stops_s);
+        blocked_ms.extend(&judged.blocked_ms);
+        failed += usize::from(!judged.problems.is_empty());
+    }
+    for (what, values) in
+        [("duration of stop [s]", &mut stops_s), ("wheels blocked after [ms]", &mut blocked_ms)]
+    {
+        let [p50, p90, p99, max] = [0.5, 0.9, 0.99, 1.0].map(|share| quantile(values, share));
+        println!("{what}: count {}, p50 {p50:.3}, p90 {p90:.3}, p99 {p99:.3}, max {max:.3}", values.len());
+    }
+    println!("{} trials, {failed} failed", arguments.trials);
+    if failed > 0 { std::process::ExitCode::FAILURE } else { std::process::ExitCode::SUCCESS }
 }
 
 /// All systems; what was done, and how many of them showed a fault.

@@ -3,11 +3,13 @@
 pub mod audit;
 pub mod exchange;
 pub mod namespace;
+pub mod operator;
 pub mod soak;
 pub mod stranger;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -16,6 +18,7 @@ use std::time::{Duration, Instant};
 use orchestrator::control::{Reply, Request, Status, ask};
 use orchestrator::report::Report;
 use runtime::{Bus, Domain, Observer};
+use rustix::fs::{Mode, OFlags, open};
 use shared_types::{Role, Truth};
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
@@ -289,6 +292,20 @@ pub fn processes_of(system_id: &str) -> Vec<i32> {
                 .is_ok_and(|bytes| bytes.split(|byte| *byte == 0).any(|text| text == wanted.as_bytes()))
         })
         .collect()
+}
+
+/// Writes into a pipe or terminal until not a byte more goes in.
+///
+/// # Panics
+/// When it can't be opened.
+pub fn fill(output: &OwnedFd) {
+    // Another description of the same file, so that writes to `output` itself block as usual.
+    let path = format!("/proc/self/fd/{}", output.as_raw_fd());
+    let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    let output = open(&path, flags, Mode::empty()).expect("a pipe or a terminal");
+    for size in [1024, 1] {
+        while rustix::io::write(&output, &[b'x'; 1024][..size]).is_ok() {}
+    }
 }
 
 /// A place in the work of a stage where a test plants a delay.

@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::symlink;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use emulator::Outcome;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use scanloop_tests::{System, system_file};
+use scanloop_tests::{System, fill, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -31,17 +31,6 @@ fn terminal() -> (OwnedFd, OwnedFd) {
     let name = ptsname(&near, Vec::new()).unwrap();
     let far = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap();
     (near, far)
-}
-
-/// Writes until not a byte more goes in.
-fn fill(output: &OwnedFd) {
-    // Another description of the same file, so that writes to `output` itself block as usual.
-    let path = format!("/proc/self/fd/{}", output.as_raw_fd());
-    let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
-    let output = open(&path, flags, Mode::empty()).unwrap();
-    for size in [1024, 1] {
-        while rustix::io::write(&output, &[b'x'; 1024][..size]).is_ok() {}
-    }
 }
 
 /// Drives with a standard error that takes nothing and is never read, and interrupts the run.

@@ -9,7 +9,8 @@
 //! follows it in the shadow, and goes on from the next scan.
 //!
 //! When the run is stopped, or its orchestrator has been silent for too long, the wheels are blocked here, without an
-//! actuation. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake.
+//! actuation. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake, and
+//! writes a line to its log when that changes.
 
 use std::rc::Rc;
 
@@ -73,6 +74,7 @@ pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) ->
         heard: (0, 0),
         stopped: false,
         told_at_rest: false,
+        logged: Wheels::Unknown,
     };
     // Nothing has moved it yet.
     process.report_wheels(Wheels::Resting);
@@ -105,6 +107,8 @@ struct Robot {
     stopped: bool,
     /// A truth at rest was published since.
     told_at_rest: bool,
+    /// What the newest line of the log says of the wheels.
+    logged: Wheels,
 }
 
 impl Robot {
@@ -118,7 +122,24 @@ impl Robot {
         while self.step(process, change)? {}
         self.obey(process, ends || process.must_stop());
         process.report_wheels(self.wheels());
+        self.log_wheels(process);
         Ok(())
+    }
+
+    /// Writes a line when the wheels have begun or ceased to turn, with the time of the robot on the clock of the loop.
+    fn log_wheels(&mut self, process: &Process) {
+        let wheels = self.wheels();
+        if wheels == self.logged || !process.is_in_charge() || process.clock().is_simulated() {
+            return;
+        }
+        self.logged = wheels;
+        let speed_mps = self.emulator.plant().speed();
+        let at_ns = self.origin_ns + self.emulator.now_ns();
+        match wheels {
+            Wheels::Turning => tracing::info!(speed_mps, at_ns, "wheels may turn"),
+            Wheels::Blocked => tracing::info!(speed_mps, at_ns, "wheels are blocked"),
+            _ => tracing::info!(speed_mps, at_ns, "wheels rest"),
+        }
     }
 
     /// Blocks the wheels for a stop, whatever the actuator says.
