@@ -490,6 +490,8 @@ typedef struct scanloop_heartbeat {
     uint32_t role; /* Role of the process, `Role` */
     uint32_t state; /* What the process says of itself, `ProcessState` */
     uint64_t pid; /* Process id */
+    uint32_t obeys_stop; /* 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself */
+    uint32_t reserved; /* Unused, zero */
     uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
     uint64_t activations; /* Times round the loop; a process that hangs stops counting */
     uint64_t published; /* Outputs published on the first topic of the role */
@@ -512,32 +514,34 @@ typedef struct scanloop_heartbeat {
     scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
     scanloop_refusal refused[2]; /* Samples dropped or refused because of their content, per topic that the role reads */
 } scanloop_heartbeat;
-_Static_assert(sizeof(scanloop_heartbeat) == 1072, "scanloop_heartbeat");
+_Static_assert(sizeof(scanloop_heartbeat) == 1080, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
 _Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
 _Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
 _Static_assert(offsetof(scanloop_heartbeat, pid) == 200, "scanloop_heartbeat.pid");
-_Static_assert(offsetof(scanloop_heartbeat, issued_ns) == 208, "scanloop_heartbeat.issued_ns");
-_Static_assert(offsetof(scanloop_heartbeat, activations) == 216, "scanloop_heartbeat.activations");
-_Static_assert(offsetof(scanloop_heartbeat, published) == 224, "scanloop_heartbeat.published");
-_Static_assert(offsetof(scanloop_heartbeat, used) == 232, "scanloop_heartbeat.used");
-_Static_assert(offsetof(scanloop_heartbeat, replaced) == 240, "scanloop_heartbeat.replaced");
-_Static_assert(offsetof(scanloop_heartbeat, invalid) == 248, "scanloop_heartbeat.invalid");
-_Static_assert(offsetof(scanloop_heartbeat, stale) == 256, "scanloop_heartbeat.stale");
-_Static_assert(offsetof(scanloop_heartbeat, duplicate) == 264, "scanloop_heartbeat.duplicate");
-_Static_assert(offsetof(scanloop_heartbeat, reordered) == 272, "scanloop_heartbeat.reordered");
-_Static_assert(offsetof(scanloop_heartbeat, foreign) == 280, "scanloop_heartbeat.foreign");
-_Static_assert(offsetof(scanloop_heartbeat, missing) == 288, "scanloop_heartbeat.missing");
-_Static_assert(offsetof(scanloop_heartbeat, undelivered) == 296, "scanloop_heartbeat.undelivered");
-_Static_assert(offsetof(scanloop_heartbeat, timeouts) == 304, "scanloop_heartbeat.timeouts");
-_Static_assert(offsetof(scanloop_heartbeat, looked_ns) == 312, "scanloop_heartbeat.looked_ns");
-_Static_assert(offsetof(scanloop_heartbeat, taken) == 320, "scanloop_heartbeat.taken");
-_Static_assert(offsetof(scanloop_heartbeat, taken_scans) == 328, "scanloop_heartbeat.taken_scans");
-_Static_assert(offsetof(scanloop_heartbeat, answered) == 336, "scanloop_heartbeat.answered");
-_Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 344, "scanloop_heartbeat.answered_scans");
-_Static_assert(offsetof(scanloop_heartbeat, written) == 352, "scanloop_heartbeat.written");
-_Static_assert(offsetof(scanloop_heartbeat, inputs) == 368, "scanloop_heartbeat.inputs");
-_Static_assert(offsetof(scanloop_heartbeat, refused) == 944, "scanloop_heartbeat.refused");
+_Static_assert(offsetof(scanloop_heartbeat, obeys_stop) == 208, "scanloop_heartbeat.obeys_stop");
+_Static_assert(offsetof(scanloop_heartbeat, reserved) == 212, "scanloop_heartbeat.reserved");
+_Static_assert(offsetof(scanloop_heartbeat, issued_ns) == 216, "scanloop_heartbeat.issued_ns");
+_Static_assert(offsetof(scanloop_heartbeat, activations) == 224, "scanloop_heartbeat.activations");
+_Static_assert(offsetof(scanloop_heartbeat, published) == 232, "scanloop_heartbeat.published");
+_Static_assert(offsetof(scanloop_heartbeat, used) == 240, "scanloop_heartbeat.used");
+_Static_assert(offsetof(scanloop_heartbeat, replaced) == 248, "scanloop_heartbeat.replaced");
+_Static_assert(offsetof(scanloop_heartbeat, invalid) == 256, "scanloop_heartbeat.invalid");
+_Static_assert(offsetof(scanloop_heartbeat, stale) == 264, "scanloop_heartbeat.stale");
+_Static_assert(offsetof(scanloop_heartbeat, duplicate) == 272, "scanloop_heartbeat.duplicate");
+_Static_assert(offsetof(scanloop_heartbeat, reordered) == 280, "scanloop_heartbeat.reordered");
+_Static_assert(offsetof(scanloop_heartbeat, foreign) == 288, "scanloop_heartbeat.foreign");
+_Static_assert(offsetof(scanloop_heartbeat, missing) == 296, "scanloop_heartbeat.missing");
+_Static_assert(offsetof(scanloop_heartbeat, undelivered) == 304, "scanloop_heartbeat.undelivered");
+_Static_assert(offsetof(scanloop_heartbeat, timeouts) == 312, "scanloop_heartbeat.timeouts");
+_Static_assert(offsetof(scanloop_heartbeat, looked_ns) == 320, "scanloop_heartbeat.looked_ns");
+_Static_assert(offsetof(scanloop_heartbeat, taken) == 328, "scanloop_heartbeat.taken");
+_Static_assert(offsetof(scanloop_heartbeat, taken_scans) == 336, "scanloop_heartbeat.taken_scans");
+_Static_assert(offsetof(scanloop_heartbeat, answered) == 344, "scanloop_heartbeat.answered");
+_Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 352, "scanloop_heartbeat.answered_scans");
+_Static_assert(offsetof(scanloop_heartbeat, written) == 360, "scanloop_heartbeat.written");
+_Static_assert(offsetof(scanloop_heartbeat, inputs) == 376, "scanloop_heartbeat.inputs");
+_Static_assert(offsetof(scanloop_heartbeat, refused) == 952, "scanloop_heartbeat.refused");
 
 /* Topic directive, published ten times a second by the orchestrator, and at each change. */
 typedef struct scanloop_directive {
@@ -830,6 +834,8 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "role", role),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "state", state),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "pid", pid),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "obeys_stop", obeys_stop),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "reserved", reserved),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "issued_ns", issued_ns),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "activations", activations),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "published", published),

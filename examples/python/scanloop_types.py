@@ -416,12 +416,14 @@ class Heartbeat(ctypes.Structure):
     """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
 
     TOPIC = "heartbeat"
-    LAYOUT = 0xb0b84903
+    LAYOUT = 0x6f856755
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
         ("state", ctypes.c_uint32),  # What the process says of itself, `ProcessState`
         ("pid", ctypes.c_uint64),  # Process id
+        ("obeys_stop", ctypes.c_uint32),  # 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself
+        ("reserved", ctypes.c_uint32),  # Unused, zero
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
         ("activations", ctypes.c_uint64),  # Times round the loop; a process that hangs stops counting
         ("published", ctypes.c_uint64),  # Outputs published on the first topic of the role
