@@ -21,7 +21,7 @@ use shared_types::{
 
 use crate::bell::Bells;
 use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
-use crate::reserve::{Reserve, allocate_files, require_room};
+use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
 use crate::wire::Wire;
 use crate::{Domain, RuntimeError, layouts, management};
 
@@ -127,6 +127,7 @@ impl Bus {
 
     /// Frees what processes that died have left on the bus; returns how many were cleaned up.
     pub fn clean_up_dead_processes(&self) -> u64 {
+        remove_empty_files(&self.domain);
         self.node.try_cleanup_dead_nodes().cleanups
     }
 

@@ -12,7 +12,8 @@
 use std::fs::OpenOptions;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use rustix::fs::{FallocateFlags, Mode, OFlags, fallocate, fstatvfs, open};
 use rustix::io::Errno;
@@ -28,6 +29,8 @@ const NODE_BYTES: u64 = 128 << 10;
 const SERVICE_BYTES: u64 = 64 << 10;
 /// Of one block of `st_blocks` [bytes].
 const BLOCK: u64 = 512;
+/// A process that lives gives a file that it makes its length within this time.
+const FILE_MADE: Duration = Duration::from_millis(20);
 
 /// Shared memory that is not there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -107,13 +110,34 @@ fn directory() -> Result<OwnedFd, RuntimeError> {
 /// # Errors
 /// [`RuntimeError::SharedMemory`] when there is no room; then some files are allocated and others are not.
 pub(crate) fn allocate_files(domain: &Domain) -> Result<(), RuntimeError> {
+    files(domain, is_sparse)?.iter().try_for_each(|path| allocate_file(path))
+}
+
+/// Removes what has no content of the files that a system has in shared memory: a process has died while it made one, or
+/// it was cut off. iceoryx2 0.10 waits for the content of such a file without end, also in a clean-up.
+pub(crate) fn remove_empty_files(domain: &Domain) {
+    let is_empty = |file: &std::fs::Metadata| file.len() == 0;
+    let before = files(domain, is_empty).unwrap_or_default();
+    if before.is_empty() {
+        return;
+    }
+    std::thread::sleep(FILE_MADE);
+    for path in files(domain, is_empty).unwrap_or_default() {
+        if before.contains(&path) && std::fs::remove_file(&path).is_ok() {
+            tracing::warn!("{} was empty and is removed", path.display());
+        }
+    }
+}
+
+/// Files of a system in shared memory of one kind.
+fn files(domain: &Domain, is_wanted: fn(&std::fs::Metadata) -> bool) -> Result<Vec<PathBuf>, RuntimeError> {
     let entries = std::fs::read_dir(SHARED_MEMORY)
         .map_err(|source| RuntimeError::File { path: SHARED_MEMORY.into(), source })?;
     let ours = entries.flatten().filter(|entry| {
         entry.file_name().as_encoded_bytes().starts_with(domain.shared_memory_prefix().as_bytes())
     });
-    ours.filter(|entry| entry.metadata().is_ok_and(|file| file.is_file() && is_sparse(&file)))
-        .try_for_each(|entry| allocate_file(&entry.path()))
+    let wanted = ours.filter(|entry| entry.metadata().is_ok_and(|file| file.is_file() && is_wanted(&file)));
+    Ok(wanted.map(|entry| entry.path()).collect())
 }
 
 fn is_sparse(file: &std::fs::Metadata) -> bool {
@@ -191,4 +215,21 @@ fn output_bytes(topic: Topic) -> u64 {
 fn input_bytes(topic: Topic) -> u64 {
     let quality = quality(topic);
     quality.publishers as u64 * quality.connection_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_without_content_are_removed_and_others_stay() {
+        let domain = Domain::create(&format!("empty{}", std::process::id())).unwrap();
+        let path = |name| PathBuf::from(format!("{SHARED_MEMORY}/{}{name}", domain.shared_memory_prefix()));
+        let (cut, whole) = (path("a.connection"), path("b.connection"));
+        std::fs::write(&cut, "").unwrap();
+        std::fs::write(&whole, "content").unwrap();
+        remove_empty_files(&domain);
+        assert!(!cut.exists() && whole.exists());
+        domain.remove().unwrap();
+    }
 }

@@ -26,6 +26,8 @@ const CRASHED_NS: u64 = 12_000_000_000;
 const LATE_NS: u64 = 16_000_000_000;
 /// Calls of `stop` at the end when runs may begin meanwhile; one is enough otherwise.
 const ROUNDS: usize = 3;
+/// A process that a signal stops is stopped within this time [ns].
+const STOPPED_NS: u64 = 200_000_000;
 /// Time between two looks at the files of the run [ns].
 const LOOK_NS: u64 = 20_000_000;
 /// Signals that leave a process no time to do anything.
@@ -248,13 +250,27 @@ impl Trial {
         if STOPPING.contains(&signal) && !self.touched && !is_ignored {
             self.seen.ends_ns.push(sent_ns);
         }
-        if SILENCING.contains(&signal) {
+        let pid = self.programs[index].pid();
+        if SILENCING.contains(&signal) && (signal != Signal::TSTP || self.stands_still(pid)) {
             self.seen.silences.push(Silence { from_ns: sent_ns, to_ns: 0 });
         }
         self.touched |= signal != Signal::CONT;
         if signal == Signal::CONT {
             self.speaks_again();
         }
+    }
+
+    /// Whether a process was stopped: SIGTSTP does nothing to one whose terminal is gone.
+    fn stands_still(&mut self, pid: i32) -> bool {
+        let deadline_ns = monotonic_ns() + STOPPED_NS;
+        let state = || std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+        while !state().contains("(stopped)") {
+            if monotonic_ns() > deadline_ns {
+                return false;
+            }
+            self.look();
+        }
+        true
     }
 
     /// An orchestrator may speak from now on.
