@@ -1,6 +1,6 @@
 //! How commands reach a running orchestrator: one line of JSON each way over a socket in its directory.
 //!
-//! The loop of the session never touches a client: [`server`] reads and writes in threads of its own, with limits of
+//! The loop of the session never touches a client: `server` reads and writes in threads of its own, with limits of
 //! number, length and time, and hands whole requests to the loop.
 
 mod line;

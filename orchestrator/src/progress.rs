@@ -1,6 +1,6 @@
 //! One line that shows a running loop: a live line on a terminal, one plain line per second elsewhere.
 //!
-//! What the line says is a pure function of [`View`] and the words of the processes; only [`Progress`] and [`Steps`]
+//! What the line says is a pure function of [`View`] and the words of the processes; only [`Progress`] and `Steps`
 //! touch standard error, by the queue of `runtime`, so that no run waits for its terminal. A line keeps to the columns
 //! it is given: where it needs more, first the time goes, then names of roles become their first three letters, at last
 //! the end is cut off.
