@@ -304,7 +304,7 @@ fn is_run_id(text: &str) -> bool {
         && text.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit())
 }
 
-fn random_id() -> String {
+pub(crate) fn random_id() -> String {
     let mut bytes = [0; RUN_ID_LETTERS];
     let flags = rustix::rand::GetRandomFlags::empty();
     // So few bytes come at once, or the kernel has no random numbers at all.

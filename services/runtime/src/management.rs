@@ -1,7 +1,8 @@
 //! The one file of the bus that iceoryx2 0.10 makes writable for everyone, made here for its owner alone.
 //!
 //! Nodes of the bus count themselves in a small segment whose name ends with `.global_mgmt`; iceoryx2 gives it mode 0666
-//! whatever the umask. It is made once under another random name, which no process of the run ever uses, and its content
+//! whatever the umask. It is made once under another random name, which no process of the run ever uses and which no other
+//! user can take beforehand (the bus waits for ever for a file that is never finished), and its content
 //! is put under the right name with mode 0600; the bus opens what it finds there.
 //!
 //! Where this fails: in the milliseconds before the copy another user may change the counter in the first one, which
@@ -12,7 +13,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-use crate::domain::SHARED_MEMORY;
+use crate::domain::{SHARED_MEMORY, random_id};
 use crate::{Domain, RuntimeError, bus};
 
 /// End of the segment's name.
@@ -25,7 +26,7 @@ const MAX_BYTES: u64 = 4096;
 /// # Errors
 /// [`RuntimeError::Bus`] when iceoryx2 refuses, and [`RuntimeError::File`].
 pub(crate) fn create(domain: &Domain) -> Result<(), RuntimeError> {
-    let original = format!("{}seed_", domain.shared_memory_prefix());
+    let original = format!("{}seed{}_", domain.shared_memory_prefix(), random_id());
     let made = bus::node("seed", &domain.config_with(&original)?).and_then(|node| {
         // While the node lives its segment certainly does.
         let copied = copy(&original, domain.shared_memory_prefix());
