@@ -178,7 +178,10 @@ pub(crate) fn living(system_id: &str) -> Option<LivingRun> {
 /// another user handed to it.
 fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
     let mut found = Vec::new();
-    for pid in runtime::processes(uid) {
+    // Not through this process: a number that another thread has given to another file meanwhile would be opened here,
+    // and closing it would drop the lock by which the bus knows that this process lives.
+    let own = std::process::id();
+    for pid in runtime::processes(uid).filter(|pid| *pid != own) {
         let Ok(entries) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { continue };
         for path in entries.flatten().map(|entry| entry.path()) {
             let Ok(link) = std::fs::read_link(&path) else { continue };

@@ -112,6 +112,11 @@ fn nothing(system_id: &str, arguments: &StopArguments, living: &[LivingRun]) -> 
     if living.is_empty() {
         return Err(RuntimeError::NotRunning(system_id.to_owned()).into());
     }
-    let ids: Vec<String> = living.iter().map(|run| format!("`{}`", run.system_id)).collect();
+    let ids: Vec<String> = living.iter().map(name).collect();
     Err(Failure::bad_input(format!("system `{system_id}` is not running; running: {}", ids.join(", "))))
+}
+
+/// The system of a run, or its own id when it has neither processes nor a directory yet.
+fn name(run: &LivingRun) -> String {
+    if run.system_id.is_empty() { format!("run {}", run.run_id) } else { format!("`{}`", run.system_id) }
 }

@@ -6,17 +6,16 @@ use scanloop_tests::operator::trial;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-/// Trials side by side.
-const JOBS: u64 = 2;
-/// Trials of each of them.
-const TRIALS: u64 = 6;
+/// Seeds that have all kinds of action, for two series of trials side by side. Those of 1073 and 2066 once made the
+/// orchestrator hang.
+const SEEDS: [[u64; 6]; 2] = [[100, 107, 131, 143, 1073, 2003], [113, 151, 164, 2010, 2066, 2080]];
 
 #[test]
-fn whatever_an_operator_does_the_wheels_come_to_rest_and_nothing_is_left() {
+fn after_any_actions_of_an_operator_the_wheels_rest_and_nothing_is_left() {
     std::thread::scope(|scope| {
-        for job in 0..JOBS {
+        for seeds in SEEDS {
             scope.spawn(move || {
-                for seed in (job * TRIALS + 1)..=(job + 1) * TRIALS {
+                for seed in seeds {
                     let judged = trial(EXECUTABLE, seed, false);
                     println!("{judged}");
                     assert!(judged.problems.is_empty(), "{judged}");

@@ -192,7 +192,9 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
         }
         let is_file = plan.output == Output::File || program.began_ns > first_began(seen);
         let expected = LAST_LINES.iter().find(|(number, _)| *number == signal);
-        if let Some((_, word)) = expected.filter(|_| is_orchestrator && is_file && !plan.damages())
+        let had_begun = program.ended_ns > program.began_ns + SCHEDULED_NS;
+        if let Some((_, word)) =
+            expected.filter(|_| is_orchestrator && had_begun && is_file && !plan.damages())
             && !program.said.contains(&format!("ended with {word}"))
         {
             found.push(format!(
