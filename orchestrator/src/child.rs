@@ -279,6 +279,14 @@ impl Drop for Child {
     }
 }
 
+/// The file of this program; also one that was replaced meanwhile, as an update does.
+pub(crate) fn this_program() -> PathBuf {
+    match std::env::current_exe() {
+        Ok(path) if path.exists() => path,
+        _ => PathBuf::from("/proc/self/exe"),
+    }
+}
+
 /// Whether a process has work to do, on a processor or waiting for one or for memory, and its processor time [s].
 pub(crate) fn is_runnable(pid: u32) -> Option<(bool, f64)> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;

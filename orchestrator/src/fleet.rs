@@ -16,7 +16,7 @@ use runtime::{
 use shared_types::Role;
 
 use crate::background::Background;
-use crate::child::{Child, Launch, is_runnable};
+use crate::child::{Child, Launch, is_runnable, this_program};
 use crate::child_log::ChildLog;
 use crate::halt;
 use crate::lock::SystemLock;
@@ -254,9 +254,8 @@ impl Fleet {
         let command = match (&entry.command, &entry.implementation) {
             (Some(command), _) => command.iter().map(OsString::from).collect(),
             (None, implementation) => {
-                let this = std::env::current_exe().context("path of this executable")?;
                 let name = implementation.clone().unwrap_or_default();
-                vec![this.into_os_string(), "service".into(), name.into()]
+                vec![this_program().into_os_string(), "service".into(), name.into()]
             }
         };
         self.room.make()?;

@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use runtime::{Domain, Priority, RuntimeError, print};
 use rustix::process::{geteuid, setsid};
 
+use crate::child::this_program;
 use crate::cli::StopArguments;
 use crate::exit::{Exit, Failure};
 use crate::halt::{self, Blocked};
@@ -80,7 +81,7 @@ fn stop_one(run: &LivingRun) -> bool {
 
 /// Starts a copy of this program that ends what is left of a run.
 fn detach(run: &LivingRun) -> std::io::Result<()> {
-    let mut command = Command::new(std::env::current_exe()?);
+    let mut command = Command::new(this_program());
     command.args(["--system-id", &run.system_id, "stop", "--finish", &run.run_id]);
     command.args(["--uid", &run.uid.to_string()]).current_dir("/");
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());

@@ -266,3 +266,21 @@ fn a_new_run_waits_for_one_that_was_just_stopped() {
     system.wait();
     system.assert_nothing_left();
 }
+
+#[test]
+fn a_program_that_is_replaced_while_it_drives_still_starts_processes_and_stops() {
+    let folder = std::env::temp_dir().join(format!("scanloop-replaced-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let program = folder.join("scanloop");
+    std::fs::copy(EXECUTABLE, &program).unwrap();
+    let mut system = System::new(program.to_str().unwrap());
+    system.start(&["endless"]);
+    std::fs::remove_file(&program).unwrap();
+    std::fs::copy(EXECUTABLE, &program).unwrap();
+    let restarted = system.run(&["restart", "estimator"]);
+    assert_eq!(restarted.status.code(), Some(0), "{}", stderr(&restarted));
+    stop(&system);
+    assert_eq!(system.wait().code(), Some(1));
+    system.assert_nothing_left();
+    std::fs::remove_dir_all(folder).unwrap();
+}
