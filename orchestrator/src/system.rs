@@ -304,7 +304,7 @@ fn default_rate() -> f64 {
 
 /// Directives come ten times a second, and a busy machine may hold them up.
 const MIN_ORPHAN_STOP_S: f64 = 0.5;
-/// A robot that nobody supervises drives on for this time at most [s].
+/// A robot without supervision drives on for this time at most [s].
 const ORPHAN_STOP_S: f64 = 5.0;
 
 fn default_orphan_timeout() -> f64 {

@@ -129,7 +129,7 @@ fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
         assert_eq!(adopted.status.code(), Some(1), "{}", stderr(&adopted));
         assert!(stderr(&adopted).contains("was stopped"), "{}", stderr(&adopted));
         drop(watch);
-        // Nobody can take it over, so it ends by itself.
+        // It cannot be adopted any more, so it ends by itself.
         system.assert_nothing_left();
     }
 }

@@ -1,7 +1,7 @@
 //! Where one system lives on the machine: its directory and its names in shared memory.
 //!
 //! The directory lies in the first usable place of [`crate::place`] and carries the id of the system. The names in shared
-//! memory carry a random run id instead, so nobody can take them beforehand; the orchestrator writes it down in the
+//! memory carry a random run id instead, so that they cannot be taken beforehand; the orchestrator writes it down in the
 //! directory and hands it to its processes.
 
 use std::io::ErrorKind;
@@ -254,7 +254,7 @@ fn make_folder(system_id: &str) -> Result<Folder, RuntimeError> {
     }
 }
 
-/// Removes everything that a run has in shared memory, whoever knows its run id.
+/// Removes everything that the run of this id has in shared memory.
 ///
 /// # Errors
 /// [`RuntimeError::File`] for the first file that could not be removed; all others are.

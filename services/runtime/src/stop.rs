@@ -265,7 +265,7 @@ impl StopWord {
 
 impl Drop for Mapped {
     fn drop(&mut self) {
-        // SAFETY: the mapping was made in `map` with this size, and nobody borrows from a value being dropped.
+        // SAFETY: the mapping was made in `map` with this size, and a value that is dropped is not borrowed.
         let _ = unsafe { munmap(self.page.as_ptr().cast(), LENGTH) };
     }
 }
