@@ -481,7 +481,11 @@ impl Session {
         let newest = self.samples.newest_truth().or(self.recorder.last_truth());
         match wheels {
             Wheels::Resting => true,
-            Wheels::Unknown => newest.is_none_or(|truth| truth.speed_mps <= 0.0),
+            // Without a report and without a truth only one that was never sent anything is known to stand.
+            Wheels::Unknown => newest.map_or_else(
+                || self.samples.recent_actuations().next().is_none(),
+                |truth| truth.speed_mps <= 0.0,
+            ),
             Wheels::Turning | Wheels::Blocked => false,
         }
     }
