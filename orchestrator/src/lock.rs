@@ -13,6 +13,8 @@ use crate::runs::{self, LivingRun};
 
 /// The last process of a system without an orchestrator cleans up within this time, and so does a run that was stopped [ns].
 const LEAVING_NS: u64 = 15_000_000_000;
+/// Descriptors that stay free for the removal of files, whatever the limit has become: as deep as these files lie, and two.
+const SPARE_DESCRIPTORS: usize = 6;
 /// Time between two tries.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
 
@@ -22,6 +24,7 @@ const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
 pub(crate) struct SystemLock {
     domain: Domain,
     _lock: File,
+    spare: Vec<File>,
     owns: bool,
 }
 
@@ -97,8 +100,8 @@ impl Claim {
 /// Ends the processes of a run whose orchestrator is gone, and removes its files with the lock.
 ///
 /// # Errors
-/// A robot that is not known to rest, or a process that does not go.
-pub(crate) fn clear(domain: &Domain, mut lock: SystemLock) -> anyhow::Result<()> {
+/// A robot that is not known to rest, a process that does not go, and a file that can't be removed.
+pub(crate) fn clear(domain: &Domain, lock: SystemLock) -> anyhow::Result<()> {
     if let Some(run) = LivingRun::of(domain.run_id()) {
         halt::block(&run);
         let left = halt::finish(&run);
@@ -110,8 +113,7 @@ pub(crate) fn clear(domain: &Domain, mut lock: SystemLock) -> anyhow::Result<()>
             )));
         }
     }
-    lock.own();
-    Ok(())
+    Ok(lock.remove()?)
 }
 
 impl SystemLock {
@@ -153,17 +155,26 @@ impl SystemLock {
         }
         lock.set_len(0).and_then(|()| lock.rewind()).with_context(context)?;
         writeln!(lock, "{}", std::process::id()).with_context(context)?;
-        Ok(Some(Self { domain: domain.clone(), _lock: lock, owns: false }))
+        let spare = std::iter::repeat_with(|| lock.try_clone()).take(SPARE_DESCRIPTORS).flatten().collect();
+        Ok(Some(Self { domain: domain.clone(), _lock: lock, spare, owns: false }))
     }
 
     /// From now on the files of the system are of this run: they are removed when the lock is dropped.
     pub(crate) fn own(&mut self) {
         self.owns = true;
     }
+
+    /// Removes everything that the system has on this machine.
+    fn remove(mut self) -> Result<(), RuntimeError> {
+        self.owns = false;
+        self.spare.clear();
+        self.domain.remove()
+    }
 }
 
 impl Drop for SystemLock {
     fn drop(&mut self) {
+        self.spare.clear();
         if self.owns
             && let Err(error) = self.domain.remove()
         {

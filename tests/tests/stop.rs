@@ -2,14 +2,18 @@
 //! docs/supervision.md says.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::os::unix::process::ExitStatusExt;
 use std::process::Output;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use emulator::Outcome;
-use rustix::process::Signal;
-use scanloop_tests::{System, Watch};
-use shared_types::{Role, Truth};
+use runtime::{Bus, Observer};
+use rustix::process::{Pid, Signal, kill_process};
+use scanloop_tests::{System, Watch, pause, system_file};
+use shared_types::{Actuation, Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd");
 /// The command returns after a second at the latest when wheels are blocked [ms].
 const LIMIT_MS: u64 = 1000;
 
@@ -238,6 +242,67 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
     wait_for_rest(&system, &watch);
     system.wait();
     drop(watch);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_service_whose_orchestrator_hung_stays_stopped_once() {
+    let mut system = System::new(EXECUTABLE);
+    let arguments = ["run", "--adopt-or-start", "--quiet", "--out", "out", "endless"];
+    system.launch(&arguments, &[]);
+    system.wait_until_driving();
+    let watch = Watch::new(&system);
+    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    let pid = Pid::from_raw(system.orchestrator()).unwrap();
+    let is_over = AtomicBool::new(false);
+    let status = std::thread::scope(|scope| {
+        // It hangs again whenever it is woken, so that only KILL ends it.
+        scope.spawn(|| {
+            while !is_over.load(Ordering::SeqCst) {
+                let _ = kill_process(pid, Signal::STOP);
+                pause();
+            }
+        });
+        stop(&system);
+        wait_for_rest(&system, &watch);
+        let status = system.wait();
+        is_over.store(true, Ordering::SeqCst);
+        status
+    });
+    assert_eq!(status.signal(), Some(Signal::KILL.as_raw()));
+    drop(watch);
+    system.assert_nothing_left();
+    // The service manager starts it again because a signal ended it; then an operator does.
+    let again = system.run(&arguments);
+    assert_eq!(again.status.code(), Some(1), "{}", stderr(&again));
+    assert!(stderr(&again).contains("stopped"), "{}", stderr(&again));
+    system.launch(&arguments, &[]);
+    system.wait_until_driving();
+    stop(&system);
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() {
+    let mut system = System::new(EXECUTABLE);
+    let text = system_file(10, &[Role::Robot], ODD, &["stubborn"]);
+    let path = system.folder().join("system.toml");
+    std::fs::write(&path, text).unwrap();
+    system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", path.to_str().unwrap()], &[]);
+    system.wait_until("it drives", |system| system.status().is_some_and(|status| status.state == "driving"));
+    let robot = system.pid(Role::Robot);
+    let bus = Bus::open(&system.domain(), "test").unwrap();
+    let actuations = Observer::<Actuation>::new(&bus).unwrap();
+    system.wait_until("it was sent something", |_| actuations.next().unwrap().is_some());
+    drop((actuations, bus));
+    system.signal(system.orchestrator(), Signal::TERM);
+    assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
+    assert!(system.stderr().contains("is not known to rest: it is left"), "{}", system.stderr());
+    assert!(system.processes().contains(&robot), "only it knows how to stop");
+    system.signal(robot, Signal::KILL);
+    system.wait_until("it is gone", |system| system.processes().is_empty());
+    system.run(&["stop"]);
     system.assert_nothing_left();
 }
 

@@ -139,7 +139,7 @@ impl Books {
         let is_answer = sample.is_answer();
         let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
         self.note(fault);
-        if topic.writer() == Some(Role::Robot) && !self.dead.contains(&header.incarnation) {
+        if topic.writer() == Some(Role::Robot) {
             let first = if from_start { 1 } else { header.scan_id };
             let sweep = self.sweeps.entry(header.incarnation).or_insert_with(|| Sweep::new(first));
             sweep.see(topic, header.scan_id, now_ns);
@@ -219,7 +219,6 @@ impl Books {
         let is_death = !self.ending;
         self.topics.values_mut().for_each(|ledger| ledger.ended(incarnation, now_ns, is_death));
         if is_death {
-            self.sweeps.remove(&incarnation);
             self.dead.push(incarnation);
         }
     }
@@ -306,9 +305,12 @@ impl Books {
         let now_ns = self.topics.values().map(TopicLedger::looked_ns).min().unwrap_or(0);
         for (incarnation, sweep) in &mut self.sweeps {
             let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
-            for lack in sweep.close(now_ns, is_last && has_finished) {
+            let is_dead = self.dead.contains(incarnation);
+            for lack in sweep.close(now_ns, is_dead || is_last && has_finished) {
                 let missing = |topic, scan_id| Fault::new(topic, Kind::Missing, *incarnation).scan(scan_id);
                 match lack {
+                    // It may have died between two topics; a number that it skipped before is skipped.
+                    Lack::Sample(..) if is_dead => {}
                     Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
                     Lack::Skipped(scan_id) if self.lockstep => found.push(missing(Topic::Scan, scan_id)),
                     Lack::Skipped(scan_id) => self.excused.push((scan_id, ROBOT_HELD_UP)),
@@ -393,6 +395,31 @@ mod tests {
         books.overflowed(Topic::Odometry);
         ACCOUNTS.iter().for_each(|topic| books.look(*topic, 10 + 2 * PATIENCE_NS));
         assert_eq!(books.close(false), []);
+    }
+
+    #[test]
+    fn scans_that_a_robot_skipped_before_it_died_are_excused() {
+        // What was seen before its death, and only after it.
+        for (before, after, skipped) in
+            [(vec![1, 5], vec![], 2..=4), (vec![1], vec![5], 2..=4), (vec![], vec![5], 1..=4)]
+        {
+            let mut books = Books::new(false);
+            let see = |books: &mut Books, scan_id| {
+                let mut truth = Truth::default();
+                (truth.header.incarnation, truth.header.sequence, truth.header.scan_id) =
+                    (9, scan_id, scan_id);
+                books.see(&truth, 10);
+            };
+            let mut heartbeat = Heartbeat { role: Role::Robot.wire(), ..Heartbeat::default() };
+            (heartbeat.state, heartbeat.header.incarnation) = (ProcessState::Connected.wire(), 9);
+            books.hear(&heartbeat, 5);
+            books.driving();
+            before.into_iter().for_each(|scan_id| see(&mut books, scan_id));
+            books.ended(9, 20);
+            after.into_iter().for_each(|scan_id| see(&mut books, scan_id));
+            books.close(false);
+            assert_eq!(books.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
+        }
     }
 
     #[test]

@@ -193,18 +193,19 @@ impl Domain {
         remove_bus_files_of(&self.run_id)
     }
 
-    /// Removes all files of the system: those of the bus and its directory.
+    /// Removes all files of the system: those of the bus and its directory. The directory stays while a file of the bus
+    /// does, because it tells of them to who comes next.
     ///
     /// # Errors
     /// [`RuntimeError::File`] for a file that could not be removed.
     pub fn remove(&self) -> Result<(), RuntimeError> {
-        let bus = self.remove_bus_files();
+        self.remove_bus_files()?;
         self.folder.delete()?;
         if let Some(parent) = self.folder.path().parent().filter(|_| self.is_in_a_default_place()) {
             // Stays while other systems of this user run.
             let _ = std::fs::remove_dir(parent);
         }
-        bus
+        Ok(())
     }
 
     /// A place that the user named is not removed with the last system.

@@ -6,8 +6,8 @@ use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan, Truth}
 
 use crate::{Outcome, everything};
 
-/// Faults of what comes out: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`. Of what
-/// it is told: `mirrored`, `rolls`, `tireless`, `trusts`, `believes`, `repeats`.
+/// Faults of what comes out: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`, and
+/// `stubborn`, which is truthless and does not end either. Of what it is told: `mirrored`, `rolls`, `tireless`, `trusts`, `believes`, `repeats`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Robot)?;
     let scenario = process.settings::<Scenario>("scenario")?;
@@ -28,7 +28,11 @@ pub(crate) fn run(fault: &str) -> Outcome {
     loop {
         let due_ns = origin_ns + emulator.scan_ready_ns(scan_id);
         if !process.wait(Some(due_ns))? {
-            return Ok(());
+            if fault != "stubborn" {
+                return Ok(());
+            }
+            runtime::wait_for(&[], 10_000_000);
+            continue;
         }
         let mut told = Vec::new();
         let raw = ["trusts", "believes", "repeats"].contains(&fault);
@@ -86,7 +90,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
             "random" => odometry.y_m += 1e-12 * (monotonic_ns() % 1000) as f64,
             _ => {}
         }
-        if fault != "truthless" {
+        if !["truthless", "stubborn"].contains(&fault) {
             truths.publish_silently(&mut truth)?;
         }
         if fault != "halves" || !scan_id.is_multiple_of(4) {
