@@ -195,7 +195,7 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
         let had_begun = program.ended_ns > program.began_ns + SCHEDULED_NS;
         if let Some((_, word)) =
             expected.filter(|_| is_orchestrator && had_begun && is_file && !plan.damages())
-            && !program.said.contains(&format!("ended with {word}"))
+            && !(program.said.contains(word) && program.said.contains("wheels are blocked"))
         {
             found.push(format!(
                 "{name} did not say that it was ended by {word}: {}",
