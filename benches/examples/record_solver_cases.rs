@@ -10,9 +10,9 @@
 //! of your own for those.
 
 use nmpc::{Budget, Collocation, Solver, SolverSettings, Trajectory};
-use orchestrator::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use scanloop::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use vehicle::State;
 use vehicle::integrate::integrate;
 

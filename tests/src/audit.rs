@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use emulator::service::RobotState;
-use orchestrator::swap::Certificate;
+use handover::swap::Certificate;
 use runtime::{Bus, Domain, Observer, RuntimeError, wait_for};
 use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
 

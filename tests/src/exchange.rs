@@ -3,8 +3,8 @@
 use std::process::{Child, Output, Stdio};
 
 use emulator::Outcome;
-use orchestrator::shadow::ShadowReport;
-use orchestrator::swap::{Certificate, SwapOutcome};
+use handover::shadow::ShadowReport;
+use handover::swap::{Certificate, SwapOutcome};
 use shared_types::Role;
 
 use crate::System;

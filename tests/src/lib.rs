@@ -15,10 +15,10 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use orchestrator::control::{Reply, Request, Status, ask};
-use orchestrator::report::Report;
+use report::Report;
 use runtime::{Bus, Domain, Observer};
 use rustix::fs::{Mode, OFlags, open};
+use session::control::{Reply, Request, Status, ask};
 use shared_types::{Role, Truth};
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.

@@ -7,7 +7,7 @@
 
 use std::ops::AddAssign;
 
-use orchestrator::swap::SwapOutcome;
+use handover::swap::SwapOutcome;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use runtime::wait_for;

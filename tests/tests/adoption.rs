@@ -4,10 +4,10 @@
 use std::process::{Command, Stdio};
 
 use emulator::Outcome;
-use orchestrator::control::Status;
-use orchestrator::report::Report;
+use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::{System, Watch};
+use session::control::Status;
 use shared_types::{Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");

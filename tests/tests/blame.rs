@@ -1,9 +1,9 @@
 //! Samples that are dropped: their writer and the rule that they fail are named, live and in lock-step.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use audit::ledger::RefusedRow;
 use emulator::Outcome;
-use orchestrator::ledger::RefusedRow;
-use orchestrator::report::Report;
+use report::Report;
 use scanloop_tests::{System, system_file};
 use shared_types::Role;
 

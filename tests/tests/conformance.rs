@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 
-use orchestrator::conformance::{Level, Outcome, Report};
+use conformance::{Level, Outcome, Report};
 use runtime::Domain;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");

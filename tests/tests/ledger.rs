@@ -4,9 +4,9 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-use orchestrator::latency::attribute;
-use orchestrator::ledger::Kind;
-use orchestrator::report::Report;
+use audit::ledger::Kind;
+use report::Report;
+use report::latency::attribute;
 use runtime::{Bus, Observer};
 use scanloop_tests::{Place, STAGES, System, plan, system_file};
 use shared_types::{Actuation, Header, Role, Topic};

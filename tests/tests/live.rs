@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use emulator::Outcome;
-use orchestrator::report::Report;
+use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::System;
 use shared_types::Role;

@@ -1,10 +1,10 @@
 //! Every shipped scenario in lock-step, with the outcome it is shipped for.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use orchestrator::digest::Digests;
-use orchestrator::report::Report;
 use pipeline::Settings;
+use report::Report;
 use scanloop_tests::System;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");

@@ -1,6 +1,6 @@
 //! Processes in the shadow of the live ones: compared, and never felt.
 
-use orchestrator::shadow::ShadowOutcome;
+use handover::shadow::ShadowOutcome;
 use rustix::process::Signal;
 use scanloop_tests::System;
 use scanloop_tests::exchange::{

@@ -6,7 +6,7 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 
-use orchestrator::swap::{Certificate, SwapOutcome};
+use handover::swap::{Certificate, SwapOutcome};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
 use scanloop_tests::exchange::{assert_reached, assert_seamless, begin, certificate, rows, swap};

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use orchestrator::swap::SwapOutcome;
+use handover::swap::SwapOutcome;
 use rustix::process::Signal;
 use scanloop_tests::System;
 use scanloop_tests::audit::{Audit, audit};

@@ -1,7 +1,7 @@
 //! The robot itself exchanged while it drives: it goes on where it is, or the old one does.
 
-use orchestrator::report::Report;
-use orchestrator::swap::SwapOutcome;
+use handover::swap::SwapOutcome;
+use report::Report;
 use rustix::process::Signal;
 use scanloop_tests::System;
 use scanloop_tests::exchange::{assert_reached, assert_seamless, certificate, rows, standby, stop, swap};

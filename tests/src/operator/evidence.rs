@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use orchestrator::report::Report;
+use report::Report;
 
 use super::program::Ended;
 use super::wheels::{Change, Point};

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use orchestrator::swap::{Certificate, SwapOutcome};
+use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::System;
 use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 

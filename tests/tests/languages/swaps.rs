@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use emulator::Outcome;
-use orchestrator::swap::{Certificate, SwapOutcome};
+use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::System;
 
 use super::tools::{EXECUTABLE, compile, examples, python};

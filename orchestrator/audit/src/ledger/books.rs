@@ -1,0 +1,436 @@
+//! The books of a run: the accounts of all topics, kept from what was seen on the bus and from what processes say.
+//!
+//! Three witnesses are compared. The *bus*: the orchestrator sees all samples of all topics, whether they count or
+//! not. The *readers*: each heartbeat says what became of the samples of each input. The *writers*: each says which
+//! numbers it has used up, and which of its inputs it has answered. What one of them has and another lacks is a fault
+//! with a topic and a number or a scan. Nothing is judged before it is certain: a sample may be on its way, a buffer
+//! may have been full, a process may have died.
+//!
+//! What it can't see: the first samples of a process that was started while the robot drove, and what a process does
+//! between its last word and its death. A process that sends no accounts is judged from the bus alone.
+
+use std::collections::BTreeMap;
+
+use shared_types::{Heartbeat, ProcessState, Role, Sample, Topic};
+
+use super::fault::{Fault, Kind};
+use super::refused::{NewRefusal, Refused, RefusedRow};
+use super::rows::LedgerReport;
+use super::sweep::{Lack, Sweep};
+use super::topic::{TopicLedger, Word};
+use super::{NOT_OBSERVED, PATIENCE_NS, ROBOT_HELD_UP};
+/// The topics that have an account: those of the loop, and the truth.
+pub const ACCOUNTS: [Topic; 7] = [
+    Topic::Odometry,
+    Topic::Scan,
+    Topic::Pose,
+    Topic::Obstacles,
+    Topic::Command,
+    Topic::Actuation,
+    Topic::Truth,
+];
+
+/// How many faults are kept one by one; more are counted.
+const KEPT: usize = 1000;
+
+/// The books of one run.
+#[derive(Debug, Clone)]
+pub struct Books {
+    lockstep: bool,
+    midway: bool,
+    driving: bool,
+    ending: bool,
+    topics: BTreeMap<Topic, TopicLedger>,
+    workers: BTreeMap<u32, Worker>,
+    sweeps: BTreeMap<u32, Sweep>,
+    /// Robots that died: what comes of them yet may be half of a sweep.
+    dead: Vec<u32>,
+    excused: Vec<(u64, &'static str)>,
+    faults: Vec<Fault>,
+    reported: usize,
+    counts: Counts,
+    refused: Refused,
+    closings: u64,
+}
+
+/// Faults by their kind.
+#[derive(Debug, Clone, Copy, Default)]
+struct Counts {
+    residual: u64,
+    duplicates: u64,
+    reordered: u64,
+}
+
+/// A process as it describes itself.
+#[derive(Debug, Clone, Default)]
+struct Worker {
+    from_start: bool,
+    connected_ns: Option<u64>,
+    /// It ended when the run did, with all that it had begun.
+    has_finished: bool,
+    /// Answers it owes and that were told: how many, and the sum of their scans.
+    told: (u64, u64),
+    owes: Option<Debt>,
+}
+
+/// Inputs that a process has taken and not answered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Debt {
+    role: Role,
+    count: u64,
+    scans: u64,
+    since_ns: u64,
+    is_certain: bool,
+}
+
+impl Books {
+    /// Empty books; in lock-step a robot never skips a scan.
+    pub fn new(lockstep: bool) -> Self {
+        Self {
+            lockstep,
+            midway: false,
+            driving: false,
+            ending: false,
+            topics: ACCOUNTS.map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic)))).into(),
+            workers: BTreeMap::new(),
+            sweeps: BTreeMap::new(),
+            dead: Vec::new(),
+            excused: Vec::new(),
+            faults: Vec::new(),
+            reported: 0,
+            counts: Counts::default(),
+            refused: Refused::default(),
+            closings: 0,
+        }
+    }
+
+    /// Empty books of a run that was begun by another orchestrator: what processes say first is where they begin.
+    pub fn midway() -> Self {
+        Self { midway: true, driving: true, ..Self::new(false) }
+    }
+
+    /// All processes are connected and the first sample may be published.
+    pub fn driving(&mut self) {
+        if !self.driving {
+            self.driving = true;
+            let connected = self.workers.values_mut().filter(|worker| worker.connected_ns.is_some());
+            connected.for_each(|worker| worker.from_start = true);
+        }
+    }
+
+    /// Processes that end from now on were asked to.
+    pub fn run_ended(&mut self) {
+        self.ending = true;
+    }
+
+    /// A look at a topic begins.
+    pub fn look(&mut self, topic: Topic, now_ns: u64) {
+        if let Some(ledger) = self.topics.get_mut(&topic) {
+            ledger.look(now_ns);
+        }
+    }
+
+    /// The look at `now_ns` found a sample.
+    pub fn see<S: Sample>(&mut self, sample: &S, now_ns: u64) {
+        let (topic, header) = (S::TOPIC, sample.header());
+        let from_start = self.is_from_start(header.incarnation);
+        // What the actuator decides by itself stands under the scan before.
+        let is_answer = sample.is_answer();
+        let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
+        self.note(fault);
+        if topic.writer() == Some(Role::Robot) {
+            let first = if from_start { 1 } else { header.scan_id };
+            let sweep = self.sweeps.entry(header.incarnation).or_insert_with(|| Sweep::new(first));
+            sweep.see(topic, header.scan_id, now_ns);
+        }
+    }
+
+    /// The look found as many samples as can wait, or more: some may have been overwritten.
+    pub fn overflowed(&mut self, topic: Topic) {
+        let ledger = self.topics.get_mut(&topic);
+        let (scans, began) =
+            ledger.map_or_else(Default::default, |ledger| (ledger.overflowed(), ledger.began_midway()));
+        if (began || !scans.is_empty()) && topic.writer() == Some(Role::Robot) {
+            let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
+            self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
+        }
+        if topic == Topic::Truth {
+            self.excused.extend(scans.into_iter().flatten().map(|scan| (scan, NOT_OBSERVED)));
+        }
+    }
+
+    /// A process said how it is.
+    pub fn hear(&mut self, heartbeat: &Heartbeat, now_ns: u64) {
+        let incarnation = heartbeat.header.incarnation;
+        let (Ok(role), Ok(state)) = (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
+        else {
+            return;
+        };
+        let midway = self.midway;
+        self.refused.add_heartbeat(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
+        let worker = self.workers.entry(incarnation).or_insert_with(|| Worker {
+            told: if midway { Worker::debt(heartbeat) } else { (0, 0) },
+            ..Worker::default()
+        });
+        if [ProcessState::Connected, ProcessState::Ready].contains(&state) {
+            worker.connected_ns.get_or_insert(heartbeat.issued_ns);
+        }
+        worker.has_finished |= self.ending && state == ProcessState::Ending;
+        worker.hear(role, heartbeat);
+        let (from_start, connected_ns) = (worker.from_start, worker.connected_ns);
+        for (topic, sequence) in role.writes().iter().zip(heartbeat.written) {
+            if let Some(ledger) = self.topics.get_mut(topic) {
+                ledger.claimed(incarnation, from_start, sequence, now_ns);
+            }
+        }
+        if let Some(connected_ns) = connected_ns {
+            self.hear_accounts(role, heartbeat, from_start, connected_ns);
+        }
+        if state == ProcessState::Ending {
+            self.ended(incarnation, now_ns);
+        }
+    }
+
+    fn hear_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
+        let incarnation = heartbeat.header.incarnation;
+        for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
+            let Some(ledger) = self.topics.get_mut(topic) else { continue };
+            if heartbeat.looked_ns == 0 {
+                ledger.add_silent_reader(incarnation, role);
+            } else {
+                let looked_ns = heartbeat.looked_ns;
+                let midway = self.midway;
+                ledger.heard(Word {
+                    incarnation,
+                    role,
+                    from_start,
+                    midway,
+                    connected_ns,
+                    looked_ns,
+                    account,
+                });
+            }
+        }
+    }
+
+    /// A process ended.
+    pub fn ended(&mut self, incarnation: u32, now_ns: u64) {
+        let is_death = !self.ending;
+        self.topics.values_mut().for_each(|ledger| ledger.ended(incarnation, now_ns, is_death));
+        if is_death {
+            self.dead.push(incarnation);
+        }
+    }
+
+    /// Closes the books; what was found since the last time. At the end of a run, when all processes have said their
+    /// last word, nothing is waited for.
+    pub fn close(&mut self, is_last: bool) -> Vec<Fault> {
+        self.closings += 1;
+        let mut found: Vec<Fault> =
+            self.topics.values_mut().flat_map(|ledger| ledger.close(is_last)).collect();
+        found.extend(self.unanswered());
+        found.extend(self.lacking(is_last));
+        found.into_iter().for_each(|fault| self.note(Some(fault)));
+        let news = self.faults[self.reported..].to_vec();
+        self.reported = self.faults.len();
+        news
+    }
+
+    /// Whether a sample is known to be missing.
+    pub fn is_something_missing(&self) -> bool {
+        self.counts.residual > 0
+    }
+
+    /// What readers dropped or refused because of its content since the last time.
+    pub fn new_refusals(&mut self) -> Vec<NewRefusal> {
+        self.refused.take_news()
+    }
+
+    /// Samples that readers dropped or refused because of their content.
+    pub fn refused(&self) -> &[RefusedRow] {
+        self.refused.rows()
+    }
+
+    /// Scans that nothing needs to be known of, since the last time, each with the reason.
+    pub fn excused(&mut self) -> Vec<(u64, &'static str)> {
+        std::mem::take(&mut self.excused)
+    }
+
+    /// The account of all topics, as if the run had ended now.
+    pub fn report(&self) -> LedgerReport {
+        let loop_topics = self.topics.iter().filter(|(topic, _)| **topic != Topic::Truth);
+        LedgerReport {
+            closings: self.closings,
+            residual: self.counts.residual,
+            duplicates: self.counts.duplicates,
+            reordered: self.counts.reordered,
+            unobserved: self.topics.values().map(TopicLedger::unobserved).sum(),
+            topics: loop_topics.flat_map(|(_, ledger)| ledger.rows()).collect(),
+            refused: self.refused.rows().to_vec(),
+            faults: self.faults.clone(),
+        }
+    }
+
+    fn is_from_start(&self, incarnation: u32) -> bool {
+        self.workers.get(&incarnation).is_some_and(|worker| worker.from_start)
+    }
+
+    /// Inputs that were used and that no output answers.
+    fn unanswered(&mut self) -> Vec<Fault> {
+        let mut found = Vec::new();
+        for (incarnation, worker) in &mut self.workers {
+            let Some(debt) = worker.owes.take_if(|debt| debt.is_certain) else { continue };
+            worker.told = (worker.told.0 + debt.count, worker.told.1.wrapping_add(debt.scans));
+            let Some(topic) = debt.role.writes().first() else { continue };
+            let scan_id = if debt.count == 1 { debt.scans } else { 0 };
+            // An input that comes twice is rightly answered once, and one that comes after a later one not at all.
+            let is_excused = |fault: &Fault| {
+                matches!(fault.kind, Kind::Duplicate | Kind::Reordered)
+                    && debt.role.answers().is_some_and(|topic| fault.topic == topic.name())
+                    && fault.scan_id == scan_id
+            };
+            if scan_id == 0 || !self.faults.iter().any(is_excused) {
+                found.push(
+                    Fault::new(*topic, Kind::Missing, *incarnation).scan(scan_id).noticed_by(debt.role),
+                );
+            }
+        }
+        found
+    }
+
+    /// Samples that the robot did not make for a scan.
+    fn lacking(&mut self, is_last: bool) -> Vec<Fault> {
+        let mut found = Vec::new();
+        let now_ns = self.topics.values().map(TopicLedger::looked_ns).min().unwrap_or(0);
+        for (incarnation, sweep) in &mut self.sweeps {
+            let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
+            let is_dead = self.dead.contains(incarnation);
+            for lack in sweep.close(now_ns, is_dead || is_last && has_finished) {
+                let missing = |topic, scan_id| Fault::new(topic, Kind::Missing, *incarnation).scan(scan_id);
+                match lack {
+                    // It may have died between two topics; a number that it skipped before is skipped.
+                    Lack::Sample(..) if is_dead => {}
+                    Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
+                    Lack::Skipped(scan_id) if self.lockstep => found.push(missing(Topic::Scan, scan_id)),
+                    Lack::Skipped(scan_id) => self.excused.push((scan_id, ROBOT_HELD_UP)),
+                }
+            }
+        }
+        found
+    }
+
+    fn note(&mut self, fault: Option<Fault>) {
+        let Some(fault) = fault else { return };
+        if let Some(known) = self.faults.iter_mut().find(|known| known.is_same(&fault)) {
+            known.sequence = if known.sequence == 0 { fault.sequence } else { known.sequence };
+            known.scan_id = if known.scan_id == 0 { fault.scan_id } else { known.scan_id };
+            return;
+        }
+        match fault.kind {
+            Kind::Missing | Kind::Vanished => self.counts.residual += 1,
+            Kind::Duplicate => self.counts.duplicates += 1,
+            Kind::Reordered => self.counts.reordered += 1,
+        }
+        if self.faults.len() < KEPT {
+            self.faults.push(fault);
+        }
+    }
+}
+
+impl Worker {
+    /// Inputs that were taken and not answered: how many, and the sum of their scans.
+    fn debt(heartbeat: &Heartbeat) -> (u64, u64) {
+        let Heartbeat { taken, answered, taken_scans, answered_scans, .. } = heartbeat;
+        (taken.saturating_sub(*answered), taken_scans.wrapping_sub(*answered_scans))
+    }
+
+    fn hear(&mut self, role: Role, heartbeat: &Heartbeat) {
+        let debt = Self::debt(heartbeat);
+        let (count, scans) = (debt.0.saturating_sub(self.told.0), debt.1.wrapping_sub(self.told.1));
+        // One that was started without the state it needs is silent on purpose.
+        let is_silent = heartbeat.answered == 0 && !self.from_start;
+        if count == 0 || is_silent {
+            self.owes = None;
+            return;
+        }
+        let since_ns = match self.owes {
+            Some(debt) if (debt.count, debt.scans) == (count, scans) => debt.since_ns,
+            _ => heartbeat.issued_ns,
+        };
+        let passed_over = count == 1 && scans < heartbeat.header.scan_id;
+        let waited = heartbeat.issued_ns.saturating_sub(since_ns) >= PATIENCE_NS;
+        self.owes = Some(Debt {
+            role,
+            count,
+            scans,
+            since_ns,
+            is_certain: passed_over || waited || self.has_finished,
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::{Odometry, Scan, Truth};
+
+    use super::*;
+
+    #[test]
+    fn a_robot_that_is_first_heard_behind_a_full_buffer_lacks_nothing() {
+        let mut books = Books::midway();
+        fn look<S: Sample + Default>(books: &mut Books, scans: std::ops::RangeInclusive<u64>) {
+            books.look(S::TOPIC, 10);
+            for scan_id in scans {
+                let mut sample = S::default();
+                let header = sample.header_mut();
+                (header.incarnation, header.sequence, header.scan_id) = (9, scan_id, scan_id);
+                books.see(&sample, 10);
+            }
+        }
+        look::<Truth>(&mut books, 101..=140);
+        look::<Scan>(&mut books, 125..=140);
+        books.overflowed(Topic::Scan);
+        look::<Odometry>(&mut books, 125..=140);
+        books.overflowed(Topic::Odometry);
+        ACCOUNTS.iter().for_each(|topic| books.look(*topic, 10 + 2 * PATIENCE_NS));
+        assert_eq!(books.close(false), []);
+    }
+
+    #[test]
+    fn scans_that_a_robot_skipped_before_it_died_are_excused() {
+        // What was seen before its death, and only after it.
+        for (before, after, skipped) in
+            [(vec![1, 5], vec![], 2..=4), (vec![1], vec![5], 2..=4), (vec![], vec![5], 1..=4)]
+        {
+            let mut books = Books::new(false);
+            let see = |books: &mut Books, scan_id| {
+                let mut truth = Truth::default();
+                (truth.header.incarnation, truth.header.sequence, truth.header.scan_id) =
+                    (9, scan_id, scan_id);
+                books.see(&truth, 10);
+            };
+            let mut heartbeat = Heartbeat { role: Role::Robot.wire(), ..Heartbeat::default() };
+            (heartbeat.state, heartbeat.header.incarnation) = (ProcessState::Connected.wire(), 9);
+            books.hear(&heartbeat, 5);
+            books.driving();
+            before.into_iter().for_each(|scan_id| see(&mut books, scan_id));
+            books.ended(9, 20);
+            after.into_iter().for_each(|scan_id| see(&mut books, scan_id));
+            books.close(false);
+            assert_eq!(books.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_robot_that_died_between_two_topics_owes_nothing() {
+        let mut books = Books::new(false);
+        let mut truth = Truth::default();
+        (truth.header.incarnation, truth.header.sequence, truth.header.scan_id) = (9, 1, 1);
+        books.see(&truth, 10);
+        books.ended(9, 20);
+        (truth.header.sequence, truth.header.scan_id) = (2, 2);
+        books.see(&truth, 30);
+        ACCOUNTS.iter().for_each(|topic| books.look(*topic, 30 + 2 * PATIENCE_NS));
+        assert_eq!(books.close(false), []);
+    }
+}

@@ -1,0 +1,272 @@
+//! The orchestrator's view of the loop: all topics, in the order of scans.
+//!
+//! Topics are polled one after the other, so their samples come in any order. Here they wait until the scan they
+//! belong to is complete: its truth and its actuation are there, or later scans show that no answer will come.
+//! In lock-step the result does not depend on when the topics were polled.
+
+use std::collections::VecDeque;
+
+use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
+use shared_types::{
+    Actuation, Command, Directive, Fault, Header, Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth,
+    YOUNG_NS,
+};
+
+use crate::ledger::Books;
+
+/// A scan without an answer is given up when this many newer scans have been published, and at high rates as many as
+/// may come late together.
+const PATIENCE_SCANS: u64 = 3;
+
+/// Actuations that are kept for a process that starts: more than can be sent while one that hangs is found out, as
+/// repetitions are not kept.
+const RECENT: usize = 32;
+
+/// Samples kept of the other process of an exchange; more than processes keep, because looks here are rarer.
+const ASIDE: usize = 16;
+
+/// Samples of one topic that wait for their scan.
+struct Queue<S: Sample> {
+    observer: Observer<S>,
+    waiting: VecDeque<S>,
+    aside: VecDeque<S>,
+    last: (u32, u64),
+}
+
+impl<S: Sample> Queue<S> {
+    fn new(bus: &Bus) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            observer: Observer::new(bus)?,
+            waiting: VecDeque::with_capacity(64),
+            aside: VecDeque::with_capacity(ASIDE),
+            last: (0, 0),
+        })
+    }
+
+    fn poll(
+        &mut self,
+        directive: &Directive,
+        books: &mut Books,
+        refused: &mut Vec<(u64, Rule)>,
+    ) -> Result<u64, RuntimeError> {
+        let Self { observer, waiting, aside, last } = self;
+        // As the processes do: what was kept aside may count now, unless its scan was answered meanwhile.
+        let kept = std::mem::take(aside);
+        let mut put = |sample: &S, was_aside: bool| {
+            let (incarnation, scan_id) = (sample.header().incarnation, sample.header().scan_id);
+            if let Some(writer) = S::TOPIC.writer() {
+                if directive.stands_by(writer, incarnation, scan_id) {
+                    if aside.len() == ASIDE {
+                        aside.pop_front();
+                    }
+                    return aside.push_back(*sample);
+                }
+                let other = was_aside || directive.is_exchanged(writer) && incarnation != last.0;
+                if !directive.accepts(writer, incarnation, scan_id) || (other && scan_id <= last.1) {
+                    return;
+                }
+            }
+            *last = (incarnation, last.1.max(scan_id));
+            waiting.push_back(*sample);
+        };
+        kept.iter().for_each(|sample| put(sample, true));
+        look(observer, directive, books, refused, |sample| put(sample, false))
+    }
+
+    fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
+        if self.waiting.front().is_some_and(|sample| sample.header().scan_id <= scan_id) {
+            self.waiting.pop_front()
+        } else {
+            None
+        }
+    }
+}
+
+/// Hands all valid samples of a topic to `each`, and all that came to the books; returns how many were invalid. The scans
+/// of those that would have counted are `refused`.
+fn look<S: Sample>(
+    observer: &Observer<S>,
+    directive: &Directive,
+    books: &mut Books,
+    refused: &mut Vec<(u64, Rule)>,
+    mut each: impl FnMut(&S),
+) -> Result<u64, RuntimeError> {
+    let now_ns = monotonic_ns();
+    let (mut came, mut invalid) = (0, 0);
+    books.look(S::TOPIC, now_ns);
+    observer.look(|sample, check| {
+        came += 1;
+        if !matches!(check, Err(Fault::Layout { .. })) {
+            books.see(sample, now_ns);
+        }
+        match check {
+            Ok(()) => each(sample),
+            Err(fault) => {
+                invalid += 1;
+                let Header { incarnation, scan_id, .. } = *sample.header();
+                if S::TOPIC.writer().is_some_and(|role| directive.accepts(role, incarnation, scan_id)) {
+                    refused.push((scan_id, fault.rule()));
+                }
+            }
+        }
+    })?;
+    if came >= buffer(S::TOPIC) {
+        books.overflowed(S::TOPIC);
+    }
+    Ok(invalid)
+}
+
+/// Adds an actuation, unless the one before it asked for the same.
+fn remember(recent: &mut VecDeque<Actuation>, actuation: &Actuation) {
+    let asks = |of: &Actuation| (of.kind, of.desired_velocity_mps, of.desired_steering_rad);
+    if recent.back().is_some_and(|newest| asks(newest) == asks(actuation)) {
+        return;
+    }
+    if recent.len() == RECENT {
+        recent.pop_front();
+    }
+    recent.push_back(*actuation);
+}
+
+/// Everything that belongs to one scan, or to none since the scan before.
+pub struct ScanRecord {
+    /// What the robot really did.
+    pub truth: Truth,
+    /// Poses of the scan, in the order in which they came; one unless something is wrong.
+    pub poses: Vec<Pose>,
+    /// Obstacles of the scan.
+    pub obstacles: Vec<Obstacles>,
+    /// Commands of the scan.
+    pub commands: Vec<Command>,
+    /// Actuations of the scan.
+    pub actuations: Vec<Actuation>,
+}
+
+/// All topics of the loop.
+pub struct Samples {
+    scans: Observer<Scan>,
+    odometries: Observer<Odometry>,
+    truths: Queue<Truth>,
+    poses: Queue<Pose>,
+    obstacles: Queue<Obstacles>,
+    commands: Queue<Command>,
+    actuations: Queue<Actuation>,
+    /// The newest of them without repetitions, also when their scans were handed out.
+    recent: VecDeque<Actuation>,
+    patience_scans: u64,
+    newest_scan: u64,
+    answered_scan: u64,
+    invalid: u64,
+    refused: Vec<(u64, Rule)>,
+}
+
+impl Samples {
+    /// Starts observing a loop with this time between two scans [ns].
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn new(bus: &Bus, period_ns: u64) -> Result<Self, RuntimeError> {
+        // The truth last: whoever joins a loop that runs sees all answers to the first scan that it sees.
+        let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
+        let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
+        Ok(Self {
+            scans: Observer::new(bus)?,
+            odometries: Observer::new(bus)?,
+            truths: Queue::new(bus)?,
+            poses,
+            obstacles,
+            commands,
+            actuations,
+            recent: VecDeque::with_capacity(RECENT),
+            patience_scans: PATIENCE_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
+            newest_scan: 0,
+            answered_scan: 0,
+            invalid: 0,
+            refused: Vec::new(),
+        })
+    }
+
+    /// Makes the reading end of all connections.
+    pub fn connect(&self) {
+        self.scans.connect();
+        self.odometries.connect();
+        self.truths.observer.connect();
+        self.poses.observer.connect();
+        self.obstacles.observer.connect();
+        self.commands.observer.connect();
+        self.actuations.observer.connect();
+    }
+
+    /// Takes what has come from the bus, and notes all of it in the books.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<(), RuntimeError> {
+        let Self { refused, .. } = self;
+        self.invalid += self.truths.poll(directive, books, refused)?;
+        self.invalid += look(&self.scans, directive, books, refused, |_| ())?;
+        self.invalid += look(&self.odometries, directive, books, refused, |_| ())?;
+        // Against the stream: when an answer is there, so is all that it came from.
+        let before = self.actuations.waiting.len();
+        self.invalid += self.actuations.poll(directive, books, refused)?;
+        self.actuations
+            .waiting
+            .iter()
+            .skip(before)
+            .for_each(|actuation| remember(&mut self.recent, actuation));
+        self.invalid += self.commands.poll(directive, books, refused)?;
+        self.invalid += self.obstacles.poll(directive, books, refused)?;
+        self.invalid += self.poses.poll(directive, books, refused)?;
+        if let Some(truth) = self.truths.waiting.back() {
+            self.newest_scan = truth.header.scan_id;
+        }
+        for actuation in &self.actuations.waiting {
+            if actuation.answers == 1 {
+                self.answered_scan = self.answered_scan.max(actuation.header.scan_id);
+            }
+        }
+        Ok(())
+    }
+
+    /// The newest actuations without repetitions, oldest first.
+    pub fn recent_actuations(&self) -> impl Iterator<Item = &Actuation> {
+        self.recent.iter()
+    }
+
+    /// Scans of which a sample that would have counted was invalid since the last time, and the rule that it failed.
+    pub fn take_refused(&mut self) -> Vec<(u64, Rule)> {
+        std::mem::take(&mut self.refused)
+    }
+
+    /// The newest scan published.
+    pub fn newest_scan(&self) -> u64 {
+        self.newest_scan
+    }
+
+    /// The newest truth, also of a scan that is not complete.
+    pub fn newest_truth(&self) -> Option<&Truth> {
+        self.truths.waiting.back()
+    }
+
+    /// The newest scan answered.
+    pub fn answered_scan(&self) -> u64 {
+        self.answered_scan
+    }
+
+    /// The next scan that is complete; with `flush` also one that no answer was seen for.
+    pub fn next(&mut self, flush: bool) -> Option<ScanRecord> {
+        let scan_id = self.truths.waiting.front()?.header.scan_id;
+        let answered = self.answered_scan >= scan_id;
+        if !answered && !flush && self.newest_scan < scan_id + self.patience_scans {
+            return None;
+        }
+        let truth = self.truths.waiting.pop_front()?;
+        Some(ScanRecord {
+            truth,
+            poses: std::iter::from_fn(|| self.poses.pop_up_to(scan_id)).collect(),
+            obstacles: std::iter::from_fn(|| self.obstacles.pop_up_to(scan_id)).collect(),
+            commands: std::iter::from_fn(|| self.commands.pop_up_to(scan_id)).collect(),
+            actuations: std::iter::from_fn(|| self.actuations.pop_up_to(scan_id)).collect(),
+        })
+    }
+}

@@ -1,0 +1,259 @@
+//! `scanloop conformance`: whether a program, in whatever language, may fill a role.
+//!
+//! The program is started in a system of its own, in which the suite plays all other roles with the samples of a
+//! drive that the pipeline makes in this process. Each requirement is a case of its own with a stand of its own, so
+//! it can be run alone and no case spoils the next. What is required is what the loop relies on; what is recommended
+//! makes it better, such as lock-step and a state to go on from.
+//!
+//! Most of a case is waiting, so some are played at the same time.
+//!
+//! Where this fails: a case shows that a requirement is broken, never that it always holds. Cases in real time are
+//! played again when they fail, because the machine may be busy; a program that breaks such a requirement once in a
+//! while can slip through.
+
+mod actuator;
+mod answers;
+mod case;
+mod controller;
+mod drive;
+mod estimator;
+mod intake;
+mod lifecycle;
+mod message;
+mod obstacles;
+mod report;
+mod robot;
+mod stand;
+mod suite;
+
+use std::ffi::OsString;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::Context;
+use clap::Args;
+use shared_types::Role;
+
+pub use case::{Level, Outcome};
+pub use report::{CaseReport, Report};
+
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use supervision::entry::IMPLEMENTATIONS;
+
+use case::{Case, Trouble, Verdict};
+use suite::Suite;
+
+/// Arguments of `conformance`.
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("candidate"))]
+pub struct ConformanceArguments {
+    /// robot, estimator, obstacles, controller or actuator.
+    #[arg(required_unless_present = "list")]
+    pub role: Option<String>,
+    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    #[arg(long, value_name = "IMPLEMENTATION", group = "candidate")]
+    pub to: Option<String>,
+    /// Play this case alone; repeat it for more.
+    #[arg(long, value_name = "NAME")]
+    pub only: Vec<String>,
+    /// Scans per second, 2 to 50.
+    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
+    pub rate: f64,
+    /// Cases that are played at the same time, 1 to 16.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=16))]
+    pub jobs: u8,
+    /// A case in real time that failed is played this often at most, because a busy machine can spoil it; 1 to 3.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
+    pub tries: u8,
+    /// Print the requirements, of one role or of all, as Markdown to standard output; nothing is started.
+    #[arg(long)]
+    pub list: bool,
+    /// Print the report as JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Any program that fills the role, with its arguments.
+    #[arg(last = true, value_name = "COMMAND", group = "candidate")]
+    pub command: Vec<OsString>,
+}
+
+/// Plays the suite of a role.
+///
+/// # Errors
+/// Wrong usage, a program that could not be started, and errors of the bus.
+pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
+    let role = arguments.role.as_deref().map(str::parse::<Role>).transpose().map_err(Failure::bad_input)?;
+    if arguments.list {
+        data(&list(role))?;
+        return Ok(Exit::Done);
+    }
+    let role = role.context("a role")?;
+    if !(2.0..=50.0).contains(&arguments.rate) {
+        return Err(Failure::bad_input(format!("--rate {} is not allowed: 2 to 50 Hz", arguments.rate)));
+    }
+    let cases = chosen(role, &arguments.only)?;
+    let (command, label) = candidate(role, arguments)?;
+    let suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
+    let verdicts = play_all(&cases, &suite, arguments)?;
+    let mut report = Report::new(role.name(), &label);
+    for (case, verdict) in cases.iter().zip(verdicts) {
+        note!("{}", report.add(case, verdict)?);
+    }
+    note!("{}", report.summary());
+    if arguments.json {
+        data(&serde_json::to_string_pretty(&report)?)?;
+    }
+    Ok(if report.failed == 0 { Exit::Done } else { Exit::NotReached })
+}
+
+/// The cases of a role in the order in which they are played.
+fn cases(role: Role) -> Vec<Case> {
+    let mut all = lifecycle::CASES.to_vec();
+    if role != Role::Robot {
+        all.extend(answers::CASES);
+        all.extend(intake::CASES);
+    }
+    match role {
+        Role::Robot => all.extend(robot::CASES),
+        Role::Estimator => {
+            all.extend([intake::MISSING_INPUT, answers::LOST_STATE]);
+            all.extend(estimator::CASES);
+        }
+        Role::Obstacles => {
+            all.extend([intake::MISSING_INPUT, answers::LOST_STATE]);
+            all.extend(obstacles::CASES);
+        }
+        Role::Controller => {
+            all.push(intake::MISSING_INPUT);
+            all.extend(controller::CASES);
+        }
+        Role::Actuator => all.extend(actuator::CASES),
+    }
+    all
+}
+
+/// The cases that were asked for.
+fn chosen(role: Role, only: &[String]) -> anyhow::Result<Vec<Case>> {
+    let all = cases(role);
+    if let Some(unknown) = only.iter().find(|name| all.iter().all(|case| case.name != **name)) {
+        let names: Vec<&str> = all.iter().map(|case| case.name).collect();
+        let known = names.join(", ");
+        return Err(Failure::bad_input(format!(
+            "--only {unknown}: role {role} has no such case, it has {known}"
+        )));
+    }
+    let wanted = |case: &Case| only.is_empty() || only.iter().any(|name| name == case.name);
+    Ok(all.into_iter().filter(wanted).collect())
+}
+
+/// Program and arguments of the candidate, and its name in reports.
+fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Vec<OsString>, String)> {
+    let of_role = IMPLEMENTATIONS.iter().filter(|(_, of)| *of == role).map(|(name, _)| *name);
+    match (&arguments.to, arguments.command.is_empty()) {
+        (Some(name), _) if of_role.clone().any(|known| known == name) => {
+            let this = std::env::current_exe().context("path of this executable")?;
+            Ok((vec![this.into_os_string(), "service".into(), name.into()], name.clone()))
+        }
+        (Some(name), _) => {
+            let known: Vec<&str> = of_role.collect();
+            Err(Failure::bad_input(format!(
+                "--to {name} is not allowed for role {role}: {}",
+                known.join(", ")
+            )))
+        }
+        (None, false) => {
+            let words: Vec<_> = arguments.command.iter().map(|word| word.to_string_lossy()).collect();
+            Ok((arguments.command.clone(), words.join(" ")))
+        }
+        (None, true) => Err(Failure::bad_input("expected `--to IMPLEMENTATION` or `-- COMMAND...`")),
+    }
+}
+
+/// Plays all cases, some at a time; those that failed where a busy machine may be the reason again, alone.
+///
+/// When the suite itself cannot go on, no further case is begun.
+fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> anyhow::Result<Vec<Verdict>> {
+    let (jobs, tries) = (usize::from(arguments.jobs), u32::from(arguments.tries));
+    let next = AtomicUsize::new(0);
+    let mut played = std::thread::scope(|scope| {
+        let work = || {
+            let mut mine = Vec::new();
+            while let Some((index, case)) = {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                cases.get(index).map(|case| (index, case))
+            } {
+                let verdict = (case.play)(suite);
+                if matches!(verdict, Err(Trouble::Broken(_))) {
+                    next.store(cases.len(), Ordering::Relaxed);
+                }
+                mine.push((index, verdict));
+            }
+            mine
+        };
+        let workers: Vec<_> = (0..jobs.min(cases.len())).map(|_| scope.spawn(work)).collect();
+        let ended = workers.into_iter().map(|worker| worker.join());
+        ended.collect::<Result<Vec<_>, _>>().map(|each| each.into_iter().flatten().collect::<Vec<_>>())
+    })
+    .map_err(|_| anyhow::anyhow!("a case panicked"))?;
+    played.sort_by_key(|(index, _)| *index);
+    let mut verdicts = Vec::new();
+    for (index, verdict) in played {
+        match play_again(&cases[index], suite, verdict, tries) {
+            Err(Trouble::Broken(error)) => return Err(error),
+            verdict => verdicts.push(verdict),
+        }
+    }
+    Ok(verdicts)
+}
+
+/// Plays a case that failed again, as often as it may be tried.
+fn play_again(case: &Case, suite: &Suite, mut verdict: Verdict, tries: u32) -> Verdict {
+    for _ in 1..case.tries.min(tries) {
+        if !matches!(verdict, Err(Trouble::Failed(_))) {
+            break;
+        }
+        verdict = (case.play)(suite);
+    }
+    verdict
+}
+
+/// The requirements as Markdown, of one role or of all.
+fn list(role: Option<Role>) -> String {
+    let mut text = String::new();
+    for role in Role::ALL.iter().filter(|known| role.is_none_or(|role| role == **known)) {
+        text += &format!("## {role}\n\n| case | level | requirement | because |\n|---|---|---|---|\n");
+        for Case { name, level, requirement, why, .. } in cases(*role) {
+            text += &format!("| `{name}` | {} | {requirement} | {why} |\n", level.name());
+        }
+        text.push('\n');
+    }
+    text.truncate(text.trim_end().len());
+    text.push('\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_cases_are_unique_within_a_role() {
+        for role in Role::ALL {
+            let all = cases(*role);
+            for (index, case) in all.iter().enumerate() {
+                assert!(all[..index].iter().all(|other| other.name != case.name), "{role}: {}", case.name);
+                assert!(
+                    case.tries > 0 && case.requirement.ends_with('.') && case.why.ends_with('.'),
+                    "{}",
+                    case.name
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn an_unknown_case_is_refused_with_the_known_ones() {
+        let Err(error) = chosen(Role::Robot, &["sings".to_owned()]) else { panic!("chosen") };
+        assert!(error.to_string().contains("has no such case, it has states,"), "{error}");
+    }
+}

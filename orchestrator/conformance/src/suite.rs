@@ -1,0 +1,108 @@
+//! What the cases of one suite share: the candidate's command, the recorded drives, and a stand for each case.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+
+use plan::settings;
+use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
+use shared_types::Role;
+use supervision::lock::{SystemLock, clear};
+
+use super::case::Trouble;
+use super::drive::{Course, Drive};
+use super::stand::Stand;
+
+/// What all cases of a suite share.
+pub(crate) struct Suite {
+    /// Role of the candidate.
+    pub(crate) role: Role,
+    /// Program and arguments.
+    pub(crate) command: Vec<OsString>,
+    /// Scan period [ns].
+    pub(crate) period_ns: u64,
+    /// Tells when the user wants to end.
+    pub(crate) shutdown: Shutdown,
+    drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
+    stands: AtomicU32,
+}
+
+/// How a stand is set up.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Setup {
+    /// The drive that is played.
+    pub(crate) course: Course,
+    /// Whether time is simulated.
+    pub(crate) lockstep: bool,
+    /// How long the candidate goes on without a directive [ns].
+    pub(crate) orphan_ns: u64,
+    /// The first scan that is played.
+    pub(crate) first_scan: u64,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self { course: Course::Corridor, lockstep: false, orphan_ns: 30_000_000_000, first_scan: 1 }
+    }
+}
+
+impl Suite {
+    pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
+        let shutdown = Shutdown::on_signals()?;
+        sweep()?;
+        Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), stands: AtomicU32::new(0) })
+    }
+
+    /// A recorded drive.
+    pub(crate) fn drive(&self, course: Course) -> anyhow::Result<Arc<Drive>> {
+        // Held while it is made, so that it is made once.
+        let mut drives = self.drives.lock().map_err(|_| anyhow::anyhow!("another case has panicked"))?;
+        if let Some(drive) = drives.get(&course) {
+            return Ok(Arc::clone(drive));
+        }
+        let drive = Arc::new(Drive::record(course, self.period_ns)?);
+        drives.insert(course, Arc::clone(&drive));
+        Ok(drive)
+    }
+
+    /// A stand without a candidate yet.
+    pub(crate) fn stand(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
+        let number = self.stands.fetch_add(1, Ordering::Relaxed);
+        Ok(Stand::new(self, setup, number)?)
+    }
+
+    /// A stand whose candidate has started and waits for its first scan.
+    pub(crate) fn started(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
+        let mut stand = self.stand(setup)?;
+        stand.start()?;
+        Ok(stand)
+    }
+}
+
+/// Writes the settings that a candidate finds.
+pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
+    let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
+    let run = RunSettings {
+        period_ns: *period_ns,
+        clock: if setup.lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+        orphan_stop_ns: setup.orphan_ns,
+        orphan_timeout_ns: setup.orphan_ns,
+    };
+    settings::write(domain, &run, &Realtime::default(), scenario, &tuning.clone().for_scenario(scenario))
+}
+
+/// Removes what suites that were killed have left: systems that are named after a process which is gone.
+fn sweep() -> anyhow::Result<()> {
+    for domain in Domain::all()? {
+        let suite = domain.system_id().strip_prefix('c').and_then(|rest| rest.split_once('-'));
+        let pid = suite.and_then(|(pid, _)| pid.parse().ok());
+        if pid.is_some_and(|pid| runtime::start_ticks(pid).is_none())
+            && let Ok(lock) = SystemLock::take(&domain)
+        {
+            // What still runs is ended; giving the lock back removes the files.
+            clear(&domain, lock)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,55 @@
+//! Files that a user names on the command line: regular ones, up to a size that is not a mistake.
+
+use std::fs::OpenOptions;
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+use rustix::fs::OFlags;
+
+/// Largest scenario, system or calibration: a hundred times the largest one shipped [bytes].
+pub const TEXT_BYTES: u64 = 1 << 20;
+/// Largest file of recorded or measured data [bytes].
+pub const DATA_BYTES: u64 = 1 << 28;
+
+/// The text of a file with at most `most_bytes`.
+///
+/// # Errors
+/// The reason in words, without the name of the file.
+pub fn read(path: &Path, most_bytes: u64) -> Result<String, String> {
+    let bytes = read_bytes(path, most_bytes).map_err(|error| error.to_string())?;
+    String::from_utf8(bytes).map_err(|_| "it is not a text in UTF-8".to_owned())
+}
+
+fn read_bytes(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    // A FIFO that is opened for reading waits for a writer otherwise.
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("it is not a regular file"));
+    }
+    let mut bytes = Vec::new();
+    file.take(most_bytes + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most_bytes {
+        return Err(io::Error::other(format!("it has more than {most_bytes} bytes, the most that is read")));
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_the_largest_size_is_read_and_a_larger_one_is_refused() {
+        let path = std::env::temp_dir().join(format!("scanloop-user-file-{}", std::process::id()));
+        std::fs::write(&path, "12345678").unwrap();
+        assert_eq!(read(&path, 8).unwrap(), "12345678");
+        assert!(read(&path, 7).unwrap_err().contains("more than 7 bytes"));
+        std::fs::write(&path, [0xff]).unwrap();
+        assert!(read(&path, 8).unwrap_err().contains("UTF-8"));
+        std::fs::remove_file(&path).unwrap();
+        assert!(read(Path::new("/dev/zero"), 8).unwrap_err().contains("not a regular file"));
+        assert!(read(Path::new("/"), 8).unwrap_err().contains("not a regular file"));
+    }
+}

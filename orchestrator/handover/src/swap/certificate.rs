@@ -1,0 +1,83 @@
+//! What is said of one exchange, to the one who asked for it and in the report.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// How an exchange ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SwapOutcome {
+    /// The new process is in charge.
+    Swapped,
+    /// The new process never was in charge.
+    #[default]
+    Refused,
+    /// The new process was in charge, and the old one is again.
+    RolledBack,
+}
+
+impl fmt::Display for Certificate {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { role, from, to, reason, missed_scans, duplicate_scans, .. } = self;
+        let because = if reason.is_empty() { String::new() } else { format!(": {reason}") };
+        match (self.outcome, self.first_scan_new) {
+            (SwapOutcome::Swapped, Some(first)) => {
+                write!(formatter, "{role}: {to} has taken over from {from} at scan {first}{because}")?;
+            }
+            (SwapOutcome::RolledBack, _) => {
+                write!(formatter, "{role}: {to} was rolled back to {from}{because}")?
+            }
+            _ => return write!(formatter, "{role}: {to} was refused, {from} goes on{because}"),
+        }
+        write!(formatter, "; {missed_scans} scans missed, {duplicate_scans} answered twice")
+    }
+}
+
+impl Certificate {
+    /// What is said of a swap to the same program, which is a restart.
+    pub fn of_restart(&self) -> String {
+        let Self { role, missed_scans, reason, .. } = self;
+        match (self.outcome, self.first_scan_new) {
+            (SwapOutcome::Swapped, Some(first)) => {
+                format!(
+                    "{role} was restarted: the new process drives since scan {first}; {missed_scans} scans missed"
+                )
+            }
+            (SwapOutcome::Swapped, None) => format!("{role} was restarted: {reason}"),
+            _ => format!("{role} was not restarted, the old process keeps driving: {reason}"),
+        }
+    }
+}
+
+/// The record of one exchange, `swap --json`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Certificate {
+    /// Name of the role.
+    pub role: String,
+    /// Implementation or command of the old process.
+    pub from: String,
+    /// Implementation or command of the new process.
+    pub to: String,
+    /// Scans in a row on which the new process agreed with the old one before it took over.
+    pub shadow_scans: u64,
+    /// The last scan that rests on the old process before the change.
+    pub last_scan_old: Option<u64>,
+    /// The first scan that rests on the new process; nothing when none does.
+    pub first_scan_new: Option<u64>,
+    /// After a roll-back: the first scan that rests on the old process again.
+    #[serde(default)]
+    pub first_scan_back: Option<u64>,
+    /// Scans without an answer between beginning and end.
+    pub missed_scans: u64,
+    /// Answers to scans that had been answered already, between beginning and end.
+    pub duplicate_scans: u64,
+    /// Largest change of the desired steering angle between two answers around the change [rad].
+    pub command_jump_rad: f64,
+    /// Largest change of the desired velocity between two answers around the change [m/s].
+    pub command_jump_mps: f64,
+    /// How it ended.
+    pub outcome: SwapOutcome,
+    /// Why it ended so; empty when all went as asked.
+    pub reason: String,
+}

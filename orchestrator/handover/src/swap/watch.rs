@@ -1,0 +1,167 @@
+//! The outputs of both processes of an exchange, whoever counts.
+
+use std::collections::BTreeMap;
+
+use runtime::{Bus, Observer, RuntimeError};
+use shared_types::{Actuation, Command, Fault, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, Truth};
+
+use super::agreement::Sensed;
+use super::{Gist, Output, Party};
+
+/// Scans of a robot that may be known in part, of both processes together.
+const PARTS: usize = 64;
+
+/// Looks at the topics of one role.
+pub enum Watch {
+    /// Both topics of a robot.
+    Robot(Box<RobotWatch>),
+    /// An estimator's.
+    Poses(Observer<Pose>),
+    /// An obstacle description's.
+    Obstacles(Observer<Obstacles>),
+    /// A controller's.
+    Commands(Observer<Command>),
+    /// An actuator's.
+    Actuations(Observer<Actuation>),
+}
+
+/// What a robot says is spread over three topics.
+pub struct RobotWatch {
+    scans: Observer<Scan>,
+    odometries: Observer<Odometry>,
+    truths: Observer<Truth>,
+    /// By scan and incarnation.
+    parts: BTreeMap<(u64, u32), Parts>,
+}
+
+/// The samples of one robot for one scan, and what is wrong with the first bad one.
+#[derive(Default)]
+struct Parts {
+    scan: Option<Scan>,
+    odometry: Option<Odometry>,
+    truth: Option<Truth>,
+    fault: Option<Fault>,
+    told: bool,
+}
+
+impl Watch {
+    /// Starts looking at what `role` publishes.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn new(bus: &Bus, role: Role) -> Result<Self, RuntimeError> {
+        Ok(match role {
+            Role::Robot => Self::Robot(Box::new(RobotWatch {
+                scans: Observer::new(bus)?,
+                odometries: Observer::new(bus)?,
+                truths: Observer::new(bus)?,
+                parts: BTreeMap::new(),
+            })),
+            Role::Estimator => Self::Poses(Observer::new(bus)?),
+            Role::Obstacles => Self::Obstacles(Observer::new(bus)?),
+            Role::Controller => Self::Commands(Observer::new(bus)?),
+            Role::Actuator => Self::Actuations(Observer::new(bus)?),
+        })
+    }
+
+    /// Hands what has come from the incarnations `old` and `new` to `each`.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub fn poll(
+        &mut self,
+        old: u32,
+        new: u32,
+        mut each: impl FnMut(Party, Output),
+    ) -> Result<(), RuntimeError> {
+        let mut each = |incarnation: u32, output: Output| {
+            if incarnation == old {
+                each(Party::Old, output);
+            } else if incarnation == new {
+                each(Party::New, output);
+            }
+        };
+        match self {
+            Self::Robot(robot) => robot.poll([old, new], &mut each),
+            Self::Poses(observer) => take(observer, |_| true, &mut each),
+            Self::Obstacles(observer) => take(observer, |_| true, &mut each),
+            Self::Commands(observer) => take(observer, |_| true, &mut each),
+            // What the actuator does by itself answers no scan.
+            Self::Actuations(observer) => take(observer, |sample| sample.answers == 1, &mut each),
+        }
+    }
+}
+
+impl RobotWatch {
+    fn poll(&mut self, both: [u32; 2], each: &mut impl FnMut(u32, Output)) -> Result<(), RuntimeError> {
+        let Self { scans, odometries, truths, parts } = self;
+        // The truth last: it is published before the others of its scan.
+        collect(scans, both, parts, |parts, scan| parts.scan = Some(*scan))?;
+        collect(odometries, both, parts, |parts, odometry| parts.odometry = Some(*odometry))?;
+        collect(truths, both, parts, |parts, truth| parts.truth = Some(*truth))?;
+        for ((_, incarnation), parts) in parts.iter_mut().filter(|(_, parts)| !parts.told) {
+            if let (Some(scan), Some(odometry)) = (&parts.scan, &parts.odometry) {
+                parts.told = true;
+                let sensed = Sensed::new(scan, odometry, parts.truth.as_ref());
+                let content = parts.fault.map_or(Ok(Gist::Sensed(Box::new(sensed))), Err);
+                let mut output = output_of(&odometry.header, Role::Robot, content);
+                output.stamps_ns[1] = scan.header.stage(Role::Robot).published_ns;
+                // Nothing comes before the scan of a robot; it is due when its sweep is over.
+                output.scan_published_ns = scan.header.acquired_ns + scan.period_ns / 3;
+                each(*incarnation, output);
+            }
+        }
+        while parts.len() > PARTS {
+            parts.pop_first();
+        }
+        Ok(())
+    }
+}
+
+fn collect<S: Sample>(
+    observer: &Observer<S>,
+    both: [u32; 2],
+    parts: &mut BTreeMap<(u64, u32), Parts>,
+    put: impl Fn(&mut Parts, &S),
+) -> Result<(), RuntimeError> {
+    observer.look(|sample, checked| {
+        let Header { scan_id, incarnation, .. } = *sample.header();
+        if both.contains(&incarnation) {
+            let parts = parts.entry((scan_id, incarnation)).or_default();
+            put(parts, sample);
+            parts.fault = parts.fault.or(checked.err());
+        }
+    })
+}
+
+fn take<S: Sample>(
+    observer: &Observer<S>,
+    counts: impl Fn(&S) -> bool,
+    each: &mut impl FnMut(u32, Output),
+) -> Result<(), RuntimeError>
+where
+    for<'a> Gist: From<&'a S>,
+{
+    observer.look(|sample, checked| {
+        if let Some(role) = S::TOPIC.writer()
+            && counts(sample)
+        {
+            let header = sample.header();
+            each(header.incarnation, output_of(header, role, checked.map(|()| Gist::from(sample))));
+        }
+    })
+}
+
+fn output_of(header: &Header, role: Role, content: Result<Gist, Fault>) -> Output {
+    let stage = header.stage(role);
+    Output {
+        scan: header.scan_id,
+        sequence: header.sequence,
+        scan_published_ns: header.scan_published_ns(),
+        published_ns: stage.published_ns,
+        stamps_ns: [stage.published_ns; 2],
+        // One that repeats itself has taken nothing.
+        compute_ns: if stage.taken_ns == 0 { 0 } else { stage.computed_ns.saturating_sub(stage.taken_ns) },
+        content: content.map_err(|fault| fault.to_string()),
+    }
+}

@@ -1,0 +1,142 @@
+//! The settings files of a system: one per role, with what its process may know and nothing else.
+//!
+//! Obstacles and hidden faults of the robot stand in the robot's file only: the stages never read the truth.
+
+use emulator::Scenario;
+use pipeline::Tuning;
+use runtime::{Domain, Realtime, RunSettings, settings_file, settings_table};
+use shared_types::Role;
+use toml::{Table, Value};
+
+/// Writes the settings file of each role; every key that a role has stands in it with the value that holds.
+///
+/// # Errors
+/// Settings that are not allowed, and errors of the file system.
+pub fn write(
+    domain: &Domain,
+    run: &RunSettings,
+    realtime: &Realtime,
+    scenario: &Scenario,
+    tuning: &Tuning,
+) -> anyhow::Result<()> {
+    for role in Role::ALL.iter().copied() {
+        let table = of(role, run, realtime, scenario, tuning)?;
+        domain.folder().write(&settings_file(role), toml::to_string(&table)?.as_bytes())?;
+    }
+    Ok(())
+}
+
+fn of(
+    role: Role,
+    run: &RunSettings,
+    realtime: &Realtime,
+    scenario: &Scenario,
+    tuning: &Tuning,
+) -> anyhow::Result<Table> {
+    let own = match role {
+        Role::Robot => Value::try_from(scenario)?,
+        Role::Estimator => Value::try_from(tuning.estimator.complete()?)?,
+        Role::Obstacles => Value::try_from(tuning.obstacles)?,
+        Role::Controller => Value::try_from(&tuning.controller)?,
+        Role::Actuator => Value::try_from(&tuning.actuator)?,
+    };
+    let mut table = Table::new();
+    table.insert("run".to_owned(), Value::try_from(run)?);
+    table.insert("realtime".to_owned(), Value::try_from(realtime)?);
+    table.insert(settings_table(role).to_owned(), own);
+    Ok(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use runtime::ClockKind;
+
+    use super::*;
+
+    fn files(tuning: &Tuning) -> Vec<(Role, Table)> {
+        let run = RunSettings {
+            period_ns: 1,
+            clock: ClockKind::Simulated,
+            orphan_stop_ns: 1,
+            orphan_timeout_ns: 1,
+        };
+        let scenario = Scenario::parse(Scenario::shipped("corridor").unwrap(), "corridor").unwrap();
+        let of = |role: &Role| (*role, of(*role, &run, &Realtime::default(), &scenario, tuning).unwrap());
+        Role::ALL.iter().map(of).collect()
+    }
+
+    /// Dotted keys of a table without those of the tables in it.
+    fn keys(table: &Table, around: &str, found: &mut BTreeSet<String>) {
+        for (key, value) in table {
+            match value {
+                Value::Table(inner) => keys(inner, &format!("{around}{key}."), found),
+                _ => _ = found.insert(format!("{around}{key}")),
+            }
+        }
+    }
+
+    /// Keys that the page of settings has for a role, as `bounds.velocity_min_mps`.
+    fn documented(page: &str, role: Role) -> BTreeSet<String> {
+        let section = page.split("\n## ").find(|part| part.starts_with(&format!("`[{role}]`"))).unwrap();
+        let (mut table, mut found) = (String::new(), BTreeSet::new());
+        for row in section.lines().filter(|line| line.starts_with("| `")) {
+            for name in row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2) {
+                match name.strip_prefix('[').and_then(|name| name.strip_suffix(']')) {
+                    Some(name) => table = name.split_once('.').map_or("", |(_, name)| name).to_owned() + ".",
+                    None => _ = found.insert(format!("{table}{name}")),
+                }
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn the_files_hold_every_documented_key_and_no_other() {
+        let page = include_str!("../../../docs/settings.md");
+        for (role, file) in files(&Tuning::default()).into_iter().filter(|(role, _)| *role != Role::Robot) {
+            let mut written = BTreeSet::new();
+            keys(file[role.name()].as_table().unwrap(), "", &mut written);
+            let mut named = documented(page, role);
+            // The page refers to the controller's for these, and says in words what comes from the scenario.
+            match role {
+                Role::Actuator => {
+                    let bounds = documented(page, Role::Controller);
+                    named.extend(bounds.into_iter().filter(|key| key.starts_with("bounds.")));
+                }
+                Role::Obstacles => named.extend(["walls".to_owned(), "wall_y_m".to_owned()]),
+                Role::Controller => {
+                    let filled =
+                        ["goal.x_m", "goal.y_m", "goal.tolerance_m", "track.x_m", "track.y_m", "track.walls"];
+                    named.extend(filled.map(str::to_owned));
+                }
+                _ => {}
+            }
+            assert_eq!(written, named, "{role}");
+        }
+    }
+
+    #[test]
+    fn what_comes_from_the_profile_stands_in_the_file() {
+        let mut tuning = Tuning::default();
+        for (profile, rate) in [(estimator::Profile::Scaled, 0.0), (estimator::Profile::Source, 0.053)] {
+            tuning.estimator.profile = profile;
+            let (_, file) = files(&tuning).into_iter().find(|(role, _)| *role == Role::Estimator).unwrap();
+            assert_eq!(file["estimator"]["odometry_longitudinal"].as_float(), Some(0.01));
+            assert_eq!(file["estimator"]["odometry_lateral_rate"].as_float(), Some(rate));
+            let read: estimator::Config = file["estimator"].clone().try_into().unwrap();
+            assert_eq!(read.settings().unwrap(), tuning.estimator.settings().unwrap());
+        }
+    }
+
+    #[test]
+    fn only_the_robot_reads_the_scenario() {
+        for (role, file) in files(&Tuning::default()) {
+            let text = toml::to_string(&file).unwrap();
+            assert_eq!(text.contains("[[scenario.obstacle]]"), role == Role::Robot, "{role}: {text}");
+            assert_eq!(text.contains("velocity_factor"), role == Role::Robot, "{role}: {text}");
+            assert_eq!(file.len(), 3, "{role}: {text}");
+        }
+    }
+}

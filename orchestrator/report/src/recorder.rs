@@ -1,0 +1,457 @@
+//! Collects what the report, the picture and the progress line need from the samples of one run.
+//!
+//! It only listens: samples may come in any order between topics and may be missing. Rows of the drive are kept
+//! one per scan, at most [`MAX_ROWS`] (5.5 hours at 10 Hz, about 40 MB); the figures go on beyond that. Without
+//! samples of the truth (a real robot) the drive is judged by the estimate, and clearances stay unknown.
+//!
+//! The caller hands in only samples that count: those of the incarnation with authority over its role.
+
+mod rows;
+mod tally;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use audit::ledger::Ledger;
+use console::progress::View;
+use handover::swap::Certificate;
+use shared_types::{Actuation, BlockReason, Command, Obstacles, Pose, Role, Rule, Truth};
+
+use self::rows::Rows;
+use self::tally::Tally;
+use crate::latency::{self, Latencies};
+use crate::picture::{Drive, Ellipse, Moment};
+use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, SCHEMA};
+
+pub use self::rows::MAX_ROWS;
+
+/// How many ellipses are kept for the picture; the oldest go first.
+pub const MAX_ELLIPSES: usize = 10_000;
+
+/// The progress line shows reaction times of this time before the newest answer [ns].
+const RECENT_NS: u64 = 1_000_000_000;
+
+/// What is known of a run before it starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RunInfo {
+    /// The random id of the run.
+    pub run_id: String,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// Whether time is simulated, so that stamps say nothing about this computer.
+    pub lockstep: bool,
+    /// Number of the first scan that is accounted for: 1 for a whole run, 0 for the first one that is seen.
+    pub first_scan: u64,
+    /// Position of the goal [m].
+    pub goal_m: [f64; 2],
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Ending {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Why, in words; empty when the outcome says it all.
+    pub reason: String,
+    /// The processes that filled the roles.
+    pub processes: Vec<ProcessReport>,
+    /// Exchanges of processes.
+    pub swaps: Vec<Certificate>,
+    /// Account of all samples.
+    pub ledger: LedgerReport,
+}
+
+/// Everything that is remembered of one run.
+#[derive(Debug, Clone)]
+pub struct Recorder {
+    info: RunInfo,
+    ledger: Ledger,
+    latencies: Latencies,
+    rows: Rows,
+    tally: Tally,
+    truth: Option<Truth>,
+    pose: Option<Pose>,
+    actuation: Option<Actuation>,
+    obstacles: Option<Obstacles>,
+    ellipses: BTreeMap<u32, Ellipse>,
+    recent: VecDeque<(u64, u64)>,
+    first_acquired_ns: Option<u64>,
+    newest_acquired_ns: u64,
+}
+
+impl Recorder {
+    /// A recorder that has seen nothing.
+    pub fn new(info: RunInfo) -> Self {
+        Self {
+            ledger: Ledger::new(info.first_scan),
+            latencies: Latencies::new(info.lockstep),
+            tally: Tally::new(info.lockstep),
+            info,
+            rows: Rows::default(),
+            truth: None,
+            pose: None,
+            actuation: None,
+            obstacles: None,
+            ellipses: BTreeMap::new(),
+            recent: VecDeque::new(),
+            first_acquired_ns: None,
+            newest_acquired_ns: 0,
+        }
+    }
+
+    /// A scan was published at that time [ns]; for a robot that tells no truth.
+    pub fn scan_published(&mut self, scan_id: u64, published_ns: u64) {
+        self.ledger.published(scan_id, published_ns);
+    }
+
+    /// Nothing needs to be known of a scan, for that reason.
+    pub fn scan_excused(&mut self, scan_id: u64, reason: &'static str) {
+        self.ledger.excused(scan_id, reason);
+    }
+
+    /// A sample of a scan was dropped for that rule; it is the reason if nothing answers the scan.
+    pub fn sample_refused(&mut self, scan_id: u64, rule: Rule) {
+        self.ledger.refused(scan_id, rule.name());
+    }
+
+    /// What the robot really did up to a scan; it says too that the scan was published.
+    pub fn truth(&mut self, truth: &Truth) {
+        let scan_id = truth.header.scan_id;
+        if self.ledger.first() == 0 {
+            self.ledger.begin_at(scan_id);
+        }
+        self.ledger.published(scan_id, truth.header.scan_published_ns());
+        self.acquired(truth.header.acquired_ns);
+        let moment = Moment {
+            time_s: truth.time_s,
+            x_m: truth.x_m,
+            y_m: truth.y_m,
+            yaw_rad: truth.yaw_rad,
+            speed_mps: truth.speed_mps,
+            steering_rad: truth.steering_rad,
+        };
+        self.rows.put_moment(scan_id, moment);
+        if self.truth.is_none_or(|newest| newest.header.scan_id <= scan_id) {
+            self.truth = Some(*truth);
+        }
+    }
+
+    /// The estimate for a scan.
+    pub fn pose(&mut self, pose: &Pose) {
+        self.acquired(pose.header.acquired_ns);
+        self.tally.pose(pose);
+        self.rows.put_estimate(pose.header.scan_id, [pose.x_m, pose.y_m]);
+        self.pose = Some(*pose);
+    }
+
+    /// The obstacles described for a scan.
+    pub fn obstacles(&mut self, obstacles: &Obstacles) {
+        for item in obstacles.list() {
+            let ellipse = Ellipse { x_m: item.x_m, y_m: item.y_m, a_m: item.a_m, b_m: item.b_m };
+            self.ellipses.insert(item.id, ellipse);
+        }
+        while self.ellipses.len() > MAX_ELLIPSES {
+            self.ellipses.pop_first();
+        }
+        self.obstacles = Some(*obstacles);
+    }
+
+    /// A command of the controller.
+    pub fn command(&mut self, command: &Command) {
+        self.tally.command(command);
+    }
+
+    /// What was sent to the robot.
+    pub fn actuation(&mut self, actuation: &Actuation) {
+        let header = &actuation.header;
+        if actuation.answers == 1 {
+            let answered_ns = header.stage(Role::Actuator).published_ns;
+            self.ledger.published(header.scan_id, header.scan_published_ns());
+            self.ledger.answered(header.scan_id, answered_ns);
+            self.latencies.record(header);
+            self.remember_reaction(answered_ns, latency::reaction_ns(header));
+        } else if let Ok(reason @ (BlockReason::InvalidCommand | BlockReason::StaleCommand)) =
+            BlockReason::try_from(actuation.reason)
+        {
+            self.ledger.refused(header.scan_id, reason.name());
+        }
+        self.tally.actuation(actuation);
+        self.actuation = Some(*actuation);
+    }
+
+    /// The process of a role is gone; scans may be lost to that until it is back.
+    pub fn outage_began(&mut self, role: Role, reason: &str) {
+        self.ledger.outage_began(role, reason);
+    }
+
+    /// The role is filled again.
+    pub fn outage_ended(&mut self, role: Role) {
+        self.ledger.outage_ended(role);
+    }
+
+    /// The end of the run was decided: scans in flight need no answer. Go on feeding samples that still come.
+    pub fn run_ended(&mut self) {
+        self.ledger.run_ended();
+    }
+
+    /// The newest truth, once there is one.
+    pub fn last_truth(&self) -> Option<&Truth> {
+        self.truth.as_ref()
+    }
+
+    /// The newest description of obstacles, once there is one.
+    pub fn last_obstacles(&self) -> Option<&Obstacles> {
+        self.obstacles.as_ref()
+    }
+
+    /// The newest actuation, once there is one.
+    pub fn last_actuation(&self) -> Option<&Actuation> {
+        self.actuation.as_ref()
+    }
+
+    /// What the progress line shows of the loop.
+    pub fn view(&self) -> View {
+        let mut recent: Vec<u64> = self.recent.iter().map(|&(_, reaction_ns)| reaction_ns).collect();
+        recent.sort_unstable();
+        let reaction_ms = (!self.info.lockstep && !recent.is_empty()).then(|| {
+            [recent[(recent.len() - 1) / 2], recent[recent.len() - 1]].map(|time| time as f64 * 1e-6)
+        });
+        let sent = self.actuation.as_ref().map_or(0.0, |actuation| actuation.desired_steering_rad);
+        View {
+            time_s: self.duration_s(),
+            goal_distance_m: self.goal_distance_m(),
+            speed_mps: match (&self.truth, &self.pose) {
+                (Some(truth), _) => truth.speed_mps,
+                (None, Some(pose)) => pose.speed_mps,
+                (None, None) => 0.0,
+            },
+            steering_rad: self.truth.as_ref().map_or(sent, |truth| truth.steering_rad),
+            reaction_ms,
+            lockstep: self.info.lockstep,
+        }
+    }
+
+    /// The drive for the picture.
+    pub fn drive(&self) -> Drive {
+        Drive {
+            moments: self.rows.moments().collect(),
+            estimates: self.rows.estimates().collect(),
+            ellipses: self.ellipses.values().copied().collect(),
+        }
+    }
+
+    /// The report of the run.
+    pub fn report(&self, ending: &Ending) -> Report {
+        Report {
+            schema: SCHEMA,
+            run_id: self.info.run_id.clone(),
+            scenario: self.info.scenario.clone(),
+            seed: self.info.seed,
+            outcome: ending.outcome,
+            reason: ending.reason.clone(),
+            lockstep: self.info.lockstep,
+            adopted: self.info.first_scan == 0,
+            adopted_from_scan: (self.info.first_scan == 0).then(|| self.ledger.first()),
+            duration_s: self.duration_s(),
+            scans: self.ledger.report(),
+            ledger: ending.ledger.clone(),
+            latency_us: self.latencies.report(),
+            drive: self.drive_report(),
+            controller: self.tally.controller(),
+            stop_reasons: self.tally.stops(),
+            self_check: self.tally.self_check(),
+            processes: ending.processes.clone(),
+            swaps: ending.swaps.clone(),
+            digests: BTreeMap::new(),
+            trajectory_rows_dropped: self.rows.dropped(),
+            trajectory: self.trajectory(),
+        }
+    }
+
+    fn trajectory(&self) -> Vec<[f64; 4]> {
+        self.rows.moments().map(|moment| [moment.time_s, moment.x_m, moment.y_m, moment.yaw_rad]).collect()
+    }
+
+    fn drive_report(&self) -> DriveReport {
+        let report = DriveReport {
+            final_distance_m: self.goal_distance_m().unwrap_or(0.0),
+            estimate_error_max_m: self.rows.error().max_m(),
+            estimate_error_rms_m: self.rows.error().rms_m(),
+            ..DriveReport::default()
+        };
+        let Some(truth) = &self.truth else { return report };
+        DriveReport {
+            final_speed_mps: truth.speed_mps,
+            min_clearance_m: truth.min_clearance_m,
+            path_length_m: truth.path_length_m,
+            max_abs_lateral_m: truth.max_abs_lateral_m,
+            longest_blind_s: truth.longest_blind_s,
+            collided: truth.collided == 1,
+            struck: truth.struck == 1,
+            ..report
+        }
+    }
+
+    fn duration_s(&self) -> f64 {
+        let acquired = || {
+            let first = self.first_acquired_ns.unwrap_or(self.newest_acquired_ns);
+            self.newest_acquired_ns.saturating_sub(first) as f64 * 1e-9
+        };
+        self.truth.as_ref().map_or_else(acquired, |truth| truth.time_s)
+    }
+
+    fn goal_distance_m(&self) -> Option<f64> {
+        if let Some(truth) = &self.truth {
+            return Some(truth.goal_distance_m);
+        }
+        let [x_m, y_m] = self.info.goal_m;
+        self.pose.as_ref().map(|pose| (pose.x_m - x_m).hypot(pose.y_m - y_m))
+    }
+
+    fn acquired(&mut self, acquired_ns: u64) {
+        let first = self.first_acquired_ns.get_or_insert(acquired_ns);
+        *first = acquired_ns.min(*first);
+        self.newest_acquired_ns = self.newest_acquired_ns.max(acquired_ns);
+    }
+
+    fn remember_reaction(&mut self, answered_ns: u64, reaction_ns: Option<u64>) {
+        if let Some(reaction_ns) = reaction_ns {
+            self.recent.push_back((answered_ns, reaction_ns));
+        }
+        while self.recent.front().is_some_and(|&(then_ns, _)| then_ns.saturating_add(RECENT_NS) < answered_ns)
+        {
+            self.recent.pop_front();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::latency::tests::chain;
+    use shared_types::{Header, Obstacle};
+
+    fn info(lockstep: bool) -> RunInfo {
+        RunInfo {
+            run_id: String::new(),
+            scenario: "corridor".to_owned(),
+            seed: 1,
+            lockstep,
+            first_scan: 1,
+            goal_m: [10.0, 0.0],
+        }
+    }
+
+    fn truth(scan_id: u64, x_m: f64) -> Truth {
+        let header = chain(scan_id, scan_id * 100_000_000);
+        Truth {
+            header,
+            time_s: (scan_id - 1) as f64 * 0.1,
+            x_m,
+            goal_distance_m: 10.0 - x_m,
+            min_clearance_m: 0.35,
+            path_length_m: x_m,
+            speed_mps: 0.8,
+            ..Truth::default()
+        }
+    }
+
+    fn pose(scan_id: u64, x_m: f64, y_m: f64) -> Pose {
+        Pose { header: Header { scan_id, ..Header::default() }, x_m, y_m, ..Pose::default() }
+    }
+
+    fn answer(scan_id: u64) -> Actuation {
+        Actuation {
+            header: chain(scan_id, scan_id * 100_000_000),
+            answers: 1,
+            kind: 1,
+            ..Actuation::default()
+        }
+    }
+
+    fn drive(lockstep: bool) -> Recorder {
+        let mut recorder = Recorder::new(info(lockstep));
+        for scan_id in 1..=5 {
+            recorder.pose(&pose(scan_id, scan_id as f64, 0.3));
+            recorder.truth(&truth(scan_id, scan_id as f64 + 0.4));
+            recorder.actuation(&answer(scan_id));
+        }
+        recorder
+    }
+
+    #[test]
+    fn the_report_holds_what_the_samples_said() {
+        let report = drive(false).report(&Ending { outcome: Outcome::Timeout, ..Ending::default() });
+        assert_eq!(
+            (report.outcome, report.scenario.as_str(), report.duration_s),
+            (Outcome::Timeout, "corridor", 0.4)
+        );
+        assert_eq!((report.scans.published, report.scans.commanded, report.scans.unaccounted), (5, 5, 0));
+        assert_eq!(report.latency_us.scan_to_actuation.max, 2.55);
+        assert_eq!(report.trajectory[4], [0.4, 5.4, 0.0, 0.0]);
+        assert_eq!((report.drive.min_clearance_m, report.drive.path_length_m), (0.35, 5.4));
+        assert!((report.drive.final_distance_m - 4.6).abs() < 1e-12);
+    }
+
+    #[test]
+    fn equal_runs_give_equal_bytes() {
+        let report = |recorder: &Recorder| recorder.report(&Ending::default()).to_json().unwrap();
+        assert_eq!(report(&drive(true)), report(&drive(true)));
+    }
+
+    #[test]
+    fn in_lockstep_the_report_has_no_times_of_this_computer() {
+        let mut recorder = drive(true);
+        recorder.command(&Command { status: 1, iterations: 4, solve_ns: 5000, ..Command::default() });
+        let report = recorder.report(&Ending::default());
+        assert_eq!((report.latency_us.scan_to_actuation.count, report.controller.solve_us.count), (0, 0));
+        assert_eq!((report.controller.iterations.p50, report.scans.commanded), (4.0, 5));
+        assert_eq!(recorder.view().reaction_ms, None);
+    }
+
+    #[test]
+    fn a_refused_command_is_the_reason_of_its_lost_scan() {
+        let mut recorder = drive(false);
+        recorder.scan_published(6, 600_000_000);
+        let mut block = Actuation { reason: BlockReason::InvalidCommand.wire(), ..Actuation::default() };
+        block.header.scan_id = 6;
+        recorder.actuation(&block);
+        let scans = recorder.report(&Ending::default()).scans;
+        assert_eq!((scans.lost, scans.lost_reasons["invalid_command"]), (1, 1));
+    }
+
+    #[test]
+    fn the_view_shows_the_median_and_the_worst_of_the_last_second() {
+        let mut recorder = Recorder::new(info(false));
+        for (scan_id, actuator_ns) in [(1, 900_000_000), (20, 3_000_000), (21, 2_000_000), (22, 9_000_000)] {
+            let mut actuation = answer(scan_id);
+            actuation.header.stage_mut(Role::Actuator).published_ns = scan_id * 100_000_000 + actuator_ns;
+            recorder.actuation(&actuation);
+        }
+        assert_eq!(recorder.view().reaction_ms, Some([3.0, 9.0]), "the first answer is older than a second");
+    }
+
+    #[test]
+    fn without_truth_the_estimate_tells_the_distance_to_the_goal() {
+        let mut recorder = Recorder::new(info(false));
+        recorder.pose(&pose(1, 7.0, 4.0));
+        assert_eq!(recorder.view().goal_distance_m, Some(5.0));
+        let drive = recorder.report(&Ending::default()).drive;
+        assert_eq!((drive.final_distance_m, drive.min_clearance_m), (5.0, crate::report::NO_OBSTACLE_M));
+    }
+
+    #[test]
+    fn the_last_version_of_each_ellipse_is_drawn() {
+        let mut recorder = Recorder::new(info(false));
+        let mut obstacles = Obstacles { count: 2, ..Obstacles::default() };
+        for (x_m, count) in [(5.0, 2), (5.1, 1)] {
+            obstacles.items[0] = Obstacle { id: 7, x_m, a_m: 1.2, b_m: 0.8, ..Obstacle::default() };
+            obstacles.items[1] = Obstacle { id: 9, x_m: 8.0, a_m: 1.2, b_m: 0.8, ..Obstacle::default() };
+            obstacles.count = count;
+            recorder.obstacles(&obstacles);
+        }
+        let centres: Vec<f64> = recorder.drive().ellipses.iter().map(|ellipse| ellipse.x_m).collect();
+        assert_eq!(centres, [5.1, 8.0]);
+    }
+}

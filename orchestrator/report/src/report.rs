@@ -1,0 +1,360 @@
+//! `report.json`: what a run did, as data.
+//!
+//! The fields are a public interface: they are extended, never changed. Keys carry their unit as the last word;
+//! the figures of a distribution have the unit of the key they stand under. The file is written beside its
+//! final name first and renamed, so a reader sees all of it or none. Equal runs give equal bytes in
+//! `trajectory`: numbers are printed with the digits that read back to the same bits.
+
+mod write;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+pub use emulator::Outcome;
+use serde::{Deserialize, Serialize};
+
+use self::write::join_leaves;
+use crate::figures::Figures;
+pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
+use handover::swap::Certificate;
+
+pub use self::write::write_atomically;
+
+/// Version of the fields; it grows when a field changes its meaning, not when one is added.
+pub const SCHEMA: u32 = 1;
+
+/// The whole report of one run.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Report {
+    /// [`SCHEMA`].
+    pub schema: u32,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// How the run ended.
+    pub outcome: Outcome,
+    /// Why it ended so, in words; empty when the outcome says it all.
+    pub reason: String,
+    /// Whether time was simulated.
+    pub lockstep: bool,
+    /// The random id of the run, by which its shared memory was named.
+    pub run_id: String,
+    /// Whether another orchestrator began the run; what follows then tells of the time since it was adopted, but for
+    /// what the robot itself counts.
+    pub adopted: bool,
+    /// The first scan of this account in an adopted run.
+    pub adopted_from_scan: Option<u64>,
+    /// Driven time [s].
+    pub duration_s: f64,
+    /// Account of all scans.
+    pub scans: ScanReport,
+    /// Account of all samples.
+    pub ledger: LedgerReport,
+    /// Where the time went [us].
+    pub latency_us: LatencyReport,
+    /// What the robot really did.
+    pub drive: DriveReport,
+    /// How the controller solved its problems.
+    pub controller: ControllerReport,
+    /// How often each reason blocked the wheels, commands and the actuator's own blocks by name.
+    pub stop_reasons: BTreeMap<String, u64>,
+    /// What the watch over the calibration noticed.
+    pub self_check: SelfCheckReport,
+    /// The processes that filled the roles.
+    pub processes: Vec<ProcessReport>,
+    /// Exchanges of processes, in the order in which they ended.
+    pub swaps: Vec<Certificate>,
+    /// Hash of all samples per topic in lock-step: equal runs have equal samples.
+    pub digests: BTreeMap<String, String>,
+    /// Rows that were left out at the beginning of `trajectory` because the run was too long to keep them.
+    pub trajectory_rows_dropped: u64,
+    /// True time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].
+    pub trajectory: Vec<[f64; 4]>,
+}
+
+/// What the estimator's watch over the calibration noticed.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SelfCheckReport {
+    /// Times that an alarm began.
+    pub alarms: u64,
+    /// What the newest alarm suspects, `none` without one.
+    pub suspect: String,
+    /// The strongest alarm: `none`, `slow` or `stop`.
+    pub alarm: String,
+    /// Scan of the first alarm, 0 without one.
+    pub first_scan: u64,
+    /// Measurements that the gate of the filter refused.
+    pub rejected: u64,
+}
+
+/// Distributions of times along the way from scan to actuation [us].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LatencyReport {
+    /// From the publication of a scan to that of its actuation.
+    pub scan_to_actuation: Figures,
+    /// From the front beam of a scan to the publication of its actuation.
+    pub data_age: Figures,
+    /// Compute per stage, and everything else on the critical path as `transport`.
+    pub stages: Stages,
+    /// From the publication of the predecessor until the stage has taken its inputs.
+    pub hops: PerStage,
+    /// Awake before the predecessor published; beside the critical path.
+    pub waits: PerStage,
+    /// From the result until it was published.
+    pub publications: PerStage,
+    /// Stamps are of a simulated clock; no time was recorded.
+    pub simulated: bool,
+    /// Answers with stamps of all stages.
+    pub complete_chains: u64,
+    /// Answers without stamps of all stages; they count in the first two distributions only.
+    pub incomplete_chains: u64,
+}
+
+/// Compute of each stage and the transport between them [us].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Stages {
+    /// Compute of the estimator.
+    pub estimator: Figures,
+    /// Compute of the obstacle description.
+    pub obstacles: Figures,
+    /// Compute of the controller.
+    pub controller: Figures,
+    /// Compute of the actuator.
+    pub actuator: Figures,
+    /// Reaction time minus all compute on the critical path.
+    pub transport: Figures,
+}
+
+/// One distribution per stage [us].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct PerStage {
+    /// Of the estimator.
+    pub estimator: Figures,
+    /// Of the obstacle description.
+    pub obstacles: Figures,
+    /// Of the controller.
+    pub controller: Figures,
+    /// Of the actuator.
+    pub actuator: Figures,
+}
+
+/// What the robot really did, as the emulator's referee saw it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DriveReport {
+    /// Distance of the robot's centre to the goal at the end [m].
+    pub final_distance_m: f64,
+    /// Smallest distance of the body to any obstacle or wall, negative when they overlapped; 1e9 without any [m].
+    pub min_clearance_m: f64,
+    /// Speed over ground at the last scan [m/s].
+    pub final_speed_mps: f64,
+    /// Way driven [m].
+    pub path_length_m: f64,
+    /// Largest lateral offset from the start [m].
+    pub max_abs_lateral_m: f64,
+    /// Largest distance of the estimated to the true position at the same scan [m].
+    pub estimate_error_max_m: f64,
+    /// Root of the mean square of that distance [m].
+    pub estimate_error_rms_m: f64,
+    /// Longest time that the wheels turned without a new actuation [s].
+    pub longest_blind_s: f64,
+    /// Whether the body touched something while the wheels turned.
+    pub collided: bool,
+    /// Whether a moving obstacle touched the body while it stood still.
+    pub struck: bool,
+}
+
+/// Clearance of a scene without obstacles and walls [m].
+pub const NO_OBSTACLE_M: f64 = 1e9;
+
+impl Default for DriveReport {
+    fn default() -> Self {
+        Self {
+            final_distance_m: 0.0,
+            min_clearance_m: NO_OBSTACLE_M,
+            final_speed_mps: 0.0,
+            path_length_m: 0.0,
+            max_abs_lateral_m: 0.0,
+            estimate_error_max_m: 0.0,
+            estimate_error_rms_m: 0.0,
+            longest_blind_s: 0.0,
+            collided: false,
+            struck: false,
+        }
+    }
+}
+
+/// How the controller solved its problems.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ControllerReport {
+    /// Time per solved problem; empty in lock-step [us].
+    pub solve_us: Figures,
+    /// SQP iterations per solved problem.
+    pub iterations: Figures,
+    /// Commands by the status of their solution.
+    pub status: BTreeMap<String, u64>,
+    /// Commands by the rung of the ladder they come from.
+    pub level: BTreeMap<String, u64>,
+}
+
+/// One process of the run.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ProcessReport {
+    /// The role it filled.
+    pub role: String,
+    /// Name of the implementation.
+    pub implementation: String,
+    /// Its last process id.
+    pub pid: u32,
+    /// How often it was started again.
+    pub restarts: u32,
+    /// Its state at the end.
+    pub state: String,
+}
+
+impl Report {
+    /// The report as text: one line per figure set and per row of the trajectory, so that people can read it.
+    ///
+    /// # Errors
+    /// Never for values of these types; the serialiser's error otherwise.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        Ok(join_leaves(&serde_json::to_string_pretty(self)?))
+    }
+
+    /// Writes the report to `path`, all of it or nothing.
+    ///
+    /// # Errors
+    /// The first error of the file system.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        write_atomically(path, self.to_json()?.as_bytes())
+    }
+
+    /// Reads a report; fields it does not know are left out, missing ones have their defaults.
+    ///
+    /// # Errors
+    /// When the file can't be read, or is not a report.
+    pub fn read(path: &Path) -> io::Result<Self> {
+        Ok(serde_json::from_slice(&std::fs::read(path)?)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report() -> Report {
+        Report {
+            schema: SCHEMA,
+            scenario: "corridor {".to_owned(),
+            seed: 7,
+            outcome: Outcome::Reached,
+            trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
+            processes: vec![ProcessReport {
+                role: "controller".to_owned(),
+                pid: 12,
+                ..ProcessReport::default()
+            }],
+            ..Report::default()
+        }
+    }
+
+    #[test]
+    fn rows_and_figures_stand_on_one_line_each() {
+        let text = report().to_json().unwrap();
+        assert!(
+            text.contains(
+                "\n    [0.0, 0.1, -0.2, 0.3333333333333333],\n    [0.1, 0.2, -0.2, 1e-17]\n  ]\n}\n"
+            ),
+            "{text}"
+        );
+        assert!(text.contains(
+            "\n    \"scan_to_actuation\": { \"count\": 0, \"p50\": 0.0, \"p90\": 0.0, \"p99\": 0.0, \"p999\": 0.0, \"max\": 0.0 },\n"
+        ));
+        assert!(text.starts_with("{\n  \"schema\": 1,\n  \"scenario\": \"corridor {\",\n  \"seed\": 7,\n  \"outcome\": \"reached\",\n"));
+    }
+
+    #[test]
+    fn a_report_is_read_back_bit_by_bit() {
+        let report = report();
+        assert_eq!(serde_json::from_str::<Report>(&report.to_json().unwrap()).unwrap(), report);
+    }
+
+    #[test]
+    fn all_keys_of_the_public_interface_are_there() {
+        let value: serde_json::Value = serde_json::from_str(&report().to_json().unwrap()).unwrap();
+        for pointer in [
+            "/schema",
+            "/scenario",
+            "/seed",
+            "/outcome",
+            "/lockstep",
+            "/duration_s",
+            "/scans/published",
+            "/scans/commanded",
+            "/scans/late",
+            "/scans/lost",
+            "/scans/unaccounted",
+            "/scans/lost_reasons",
+            "/ledger/residual",
+            "/ledger/topics",
+            "/ledger/faults",
+            "/latency_us/scan_to_actuation/p999",
+            "/latency_us/stages/estimator/count",
+            "/latency_us/stages/obstacles/count",
+            "/latency_us/stages/controller/count",
+            "/latency_us/stages/actuator/count",
+            "/latency_us/stages/transport/count",
+            "/drive/final_distance_m",
+            "/drive/min_clearance_m",
+            "/drive/path_length_m",
+            "/drive/max_abs_lateral_m",
+            "/drive/estimate_error_max_m",
+            "/drive/estimate_error_rms_m",
+            "/drive/collided",
+            "/controller/solve_us/p50",
+            "/controller/iterations/max",
+            "/controller/status",
+            "/processes/0/role",
+            "/processes/0/implementation",
+            "/processes/0/pid",
+            "/processes/0/restarts",
+            "/processes/0/state",
+            "/trajectory/1/3",
+        ] {
+            assert!(value.pointer(pointer).is_some(), "{pointer}");
+        }
+    }
+
+    #[test]
+    fn a_report_replaces_the_one_before_and_leaves_nothing_beside() {
+        let folder = std::env::temp_dir().join(format!("scanloop-report-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("report.json");
+        Report::default().write(&path).unwrap();
+        report().write(&path).unwrap();
+        assert_eq!(Report::read(&path).unwrap(), report());
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(report().write(&path).is_err(), "the folder is gone");
+    }
+
+    #[test]
+    fn exit_codes_are_those_of_the_public_interface() {
+        let codes =
+            |outcomes: &[Outcome]| outcomes.iter().map(|outcome| outcome.exit_code()).collect::<Vec<_>>();
+        assert_eq!(codes(&[Outcome::Reached, Outcome::Collision, Outcome::Failed]), [0, 3, 4]);
+        assert_eq!(
+            codes(&[Outcome::Missed, Outcome::Timeout, Outcome::Stopped, Outcome::Interrupted]),
+            [1; 4]
+        );
+    }
+}

@@ -1,0 +1,320 @@
+//! What a person wants to know at the end of a run, as text with aligned columns.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::figures::Figures;
+use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
+
+/// The summary of a run; `folder` is where its files are, if any were written.
+pub fn text(report: &Report, folder: Option<&Path>) -> String {
+    let mut rows = vec![("outcome", outcome(report))];
+    rows.push(("driven", format!("{:.1} s, {:.2} m", report.duration_s, report.drive.path_length_m)));
+    rows.push(("to the goal", format!("{:.3} m", report.drive.final_distance_m)));
+    rows.push(("clearance", clearance(&report.drive)));
+    let DriveReport { estimate_error_max_m, estimate_error_rms_m, .. } = report.drive;
+    rows.push((
+        "estimate error",
+        format!("at most {estimate_error_max_m:.3} m, rms {estimate_error_rms_m:.3} m"),
+    ));
+    rows.push(("scans", scans(&report.scans)));
+    rows.push(("samples", samples(&report.ledger)));
+    rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
+    if !report.controller.status.is_empty() {
+        rows.push(("solver", counts(report.controller.status.iter())));
+    }
+    if !report.stop_reasons.is_empty() {
+        rows.push(("stops", counts(report.stop_reasons.iter())));
+    }
+    let watch = &report.self_check;
+    if watch.alarms > 0 {
+        rows.push((
+            "self-check",
+            format!(
+                "suspects {} since scan {}: {}",
+                watch.suspect.replace('_', " "),
+                watch.first_scan,
+                watch.alarm
+            ),
+        ));
+    }
+    let restarts: u32 = report.processes.iter().map(|process| process.restarts).sum();
+    if restarts > 0 {
+        rows.push(("restarts", restarts.to_string()));
+    }
+    let mut text = String::new();
+    for (name, value) in rows {
+        line(&mut text, format_args!("{name:<15} {value}"));
+    }
+    line(&mut text, format_args!(""));
+    latencies(&mut text, &report.latency_us);
+    if let Some(folder) = folder {
+        line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
+    }
+    text
+}
+
+fn outcome(report: &Report) -> String {
+    let simulated = if report.lockstep { " (simulated time)" } else { "" };
+    if report.reason.is_empty() {
+        format!("{}{simulated}", report.outcome)
+    } else {
+        format!("{}: {}{simulated}", report.outcome, report.reason)
+    }
+}
+
+fn clearance(drive: &DriveReport) -> String {
+    let touched = match (drive.collided, drive.struck) {
+        (true, _) => ", touched while driving",
+        (false, true) => ", struck while standing",
+        (false, false) => "",
+    };
+    if drive.min_clearance_m >= NO_OBSTACLE_M {
+        format!("no obstacle{touched}")
+    } else {
+        format!("smallest {:.3} m{touched}", drive.min_clearance_m)
+    }
+}
+
+fn scans(scans: &ScanReport) -> String {
+    let ScanReport { published, commanded, late, lost, unaccounted, duplicates, ref lost_reasons } = *scans;
+    let mut text = format!("{published} published, {commanded} commanded, {late} late, {lost} lost");
+    if lost > 0 {
+        text += &format!(" ({})", counts(lost_reasons.iter()));
+    }
+    if unaccounted > 0 {
+        text += &format!(", {unaccounted} UNACCOUNTED");
+    }
+    if duplicates > 0 {
+        text += &format!(", {duplicates} answered twice");
+    }
+    text
+}
+
+/// What became of the samples of all topics at all of their readers, and what nothing explains.
+fn samples(ledger: &LedgerReport) -> String {
+    let sum = |field: fn(&LedgerRow) -> u64| ledger.topics.iter().map(field).sum::<u64>();
+    let mut text = format!(
+        "{} published, {} used, {} replaced, {} lost, {} in flight",
+        sum(|row| row.published),
+        sum(|row| row.used),
+        sum(|row| row.replaced),
+        sum(|row| row.lost),
+        sum(|row| row.in_flight)
+    );
+    for (count, what) in
+        [(ledger.residual, "MISSING"), (ledger.duplicates, "CAME TWICE"), (ledger.reordered, "OUT OF ORDER")]
+    {
+        if count > 0 {
+            text += &format!(", {count} {what}");
+        }
+    }
+    if let Some(fault) = ledger.faults.first() {
+        text += &format!(": {fault}");
+    }
+    text
+}
+
+/// `12 converged, 1 out of time`
+fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
+    counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
+}
+
+/// The table of latencies alone.
+pub fn latency_table(latency: &LatencyReport) -> String {
+    let mut text = String::new();
+    latencies(&mut text, latency);
+    text
+}
+
+fn latencies(text: &mut String, latency: &LatencyReport) {
+    if latency.simulated {
+        line(text, format_args!("{:<15} not measured: time was simulated", "latency"));
+        return;
+    }
+    let stages = &latency.stages;
+    line(text, format_args!("{:<20} {:>9} {:>9} {:>9} {:>9}", "latency [ms]", "p50", "p90", "p99", "max"));
+    let rows: [(&str, &Figures); 7] = [
+        ("scan to actuation", &latency.scan_to_actuation),
+        ("  estimator", &stages.estimator),
+        ("  obstacles", &stages.obstacles),
+        ("  controller", &stages.controller),
+        ("  actuator", &stages.actuator),
+        ("  transport", &stages.transport),
+        ("age of the data", &latency.data_age),
+    ];
+    for (name, figures) in rows {
+        if figures.count == 0 {
+            line(text, format_args!("{name:<20} {:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-"));
+            continue;
+        }
+        let [p50, p90, p99, max] =
+            [figures.p50, figures.p90, figures.p99, figures.max].map(|value| value * 1e-3);
+        line(text, format_args!("{name:<20} {p50:>9.3} {p90:>9.3} {p99:>9.3} {max:>9.3}"));
+    }
+    if latency.complete_chains > 0 {
+        stages_table(text, latency);
+    }
+    let incomplete = match latency.incomplete_chains {
+        0 => String::new(),
+        count => format!(", {count} INCOMPLETE"),
+    };
+    line(text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+}
+
+/// Where each stage spends its time, medians.
+fn stages_table(text: &mut String, latency: &LatencyReport) {
+    line(
+        text,
+        format_args!("\n{:<20} {:>9} {:>9} {:>9} {:>9}", "p50 [ms]", "wait", "hop", "compute", "publish"),
+    );
+    let LatencyReport { stages, hops, waits, publications, .. } = latency;
+    let rows = [
+        ("estimator", [&waits.estimator, &hops.estimator, &stages.estimator, &publications.estimator]),
+        ("obstacles", [&waits.obstacles, &hops.obstacles, &stages.obstacles, &publications.obstacles]),
+        ("controller", [&waits.controller, &hops.controller, &stages.controller, &publications.controller]),
+        ("actuator", [&waits.actuator, &hops.actuator, &stages.actuator, &publications.actuator]),
+    ];
+    for (name, figures) in rows {
+        let [wait, hop, compute, publish] = figures.map(|figures| figures.p50 * 1e-3);
+        line(text, format_args!("  {name:<18} {wait:>9.3} {hop:>9.3} {compute:>9.3} {publish:>9.3}"));
+    }
+}
+
+fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
+    // Writing to a text can't fail.
+    let _ = writeln!(text, "{arguments}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::Outcome;
+    use std::collections::BTreeMap;
+
+    fn report() -> Report {
+        let mut report = Report { outcome: Outcome::Reached, duration_s: 12.7, ..Report::default() };
+        report.drive.path_length_m = 10.2;
+        report.drive.final_distance_m = 0.0412;
+        report.drive.min_clearance_m = 0.3514;
+        report.scans = ScanReport { published: 127, commanded: 126, lost: 1, ..ScanReport::default() };
+        report.scans.lost_reasons = BTreeMap::from([("run_ended".to_owned(), 1)]);
+        report.controller.status = BTreeMap::from([("converged".to_owned(), 127)]);
+        report.ledger.topics = vec![LedgerRow {
+            published: 127,
+            used: 120,
+            replaced: 4,
+            lost: 2,
+            in_flight: 1,
+            ..LedgerRow::default()
+        }];
+        report.latency_us.complete_chains = 126;
+        report.latency_us.hops.obstacles.p50 = 60.0;
+        report.latency_us.stages.controller =
+            Figures { count: 127, p50: 1234.5, p90: 2000.0, p99: 3000.0, p999: 4000.0, max: 12345.6 };
+        report
+    }
+
+    #[test]
+    fn the_summary_says_how_the_run_ended_and_where_the_time_went() {
+        let text = text(&report(), Some(Path::new("out/corridor")));
+        assert_eq!(
+            text,
+            "\
+outcome         reached
+driven          12.7 s, 10.20 m
+to the goal     0.041 m
+clearance       smallest 0.351 m
+estimate error  at most 0.000 m, rms 0.000 m
+scans           127 published, 126 commanded, 0 late, 1 lost (1 run ended)
+samples         127 published, 120 used, 4 replaced, 2 lost, 1 in flight
+solver          127 converged
+
+latency [ms]               p50       p90       p99       max
+scan to actuation            -         -         -         -
+  estimator                  -         -         -         -
+  obstacles                  -         -         -         -
+  controller             1.234     2.000     3.000    12.346
+  actuator                   -         -         -         -
+  transport                  -         -         -         -
+age of the data              -         -         -         -
+
+p50 [ms]                  wait       hop   compute   publish
+  estimator              0.000     0.000     0.000     0.000
+  obstacles              0.000     0.060     0.000     0.000
+  controller             0.000     0.000     1.234     0.000
+  actuator               0.000     0.000     0.000     0.000
+chains               126 complete
+
+files           out/corridor
+"
+        );
+    }
+
+    #[test]
+    fn simulated_time_stops_and_restarts_are_said() {
+        let mut report = report();
+        (report.outcome, report.reason, report.lockstep) =
+            (Outcome::Stopped, "path blocked".to_owned(), true);
+        report.latency_us.simulated = true;
+        report.stop_reasons = BTreeMap::from([("no_command".to_owned(), 2)]);
+        report.processes = vec![crate::report::ProcessReport { restarts: 3, ..Default::default() }];
+        report.drive.min_clearance_m = NO_OBSTACLE_M;
+        let text = text(&report, None);
+        for expected in [
+            "outcome         stopped: path blocked (simulated time)\n",
+            "clearance       no obstacle\n",
+            "stops           2 no command\n",
+            "restarts        3\n",
+            "latency         not measured: time was simulated\n",
+        ] {
+            assert!(text.contains(expected), "{expected} in\n{text}");
+        }
+    }
+
+    #[test]
+    fn dropped_samples_are_said_with_their_writer_and_rule() {
+        let mut report = report();
+        report.ledger.refused = vec![audit::ledger::RefusedRow {
+            topic: "command".to_owned(),
+            writer: "controller".to_owned(),
+            incarnation: 2,
+            reader: "actuator".to_owned(),
+            rule: "outside_bounds".to_owned(),
+            field: "velocity_mps".to_owned(),
+            value: 1.5,
+            count: 44,
+            ..Default::default()
+        }];
+        let expected = "dropped         44 command of controller (incarnation 2) dropped by actuator: \
+                        outside bounds (velocity_mps = 1.5)\n";
+        let text = text(&report, None);
+        assert!(text.contains(expected), "{text}");
+    }
+
+    #[test]
+    fn scans_without_account_are_shouted() {
+        let mut report = report();
+        report.scans.unaccounted = 2;
+        assert!(text(&report, None).contains("2 UNACCOUNTED"));
+    }
+
+    #[test]
+    fn samples_that_nothing_explains_are_shouted_and_named() {
+        let mut report = report();
+        report.ledger.residual = 1;
+        report.ledger.faults = vec![audit::ledger::Fault {
+            topic: "pose".to_owned(),
+            kind: audit::ledger::Kind::Missing,
+            incarnation: 2,
+            sequence: 17,
+            scan_id: 17,
+            noticed_by: "bus".to_owned(),
+        }];
+        report.latency_us.incomplete_chains = 3;
+        let text = text(&report, None);
+        let expected = ", 1 MISSING: pose number 17 of incarnation 2, for scan 17, is missing\n";
+        assert!(text.contains(expected), "{text}");
+        assert!(text.contains("126 complete, 3 INCOMPLETE"), "{text}");
+    }
+}

@@ -1,0 +1,362 @@
+//! `scanloop analyse intervals`: how many intervals a horizon needs, or how long a horizon they carry.
+
+use std::fmt::Write as _;
+
+use console::exit::Exit;
+use nmpc::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
+use report::picture::chart::{Chart, Curve};
+use serde::Serialize;
+use vehicle::{Control, require};
+
+use super::arguments::{ERRORS, FAMILIES, GRIDS, SCHEMES, name_of};
+use super::{IntervalsArguments, publish, refuse};
+
+/// The answer.
+#[derive(Debug, Serialize)]
+struct Answer {
+    /// 1: the smallest number of intervals is asked for; 2: the longest horizon.
+    bilevel: u8,
+    /// The smallest number of intervals within the tolerance, or the number asked about.
+    n: Option<usize>,
+    /// Largest error for `n` intervals over `tf_s`; without `n`, the smallest of `errors`.
+    max_error: f64,
+    /// For 1, 2, ... intervals.
+    errors: Vec<f64>,
+    worst_controls: Vec<At>,
+    lengths_s: Vec<f64>,
+    tf_s: f64,
+    tol: f64,
+    scheme: &'static str,
+    error: &'static str,
+    controls: &'static str,
+    grid: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_tf_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_tf: Option<MaxTf>,
+    other_definitions: Vec<OtherDefinition>,
+    other_schemes: Vec<OtherScheme>,
+    definition: String,
+}
+
+/// The longest horizon.
+#[derive(Debug, Serialize)]
+struct MaxTf {
+    max_error: f64,
+    worst_controls: Vec<At>,
+    lengths_s: Vec<f64>,
+    at_limit: bool,
+}
+
+/// The same intervals judged by another definition.
+#[derive(Debug, Serialize)]
+struct OtherDefinition {
+    error: &'static str,
+    controls: &'static str,
+    max_error: f64,
+}
+
+/// The same definition with another scheme.
+#[derive(Debug, Serialize)]
+struct OtherScheme {
+    scheme: &'static str,
+    max_error: f64,
+    n: Option<usize>,
+}
+
+/// A control.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct At {
+    velocity_mps: f64,
+    steering_rad: f64,
+}
+
+pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
+    let definition = Definition {
+        scheme: arguments.scheme,
+        error: arguments.error,
+        controls: arguments.controls,
+        grid: arguments.grid,
+        tolerance: arguments.tol,
+        ..Definition::default()
+    };
+    definition.validate(arguments.tf, arguments.n.unwrap_or(1)).map_err(refuse)?;
+    let most = definition.most_intervals();
+    let limit = arguments.limit.unwrap_or(most.min(24));
+    require("limit", limit as f64, 1.0..=most as f64).map_err(refuse)?;
+
+    let (errors, found, n) = match arguments.n {
+        Some(n) => {
+            let worst = definition.worst(arguments.tf, n);
+            let fewer = (1..n).map(|n| definition.worst(arguments.tf, n).error);
+            (fewer.chain([worst.error]).collect(), worst, Some(n))
+        }
+        None => {
+            let counts = definition.smallest_count(arguments.tf, limit);
+            let errors: Vec<f64> = counts.worst.iter().map(|worst| worst.error).collect();
+            let best = (0..errors.len()).min_by(|left, right| errors[*left].total_cmp(&errors[*right]));
+            let index = counts.smallest.map(|count| count - 1).or(best).unwrap_or(0);
+            let found = counts.worst[index].clone();
+            (errors, found, counts.smallest)
+        }
+    };
+    let horizons = arguments.n.map(|n| definition.longest_horizon(n));
+    let schemes = other_schemes(&definition, arguments.tf, found.lengths_s.len(), limit);
+    let answer = answer(arguments, &definition, errors, &found, n, horizons.as_ref(), schemes);
+    let chart = match &horizons {
+        None => count_chart(&answer, &definition),
+        Some(horizons) => horizon_chart(&answer, horizons),
+    };
+    publish(&arguments.output, "intervals", &table(&answer, limit), &chart, &answer)?;
+    let kept = match &horizons {
+        None => answer.n.is_some(),
+        Some(horizons) => horizons.longest_s.is_some(),
+    };
+    Ok(if kept { Exit::Done } else { Exit::NotReached })
+}
+
+/// All schemes on equal intervals: errors for `count` of them, and the smallest number for a held control.
+fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: usize) -> Vec<OtherScheme> {
+    let of = move |(name, scheme): &(&'static str, nmpc::Scheme)| {
+        let equal = Definition { scheme: *scheme, grid: Grid::Uniform, ..*definition };
+        // A search over jumps takes too long to be made for all schemes and numbers.
+        let held = equal.controls == Family::Constant;
+        let n = held.then(|| equal.smallest_count(horizon_s, limit).smallest).flatten();
+        OtherScheme { scheme: name, max_error: equal.worst(horizon_s, count).error, n }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = SCHEMES.iter().map(|named| scope.spawn(move || of(named))).collect();
+        workers.into_iter().filter_map(|worker| worker.join().ok()).collect()
+    })
+}
+
+fn answer(
+    arguments: &IntervalsArguments,
+    definition: &Definition,
+    errors: Vec<f64>,
+    found: &Worst,
+    n: Option<usize>,
+    horizons: Option<&Horizons>,
+    other_schemes: Vec<OtherScheme>,
+) -> Answer {
+    let others = definition.others(&found.lengths_s);
+    let max_tf = horizons.and_then(|horizons| {
+        horizons.worst.as_ref().map(|worst| MaxTf {
+            max_error: worst.error,
+            worst_controls: worst.controls.iter().map(at).collect(),
+            lengths_s: worst.lengths_s.clone(),
+            at_limit: horizons.at_limit,
+        })
+    });
+    Answer {
+        bilevel: if horizons.is_some() { 2 } else { 1 },
+        n,
+        max_error: found.error,
+        errors,
+        worst_controls: found.controls.iter().map(at).collect(),
+        lengths_s: found.lengths_s.clone(),
+        tf_s: arguments.tf,
+        tol: arguments.tol,
+        scheme: name_of(&SCHEMES, definition.scheme),
+        error: name_of(&ERRORS, definition.error),
+        controls: name_of(&FAMILIES, definition.controls),
+        grid: name_of(&GRIDS, definition.grid),
+        max_tf_s: horizons.and_then(|horizons| horizons.longest_s),
+        max_tf,
+        other_definitions: others
+            .iter()
+            .map(|other| OtherDefinition {
+                error: name_of(&ERRORS, other.error),
+                controls: name_of(&FAMILIES, other.controls),
+                max_error: other.largest,
+            })
+            .collect(),
+        other_schemes,
+        definition: words(definition),
+    }
+}
+
+fn at(control: &Control) -> At {
+    At { velocity_mps: control.velocity, steering_rad: control.steering }
+}
+
+/// The definition in words.
+fn words(definition: &Definition) -> String {
+    let error = match definition.error {
+        ErrorMeasure::PositionEnds => "the larger error of x and y [m] at interval ends",
+        ErrorMeasure::AllStatesEnds => {
+            "the largest error of all five states [rad, rad/s, m] at interval ends"
+        }
+        ErrorMeasure::PositionDense => {
+            "the larger error of x and y [m] at interval ends and at nine points inside each"
+        }
+    };
+    let controls = match definition.controls {
+        Family::Constant => "one control of the box held over the horizon",
+        Family::Piecewise => "one control of the box per interval (a family that grows with N)",
+    };
+    let grid = match definition.grid {
+        Grid::Uniform => "equal intervals",
+        Grid::Free => "interval lengths chosen by search",
+    };
+    format!(
+        "{} collocation, {grid}, from the zero state; {error} against the exact motion, largest over {controls}, found by \
+         search",
+        name_of(&SCHEMES, definition.scheme)
+    )
+}
+
+fn table(answer: &Answer, limit: usize) -> String {
+    let mut text = format!("definition      {}\n", answer.definition);
+    let _ = writeln!(text, "horizon         {} s, tolerance {:e}", answer.tf_s, answer.tol);
+    let _ = writeln!(text, "  {:>3}  {:>13}", "N", "largest error");
+    for (index, error) in answer.errors.iter().enumerate() {
+        let count = index + 1;
+        let mark = match answer.n {
+            Some(n) if n == count && *error <= answer.tol => "  <- within the tolerance",
+            Some(n) if n == count => "  <- above the tolerance",
+            _ => "",
+        };
+        let _ = writeln!(text, "  {count:>3}  {error:>13.3e}{mark}");
+    }
+    let _ = writeln!(text, "worst controls  {}", controls(&answer.worst_controls));
+    if answer.grid == "free" {
+        let _ = writeln!(text, "lengths         {} s", lengths(&answer.lengths_s));
+    }
+    text += &result(answer, limit);
+    let _ = writeln!(text, "same intervals by other definitions");
+    for (name, _) in ERRORS {
+        let of = |family: &str| {
+            let found =
+                answer.other_definitions.iter().find(|other| other.error == name && other.controls == family);
+            found.map_or("not searched".to_owned(), |other| format!("{:.3e}", other.max_error))
+        };
+        let _ =
+            writeln!(text, "  {name:<16} constant {:>9}  piecewise {:>9}", of("constant"), of("piecewise"));
+    }
+    let _ = writeln!(text, "other schemes, equal intervals");
+    for other in &answer.other_schemes {
+        let n = match (answer.controls, other.n) {
+            ("piecewise", _) => String::new(),
+            (_, Some(n)) => format!("  smallest N {n}"),
+            (_, None) => format!("  smallest N above {limit}"),
+        };
+        let count = answer.lengths_s.len();
+        let _ = writeln!(text, "  {:<16} {:>9.3e} for N = {count}{n}", other.scheme, other.max_error);
+    }
+    text
+}
+
+fn result(answer: &Answer, limit: usize) -> String {
+    let Answer { tol, tf_s, .. } = answer;
+    match (&answer.max_tf, answer.n) {
+        (Some(longest), Some(n)) => {
+            let tf = answer.max_tf_s.unwrap_or(f64::NAN);
+            let more = if longest.at_limit { " or more" } else { "" };
+            let mut text = format!(
+                "result          {n} intervals keep {tol:e} up to {tf:.3} s{more}, largest error {:.3e}\n",
+                longest.max_error
+            );
+            if answer.grid == "free" {
+                let _ = writeln!(text, "  with lengths  {} s", lengths(&longest.lengths_s));
+            }
+            text
+        }
+        (None, Some(n)) if answer.bilevel == 2 => {
+            format!("result          {n} intervals keep {tol:e} over no horizon\n")
+        }
+        (_, Some(n)) => {
+            format!("result          N = {n}: largest error {:.4e} over {tf_s} s\n", answer.max_error)
+        }
+        (_, None) => format!(
+            "result          more than {limit} intervals are needed: the smallest error is {:.3e}\n",
+            answer.max_error
+        ),
+    }
+}
+
+fn lengths(lengths_s: &[f64]) -> String {
+    lengths_s.iter().map(|length| format!("{length:.4}")).collect::<Vec<_>>().join(" ")
+}
+
+/// Controls in words; those that repeat once.
+fn controls(controls: &[At]) -> String {
+    let one = |at: &At| format!("{:.3} m/s {:+.4} rad", at.velocity_mps, at.steering_rad);
+    match controls {
+        [first, rest @ ..] if rest.iter().all(|other| other == first) => one(first),
+        all => all.iter().map(one).collect::<Vec<_>>().join(", "),
+    }
+}
+
+fn count_chart(answer: &Answer, definition: &Definition) -> Chart {
+    let by_count = |errors: &[f64]| -> Vec<[f64; 2]> {
+        errors.iter().enumerate().map(|(index, error)| [(index + 1) as f64, *error]).collect()
+    };
+    let mut curves = vec![Curve {
+        name: format!("{}, as asked", answer.scheme),
+        points: by_count(&answer.errors),
+        dots: true,
+    }];
+    // Held controls on equal intervals are quick to search: the other schemes of the spec for comparison.
+    for name in ["gauss-2", "gauss-3", "radau-2", "radau-3"].into_iter().filter(|name| *name != answer.scheme)
+    {
+        let Some((_, scheme)) = SCHEMES.iter().find(|(other, _)| *other == name) else { continue };
+        let other =
+            Definition { scheme: *scheme, controls: Family::Constant, grid: Grid::Uniform, ..*definition };
+        let count = answer.errors.len();
+        let errors: Vec<f64> = (1..=count).map(|count| other.worst(answer.tf_s, count).error).collect();
+        curves.push(Curve {
+            name: format!("{name}, constant, uniform"),
+            points: by_count(&errors),
+            dots: true,
+        });
+    }
+    let title = match answer.n {
+        Some(n) => format!("Bilevel-I: {n} intervals over {} s keep {:e}", answer.tf_s, answer.tol),
+        None => {
+            format!("Bilevel-I: no number of intervals tried keeps {:e} over {} s", answer.tol, answer.tf_s)
+        }
+    };
+    Chart {
+        logarithmic_x: false,
+        title,
+        subtitle: subtitle(answer),
+        x: "number of intervals N".to_owned(),
+        whole: true,
+        y: "largest error".to_owned(),
+        logarithmic: true,
+        curves,
+        limits: vec![("tolerance".to_owned(), answer.tol)],
+        mark: answer.n.map(|n| (format!("N = {n}: {:.3e}", answer.max_error), [n as f64, answer.max_error])),
+    }
+}
+
+fn horizon_chart(answer: &Answer, horizons: &Horizons) -> Chart {
+    let count = answer.lengths_s.len();
+    let title = match answer.max_tf_s {
+        Some(tf) => format!("Bilevel-II: {count} intervals keep {:e} up to {tf:.3} s", answer.tol),
+        None => format!("Bilevel-II: {count} intervals keep {:e} over no horizon", answer.tol),
+    };
+    let points = horizons.tried.iter().map(|(horizon, error)| [*horizon, *error]).collect();
+    Chart {
+        logarithmic_x: false,
+        title,
+        subtitle: subtitle(answer),
+        x: "horizon tf [s]".to_owned(),
+        whole: false,
+        y: "largest error".to_owned(),
+        logarithmic: true,
+        curves: vec![Curve { name: format!("{}, N = {count}", answer.scheme), points, dots: true }],
+        limits: vec![("tolerance".to_owned(), answer.tol)],
+        mark: answer
+            .max_tf
+            .as_ref()
+            .zip(answer.max_tf_s)
+            .map(|(longest, tf)| (format!("tf = {tf:.3} s"), [tf, longest.max_error])),
+    }
+}
+
+fn subtitle(answer: &Answer) -> String {
+    let Answer { scheme, error, controls, grid, .. } = answer;
+    format!("{scheme}, error {error}, controls {controls}, grid {grid}, from the zero state")
+}

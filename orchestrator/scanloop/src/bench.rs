@@ -1,0 +1,107 @@
+//! `scanloop bench`: figures of the parts, each on inputs that are shipped or named, to be repeated by anybody.
+
+pub mod compare;
+pub mod latency;
+pub(crate) mod scheduling;
+pub mod solver;
+pub mod transport;
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use console::exit::Exit;
+
+use self::compare::CompareArguments;
+use self::latency::LatencyArguments;
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// What one solve of the optimal control problem costs, on recorded initial states.
+    ///
+    /// Reports median, 99 % and largest of microseconds per SQP step, feedback phase and converged solve, iterations,
+    /// failures and heap allocations per solve, for each Hessian, each QP solver and each number of intervals. The
+    /// weights are those of the published comparison, not those of a run. The feedback phase is what is left to do once the
+    /// measured state is there: moving the linearised model to it, condensing, one quadratic program.
+    ///
+    /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
+    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null where they are not
+    /// counted); `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
+    /// `ratio_p99`, `same`, `others`; `skipped`.
+    Solver(SolverArguments),
+    /// Where the time from scan to actuation goes, under a rate, a scheduling and a load of your choice.
+    ///
+    /// Drives the scenario `endless` in real time, or with `--compute none` sends the same samples through five
+    /// processes that compute nothing. Measures the machine's own wake-ups first. All times are corrected and not
+    /// corrected for coordinated omission (docs/latency.md). Files of `--out`: `report.json`, `latency.hlog`,
+    /// `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`, `trace.json` for ui.perfetto.dev.
+    ///
+    /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`, `residual`, `faults`,
+    /// `complete_chains`, `scan_to_actuation_us`, `scan_to_actuation_corrected_us`, `data_age_us`, `transport_us`,
+    /// `stages_us`, `hops_us`, `publications_us`, `robot_lateness_us`, `wake_up_noise_us`, `stamps_us_per_stage`,
+    /// `smallest_visible_us`, `machine`, `intervals` (lines of a HdrHistogram log), and what was asked for.
+    Latency(LatencyArguments),
+    /// Whether one of two builds is slower, with a confidence interval and the smallest difference that would show.
+    ///
+    /// Either two files of `bench latency --json`, or two commands that are run in turns. Commands print JSON with
+    /// the figure that `--metric` names; with `--metric wall` their run time counts. JSON keys: `metric`, `a`, `b`,
+    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
+    /// figures that are no times `higher`, `lower`), `smallest_visible`, `text`, `others`.
+    Compare(CompareArguments),
+    /// What four hops between five processes cost over other transports, as ratios to ours.
+    ///
+    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold with
+    /// 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command that
+    /// builds them.
+    ///
+    /// JSON: one object for one `--rate`, a list of them for several. Keys: `rate_hz`, `hops`, `payload_bytes` (a number, or
+    /// one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`, `confidence`, `transports` with `name`,
+    /// `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`, `ratio_p50_interval`, `verdict_p50`, the same for p99; `polling`,
+    /// the same for processes that poll when both policies are measured; `skipped` with `name`, `reason`.
+    Transport(transport::TransportArguments),
+}
+
+/// Arguments of `bench solver`.
+#[derive(Debug, Args)]
+pub struct SolverArguments {
+    /// Initial states, a CSV file with a header; without it the shipped ones.
+    ///
+    /// Columns are found by name: `x1` to `x5` are sideslip, yaw, yaw rate, x and y. Columns `goal_x_m`, `goal_y_m`,
+    /// `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` may be there (default: goal (10, 0), ellipse at
+    /// (5, 0.1) with semi-axes 1.2 and 0.8), others are ignored. Following rows of the same `lap` are 0.1 s apart and
+    /// start from the solution before; rows without it start straight on.
+    #[arg(long, value_name = "CSV")]
+    pub cases: Option<PathBuf>,
+    /// Solve the same cases with CasADi as well, in turns, and print ratios (`benches/peers/setup.sh` installs it).
+    #[arg(long)]
+    pub peer: bool,
+    /// Numbers of intervals N; peers are compared with 6.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [6, 12, 24, 48, 96],
+          value_parser = clap::value_parser!(u8).range(1..=200))]
+    pub intervals: Vec<u8>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs one benchmark.
+///
+/// # Errors
+/// Bad files and options, and what the benchmark itself could not do.
+pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<Exit> {
+    match command {
+        BenchCommand::Solver(arguments) => solver::solver(arguments),
+        BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
+        BenchCommand::Compare(arguments) => compare::compare(arguments),
+        BenchCommand::Transport(arguments) => transport::transport(arguments),
+    }
+}
+
+/// A number of bytes like `4096`, `4k` or `1M`.
+fn bytes(text: &str) -> Option<usize> {
+    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
+        Some(digits) => (digits, 1 << 10),
+        None => text.strip_suffix(['m', 'M']).map_or((text, 1), |digits| (digits, 1 << 20)),
+    };
+    digits.parse::<usize>().ok()?.checked_mul(unit)
+}

@@ -1,0 +1,103 @@
+//! `scanloop bench compare`: whether B is slower than A, how sure that is, and how small a difference would have shown.
+//!
+//! Two files were made one after the other, so what changed on the machine in between is in their difference.
+//! Two commands are run in turns, which is how two builds should be compared. How sure either is:
+//! `statistics`.
+
+mod files;
+pub(crate) mod statistics;
+mod turns;
+mod verdict;
+
+use std::path::PathBuf;
+
+use clap::Args;
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use serde::Serialize;
+use serde_json::Value;
+
+use self::statistics::FEWEST_ROUNDS;
+use self::verdict::Verdict;
+
+/// What is compared without `--metric`; the first is the one that counts.
+const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p99"];
+/// Most rounds.
+const MOST_ROUNDS: usize = 1000;
+
+/// Arguments of `bench compare`.
+#[derive(Debug, Clone, Args)]
+#[command(group = clap::ArgGroup::new("what").required(true).multiple(false))]
+pub struct CompareArguments {
+    /// Two results of `bench latency --json` that were made with the same arguments.
+    #[arg(num_args = 2, value_names = ["A.json", "B.json"], group = "what")]
+    pub files: Vec<PathBuf>,
+    /// Two commands for the shell, run in turns.
+    #[arg(long, num_args = 2, value_names = ["CMD A", "CMD B"], group = "what")]
+    pub ab: Vec<String>,
+    /// How often each command is run, at least 8.
+    #[arg(long, value_name = "N", default_value_t = 12)]
+    pub rounds: usize,
+    /// The figure to compare, as a path of keys like `stages_us.controller.p50`, or `wall` for the run time of a
+    /// command in seconds; without it median and 99 % of scan to actuation.
+    #[arg(long, value_name = "KEY.PATH")]
+    pub metric: Option<String>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What is printed as JSON.
+#[derive(Debug, Serialize)]
+struct Answer {
+    #[serde(flatten)]
+    first: Verdict,
+    /// Further figures.
+    others: Vec<Verdict>,
+    /// The first figure of A and B in each round; empty for files.
+    rounds: Vec<[f64; 2]>,
+}
+
+/// Compares and says what was found.
+///
+/// # Errors
+/// Bad arguments and files, commands that fail.
+pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
+    let metrics: Vec<String> = match &arguments.metric {
+        Some(metric) => vec![metric.clone()],
+        None => METRICS.map(str::to_owned).to_vec(),
+    };
+    let (verdicts, rounds) = match (arguments.files.as_slice(), arguments.ab.as_slice()) {
+        ([a, b], _) => (files::compare([a, b], &metrics)?, Vec::new()),
+        (_, commands @ [_, _]) => {
+            if !(FEWEST_ROUNDS..=MOST_ROUNDS).contains(&arguments.rounds) {
+                return Err(Failure::bad_input(format!(
+                    "--rounds {} is not allowed: {FEWEST_ROUNDS} to {MOST_ROUNDS}; fewer can't be 99 % sure of anything",
+                    arguments.rounds
+                )));
+            }
+            let turns = turns::compare(commands, arguments.rounds, &metrics)?;
+            (turns.verdicts, turns.figures)
+        }
+        _ => return Err(Failure::bad_input("two files or two commands are needed")),
+    };
+    for Verdict { metric, a, b, text, .. } in &verdicts {
+        note!("{metric:<32} A {a:.1}   B {b:.1}\n    {text}");
+    }
+    let mut verdicts = verdicts.into_iter();
+    let Some(first) = verdicts.next() else {
+        return Err(Failure::bad_input("a figure was not a finite number in every round"));
+    };
+    if arguments.json {
+        let answer = Answer { first, others: verdicts.collect(), rounds };
+        data(&serde_json::to_string_pretty(&answer)?)?;
+    }
+    Ok(Exit::Done)
+}
+
+/// The number at a path of keys and places like `solvers.0.solve_us.p50`.
+fn figure(json: &Value, metric: &str) -> Option<f64> {
+    let pointer = format!("/{}", metric.replace('.', "/"));
+    json.pointer(&pointer)?.as_f64()
+}

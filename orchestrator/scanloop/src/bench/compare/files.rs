@@ -1,0 +1,140 @@
+//! Two results of `bench latency --json`, stretch by stretch.
+
+use std::path::Path;
+
+use console::exit::Failure;
+use console::note;
+use console::user_file::{self, DATA_BYTES};
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::statistics::stretches;
+use super::verdict::Verdict;
+use crate::bench::latency::intervals;
+
+/// What of a result is needed.
+#[derive(Debug, Deserialize)]
+struct Run {
+    rate_hz: f64,
+    compute: String,
+    payload_bytes: Option<u64>,
+    interval_scans: u64,
+    intervals: Vec<String>,
+}
+
+/// Compares the figures `metrics` of two files; a figure that the runs are too short for is left out, which is said.
+///
+/// # Errors
+/// Files that are no results, or were made with other arguments, and figures that they do not have; exit code 2.
+pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<Vec<Verdict>> {
+    let [(a, a_json), (b, b_json)] = [read(files[0])?, read(files[1])?];
+    let names = [files[0].display(), files[1].display()];
+    let same = [
+        ("rate_hz", a.rate_hz.to_string(), b.rate_hz.to_string()),
+        ("compute", a.compute.clone(), b.compute.clone()),
+        ("payload_bytes", format!("{:?}", a.payload_bytes), format!("{:?}", b.payload_bytes)),
+        ("interval_scans", a.interval_scans.to_string(), b.interval_scans.to_string()),
+    ];
+    if let Some((key, one, other)) = same.iter().find(|(_, one, other)| one != other) {
+        return Err(Failure::bad_input(format!(
+            "{} and {} can't be compared: {key} is {one} and {other}; make both with the same arguments",
+            names[0], names[1]
+        )));
+    }
+    let mut verdicts = Vec::new();
+    for metric in metrics {
+        let (series, quantile) = series_of(metric).ok_or_else(|| {
+            Failure::bad_input(format!(
+                "--metric {metric} is not allowed for files: scan_to_actuation_us, scan_to_actuation_corrected_us, \
+                 transport_us or stages_us.ROLE, with .p50, .p90 or .p99"
+            ))
+        })?;
+        let histograms = |run: &Run, file: &Path| {
+            intervals::read(&run.intervals, series).ok_or_else(|| {
+                Failure::bad_input(format!(
+                    "{}: intervals: not the lines of a HdrHistogram log",
+                    file.display()
+                ))
+            })
+        };
+        let (of_a, of_b) = (histograms(&a, files[0])?, histograms(&b, files[1])?);
+        let Some(difference) = stretches(&of_a, &of_b, quantile) else {
+            note!("{metric}: left out, too few scans; run longer");
+            continue;
+        };
+        let us = |mut difference: super::statistics::Difference| {
+            difference.value *= 1e-3;
+            difference.interval = difference.interval.map(|bound| bound * 1e-3);
+            difference.smallest_visible *= 1e-3;
+            difference
+        };
+        let whole = [&a_json, &b_json].map(|json| super::figure(json, metric).unwrap_or(f64::NAN));
+        verdicts.push(Verdict::new(metric, whole, &us(difference)));
+    }
+    if verdicts.is_empty() {
+        return Err(Failure::bad_input(format!(
+            "{} and {}: too few scans to compare {}; run longer",
+            names[0],
+            names[1],
+            metrics.join(", ")
+        )));
+    }
+    Ok(verdicts)
+}
+
+fn read(file: &Path) -> anyhow::Result<(Run, Value)> {
+    let bad = |reason: String| Failure::bad_input(format!("{}: {reason}", file.display()));
+    let text = user_file::read(file, DATA_BYTES).map_err(bad)?;
+    let json: Value = serde_json::from_str(&text).map_err(|error| bad(error.to_string()))?;
+    let run = Run::deserialize(&json)
+        .map_err(|error| bad(format!("{error}: not what `scanloop bench latency --json` prints")))?;
+    Ok((run, json))
+}
+
+/// The series of the log and the quantile of a metric.
+fn series_of(metric: &str) -> Option<(&str, f64)> {
+    let (key, figure) = metric.rsplit_once('.')?;
+    let quantile = match figure {
+        "p50" => 0.5,
+        "p90" => 0.9,
+        "p99" => 0.99,
+        _ => return None,
+    };
+    let name = key.strip_prefix("stages_us.").or_else(|| key.strip_suffix("_us"))?;
+    intervals::NAMES.contains(&name).then_some((name, quantile))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metrics_are_series_of_the_log() {
+        assert_eq!(series_of("scan_to_actuation_us.p50"), Some(("scan_to_actuation", 0.5)));
+        assert_eq!(series_of("stages_us.controller.p99"), Some(("controller", 0.99)));
+        for metric in ["scan_to_actuation_us", "scan_to_actuation_us.max", "late", "stages_us.pilot.p50"] {
+            assert_eq!(series_of(metric), None, "{metric}");
+        }
+    }
+
+    #[test]
+    fn files_that_are_none_or_do_not_belong_together_are_refused() {
+        let folder = std::env::temp_dir().join(format!("scanloop-compare-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let write = |name: &str, rate: f64| {
+            let path = folder.join(name);
+            let json = serde_json::json!({"rate_hz": rate, "compute": "real", "interval_scans": 10, "intervals": []});
+            std::fs::write(&path, json.to_string()).unwrap();
+            path
+        };
+        let (a, b) = (write("a.json", 10.0), write("b.json", 20.0));
+        let metrics = ["scan_to_actuation_us.p50".to_owned()];
+        let refusal = |files: [&Path; 2]| compare(files, &metrics).unwrap_err().to_string();
+        assert!(refusal([&a, &b]).contains("rate_hz is 10 and 20"), "{}", refusal([&a, &b]));
+        assert!(refusal([&a, &a]).contains("too few scans"));
+        std::fs::write(&b, "{}").unwrap();
+        assert!(refusal([&a, &b]).contains("b.json: missing field"), "{}", refusal([&a, &b]));
+        assert!(refusal([&a, &folder.join("none.json")]).contains("none.json"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

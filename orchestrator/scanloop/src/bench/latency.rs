@@ -1,0 +1,206 @@
+//! `scanloop bench latency`: where the time from scan to actuation goes, with what it has to be read against.
+//!
+//! One run: look at the machine, measure its own wake-ups, start the five processes and drive (or answer at once),
+//! keep every scan, say what was found. The processes are those of `run`, on the same bus, under the same supervisor;
+//! the orchestrator records them as `run` does. What the figures are not: times of another machine, or of this one
+//! on another day. To compare two builds use `bench compare`.
+
+mod arguments;
+mod collector;
+pub(crate) mod echo;
+mod files;
+pub(crate) mod intervals;
+mod load;
+mod machine;
+pub(crate) mod noise;
+mod pictures;
+mod results;
+mod text;
+mod trace;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use anyhow::Context;
+use runtime::Shutdown;
+use shared_types::Role;
+
+pub use self::arguments::{Compute, LatencyArguments};
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use plan::Choice;
+use plan::Plan;
+use report::{Outcome, Report};
+use session::arguments::out_folder;
+use session::start::{Manner, start};
+use supervision::lock::Claim;
+use supervision::realtime;
+
+use self::collector::Collector;
+use self::load::Load;
+use self::machine::{Machine, Ticks};
+use self::results::{Results, SCHEMA, Smallest};
+use crate::bench::compare::statistics::smallest_visible;
+use crate::bench::scheduling::Scheduling;
+
+/// What is driven: 10 km, nearly three hours.
+const SCENARIO: &str = "endless";
+
+/// Runs the bench.
+///
+/// # Errors
+/// Bad arguments, scheduling that the kernel refuses, and what `run` fails with.
+pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
+    arguments.check()?;
+    let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
+    let (domain, lock) = Claim::take_new(system_id)?;
+    // Without --out logs live as long as the system.
+    let logs = match &arguments.out {
+        Some(out) => out_folder(out.clone())?,
+        None => domain.directory().to_owned(),
+    };
+    let shutdown = Shutdown::of_orchestrator()?;
+    let manner =
+        Manner { lockstep: false, duration_s: Some(arguments.duration), quiet: arguments.quiet, out: logs };
+    let mut session = start(&domain, &plan, manner, lock, shutdown)?;
+    if arguments.payload.is_some() {
+        for topic in echo::PAYLOAD_TOPICS {
+            session.create_blobs(topic)?;
+        }
+    }
+    let load = if arguments.load { Some(Load::start()?) } else { None };
+    let stamps_us_per_stage = noise::stamp_cost_us();
+    let (noise, granted) =
+        noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
+    let mut machine = Machine::look(&granted, load.as_ref().map_or(0, Load::count));
+
+    let expected_scans = (arguments.rate * arguments.duration) as u64;
+    let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
+    let fed = Rc::clone(&collector);
+    session.listen(Box::new(move |scan| fed.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    let before = Ticks::now();
+    let ending = session.drive()?;
+    machine.note_use(before, Ticks::now());
+    let report = session.finish().0.report(&ending);
+    drop(load);
+
+    let mut collector = collector.borrow_mut();
+    let interval_scans = collector.interval_scans();
+    let intervals = collector.take_lines();
+    let results = Results {
+        payload_bytes: arguments.payload,
+        compute: arguments.compute.name(),
+        rate_hz: arguments.rate,
+        scan_to_actuation_corrected_us: collector.corrected.figures(),
+        robot_lateness_us: collector.lateness.figures(),
+        complete_chains: collector.complete,
+        wake_up_noise_us: noise.figures(),
+        stamps_us_per_stage,
+        smallest_visible_us: smallest(&intervals),
+        machine,
+        interval_scans,
+        intervals,
+        ..of_report(&report)
+    };
+    note!("{}", text::text(&results));
+    if let Some(out) = &arguments.out {
+        files::write(out, &results, &collector, &noise)?;
+        note!("{:<18} {}", "files", out.display());
+    }
+    if arguments.json {
+        data(&serde_json::to_string_pretty(&results)?)?;
+    }
+    Ok(match report.outcome {
+        Outcome::Timeout => Exit::Done,
+        outcome => {
+            note!("the drive ended early: {outcome}: {}", report.reason);
+            match outcome.exit_code() {
+                3 => Exit::Collision,
+                4 => Exit::ProcessFailed,
+                _ => Exit::NotReached,
+            }
+        }
+    })
+}
+
+/// The system to be measured: that of `run`, or its echo, run as the scheduling asks.
+fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result<Plan> {
+    let mut choice: Choice = arguments.choice.clone();
+    choice.overrides.push(format!("rate_hz={}", arguments.rate));
+    let mut plan = Plan::read(Some(SCENARIO), &choice)?;
+    scheduling.apply(&mut plan.system.realtime);
+    realtime::validate(&plan.system.realtime)
+        .map_err(|invalid| Failure::bad_input(format!("realtime.{invalid}")))?;
+    let this = std::env::current_exe().context("path of this executable")?;
+    let this = this.to_string_lossy().into_owned();
+    for entry in &mut plan.system.processes {
+        let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
+        if arguments.compute == Compute::None {
+            entry.implementation = None;
+            entry.command =
+                Some([vec![this.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
+        }
+    }
+    Ok(plan)
+}
+
+/// What the report of the run says.
+fn of_report(report: &Report) -> Results {
+    let (scans, latency) = (&report.scans, &report.latency_us);
+    let stages = &latency.stages;
+    Results {
+        schema: SCHEMA,
+        duration_s: report.duration_s,
+        outcome: report.outcome.to_string(),
+        reason: report.reason.clone(),
+        published: scans.published,
+        commanded: scans.commanded,
+        late: scans.late,
+        lost: scans.lost,
+        lost_reasons: scans.lost_reasons.clone(),
+        unaccounted: scans.unaccounted,
+        duplicates: scans.duplicates,
+        residual: report.ledger.residual,
+        faults: report.ledger.faults.iter().map(ToString::to_string).collect(),
+        scan_to_actuation_us: latency.scan_to_actuation,
+        data_age_us: latency.data_age,
+        transport_us: stages.transport,
+        stages_us: report::PerStage {
+            estimator: stages.estimator,
+            obstacles: stages.obstacles,
+            controller: stages.controller,
+            actuator: stages.actuator,
+        },
+        hops_us: latency.hops.clone(),
+        publications_us: latency.publications.clone(),
+        ..Results::default()
+    }
+}
+
+/// From what the run shows of itself: transport hardly depends on the place of the drive.
+fn smallest(lines: &[String]) -> Smallest {
+    let read = |series| intervals::read(lines, series).unwrap_or_default();
+    let (reaction, transport) = (read("scan_to_actuation"), read("transport"));
+    let us = |quantile| smallest_visible(&reaction, &transport, quantile).map(|time_ns| time_ns * 1e-3);
+    Smallest { p50: us(0.5), p99: us(0.99) }
+}
+
+/// A scan published at `start` whose stages were woken, took, computed and published at these times after it [ns].
+#[cfg(test)]
+fn chain(scan_id: u64, start: u64) -> shared_types::Header {
+    use shared_types::{Header, Role, StageStamps};
+    let mut header = Header { scan_id, acquired_ns: start - 1000, ..Header::default() };
+    header.stage_mut(Role::Robot).published_ns = start;
+    let stamps = [
+        (Role::Estimator, [20, 30, 130, 135]),
+        (Role::Obstacles, [25, 160, 460, 470]),
+        (Role::Controller, [480, 490, 2490, 2500]),
+        (Role::Actuator, [2520, 2530, 2545, 2550]),
+    ];
+    for (role, times) in stamps {
+        let [woken_ns, taken_ns, computed_ns, published_ns] = times.map(|time| start + time);
+        *header.stage_mut(role) = StageStamps { woken_ns, taken_ns, computed_ns, published_ns };
+    }
+    header
+}

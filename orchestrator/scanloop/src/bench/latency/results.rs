@@ -1,0 +1,88 @@
+//! What the bench found, as the JSON that it prints.
+
+use std::collections::BTreeMap;
+
+use report::PerStage;
+use report::figures::Figures;
+use serde::Serialize;
+
+use super::machine::Machine;
+
+/// Version of the fields; it grows when a field changes its meaning, not when one is added.
+pub(crate) const SCHEMA: u32 = 1;
+
+/// The whole result; keys carry their unit as the last word.
+#[derive(Debug, Clone, Default, Serialize)]
+pub(crate) struct Results {
+    /// [`SCHEMA`].
+    pub schema: u32,
+    /// Scans per second by the schedule [Hz].
+    pub rate_hz: f64,
+    /// Driven time [s].
+    pub duration_s: f64,
+    /// `real` or `none`.
+    pub compute: &'static str,
+    /// Bytes on each hop; null for the pipeline's own samples.
+    pub payload_bytes: Option<usize>,
+    /// How the drive ended; `timeout` is as asked for.
+    pub outcome: String,
+    /// Why, in words.
+    pub reason: String,
+    /// Scans published.
+    pub published: u64,
+    /// Scans that an actuation answered, the late ones included.
+    pub commanded: u64,
+    /// Scans answered after the next one was published.
+    pub late: u64,
+    /// Scans never answered.
+    pub lost: u64,
+    /// How many scans were lost for which reason.
+    pub lost_reasons: BTreeMap<String, u64>,
+    /// Scans that nothing is known of.
+    pub unaccounted: u64,
+    /// Answers to scans that had been answered already.
+    pub duplicates: u64,
+    /// Samples of all topics that nothing is known of.
+    pub residual: u64,
+    /// What the ledger found, in words.
+    pub faults: Vec<String>,
+    /// Actuations that carry the stamps of all stages.
+    pub complete_chains: u64,
+    /// From the publication of a scan to that of its actuation.
+    pub scan_to_actuation_us: Figures,
+    /// The same from when the scan was due, with lost scans: corrected for coordinated omission.
+    pub scan_to_actuation_corrected_us: Figures,
+    /// From the front beam of a scan to its actuation.
+    pub data_age_us: Figures,
+    /// Scan to actuation without compute: wake-ups, bus, publications.
+    pub transport_us: Figures,
+    /// Compute of each stage.
+    pub stages_us: PerStage,
+    /// From the publication of the predecessor until a stage has taken its inputs.
+    pub hops_us: PerStage,
+    /// From a stage's result until it was published.
+    pub publications_us: PerStage,
+    /// How late the robot woke for a scan.
+    pub robot_lateness_us: Figures,
+    /// How late a process wakes that does nothing else, measured before the run.
+    pub wake_up_noise_us: Figures,
+    /// What the stamps of one stage cost for one scan.
+    pub stamps_us_per_stage: f64,
+    /// Difference to another run like this that `bench compare` would see nine times in ten; null for too short a run.
+    pub smallest_visible_us: Smallest,
+    /// The machine.
+    pub machine: Machine,
+    /// Scans of a stretch of the run.
+    pub interval_scans: u64,
+    /// Lines of a HdrHistogram log: all series in stretches of the run [ns].
+    pub intervals: Vec<String>,
+}
+
+/// Smallest differences that would be seen [us].
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub(crate) struct Smallest {
+    /// Of the medians of scan to actuation.
+    pub p50: Option<f64>,
+    /// Of its 99 %.
+    pub p99: Option<f64>,
+}

@@ -1,0 +1,250 @@
+//! One configuration of the solver and what it took for the cases so far.
+
+use std::time::{Duration, Instant};
+
+use nmpc::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Trajectory};
+use report::figures::{Distribution, Figures};
+use serde::Serialize;
+use shared_types::SolveStatus;
+
+/// Timed solves per case, whose median counts; one before them warms caches and buffers up and does not count. The
+/// median of three keeps out what the system does to a single one, for us and for the peers alike.
+pub(super) const REPEATS: usize = 3;
+/// A first solve that took longer than this counts itself: what warm caches change is small against it.
+const SLOW: Duration = Duration::from_millis(10);
+/// Time that a configuration may take for all cases. One that takes longer leaves out cases, evenly over all of them: the
+/// interior point with 96 intervals would take minutes.
+const BUDGET: Duration = Duration::from_secs(8);
+
+/// A solver with its tallies.
+pub(super) struct Contender {
+    solver: Solver,
+    solution: Solution,
+    intervals: usize,
+    cases: u64,
+    converged: u64,
+    step: Distribution,
+    feedback: Distribution,
+    solve: Distribution,
+    iterations: Distribution,
+    allocations: u64,
+    spent: Duration,
+}
+
+/// What is printed of a contender.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Row {
+    /// Of the solver of the quadratic programs.
+    pub name: String,
+    /// Of the quadratic programs.
+    pub hessian: String,
+    /// Whether steps are refined by Newton's method on the active set.
+    pub refine: bool,
+    /// Number of intervals.
+    pub n: usize,
+    /// `condensed` to the controls, or stage by stage: `stages`.
+    pub layout: &'static str,
+    /// How many cases it was measured on; less than all where it would take too long.
+    pub cases: u64,
+    /// How many of them it converged in.
+    pub converged: u64,
+    /// How many it did not.
+    pub failed: u64,
+    /// One SQP iteration from the warm start [us].
+    pub step_us: Figures,
+    /// What is left of it when the initial state arrives [us].
+    pub feedback_us: Figures,
+    /// Converged solve [us].
+    pub solve_us: Figures,
+    /// SQP iterations of a converged solve.
+    pub iterations: Figures,
+    /// Most heap allocations of a solve; `None` where they are not counted.
+    pub allocations: Option<u64>,
+}
+
+impl Contender {
+    pub(super) fn new(settings: SolverSettings, intervals: usize) -> Self {
+        Self {
+            solver: Solver::new(settings),
+            solution: Solution::default(),
+            intervals,
+            cases: 0,
+            converged: 0,
+            step: Distribution::of_times(),
+            feedback: Distribution::of_times(),
+            solve: Distribution::of_times(),
+            iterations: Distribution::of_counts(),
+            allocations: 0,
+            spent: Duration::ZERO,
+        }
+    }
+
+    /// All configurations that are compared with `intervals` intervals: each Hessian with each QP solver, and with the
+    /// published number of intervals the classic methods without refinement as well.
+    pub(super) fn all(intervals: usize) -> Vec<Self> {
+        let mut all = Vec::new();
+        for refine in [true, false] {
+            for qp in [QpChoice::ActiveSet, QpChoice::Clarabel] {
+                for hessian in [Hessian::GaussNewton, Hessian::Bfgs, Hessian::Exact] {
+                    if refine || (intervals == 6 && qp == QpChoice::ActiveSet) {
+                        let settings = SolverSettings { hessian, qp, refine, ..SolverSettings::default() };
+                        all.push(Self::new(settings, intervals));
+                    }
+                }
+            }
+        }
+        all
+    }
+
+    /// Whether it has the settings of the controller.
+    pub(super) fn is_default(&self) -> bool {
+        *self.solver.settings() == SolverSettings::default()
+    }
+
+    /// Whether the case after this share of all cases is left out, because the time for that share is used up.
+    pub(super) fn leaves_out(&self, share: f64) -> bool {
+        self.spent > BUDGET.mul_f64(share.clamp(0.0, 1.0)) && self.cases > 0 && !self.is_default()
+    }
+
+    /// Measures one case; the converged solution where there is one.
+    pub(super) fn measure(&mut self, problem: &Problem, guess: &Trajectory) -> Option<&Solution> {
+        self.cases += 1;
+        let started = Instant::now();
+        let (step_ns, _) = self.timed(problem, guess, &Budget::Iterations(1));
+        self.step.record(step_ns);
+        let (solve_ns, allocations) = self.timed(problem, guess, &Budget::Iterations(u32::MAX));
+        self.allocations = self.allocations.max(allocations);
+        self.measure_feedback(problem, guess);
+        let converged = self.solution.status == SolveStatus::Converged;
+        if converged {
+            self.converged += 1;
+            self.solve.record(solve_ns);
+            self.iterations.record(u64::from(self.solution.iterations));
+        }
+        self.spent += started.elapsed();
+        converged.then_some(&self.solution)
+    }
+
+    /// The median time of the feedback phase, prepared at a state that was predicted a millimetre off.
+    fn measure_feedback(&mut self, problem: &Problem, guess: &Trajectory) {
+        let mut predicted = problem.clone();
+        predicted.initial.y += 1e-3;
+        let mut times = [0; REPEATS];
+        for time in &mut times {
+            if !self.solver.prepare(&predicted, guess) {
+                return;
+            }
+            let started = Instant::now();
+            let control = self.solver.feedback(&predicted, &problem.initial);
+            let elapsed = started.elapsed();
+            if std::hint::black_box(control).is_none() {
+                return;
+            }
+            *time = nanoseconds(elapsed);
+            if elapsed > SLOW {
+                self.feedback.record(nanoseconds(elapsed));
+                return;
+            }
+        }
+        times.sort_unstable();
+        self.feedback.record(times[REPEATS / 2]);
+    }
+
+    /// Nanoseconds of a solve, and how many allocations the last one made.
+    fn timed(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (u64, u64) {
+        let mut times = [0; REPEATS];
+        let (first, mut allocations) = self.once(problem, guess, budget);
+        if first > SLOW {
+            return (nanoseconds(first), allocations);
+        }
+        for time in &mut times {
+            let (elapsed, counted) = self.once(problem, guess, budget);
+            (*time, allocations) = (nanoseconds(elapsed), counted);
+        }
+        times.sort_unstable();
+        (times[REPEATS / 2], allocations)
+    }
+
+    fn once(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (Duration, u64) {
+        let before = runtime::allocations();
+        let started = Instant::now();
+        self.solver.solve_into(problem, guess, budget, &mut self.solution);
+        let elapsed = started.elapsed();
+        std::hint::black_box(&self.solution);
+        (elapsed, runtime::allocations() - before)
+    }
+
+    pub(super) fn row(&self) -> Row {
+        let settings = self.solver.settings();
+        Row {
+            name: name_of(&settings.qp),
+            hessian: name_of(&settings.hessian),
+            refine: settings.refine,
+            n: self.intervals,
+            layout: if settings.qp == QpChoice::ActiveSet && self.intervals > settings.condense_up_to {
+                "stages"
+            } else {
+                "condensed"
+            },
+            cases: self.cases,
+            converged: self.converged,
+            failed: self.cases - self.converged,
+            step_us: self.step.figures(),
+            feedback_us: self.feedback.figures(),
+            solve_us: self.solve.figures(),
+            iterations: self.iterations.figures(),
+            allocations: runtime::counts_allocations().then_some(self.allocations),
+        }
+    }
+}
+
+fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}
+
+/// The name that a settings file has for a choice.
+fn name_of(choice: &impl Serialize) -> String {
+    serde_json::to_value(choice).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::problem::{Case, guess, problem};
+    use super::*;
+    use nmpc::Collocation;
+
+    #[test]
+    fn a_case_that_converges_is_counted_with_its_iterations_and_times() {
+        let problem = problem(&Case::default(), 6);
+        let mut contender = Contender::new(SolverSettings::default(), 6);
+        assert!(contender.is_default());
+        let start = guess(&problem, &Collocation::new(SolverSettings::default().scheme), None);
+        assert!(contender.measure(&problem, &start).is_some());
+        let row = contender.row();
+        assert_eq!((row.name.as_str(), row.n, row.converged, row.failed), ("active-set", 6, 1, 0));
+        assert!(row.solve_us.count == 1 && row.step_us.count == 1 && row.iterations.max >= 1.0);
+        // The tests run with the plain allocator.
+        assert_eq!(row.allocations, None);
+    }
+
+    #[test]
+    fn a_slow_configuration_leaves_cases_out_and_the_default_one_never() {
+        let mut slow =
+            Contender::new(SolverSettings { qp: QpChoice::Clarabel, ..SolverSettings::default() }, 6);
+        assert!(!slow.leaves_out(0.0), "the first case is never left out");
+        (slow.cases, slow.spent) = (1, BUDGET / 2);
+        assert!(slow.leaves_out(0.4) && !slow.leaves_out(0.6));
+        let mut default = Contender::new(SolverSettings::default(), 6);
+        (default.cases, default.spent) = (1, 2 * BUDGET);
+        assert!(!default.leaves_out(0.5));
+    }
+
+    #[test]
+    fn a_case_that_means_nothing_is_a_failure() {
+        let mut problem = problem(&Case::default(), 6);
+        problem.initial.y = f64::NAN;
+        let mut contender = Contender::new(SolverSettings::default(), 6);
+        assert!(contender.measure(&problem, &Trajectory::default()).is_none());
+        assert_eq!((contender.row().converged, contender.row().failed), (0, 1));
+    }
+}

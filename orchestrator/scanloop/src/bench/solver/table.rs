@@ -1,0 +1,128 @@
+//! What the benchmark found, for people.
+
+use std::fmt::Write as _;
+
+use report::figures::Figures;
+
+use super::Results;
+use super::versus::SAME;
+
+/// Listed cases with another optimum at most; JSON has all.
+const LISTED: usize = 10;
+
+pub(super) fn text(results: &Results) -> String {
+    let mut text = format!("cases      {}", results.cases);
+    let _ = match results.start {
+        "warm" => writeln!(
+            text,
+            " in {} laps; start: the solution of the scan before, moved on by 0.1 s (first of a lap: straight on)",
+            results.laps
+        ),
+        _ => writeln!(text, ", no column `lap`; start: straight on at 0.9 m/s for every case"),
+    };
+    text += "times      microseconds, median / 99 % / largest; per case the median of 3 after one that does not count\n\n";
+    let _ = writeln!(
+        text,
+        "{:<26} {:>3} {:>9}   {:<22} {:<22} {:<24} {:<14} allocations",
+        "QP solver, Hessian", "N", "converged", "SQP step", "feedback", "converged solve", "iterations"
+    );
+    for row in &results.solvers {
+        let marks = format!(
+            "{}{}",
+            if row.layout == "stages" { " +" } else { "" },
+            if row.refine { "" } else { " *" }
+        );
+        let name = format!("{}, {}{marks}", row.name, row.hessian);
+        let _ = writeln!(
+            text,
+            "{name:<26} {:>3} {:>9}   {:<22} {:<22} {:<24} {:<14} {}",
+            row.n,
+            format!("{}/{}", row.converged, row.cases),
+            times(&row.step_us),
+            times(&row.feedback_us),
+            times(&row.solve_us),
+            format!("{} / {} / {}", row.iterations.p50, row.iterations.p99, row.iterations.max),
+            row.allocations.map_or("not counted".to_owned(), |count| count.to_string()),
+        );
+    }
+    if results.solvers.iter().any(|row| !row.refine) {
+        text += "* without refinement by Newton's method on the active set (`refine = false`)\n";
+    }
+    if results.solvers.iter().any(|row| row.layout == "stages") {
+        text += "+ stage by stage, not condensed\n";
+    }
+    if results.solvers.iter().any(|row| row.cases < results.cases as u64) {
+        text += "fewer cases where all of them would take too long, spread evenly\n";
+    }
+    if !results.growth.is_empty() {
+        text += "\ngrowth with N from N = 24 on, of the medians and of the 99 % of a solve: us = a + b N, and us ~ N^e\n";
+    }
+    for growth in &results.growth {
+        for (what, fit) in [("step", growth.step), ("solve", growth.solve), ("99 %", growth.solve_p99)] {
+            let Some(fit) = fit else { continue };
+            let name = format!("{}, {}", growth.name, growth.hessian);
+            let _ = writeln!(
+                text,
+                "{name:<26} {what:<6} a = {:.1}, b = {:.2}, share explained {:.4}, e = {:.2}",
+                fit.intercept_us, fit.slope_us, fit.r_squared, fit.exponent
+            );
+        }
+    }
+    if let Some(about) = &results.about_peers {
+        let evaluation = if about.compiled { "compiled C" } else { "not compiled: no C compiler" };
+        let _ = writeln!(text, "\npeers      CasADi {}, {evaluation}", about.version);
+    }
+    for row in &results.peers {
+        let _ = writeln!(
+            text,
+            "{:<26} {:>3} {:>9}   {:<24} {} / {} / {} iterations; {:.0} times ours at the median, {:.0} at 99 %{}",
+            row.name,
+            row.n,
+            format!("{}/{}", row.converged, row.converged + row.failed),
+            times(&row.solve_us),
+            row.iterations.p50,
+            row.iterations.p99,
+            row.iterations.max,
+            row.ratio_p50,
+            row.ratio_p99,
+            row.ratio_acados_p50.map_or(String::new(), |ratio| format!(
+                "; acados by the stored ratio: {ratio:.1} times ours"
+            )),
+        );
+        let _ = writeln!(
+            text,
+            "{:<26} same optimum in {}, controls within {:.1e} (as stopped {:.1e}); another one (over {SAME:.0e}) in {}",
+            "",
+            row.same,
+            row.largest_difference,
+            row.largest_difference_as_stopped,
+            row.others.len()
+        );
+        for other in row.others.iter().take(LISTED) {
+            let _ = writeln!(
+                text,
+                "{:<26}   line {}: controls differ by {:.1e}, objective {:.6} ours, {:.6} its",
+                "", other.line, other.difference, other.objective, other.peer_objective
+            );
+        }
+        if row.others.len() > LISTED {
+            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", row.others.len() - LISTED);
+        }
+    }
+    for skipped in &results.skipped {
+        let _ = writeln!(text, "\nskipped    {}: {}", skipped.name, skipped.reason);
+    }
+    text
+}
+
+fn times(figures: &Figures) -> String {
+    if figures.count == 0 {
+        return "-".to_owned();
+    }
+    format!("{} / {} / {}", short(figures.p50), short(figures.p99), short(figures.max))
+}
+
+/// One digit behind the point below a hundred, none above.
+fn short(value: f64) -> String {
+    if value < 100.0 { format!("{value:.1}") } else { format!("{value:.0}") }
+}

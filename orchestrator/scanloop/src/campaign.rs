@@ -1,0 +1,200 @@
+//! `scanloop campaign`: many random courses through the pipeline, and which of them went wrong.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc;
+
+use anyhow::Context;
+use console::exit::Exit;
+use console::note;
+use console::output::data;
+use console::progress::Steps;
+use emulator::course::{Family, of_campaign};
+use emulator::{Outcome, Scenario, feasible};
+use pipeline::Settings;
+use report::NO_OBSTACLE_M;
+use serde::Serialize;
+
+use crate::cli::CampaignArguments;
+
+/// How one course ended.
+#[derive(Debug, Clone)]
+struct Run {
+    seed: u64,
+    family: Family,
+    passable: bool,
+    outcome: Outcome,
+    reason: String,
+    time_s: f64,
+    min_clearance_m: f64,
+}
+
+/// A course that did not end as it should.
+#[derive(Debug, Clone, Serialize)]
+struct Bad {
+    seed: u64,
+    family: &'static str,
+    outcome: Outcome,
+    reason: String,
+    scenario: PathBuf,
+}
+
+/// What a campaign found.
+#[derive(Debug, Clone, Default, Serialize)]
+struct Summary {
+    runs: u64,
+    reached: u64,
+    missed: u64,
+    stopped: u64,
+    timeout: u64,
+    collision: u64,
+    passable: u64,
+    passable_reached: u64,
+    blocked: u64,
+    blocked_stopped: u64,
+    min_clearance_m: f64,
+    time_to_goal_s: BTreeMap<&'static str, f64>,
+    families: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
+    bad: Vec<Bad>,
+}
+
+/// Drives the courses and prints how they ended; exit code 3 when one collided, 1 when another was bad.
+///
+/// # Errors
+/// Errors of the file system.
+pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
+    let runs = drive_all(arguments)?;
+    let summary = summarise(&runs, arguments)?;
+    note!("{}", text(&summary));
+    if arguments.json {
+        data(&serde_json::to_string_pretty(&summary)?)?;
+    }
+    Ok(match (summary.collision, summary.bad.is_empty()) {
+        (0, true) => Exit::Done,
+        (0, false) => Exit::NotReached,
+        _ => Exit::Collision,
+    })
+}
+
+fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
+    let mut steps = Steps::new(arguments.runs, "courses");
+    let next = AtomicU64::new(0);
+    let (sender, receiver) = mpsc::channel();
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let mut runs = std::thread::scope(|scope| {
+        for _ in 0..workers {
+            let (sender, next) = (sender.clone(), &next);
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    if index >= arguments.runs
+                        || sender.send(drive(arguments.seed.wrapping_add(index))).is_err()
+                    {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        receiver.iter().inspect(|_| steps.step("")).collect::<anyhow::Result<Vec<Run>>>()
+    })?;
+    runs.sort_by_key(|run| run.seed);
+    Ok(runs)
+}
+
+fn drive(seed: u64) -> anyhow::Result<Run> {
+    let (family, scenario) = of_campaign(seed);
+    let passable = feasible::passable(&scenario);
+    let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
+    let drive = pipeline::drive(&Settings::of(scenario), |step| {
+        (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
+    })?;
+    Ok(Run { seed, family, passable, outcome: drive.outcome, reason: drive.reason, time_s, min_clearance_m })
+}
+
+fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summary> {
+    let mut summary =
+        Summary { runs: runs.len() as u64, min_clearance_m: NO_OBSTACLE_M, ..Summary::default() };
+    let mut times: Vec<f64> = Vec::new();
+    for run in runs {
+        match run.outcome {
+            Outcome::Reached => summary.reached += 1,
+            Outcome::Missed => summary.missed += 1,
+            Outcome::Stopped => summary.stopped += 1,
+            Outcome::Collision => summary.collision += 1,
+            Outcome::Timeout | Outcome::Interrupted | Outcome::Failed => summary.timeout += 1,
+        }
+        summary.min_clearance_m = summary.min_clearance_m.min(run.min_clearance_m);
+        *summary.families.entry(run.family.name()).or_default().entry(run.outcome.name()).or_default() += 1;
+        if run.outcome == Outcome::Reached {
+            times.push(run.time_s);
+        }
+        let bad = match run.family {
+            Family::Plain | Family::Symmetric if run.passable => {
+                summary.passable += 1;
+                summary.passable_reached += u64::from(run.outcome == Outcome::Reached);
+                run.outcome != Outcome::Reached
+            }
+            Family::Blocked if !run.passable => {
+                summary.blocked += 1;
+                summary.blocked_stopped += u64::from(run.outcome == Outcome::Stopped);
+                run.outcome != Outcome::Stopped
+            }
+            // What appears late or moves may be passed or stopped for.
+            _ => !matches!(run.outcome, Outcome::Reached | Outcome::Stopped),
+        };
+        if bad {
+            summary.bad.push(keep(run, arguments)?);
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    if let (Some(first), Some(last)) = (times.first(), times.last()) {
+        summary.time_to_goal_s =
+            BTreeMap::from([("min", *first), ("p50", times[times.len() / 2]), ("max", *last)]);
+    }
+    Ok(summary)
+}
+
+/// Writes the scenario of a bad course, so that `scanloop run FILE` shows it.
+fn keep(run: &Run, arguments: &CampaignArguments) -> anyhow::Result<Bad> {
+    let (family, scenario): (Family, Scenario) = of_campaign(run.seed);
+    std::fs::create_dir_all(&arguments.out).with_context(|| format!("--out {}", arguments.out.display()))?;
+    let path = arguments.out.join(format!("{}.toml", scenario.name));
+    std::fs::write(&path, scenario.to_toml()).with_context(|| format!("{}", path.display()))?;
+    Ok(Bad {
+        seed: run.seed,
+        family: family.name(),
+        outcome: run.outcome,
+        reason: run.reason.clone(),
+        scenario: path,
+    })
+}
+
+fn text(summary: &Summary) -> String {
+    let Summary { runs, reached, missed, stopped, timeout, collision, .. } = summary;
+    let mut text = format!(
+        "courses         {runs}: {reached} reached, {stopped} stopped, {missed} missed, {timeout} timeout, {collision} collision\n"
+    );
+    let _ = writeln!(text, "passable        {} of {} reached", summary.passable_reached, summary.passable);
+    let _ = writeln!(text, "closed          {} of {} stopped", summary.blocked_stopped, summary.blocked);
+    let _ = writeln!(text, "clearance       smallest {:.3} m", summary.min_clearance_m);
+    for (family, outcomes) in &summary.families {
+        let counts: Vec<String> =
+            outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();
+        let _ = writeln!(text, "  {family:<13} {}", counts.join(", "));
+    }
+    for bad in &summary.bad {
+        let _ = writeln!(
+            text,
+            "bad             seed {} ({}): {}, {}; scanloop run --lockstep {}",
+            bad.seed,
+            bad.family,
+            bad.outcome,
+            bad.reason,
+            bad.scenario.display()
+        );
+    }
+    text
+}

@@ -1,0 +1,102 @@
+//! `scanloop check`: validates files and prints the graph of processes and topics.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use console::user_file::{self, TEXT_BYTES};
+use emulator::Scenario;
+use plan::Choice;
+use plan::Plan;
+use plan::system::System;
+use runtime::printable;
+use shared_types::{Role, TOPICS, Topic};
+use toml::Table;
+
+use crate::cli::CheckArguments;
+
+/// Validates all files named, or the default scenario and system, and prints the graph.
+///
+/// # Errors
+/// The first file that is not allowed, with key, value and range; exit code 2.
+pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
+    if arguments.list {
+        data(&Scenario::names().collect::<Vec<_>>().join("\n"))?;
+        return Ok(Exit::Done);
+    }
+    let mut choice = arguments.choice.clone();
+    let mut scenarios = Vec::new();
+    for file in &arguments.files {
+        if is_system(file)? {
+            choice.system = Some(PathBuf::from(file));
+            Plan::read(None, &Choice { overrides: Vec::new(), ..choice.clone() })?;
+            note!("{file}: a valid system");
+        } else {
+            scenarios.push(file.as_str());
+        }
+    }
+    let mut plan = None;
+    for scenario in &scenarios {
+        let checked = Plan::read(Some(scenario), &choice)?;
+        note!(
+            "{scenario}: a valid scenario, {} obstacles, goal at ({}, {})",
+            checked.scenario.placed_obstacles().len(),
+            checked.scenario.goal.x_m,
+            checked.scenario.goal.y_m
+        );
+        plan = Some(checked);
+    }
+    let plan = match plan {
+        Some(plan) => plan,
+        None => Plan::read(None, &choice)?,
+    };
+    data(&printable(&graph(&plan.system)))?;
+    Ok(Exit::Done)
+}
+
+/// The processes in the order of the data flow, each with what it reads and writes.
+pub(crate) fn graph(system: &System) -> String {
+    let mut text = format!("{} Hz, {} processes\n", system.rate_hz, system.processes.len());
+    for role in Role::ALL {
+        let label = system.entry(*role).map_or_else(String::new, |entry| entry.label());
+        let _ = writeln!(
+            text,
+            "  {:<22} -> [{} = {label}] -> {}",
+            names(role.reads()),
+            role.name(),
+            names(role.writes())
+        );
+    }
+    let latched: Vec<Topic> = TOPICS.into_iter().filter(|topic| topic.writer().is_none()).collect();
+    let _ = writeln!(text, "  beside the loop: {}, truth", names(&latched));
+    text
+}
+
+fn names(topics: &[Topic]) -> String {
+    topics.iter().map(|topic| topic.name()).collect::<Vec<_>>().join(", ")
+}
+
+/// A file with processes or a rate is a system; anything else, and every shipped name, is a scenario.
+fn is_system(file: &str) -> anyhow::Result<bool> {
+    let path = Path::new(file);
+    if !path.is_file() && Scenario::shipped(file).is_some() {
+        return Ok(false);
+    }
+    let text =
+        user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
+    // What is no TOML is reported as a scenario, with the line.
+    let Ok(table) = text.parse::<Table>() else { return Ok(false) };
+    let system_keys = [
+        "process",
+        "rate_hz",
+        "orphan_timeout_s",
+        "orphan_stop_s",
+        "estimator",
+        "obstacles",
+        "controller",
+        "actuator",
+    ];
+    Ok(table.keys().any(|key| system_keys.contains(&key.as_str())))
+}

@@ -1,0 +1,100 @@
+//! The commands of the executable `scanloop`: each reads its arguments, asks the crates below, and prints.
+
+pub mod analyse;
+pub mod bench;
+pub mod calibrate;
+mod campaign;
+mod check;
+pub mod cli;
+mod live_latency;
+mod remote;
+mod service;
+pub mod shadow;
+mod stop;
+mod topic;
+mod types;
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser;
+use console::exit::{Exit, exit_of};
+use console::limits;
+use console::output::data;
+use session::{adopt, run};
+
+use cli::{Cli, Command, TopicCommand};
+
+/// A terminal that is read takes the summary within microseconds; for one that is not, no command waits for longer.
+const FLUSH_LIMIT: Duration = Duration::from_millis(300);
+
+/// Runs the command line and returns its exit code.
+pub fn main() -> ExitCode {
+    limits::keep_own_rights();
+    let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
+        runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
+        exit_of(&error)
+    });
+    runtime::flush_terminal(FLUSH_LIMIT);
+    ExitCode::from(exit as u8)
+}
+
+/// In a frame of its own, which a small stack has no room for.
+#[inline(never)]
+fn parse_and_run() -> anyhow::Result<Exit> {
+    let cli = Cli::parse();
+    if matches!(
+        cli.command,
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)
+    ) {
+        limits::require_open_files()?;
+    }
+    if matches!(cli.command, Command::Run(_) | Command::Adopt(_) | Command::Bench(_)) {
+        runtime::start_terminal();
+    }
+    dispatch(&cli)
+}
+
+fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
+    let domain = || supervision::runs::existing(&cli.system_id);
+    match &cli.command {
+        Command::Run(arguments) => {
+            runtime::start_logging();
+            run::run(&cli.system_id, arguments)
+        }
+        Command::Adopt(arguments) => {
+            runtime::start_logging();
+            adopt::adopt(&cli.system_id, arguments)
+        }
+        Command::Calibrate(arguments) => calibrate::calibrate(arguments),
+        Command::Campaign(arguments) => campaign::campaign(arguments),
+        Command::Bench(command) => {
+            runtime::start_logging();
+            bench::bench(&cli.system_id, command)
+        }
+        Command::Check(arguments) => check::check(arguments),
+        Command::Analyse(command) => analyse::analyse(command),
+        Command::Status { json } => remote::status(&domain()?, *json),
+        Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
+        Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
+        Command::Restart { role } => remote::restart(&cli.system_id, role),
+        Command::Swap(arguments) => remote::swap(&cli.system_id, arguments),
+        Command::Conformance(arguments) => conformance::conformance(arguments),
+        Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
+        Command::Service { name } => service::run(name),
+        Command::Topic(TopicCommand::List) => {
+            data(&topic::list())?;
+            Ok(Exit::Done)
+        }
+        Command::Topic(TopicCommand::Hz { topic, duration }) => {
+            topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
+        }
+        Command::Topic(TopicCommand::Echo { topic, count, short }) => {
+            topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
+        }
+        Command::Types(arguments) => {
+            data(&types::print(arguments))?;
+            Ok(Exit::Done)
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! `scanloop latency`: the way of each scan, read from the headers of the actuations on the bus.
+
+use console::exit::Exit;
+use console::note;
+use console::output::data;
+use report::latency::Latencies;
+use report::summary::latency_table;
+use runtime::{Bus, Observer, Shutdown, monotonic_ns, wait_for};
+use session::arguments::check_duration;
+use session::control::{Reply, Request, ask};
+use shared_types::Actuation;
+
+/// Longest sleep between two looks: of actuations 256 wait, a quarter of a second at 1 kHz.
+const LOOK_NS: u64 = 20_000_000;
+/// Time between two tables.
+const TABLE_NS: u64 = 1_000_000_000;
+
+/// Prints the latencies of each second, and those of the whole time at the end.
+///
+/// # Errors
+/// A time that is not allowed or a system that is not running (exit code 2), and errors of the bus.
+pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Result<Exit> {
+    check_duration(Some(duration_s))?;
+    let domain = &supervision::runs::existing(system_id)?;
+    let Reply::Status(status) = ask(domain, &Request::Status)? else {
+        anyhow::bail!("the orchestrator did not answer with a status");
+    };
+    let shutdown = Shutdown::on_signals()?;
+    let bus = Bus::open(domain, "observer")?;
+    let actuations = Observer::<Actuation>::new(&bus)?;
+    let (mut all, mut second) = (Latencies::new(status.lockstep), Latencies::new(status.lockstep));
+    let started = monotonic_ns();
+    let end = started.saturating_add((duration_s * 1e9) as u64);
+    let mut next = started + TABLE_NS;
+    while monotonic_ns() < end && !shutdown.requested() {
+        wait_for(&[shutdown.descriptor()], LOOK_NS);
+        actuations.poll(|actuation| {
+            if actuation.answers == 1 {
+                all.record(&actuation.header);
+                second.record(&actuation.header);
+            }
+        })?;
+        if monotonic_ns() >= next {
+            next += TABLE_NS;
+            note!("{}", latency_table(&second.report()));
+            second = Latencies::new(status.lockstep);
+        }
+    }
+    note!("system {}, {}, whole time:", status.system_id, status.scenario);
+    note!("{}", latency_table(&all.report()));
+    if json {
+        data(&serde_json::to_string_pretty(&serde_json::json!({ "latency_us": all.report() }))?)?;
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,149 @@
+//! `scanloop shadow`: asks a running system to let a process run in the shadow, and prints what became of it.
+
+use std::time::Duration;
+
+use clap::Args;
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use runtime::Shutdown;
+use session::control::{Reply, Request, ShadowRequest, ask};
+use shared_types::Role;
+
+use crate::remote::from_here;
+
+/// Time between two looks at a shadow [ns].
+const LOOK_NS: u64 = 50_000_000;
+/// How long a shadow runs when nothing is said.
+const DEFAULT: Duration = Duration::from_secs(30);
+/// Shortest and longest time that can be asked for.
+const RANGE: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(24 * 3600)];
+
+/// Arguments of `shadow`.
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("beside").required(true))]
+pub struct ShadowArguments {
+    /// robot, estimator, obstacles, controller or actuator.
+    pub role: String,
+    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    #[arg(long, value_name = "IMPLEMENTATION", group = "beside")]
+    pub to: Option<String>,
+    /// How long, 1s to 24h: 30s, 1500ms, 2m, 1h; a bare number is seconds. Default 30s. May stand at the very end.
+    #[arg(long = "for", value_name = "TIME", value_parser = duration_of)]
+    pub duration: Option<Duration>,
+    /// Print the report as JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Any program that could fill the role, with its arguments.
+    #[arg(last = true, value_name = "COMMAND", group = "beside")]
+    pub command: Vec<String>,
+}
+
+/// Lets a process run in the shadow and prints the report; Ctrl-C ends it early.
+///
+/// # Errors
+/// An unknown role or implementation, a system that is not running, does not drive, runs in lock-step or has a
+/// process beside that role already; exit code 2.
+pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Exit> {
+    let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
+    let (command, duration) = split(&arguments.command, arguments.duration)?;
+    if command.is_empty() && arguments.to.is_none() {
+        return Err(Failure::bad_input("a command is missing after `--`"));
+    }
+    let domain = &supervision::runs::existing(system_id)?;
+    let shutdown = Shutdown::on_signals()?;
+    let request = ShadowRequest {
+        role: role.name().to_owned(),
+        implementation: arguments.to.clone(),
+        command: (!command.is_empty()).then(|| from_here(command)),
+        duration_ms: duration.as_millis() as u64,
+    };
+    let number = match ask(domain, &Request::Shadow(request))? {
+        Reply::Accepted(number) => number,
+        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
+        _ => anyhow::bail!("the orchestrator did not answer the request"),
+    };
+    let mut told = false;
+    let report = loop {
+        if shutdown.requested() && !told {
+            told = true;
+            ask(domain, &Request::ShadowEnd { number })?;
+        }
+        match ask(domain, &Request::ShadowResult { number }) {
+            Ok(Reply::Shadow(report)) => break report,
+            Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
+            Ok(_) => {
+                let signal = [shutdown.descriptor()];
+                runtime::wait_for(if told { &[] } else { &signal }, LOOK_NS);
+            }
+            Err(error) => {
+                note!("the system ended before the shadow did: {error:#}");
+                return Ok(Exit::NotReached);
+            }
+        }
+    };
+    if arguments.json {
+        data(&serde_json::to_string_pretty(&report)?)?;
+    }
+    note!("{report}");
+    Ok(if report.outcome.is_good() { Exit::Done } else { Exit::NotReached })
+}
+
+/// The command without `--for TIME` at its very end, which is ours unless it was said before.
+fn split(command: &[String], duration: Option<Duration>) -> anyhow::Result<(&[String], Duration)> {
+    match (command, duration) {
+        (_, Some(duration)) => Ok((command, duration)),
+        ([command @ .., option, time], None) if option == "--for" => {
+            let duration =
+                duration_of(time).map_err(|reason| Failure::bad_input(format!("--for {reason}")))?;
+            Ok((command, duration))
+        }
+        _ => Ok((command, DEFAULT)),
+    }
+}
+
+/// A time with its unit.
+fn duration_of(text: &str) -> Result<Duration, String> {
+    let allowed = || format!("{text} is not allowed: 1s to 24h, as 30s, 1500ms, 2m or 1h");
+    let digits = text.find(|letter: char| !letter.is_ascii_digit() && letter != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let seconds = match unit {
+        "ms" => 1e-3,
+        "" | "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(allowed()),
+    };
+    let number: f64 = number.parse().map_err(|_| allowed())?;
+    let duration = Duration::try_from_secs_f64(number * seconds).map_err(|_| allowed())?;
+    if (RANGE[0]..=RANGE[1]).contains(&duration) { Ok(duration) } else { Err(allowed()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_units_and_a_range() {
+        for (text, seconds) in [("30s", 30.0), ("1500ms", 1.5), ("2m", 120.0), ("1h", 3600.0), ("7", 7.0)] {
+            assert_eq!(duration_of(text), Ok(Duration::from_secs_f64(seconds)), "{text}");
+        }
+        for text in ["", "s", "0.5s", "25h", "3 s", "-1s", "1.2.3s", "nan", "1e3"] {
+            assert!(duration_of(text).unwrap_err().contains("is not allowed: 1s to 24h"), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_time_may_stand_at_the_very_end() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let (all, ten) = (words("./c --fast --for 10s"), Duration::from_secs(10));
+        assert_eq!(split(&all, None).unwrap(), (&words("./c --fast")[..], ten));
+        assert_eq!(
+            split(&all, Some(DEFAULT)).unwrap(),
+            (&all[..], DEFAULT),
+            "said before, so this is its own"
+        );
+        assert_eq!(split(&words("./c"), None).unwrap().1, DEFAULT);
+        assert!(split(&words("./c --for ever"), None).is_err());
+    }
+}

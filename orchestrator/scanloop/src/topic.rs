@@ -1,0 +1,320 @@
+//! `scanloop topic list / hz / echo`, and `scanloop types`.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use console::exit::Failure;
+use console::output::data;
+use runtime::{Bus, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
+use serde_json::{Map, Value, json};
+use session::arguments::check_duration;
+use shared_types::{
+    Actuation, Checkpoint, Command, Directive, ENUMERATIONS, Field, Heartbeat, Kind, Obstacles, Odometry,
+    Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
+};
+
+/// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
+const LOOK_NS: u64 = 20_000_000;
+
+/// Arrays of bytes up to this length hold texts [bytes].
+const LONGEST_TEXT: usize = 64;
+
+/// The table of topics as text.
+pub(crate) fn list() -> String {
+    let mut text = String::from("topic       bytes  writer        readers                type\n");
+    for topic in TOPICS {
+        let readers: Vec<&str> =
+            Role::ALL.iter().filter(|role| role.reads().contains(&topic)).map(|role| role.name()).collect();
+        let writer = match topic {
+            Topic::Directive => "orchestrator",
+            Topic::Heartbeat | Topic::Checkpoint => "all",
+            _ => topic.writer().map_or("-", Role::name),
+        };
+        let readers = match topic {
+            Topic::Directive => "all".to_owned(),
+            _ if readers.is_empty() => "orchestrator".to_owned(),
+            _ => readers.join(", "),
+        };
+        let _ = writeln!(
+            text,
+            "{:<10} {:>6}  {writer:<12}  {readers:<21}  {}",
+            topic.name(),
+            topic.size(),
+            topic.type_name()
+        );
+    }
+    text
+}
+
+/// All samples as Markdown: one table per topic.
+pub(crate) fn markdown() -> String {
+    let mut text = String::from("# Topics and their samples\n");
+    for topic in TOPICS {
+        let _ = writeln!(
+            text,
+            "\n## {topic}\n\n`{}`, {} bytes, published {}.",
+            topic.type_name(),
+            topic.size(),
+            topic.published()
+        );
+        field_table(&mut text, topic.fields());
+    }
+    let mut structs: Vec<(&str, &[Field])> = Vec::new();
+    for topic in TOPICS {
+        topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
+    }
+    for (name, fields) in structs {
+        let _ = writeln!(text, "\n## struct {name}");
+        field_table(&mut text, fields);
+    }
+    text
+}
+
+fn field_table(text: &mut String, fields: &[Field]) {
+    let _ = writeln!(text, "\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
+    for Field { name, doc, offset, kind } in fields {
+        let _ = writeln!(text, "| {offset} | `{name}` | {} | {doc} |", kind_name(kind));
+    }
+}
+
+/// Counts the samples of a topic and prints its rate once a second.
+///
+/// # Errors
+/// An unknown topic, or a system that is not running.
+pub(crate) fn hz(system_id: &str, topic: &str, duration_s: f64) -> anyhow::Result<()> {
+    check_duration(Some(duration_s))?;
+    let mut watch = Watch::open(system_id, topic)?;
+    let started = monotonic_ns();
+    let end = started + Duration::from_secs_f64(duration_s).as_nanos() as u64;
+    let (mut next, mut before) = (started + 1_000_000_000, 0);
+    while monotonic_ns() < end && watch.sleep() {
+        watch.look(&mut |_| true)?;
+        if monotonic_ns() >= next {
+            let rate_hz = (watch.seen - before) as f64;
+            if !data(&format!("{topic}: {rate_hz:.2} Hz, {} samples, {} lost", watch.seen, watch.lost))? {
+                return Ok(());
+            }
+            (next, before) = (next + 1_000_000_000, watch.seen);
+        }
+    }
+    let seconds = (monotonic_ns() - started) as f64 * 1e-9;
+    data(&format!("{topic}: {:.2} Hz on average over {seconds:.1} s", watch.seen as f64 / seconds))
+        .map(|_| ())
+}
+
+/// Prints samples of a topic as JSON lines.
+///
+/// # Errors
+/// An unknown topic, or a system that is not running.
+pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool) -> anyhow::Result<()> {
+    let mut watch = Watch::open(system_id, topic)?;
+    let mut left = count.unwrap_or(u64::MAX);
+    while left > 0 && watch.sleep() {
+        let fields = watch.topic.fields();
+        let mut written = Ok(true);
+        watch.look(&mut |bytes| {
+            if left > 0 {
+                written = data(&format!("{}", decode_struct(fields, bytes, short)));
+                left = if matches!(written, Ok(true)) { left - 1 } else { 0 };
+            }
+            left > 0
+        })?;
+        written?;
+    }
+    Ok(())
+}
+
+/// Gives the bytes of the next sample of a topic.
+type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
+
+/// A topic under observation, of whatever type.
+struct Watch {
+    topic: Topic,
+    next: NextSample,
+    shutdown: Shutdown,
+    seen: u64,
+    lost: u64,
+    last: (u32, u64),
+    _bus: Bus,
+}
+
+impl Watch {
+    fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
+        let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
+        let bus = Bus::open(&supervision::runs::existing(system_id)?, "observer")?;
+        fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
+            let observer = Observer::<S>::new(bus)?;
+            Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))
+        }
+        let next = match topic {
+            Topic::Scan => of::<Scan>(&bus),
+            Topic::Odometry => of::<Odometry>(&bus),
+            Topic::Pose => of::<Pose>(&bus),
+            Topic::Obstacles => of::<Obstacles>(&bus),
+            Topic::Command => of::<Command>(&bus),
+            Topic::Actuation => of::<Actuation>(&bus),
+            Topic::Heartbeat => of::<Heartbeat>(&bus),
+            Topic::Directive => of::<Directive>(&bus),
+            Topic::Checkpoint => of::<Checkpoint>(&bus),
+            Topic::Truth => of::<Truth>(&bus),
+        }?;
+        Ok(Self { topic, next, shutdown: Shutdown::on_signals()?, seen: 0, lost: 0, last: (0, 0), _bus: bus })
+    }
+
+    /// Sleeps until the next look; false when the user wants to end.
+    fn sleep(&self) -> bool {
+        wait_for(&[self.shutdown.descriptor()], LOOK_NS);
+        !self.shutdown.requested()
+    }
+
+    /// Hands the bytes of all samples that are there to `each` until it returns false.
+    fn look(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
+        while let Some(bytes) = (self.next)()? {
+            self.seen += 1;
+            let header: shared_types::Header =
+                bytemuck::pod_read_unaligned(&bytes[..size_of::<shared_types::Header>()]);
+            if self.topic.writer().is_some() {
+                if self.last.0 == header.incarnation && header.sequence > self.last.1 {
+                    self.lost += header.sequence - self.last.1 - 1;
+                }
+                self.last = (header.incarnation, header.sequence);
+            }
+            if !each(&bytes) {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn collect(kind: &'static Kind, structs: &mut Vec<(&'static str, &'static [Field])>) {
+    match kind {
+        Kind::Scalar(_) => {}
+        Kind::Array(element, _) => collect(element, structs),
+        Kind::Struct(name, fields) => {
+            if structs.iter().all(|(known, _)| known != name) {
+                structs.push((name, fields));
+                fields.iter().for_each(|field| collect(&field.kind, structs));
+            }
+        }
+    }
+}
+
+fn kind_name(kind: &Kind) -> String {
+    match kind {
+        Kind::Scalar(name) => format!("`{name}`"),
+        Kind::Array(element, length) => format!("{} x {length}", kind_name(element)),
+        Kind::Struct(name, _) => format!("[{name}](#struct-{})", name.to_lowercase()),
+    }
+}
+
+fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
+    let mut object = Map::new();
+    for field in fields {
+        let long = matches!(field.kind, Kind::Array(_, length) if length > 16 && !is_text(&field.kind));
+        if field.name != "reserved" && !(short && long) {
+            let (bytes, kind) = (&bytes[field.offset..], &field.kind);
+            let value = name_of(field, bytes).unwrap_or_else(|| decode(kind, bytes, short));
+            object.insert(field.name.to_owned(), value);
+        }
+    }
+    Value::Object(object)
+}
+
+/// The name of a number of an enumeration, which the documentation of its field names; `None` for one without a meaning.
+fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
+    if field.kind != Kind::Scalar("u32") {
+        return None;
+    }
+    let mut quoted = field.doc.split('`').skip(1).step_by(2);
+    let enumeration = quoted.find_map(|name| ENUMERATIONS.iter().find(|known| known.name == name))?;
+    let number = bytemuck::pod_read_unaligned::<u32>(&bytes[..4]);
+    enumeration.values.iter().find(|value| value.number == number).map(|value| json!(value.name))
+}
+
+fn is_text(kind: &Kind) -> bool {
+    matches!(kind, Kind::Array(Kind::Scalar("u8"), ..=LONGEST_TEXT))
+}
+
+fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {
+    match kind {
+        Kind::Array(_, length) if is_text(kind) => {
+            json!(String::from_utf8_lossy(&bytes[..*length]).trim_end_matches('\0'))
+        }
+        Kind::Scalar(name) => scalar(name, bytes),
+        Kind::Array(element, length) => {
+            let size = element.size();
+            (0..*length).map(|index| decode(element, &bytes[index * size..], short)).collect()
+        }
+        Kind::Struct(_, fields) => decode_struct(fields, bytes, short),
+    }
+}
+
+fn scalar(name: &str, bytes: &[u8]) -> Value {
+    match name {
+        "u8" => json!(bytes[0]),
+        "u16" => json!(bytemuck::pod_read_unaligned::<u16>(&bytes[..2])),
+        "u32" => json!(bytemuck::pod_read_unaligned::<u32>(&bytes[..4])),
+        "i32" => json!(bytemuck::pod_read_unaligned::<i32>(&bytes[..4])),
+        "u64" => json!(bytemuck::pod_read_unaligned::<u64>(&bytes[..8])),
+        _ => json!(bytemuck::pod_read_unaligned::<f64>(&bytes[..8])),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_of_all_descriptions_are_the_sizes_of_the_samples() {
+        for topic in TOPICS {
+            let last = topic.fields().last().unwrap();
+            assert_eq!(last.offset + last.kind.size(), topic.size(), "{topic}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_enumerations_have_names_and_unknown_ones_stay_numbers() {
+        let mut command = Command { kind: 1, reason: 8, level: 77, verified: 1, ..Command::default() };
+        let value = decode_struct(Command::FIELDS, bytemuck::bytes_of(&command), true);
+        assert_eq!((&value["kind"], &value["reason"]), (&json!("drive"), &json!("state_lost")));
+        assert_eq!((&value["level"], &value["verified"]), (&json!(77), &json!(1)));
+        command.kind = 2;
+        let value = decode_struct(Command::FIELDS, bytemuck::bytes_of(&command), true);
+        assert_eq!(value["kind"], json!("land"));
+        let mut heartbeat = Heartbeat { role: 4, state: 2, ..Heartbeat::default() };
+        heartbeat.refused[0].note(&command.header, &shared_types::Fault::NotVerified { value: 0 });
+        let value = decode_struct(Heartbeat::FIELDS, bytemuck::bytes_of(&heartbeat), true);
+        assert_eq!((&value["role"], &value["state"]), (&json!("actuator"), &json!("ready")));
+        let refused = &value["refused"][0];
+        assert_eq!((&refused["rule"], &refused["field"]), (&json!("not_verified"), &json!("verified")));
+    }
+
+    #[test]
+    fn every_enumeration_is_named_by_the_fields_that_hold_it() {
+        fn named(fields: &'static [Field], found: &mut Vec<&str>) {
+            for field in fields {
+                match &field.kind {
+                    Kind::Struct(_, inner) | Kind::Array(Kind::Struct(_, inner), _) => named(inner, found),
+                    _ if name_of(field, &[0; 4]).is_some() => found.extend(field.doc.split('`').nth(1)),
+                    _ => {}
+                }
+            }
+        }
+        let mut found = Vec::new();
+        TOPICS.iter().for_each(|topic| named(topic.fields(), &mut found));
+        for enumeration in ENUMERATIONS {
+            assert!(found.contains(&enumeration.name), "{}", enumeration.name);
+        }
+    }
+
+    #[test]
+    fn a_sample_is_decoded_field_by_field() {
+        let mut odometry = Odometry { x_m: 1.5, ..Odometry::default() };
+        odometry.header.scan_id = 9;
+        let value = decode_struct(Odometry::FIELDS, bytemuck::bytes_of(&odometry), false);
+        assert_eq!(value["x_m"], json!(1.5));
+        assert_eq!(value["header"]["scan_id"], json!(9));
+        assert_eq!(value["header"]["chain"].as_array().unwrap().len(), 5);
+    }
+}

@@ -1,0 +1,78 @@
+//! What `run` and `adopt` are asked for, and the checks of it that other commands share.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use console::exit::Failure;
+use plan::Choice;
+
+/// Arguments of `run`.
+#[derive(Debug, Args, Default)]
+pub struct RunArguments {
+    /// A TOML file, or the name of a shipped scenario (`scanloop check --list` prints them).
+    #[arg(value_name = "SCENARIO")]
+    pub scenario: Option<String>,
+    /// The choice of scenario and system.
+    #[command(flatten)]
+    pub choice: Choice,
+    /// Where `report.json`, the picture and the logs are written; default `out/SCENARIO`.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Stop after that many driven seconds.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub duration: Option<f64>,
+    /// Simulated time, as fast as the machine allows, no sample lost.
+    #[arg(long)]
+    pub lockstep: bool,
+    /// No progress line.
+    #[arg(long)]
+    pub quiet: bool,
+    /// Take over the processes of a run whose orchestrator died; scenario and system are those of that run.
+    #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
+    pub adopt: bool,
+    /// Take over the processes of a run whose orchestrator died if there are any, else start a run.
+    #[arg(long, conflicts_with = "adopt")]
+    pub adopt_or_start: bool,
+}
+
+/// Arguments of `adopt`.
+#[derive(Debug, Args, Clone)]
+pub struct AdoptArguments {
+    /// Where the results are written; default: where the run was to write them.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Stop after that many driven seconds since the start of the run.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub duration: Option<f64>,
+    /// No progress line.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Checks `--duration`.
+///
+/// # Errors
+/// A time that is not allowed; exit code 2.
+pub fn check_duration(duration_s: Option<f64>) -> anyhow::Result<()> {
+    match duration_s {
+        Some(duration_s) if !(duration_s > 0.0 && duration_s <= 1e6) => Err(Failure::bad_input(format!(
+            "--duration {duration_s} is not allowed: above 0, up to 1000000 s"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Makes the folder of the results; returns its absolute path.
+///
+/// # Errors
+/// A folder that can't be made; exit code 2.
+pub fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
+    if std::path::absolute(&out).is_ok_and(|path| path.to_str().is_none()) {
+        let out = out.display();
+        return Err(Failure::bad_input(format!(
+            "--out {out}: the path of the folder is not UTF-8; name another one"
+        )));
+    }
+    let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
+    made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))
+}

@@ -1,0 +1,258 @@
+//! How commands reach a running orchestrator: one line of JSON each way over a socket in its directory.
+//!
+//! The loop of the session never touches a client: `server` reads and writes in threads of its own, with limits of
+//! number, length and time, and hands whole requests to the loop.
+
+mod line;
+mod server;
+
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use audit::ledger::RefusedRow;
+use handover::shadow::ShadowReport;
+use handover::swap::Certificate;
+use runtime::{Domain, RuntimeError, peer_uid};
+use rustix::io::Errno;
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
+use rustix::process::geteuid;
+use serde::{Deserialize, Serialize};
+
+use self::line::{read_line, write_line};
+use self::server::{BUSY, Server};
+
+/// A command waits this long for its answer, whatever the orchestrator does: longer than a request waits there.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(12);
+/// Longest answer [bytes]; a report of a shadow has some kilobytes.
+const MAX_ANSWER: usize = 16 << 20;
+/// A command comes again after this time when the orchestrator has too many connections.
+const BUSY_PAUSE: Duration = Duration::from_millis(50);
+
+/// What can be asked of a running orchestrator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Request {
+    /// The state of all processes.
+    Status,
+    /// Block the wheels and end everything.
+    Stop,
+    /// End one process and start it again.
+    Restart {
+        /// Name of the role.
+        role: String,
+    },
+    /// Exchange one process for another.
+    Swap(SwapRequest),
+    /// What became of an exchange.
+    SwapResult {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
+    /// Let a process run in the shadow of another.
+    Shadow(ShadowRequest),
+    /// What became of a shadow.
+    ShadowResult {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
+    /// End a shadow early.
+    ShadowEnd {
+        /// Its number, from [`Reply::Accepted`].
+        number: u64,
+    },
+}
+
+/// An exchange that is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SwapRequest {
+    /// Name of the role.
+    pub role: String,
+    /// Built-in implementation; exactly one of this and `command`.
+    pub implementation: Option<String>,
+    /// Program and arguments.
+    pub command: Option<Vec<String>>,
+    /// Scans in a row on which the new process must agree before it takes over.
+    pub shadow_scans: u64,
+    /// Scans after that during which the old process stands by.
+    pub standby_scans: u64,
+    /// Factor on the bounds of agreement.
+    pub tolerance: f64,
+}
+
+/// A shadow that is asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ShadowRequest {
+    /// Name of the role.
+    pub role: String,
+    /// Built-in implementation; exactly one of this and `command`.
+    pub implementation: Option<String>,
+    /// Program and arguments.
+    pub command: Option<Vec<String>>,
+    /// How long it is to run [ms].
+    pub duration_ms: u64,
+}
+
+/// What it answers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reply {
+    /// The request is carried out.
+    Done,
+    /// The state of all processes.
+    Status(Box<Status>),
+    /// An exchange or a shadow has begun; ask for its result by this number.
+    Accepted(u64),
+    /// It goes on.
+    Pending,
+    /// What became of a shadow.
+    Shadow(Box<ShadowReport>),
+    /// What became of an exchange.
+    Certificate(Box<Certificate>),
+    /// The request is refused, with the reason.
+    Refused(String),
+}
+
+/// The state of a system, `status --json`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Status {
+    /// The system.
+    pub system_id: String,
+    /// Phase of the system: starting, connecting, driving, stopping.
+    pub state: String,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// The newest scan.
+    pub scan: u64,
+    /// Whether time is simulated.
+    #[serde(default)]
+    pub lockstep: bool,
+    /// One row per process.
+    pub processes: Vec<ProcessStatus>,
+    /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
+    #[serde(default)]
+    pub refused: Vec<RefusedRow>,
+}
+
+/// One process in [`Status`].
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct ProcessStatus {
+    /// Name of the role.
+    pub role: String,
+    /// Built-in implementation, or the command.
+    pub implementation: String,
+    /// Process id, 0 when none runs.
+    pub pid: i32,
+    /// starting, ready, standby, shadow, hung, backoff, failed or stopped.
+    pub state: String,
+    /// Starts after the first.
+    pub restarts: u32,
+    /// Outputs per second over the last seconds.
+    pub rate_hz: f64,
+    /// Age of the newest output [ms].
+    pub last_sample_age_ms: f64,
+    /// Share of one processor since the status before [%].
+    pub cpu_percent: f64,
+    /// Resident memory [KiB].
+    pub memory_kib: u64,
+    /// Whether it sees the stop word, and so obeys `scanloop stop` by itself.
+    #[serde(default)]
+    pub obeys_stop: bool,
+    /// Last lines that a process wrote before it died.
+    pub last_words: Vec<String>,
+}
+
+/// The orchestrator's end.
+#[derive(Debug)]
+pub struct ControlSocket {
+    server: Server,
+}
+
+impl ControlSocket {
+    /// Opens the socket of the system.
+    ///
+    /// # Errors
+    /// Errors of the file system, and a thread that can't be started.
+    pub fn open(domain: &Domain) -> anyhow::Result<Self> {
+        let path = socket_path(domain);
+        let server = Server::open(&path).with_context(|| format!("{}", path.display()))?;
+        Ok(Self { server })
+    }
+
+    /// Readable when a request has come.
+    pub fn descriptor(&self) -> BorrowedFd<'_> {
+        self.server.wake.as_fd()
+    }
+
+    /// Answers all requests that are waiting; never waits for a client.
+    pub fn serve(&self, mut answer: impl FnMut(Request) -> Reply) {
+        for asked in self.server.take() {
+            // A client that is gone must not be surprised later, except by a stop.
+            if asked.until > Instant::now() || asked.request == Request::Stop {
+                let _ = asked.answer.try_send(answer(asked.request));
+            }
+        }
+    }
+}
+
+/// Asks the orchestrator of a system.
+///
+/// # Errors
+/// [`RuntimeError::NotRunning`] when none answers, what was refused, and an answer that does not come in time.
+pub fn ask(domain: &Domain, request: &Request) -> anyhow::Result<Reply> {
+    let path = socket_path(domain);
+    let until = Instant::now() + ANSWER_TIMEOUT;
+    loop {
+        let reply = ask_once(&path, request, until)?;
+        let reply = reply.ok_or_else(|| RuntimeError::NotRunning(domain.system_id().to_owned()))?;
+        if !matches!(&reply, Reply::Refused(reason) if reason == BUSY) || Instant::now() + BUSY_PAUSE > until
+        {
+            return Ok(reply);
+        }
+        std::thread::sleep(BUSY_PAUSE);
+    }
+}
+
+/// One request and its answer; `None` when nothing is there to answer it.
+fn ask_once(path: &Path, request: &Request, until: Instant) -> anyhow::Result<Option<Reply>> {
+    let Some(stream) = connect_until(path, until)? else { return Ok(None) };
+    // A connection that is refused may be closed before the request is written: its answer tells why.
+    let _ = write_line(&stream, &serde_json::to_string(request)?, until);
+    match read_line(&stream, MAX_ANSWER, until) {
+        Ok(Some(line)) => Ok(Some(serde_json::from_str(&line)?)),
+        Ok(None) => Ok(None),
+        Err(error) if error.kind() == std::io::ErrorKind::ConnectionReset => Ok(None),
+        Err(error) => Err(error).context("the orchestrator does not answer"),
+    }
+}
+
+/// A connection to the socket; `None` when nothing listens there.
+fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStream>> {
+    let Ok(address) = SocketAddrUnix::new(path) else { return Ok(None) };
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    let socket = socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
+    loop {
+        match connect(&socket, &address) {
+            Ok(()) => break,
+            Err(Errno::INTR) => {}
+            // An orchestrator that does not run for a while still listens, until too many wait.
+            Err(Errno::AGAIN) if Instant::now() < until => std::thread::sleep(BUSY_PAUSE),
+            Err(Errno::AGAIN) => anyhow::bail!("the orchestrator does not answer"),
+            Err(_) => return Ok(None),
+        }
+    }
+    let stream = UnixStream::from(socket);
+    stream.set_nonblocking(false)?;
+    // A link in the place of the socket may lead to another user's.
+    if peer_uid(&stream)? != geteuid().as_raw() {
+        return Ok(None);
+    }
+    Ok(Some(stream))
+}
+
+fn socket_path(domain: &Domain) -> PathBuf {
+    // By descriptor: a socket's path may have 107 bytes only.
+    domain.folder().by_descriptor("control.sock")
+}

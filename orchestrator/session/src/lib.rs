@@ -1,0 +1,16 @@
+//! One run from its start to its end: a loop that watches, decides and speaks.
+
+pub mod adopt;
+pub mod arguments;
+pub mod control;
+pub mod driverless;
+mod results;
+mod roster;
+pub mod run;
+mod service_manager;
+mod session;
+pub mod start;
+mod survivors;
+mod vitals;
+
+pub use session::Session;

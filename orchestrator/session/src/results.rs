@@ -1,0 +1,97 @@
+//! What a run leaves: its report, its picture, its summary.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use console::exit::Exit;
+use emulator::Scenario;
+use emulator::scenario::{Obstacle, Shape};
+use report::recorder::Recorder;
+use report::{Report, picture, summary, write_atomically};
+use vehicle::frame::to_track;
+
+use crate::session::Session;
+
+/// Drives to the end, writes the results and prints the summary.
+pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) -> anyhow::Result<Exit> {
+    let ending = session.drive()?;
+    let (recorder, digests) = session.finish();
+    let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
+    let written = write_results(&report, scenario, &recorder, out);
+    runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
+    if let Err(error) = written {
+        // The drive is over and ended as it did: a full disk changes nothing of that.
+        runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
+    }
+    Ok(match ending.outcome.exit_code() {
+        0 => Exit::Done,
+        3 => Exit::Collision,
+        4 => Exit::ProcessFailed,
+        _ => Exit::NotReached,
+    })
+}
+
+/// Writes report and picture. Those of an earlier run do not stay where they can't be replaced.
+fn write_results(
+    report: &Report,
+    scenario: &Scenario,
+    recorder: &Recorder,
+    out: &Path,
+) -> anyhow::Result<()> {
+    let (report_file, picture_file) = (out.join("report.json"), out.join("drive.svg"));
+    let report_written = or_none(&report_file, report.write(&report_file));
+    let drawing = picture::draw(&scene_of(scenario, report), &recorder.drive())?;
+    report_written.and(or_none(&picture_file, write_atomically(&picture_file, drawing.as_bytes())))
+}
+
+/// Removes the file of an earlier run when that of this run was not written.
+fn or_none(path: &Path, written: io::Result<()>) -> anyhow::Result<()> {
+    if written.is_err() {
+        let _ = std::fs::remove_file(path);
+    }
+    written.with_context(|| format!("{}", path.display()))
+}
+
+/// A path as it is seen from the working folder.
+fn near(path: &Path) -> PathBuf {
+    let here = std::env::current_dir().unwrap_or_default();
+    path.strip_prefix(here).unwrap_or(path).to_owned()
+}
+
+/// What the picture shows of a scenario.
+fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
+    picture::Scene {
+        title: format!("{}: {}", report.scenario, report.outcome),
+        subtitle: report.reason.clone(),
+        track_x_m: scenario.track.x_m,
+        track_y_m: scenario.track.y_m,
+        walls: scenario.track.walls,
+        obstacles: scenario.placed_obstacles().iter().map(outline).collect(),
+        start_m: [scenario.start.x_m, scenario.start.y_m],
+        goal_m: [scenario.goal.x_m, scenario.goal.y_m],
+        goal_tolerance_m: scenario.goal.tolerance_m,
+        body_length_m: scenario.robot.length_m,
+        body_width_m: scenario.robot.width_m,
+    }
+}
+
+/// The outline of an obstacle where the scenario puts it; a circle as a polygon of 48 corners.
+fn outline(obstacle: &Obstacle) -> picture::Shape {
+    let (x, y) = (obstacle.x_m, obstacle.y_m);
+    let points = match obstacle.shape {
+        Shape::Circle { radius_m } => (0..48)
+            .map(|corner| {
+                let (sin, cos) = (f64::from(corner) / 48.0 * std::f64::consts::TAU).sin_cos();
+                [x + radius_m * cos, y + radius_m * sin]
+            })
+            .collect(),
+        Shape::Box { length_m, width_m, yaw_rad } => [(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]
+            .map(|(forward, left)| {
+                let corner = to_track(yaw_rad, forward * length_m, left * width_m);
+                [x + corner.x, y + corner.y]
+            })
+            .to_vec(),
+    };
+    picture::Shape { points }
+}

@@ -1,0 +1,189 @@
+//! What a run has to leave behind for an orchestrator that may have to take it over: two files in the directory of
+//! the system, each written whole or not at all.
+//!
+//! `run.toml` says what is driven and is written once. `processes.toml` says who fills the roles and what everyone
+//! was told last; it is written at each change, before the change is told.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use emulator::{Outcome, Scenario};
+use plan::Plan;
+use plan::system::System;
+use runtime::{Domain, PROCESSES_FILE};
+use serde::{Deserialize, Serialize};
+use shared_types::{Authority, ROLES, Role};
+use supervision::entry::{ProcessEntry, ProcessRow};
+
+const RUN_FILE: &str = "run.toml";
+
+/// What is driven.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RunFile {
+    /// Where the results are written.
+    pub out: PathBuf,
+    /// Whether time is simulated.
+    pub lockstep: bool,
+    /// Driven time after which the run ends [s].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<f64>,
+    /// The process table with all settings.
+    pub system: System,
+    /// The scenario.
+    pub scenario: Scenario,
+}
+
+/// Who fills the roles, and what everyone was told last.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Roster {
+    /// How many orchestrators this run has had.
+    pub generation: u32,
+    /// The largest number given to a process.
+    pub last_incarnation: u32,
+    /// `Phase`.
+    pub phase: u32,
+    /// 1 when the wheels are to be blocked.
+    pub stop: u32,
+    /// How the run ends, once it is decided.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outcome: Option<Outcome>,
+    /// Why, in words.
+    #[serde(default)]
+    pub reason: String,
+    /// Whose samples count, in the order of roles.
+    #[serde(default)]
+    pub authority: Vec<Right>,
+    /// One row per role.
+    #[serde(default)]
+    pub role: Vec<RoleRow>,
+    /// One row per living process, also of those that are about to take over or to leave.
+    #[serde(default)]
+    pub process: Vec<ProcessRow>,
+}
+
+/// [`Authority`] in words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Right {
+    pub incarnation: u32,
+    pub previous: u32,
+    pub from_scan: u64,
+}
+
+/// The history of a role.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RoleRow {
+    /// Name of the role.
+    pub role: String,
+    /// The incarnation that fills it, or did last; 0 before the first.
+    pub incarnation: u32,
+    /// How often it was started again.
+    pub restarts: u32,
+    /// How it is started.
+    pub entry: ProcessEntry,
+}
+
+impl Roster {
+    /// The newest roster of a system.
+    ///
+    /// # Errors
+    /// When there is none, or it cannot be read.
+    pub(crate) fn read(domain: &Domain) -> anyhow::Result<Self> {
+        read(domain, PROCESSES_FILE)
+    }
+
+    /// Writes it down, all of it or nothing.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(crate) fn write(&self, domain: &Domain) -> anyhow::Result<()> {
+        write(domain, PROCESSES_FILE, self)
+    }
+
+    /// Whose samples count.
+    pub(crate) fn authority(&self) -> [Authority; ROLES] {
+        std::array::from_fn(|index| {
+            self.authority.get(index).map_or_else(Authority::default, |right| Authority {
+                incarnation: right.incarnation,
+                previous: right.previous,
+                from_scan: right.from_scan,
+            })
+        })
+    }
+
+    /// The row of a role.
+    pub(crate) fn of(&self, role: Role) -> Option<&RoleRow> {
+        self.role.iter().find(|row| row.role == role.name())
+    }
+}
+
+impl From<&Authority> for Right {
+    fn from(authority: &Authority) -> Self {
+        let &Authority { incarnation, previous, from_scan } = authority;
+        Self { incarnation, previous, from_scan }
+    }
+}
+
+impl RunFile {
+    /// Writes it down, all of it or nothing.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(crate) fn write(&self, domain: &Domain) -> anyhow::Result<()> {
+        write(domain, RUN_FILE, self)
+    }
+
+    /// What a run was started with.
+    ///
+    /// # Errors
+    /// When it was not written down, or cannot be read.
+    pub(crate) fn read(domain: &Domain) -> anyhow::Result<(Self, Plan)> {
+        let run: Self = read(domain, RUN_FILE)?;
+        let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone() };
+        Ok((run, plan))
+    }
+}
+
+fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::Result<T> {
+    let text = domain.folder().read_text(name)?;
+    toml::from_str(&text).with_context(|| format!("{}", domain.directory().join(name).display()))
+}
+
+fn write(domain: &Domain, name: &str, content: &impl Serialize) -> anyhow::Result<()> {
+    Ok(domain.folder().write(name, toml::to_string(content)?.as_bytes())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use runtime::Identity;
+
+    use super::*;
+
+    #[test]
+    fn a_roster_is_read_back_as_it_was_written() {
+        let domain = Domain::create(&format!("ros{}", std::process::id())).unwrap();
+        let entry = ProcessEntry::of(Role::Controller, &["./mine".to_owned(), "--fast".to_owned()]);
+        let roster = Roster {
+            generation: 2,
+            outcome: Some(Outcome::Missed),
+            reason: "passed \"it\"".to_owned(),
+            authority: vec![Right { incarnation: 7, previous: 3, from_scan: 1 << 40 }; ROLES],
+            role: vec![RoleRow {
+                role: "controller".to_owned(),
+                incarnation: 7,
+                restarts: 1,
+                entry: entry.clone(),
+            }],
+            process: vec![ProcessRow {
+                role: "controller".to_owned(),
+                identity: Identity::of(&domain, std::process::id(), 7).unwrap(),
+                entry,
+            }],
+            ..Roster::default()
+        };
+        roster.write(&domain).unwrap();
+        assert_eq!(Roster::read(&domain).unwrap(), roster);
+        assert_eq!(roster.authority()[4], Authority { incarnation: 7, previous: 3, from_scan: 1 << 40 });
+        domain.remove().unwrap();
+        assert!(Roster::read(&domain).is_err());
+    }
+}

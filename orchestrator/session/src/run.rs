@@ -1,0 +1,56 @@
+//! `scanloop run`: from the command line to the summary.
+
+use std::path::PathBuf;
+
+use console::exit::Exit;
+use plan::Plan;
+use runtime::{Domain, RuntimeError, Shutdown};
+use supervision::lock::{Claim, clear};
+
+use crate::adopt;
+use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
+use crate::results::conclude;
+use crate::start::{Manner, start};
+use crate::survivors::Survivors;
+
+/// Drives a scenario and writes its report.
+///
+/// # Errors
+/// Bad input, a process that could not be kept running, and errors of the bus or the file system.
+pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
+    let RunArguments { out, duration, quiet, .. } = arguments;
+    let to_adopt = AdoptArguments { out: out.clone(), duration: *duration, quiet: *quiet };
+    if arguments.adopt {
+        return adopt::adopt(system_id, &to_adopt);
+    }
+    // Before anything is made: a run that a signal ends removes it again.
+    let shutdown = Shutdown::of_orchestrator()?;
+    let plan = Plan::read(arguments.scenario.as_deref(), &arguments.choice)?;
+    check_duration(*duration)?;
+    if Domain::take_stopped_mark(system_id)? && arguments.adopt_or_start {
+        return Err(RuntimeError::Stopped(system_id.to_owned()).into());
+    }
+    if let Claim::Left(domain, lock) = Claim::take(system_id)? {
+        let survivors = Survivors::find(&domain);
+        if arguments.adopt_or_start && !survivors.is_empty() {
+            return adopt::take_over(&domain, lock, shutdown, survivors, &to_adopt);
+        }
+        if !survivors.is_empty() {
+            let words = survivors.words();
+            runtime::print(
+                runtime::Priority::Warning,
+                &format!("an earlier run lost its orchestrator: blocking its wheels and ending {words}"),
+            );
+        }
+        clear(&domain, lock)?;
+    }
+    let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
+    let (domain, lock) = Claim::take_new(system_id)?;
+    let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
+    if shutdown.requested() {
+        runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
+        return Ok(Exit::NotReached);
+    }
+    let session = start(&domain, &plan, manner.clone(), lock, shutdown)?;
+    conclude(session, &plan.scenario, &manner.out)
+}

@@ -1,0 +1,323 @@
+//! One process of the run: start it, signal it, see it end.
+//!
+//! Idea: the process leads a group of its own, so that a signal reaches whatever it starts, and ctrl-C in the
+//! terminal reaches the orchestrator alone. Its end wakes a `poll` through a pidfd. Signals go out only while
+//! the leader is not reaped: until then the kernel gives its number to no other process or group, so nothing
+//! that was not started here can be hit. When the leader has ended, the rest of its group is killed before the
+//! leader is reaped.
+//!
+//! An adopted process is no child: its descriptor tells that it ended, not how. Its number may be given to others at
+//! any time, so signals go through the descriptor, and to the rest of its group one by one.
+//!
+//! Where this fails: a descendant that opens a session of its own leaves the group and is not found. The
+//! process outlives an orchestrator that is killed, on purpose: the loop goes on without it. One that is dropped
+//! in good order takes its processes with it.
+
+use std::ffi::OsString;
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use runtime::{Identified, Seen, identify, processes_of, start_ticks};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{
+    Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
+};
+
+use crate::child_log::ChildLog;
+use crate::supervisor::Exit;
+
+/// Variables of systemd that are for the orchestrator alone.
+const NOT_INHERITED: [&str; 4] = ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"];
+
+/// Clock ticks per second in /proc: a constant of the kernel's interface on all machines of ours.
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// What to start.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Launch {
+    /// The program, by path or to be found in `PATH`, and its arguments.
+    pub command: Vec<OsString>,
+    /// Variables set beside the inherited ones.
+    pub environment: Vec<(OsString, OsString)>,
+    /// Working folder; the orchestrator's when absent.
+    pub directory: Option<PathBuf>,
+}
+
+/// Why a process could not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum ChildError {
+    /// There is no program.
+    #[error("the command is empty")]
+    Empty,
+    /// The program, or the interpreter that its first line names, does not exist.
+    #[error("command `{0}` was not found")]
+    NotFound(String),
+    /// The program may not be executed.
+    #[error("command `{0}` may not be executed: permission denied")]
+    NotExecutable(String),
+    /// The working folder does not exist.
+    #[error("working folder {1} of command `{0}` does not exist")]
+    NoDirectory(String, PathBuf),
+    /// Anything else that the kernel refused.
+    #[error("command `{command}` could not be started: {source}")]
+    Refused {
+        /// The program.
+        command: String,
+        /// What the kernel said.
+        source: io::Error,
+    },
+}
+
+/// What a process has used.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usage {
+    /// Time on a processor since its start, all threads, without its children [s].
+    pub cpu_s: f64,
+    /// Resident memory, shared parts included [KiB].
+    pub memory_kib: u64,
+}
+
+/// A process that leads its own group, started here or adopted.
+#[derive(Debug)]
+pub struct Child {
+    origin: Origin,
+    pid: Pid,
+    pidfd: OwnedFd,
+    started_ticks: Option<u64>,
+    exit: Option<Exit>,
+}
+
+#[derive(Debug)]
+enum Origin {
+    /// Its number is ours until it is reaped.
+    Started(std::process::Child),
+    /// It belongs to the run of this id.
+    Adopted(String),
+}
+
+impl Child {
+    /// Starts a process with no input, whose output goes to `log`.
+    ///
+    /// # Errors
+    /// [`ChildError`], with the command named.
+    pub fn spawn(launch: &Launch, log: &ChildLog) -> Result<Self, ChildError> {
+        let (program, arguments) = launch.command.split_first().ok_or(ChildError::Empty)?;
+        let name = || program.to_string_lossy().into_owned();
+        let refused = |source| ChildError::Refused { command: name(), source };
+        let mut command = Command::new(program);
+        command.args(arguments).envs(launch.environment.iter().map(|(key, value)| (key, value)));
+        NOT_INHERITED.iter().for_each(|variable| _ = command.env_remove(variable));
+        command.stdin(Stdio::null()).process_group(0);
+        command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
+        if let Some(directory) = &launch.directory {
+            if !directory.is_dir() {
+                return Err(ChildError::NoDirectory(name(), directory.clone()));
+            }
+            command.current_dir(directory);
+        }
+        let mut process = command.spawn().map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound => ChildError::NotFound(name()),
+            io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
+            _ => refused(source),
+        })?;
+        let pid = Pid::from_child(&process);
+        match pidfd_open(pid, PidfdFlags::empty()) {
+            Ok(pidfd) => {
+                let started_ticks = start_ticks(process.id());
+                Ok(Self { pid, pidfd, started_ticks, exit: None, origin: Origin::Started(process) })
+            }
+            Err(error) => {
+                // A process whose end cannot be seen is not kept.
+                let _ = kill_process_group(pid, Signal::KILL);
+                let _ = process.wait();
+                Err(refused(error.into()))
+            }
+        }
+    }
+
+    /// A process that another orchestrator started.
+    pub fn adopt(process: Identified) -> Option<Self> {
+        let pid = Pid::from_raw(process.pid().cast_signed())?;
+        let started_ticks = Some(process.identity().start_ticks);
+        let origin = Origin::Adopted(process.identity().run_id.clone());
+        Some(Self { origin, pid, pidfd: process.into_descriptor(), started_ticks, exit: None })
+    }
+
+    /// Its process id, which is the id of its group.
+    pub fn pid(&self) -> u32 {
+        self.pid.as_raw_nonzero().get().cast_unsigned()
+    }
+
+    /// When it was started, in clock ticks since boot; with the pid it names a process for good.
+    pub fn started_ticks(&self) -> Option<u64> {
+        self.started_ticks
+    }
+
+    /// Leaves the process as it is: it is neither watched nor ended any more.
+    pub fn release(&mut self) {
+        self.exit = Some(Exit::Unknown);
+    }
+
+    /// Asks the group to end (SIGTERM), also one that was suspended (SIGCONT); nothing happens when the process is known to have ended.
+    ///
+    /// # Errors
+    /// When the kernel refuses, which it does for a process that has become another user's.
+    pub fn terminate(&self) -> io::Result<()> {
+        self.signal(Signal::TERM)?;
+        self.signal(Signal::CONT)
+    }
+
+    /// Kills the group (SIGKILL); nothing happens when the process is known to have ended.
+    ///
+    /// # Errors
+    /// When the kernel refuses, which it does for a process that has become another user's.
+    pub fn kill(&self) -> io::Result<()> {
+        self.signal(Signal::KILL)
+    }
+
+    /// How the process ended, if it has. It is then reaped, if it is a child, and the rest of its group killed.
+    ///
+    /// # Errors
+    /// Those of the kernel's wait, which do not happen to a child of ours.
+    pub fn try_wait(&mut self) -> io::Result<Option<Exit>> {
+        if self.exit.is_some() {
+            return Ok(self.exit);
+        }
+        let process = match &mut self.origin {
+            Origin::Started(process) => process,
+            Origin::Adopted(run_id) => {
+                let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+                if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now))
+                    .is_ok_and(|ready| ready > 0)
+                {
+                    let pid = self.pid.as_raw_nonzero().get().cast_unsigned();
+                    signal_group(run_id, pid, Signal::KILL);
+                    self.exit = Some(Exit::Unknown);
+                }
+                return Ok(self.exit);
+            }
+        };
+        // Look without reaping: the group may be signalled only as long as its leader is not reaped.
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        let ended = loop {
+            match waitid(WaitId::PidFd(self.pidfd.as_fd()), options) {
+                Err(rustix::io::Errno::INTR) => {}
+                other => break other?.is_some(),
+            }
+        };
+        if ended {
+            let _ = kill_process_group(self.pid, Signal::KILL);
+            self.exit = process.try_wait()?.map(Exit::from);
+        }
+        Ok(self.exit)
+    }
+
+    /// Waits for the end of the process, but not longer than `limit`.
+    ///
+    /// # Errors
+    /// As [`Child::try_wait`].
+    pub fn wait_for(&mut self, limit: Duration) -> io::Result<Option<Exit>> {
+        let started = Instant::now();
+        loop {
+            let exit = self.try_wait()?;
+            let left = limit.saturating_sub(started.elapsed());
+            if exit.is_some() || left.is_zero() {
+                return Ok(exit);
+            }
+            let timeout = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
+            match poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&timeout)) {
+                Ok(_) | Err(rustix::io::Errno::INTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// What the process has used so far; `None` when it has ended.
+    pub fn usage(&self) -> Option<Usage> {
+        if self.exit.is_some() {
+            return None;
+        }
+        usage_of(self.pid())
+    }
+
+    fn signal(&self, signal: Signal) -> io::Result<()> {
+        if self.exit.is_some() {
+            return Ok(());
+        }
+        if let Origin::Adopted(run_id) = &self.origin {
+            let _ = pidfd_send_signal(&self.pidfd, signal);
+            signal_group(run_id, self.pid(), signal);
+            return Ok(());
+        }
+        match kill_process_group(self.pid, signal) {
+            // Nobody of the group is left but the leader, which has ended and waits to be reaped.
+            Err(rustix::io::Errno::SRCH) => Ok(()),
+            other => Ok(other?),
+        }
+    }
+}
+
+impl AsFd for Child {
+    /// The pidfd: readable once the process has ended.
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.pidfd.as_fd()
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        if self.exit.is_none() {
+            let _ = self.kill();
+            // A killed process goes within milliseconds unless it hangs in the kernel, where waiting is no use.
+            let _ = self.wait_for(Duration::from_secs(1));
+        }
+    }
+}
+
+/// The file of this program; also one that was replaced meanwhile, as an update does.
+pub fn this_program() -> PathBuf {
+    match std::env::current_exe() {
+        Ok(path) if path.exists() => path,
+        _ => PathBuf::from("/proc/self/exe"),
+    }
+}
+
+/// Whether a process has work to do, on a processor or waiting for one or for memory, and its processor time [s].
+pub fn is_runnable(pid: u32) -> Option<(bool, f64)> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let state = stat.rsplit_once(')')?.1.trim_start().chars().next()?;
+    Some((matches!(state, 'R' | 'D'), usage_of(pid)?.cpu_s))
+}
+
+/// What a process has used so far; `None` when there is none.
+pub fn usage_of(pid: u32) -> Option<Usage> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The name of the program may hold blanks and brackets; the first field behind it is the third.
+    let (_name, fields) = stat.rsplit_once(')')?;
+    let ticks = |place: usize| fields.split_whitespace().nth(place - 3)?.parse::<u64>().ok();
+    let [user, system] = [ticks(14)?, ticks(15)?];
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+    // A zombie has no memory and no such line.
+    let memory = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let memory_kib = memory.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0);
+    Some(Usage { cpu_s: (user + system) as f64 / TICKS_PER_SECOND, memory_kib })
+}
+
+/// Sends a signal to all processes of a run in the group that `leader` led, but not to `leader` itself.
+///
+/// The number of a group whose leader is not our child may be given to others, so each process is looked at.
+fn signal_group(run_id: &str, leader: u32, signal: Signal) {
+    let is_member = |seen: &&Seen| seen.group == leader && seen.identity.pid != leader;
+    for seen in processes_of(run_id).iter().filter(is_member) {
+        if let Ok(process) = identify(&seen.identity) {
+            process.signal(signal);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

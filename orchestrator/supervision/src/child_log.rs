@@ -1,0 +1,257 @@
+//! What a process prints, in a file that stays small.
+//!
+//! A process writes straight into the file, never into a pipe, so its output neither blocks it nor kills it when
+//! the orchestrator is gone. The file is opened for appending and shared with the process; each `write` of the
+//! process lands at the end, also after the file was cut. [`ChildLog::trim`] keeps the last part in place, so
+//! the process needs to know nothing of it.
+//!
+//! Where this fails: the file is bounded only as often as it is trimmed, and a line that is written in the few
+//! microseconds between the last look at the end and the cut is lost. A rotation by renaming would lose nothing,
+//! but the process would go on writing into the old file.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+
+/// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
+pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
+
+/// How much of the end is kept [bytes]: about a thousand lines, more than anyone reads of a dead process.
+pub const KEEP_BYTES: u64 = 64 << 10;
+
+/// Longest line that [`ChildLog::last_lines`] gives [characters]; the file keeps the whole line.
+const LONGEST_LINE: usize = 400;
+
+/// Starts the line that separates two incarnations in the file.
+const MARK: &str = "=== scanloop: ";
+
+/// The output of the processes of one role, one behind the other.
+#[derive(Debug)]
+pub struct ChildLog {
+    path: PathBuf,
+    /// Shared with the process: each write goes to the end.
+    append: File,
+    /// Writes at any place, for trimming.
+    edit: File,
+}
+
+impl ChildLog {
+    /// Opens the file, creating it and its folder where they are missing; what it holds stays.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        let append = OpenOptions::new().create(true).append(true).read(true).open(path)?;
+        let edit = OpenOptions::new().write(true).open(path)?;
+        Ok(Self { path: path.to_owned(), append, edit })
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A file to be handed to a process as its output.
+    ///
+    /// # Errors
+    /// When there are too many open files.
+    pub fn output(&self) -> io::Result<File> {
+        self.append.try_clone()
+    }
+
+    /// Writes a line that separates a new incarnation, described by `text`, from what stands before.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn begin(&self, text: &str) -> io::Result<()> {
+        let length = self.append.metadata()?.len();
+        let mut last = [b'\n'];
+        if length > 0 {
+            self.append.read_exact_at(&mut last, length - 1)?;
+        }
+        let end_of_line = if last == [b'\n'] { "" } else { "\n" };
+        (&self.append).write_all(format!("{end_of_line}{MARK}{text}\n").as_bytes())
+    }
+
+    /// Cuts the file to its last 64 KiB when it is longer than 1 MiB; tells whether it did.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn trim(&self) -> io::Result<bool> {
+        let length = self.append.metadata()?.len();
+        if length <= TRIM_ABOVE_BYTES {
+            return Ok(false);
+        }
+        let mut tail = self.read(length - KEEP_BYTES, KEEP_BYTES)?;
+        let line = tail.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let dropped = length - KEEP_BYTES + line as u64;
+        tail.drain(..line);
+        let notice = format!("=== {dropped} bytes dropped\n");
+        self.edit.write_all_at(notice.as_bytes(), 0)?;
+        self.edit.write_all_at(&tail, notice.len() as u64)?;
+        let mut end = (notice.len() + tail.len()) as u64;
+        // Take along what was written meanwhile; a process that writes faster than this loses some lines.
+        let mut seen = length;
+        for _ in 0..4 {
+            let news = self.read(seen, KEEP_BYTES)?;
+            if news.is_empty() {
+                break;
+            }
+            self.edit.write_all_at(&news, end)?;
+            seen += news.len() as u64;
+            end += news.len() as u64;
+        }
+        self.edit.set_len(end)?;
+        Ok(true)
+    }
+
+    /// The last `count` lines of the latest incarnation, made fit for a terminal.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn last_lines(&self, count: usize) -> io::Result<Vec<String>> {
+        let length = self.append.metadata()?.len();
+        let start = length.saturating_sub(KEEP_BYTES);
+        let tail = self.read(start, KEEP_BYTES)?;
+        let text = String::from_utf8_lossy(&tail);
+        let text = match text.split_once('\n') {
+            Some((_partial, rest)) if start > 0 => rest,
+            _ => &text,
+        };
+        let mut lines: Vec<String> = text
+            .lines()
+            .rev()
+            .take_while(|line| !line.starts_with(MARK))
+            .take(count)
+            .map(printable)
+            .collect();
+        lines.reverse();
+        Ok(lines)
+    }
+
+    /// At most `count` bytes from `offset` on, fewer at the end of the file.
+    fn read(&self, offset: u64, count: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = vec![0; count as usize];
+        let mut filled = 0;
+        while filled < bytes.len() {
+            match self.append.read_at(&mut bytes[filled..], offset + filled as u64) {
+                Ok(0) => break,
+                Ok(more) => filled += more,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        bytes.truncate(filled);
+        Ok(bytes)
+    }
+}
+
+/// A line without what could move the cursor or colour the terminal, and not too long.
+fn printable(line: &str) -> String {
+    let mut clean: String =
+        line.chars().filter(|c| !c.is_control() || *c == '\t').take(LONGEST_LINE).collect();
+    if line.chars().nth(LONGEST_LINE).is_some() {
+        clean.push_str("...");
+    }
+    clean
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    /// A folder of its own for one test, removed at its end.
+    pub struct Scratch(pub PathBuf);
+
+    impl Scratch {
+        pub fn new() -> Self {
+            static COUNT: AtomicU32 = AtomicU32::new(0);
+            let name =
+                format!("scanloop-child-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+            Self(std::env::temp_dir().join(name))
+        }
+
+        pub fn log(&self) -> ChildLog {
+            ChildLog::open(&self.0.join("log/process.log")).unwrap()
+        }
+    }
+
+    impl Drop for Scratch {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_dir_all(&self.0);
+        }
+    }
+
+    fn write(log: &ChildLog, text: &str) {
+        (&log.append).write_all(text.as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn the_last_lines_are_those_of_the_latest_incarnation() {
+        let scratch = Scratch::new();
+        let log = scratch.log();
+        assert_eq!(log.last_lines(3).unwrap(), Vec::<String>::new());
+        log.begin("incarnation 1").unwrap();
+        write(&log, "one\ntwo\nthree\nfour");
+        assert_eq!(log.last_lines(2).unwrap(), ["three", "four"]);
+        log.begin("incarnation 2").unwrap();
+        assert_eq!(log.last_lines(2).unwrap(), Vec::<String>::new(), "it has said nothing yet");
+        write(&log, "five\n");
+        assert_eq!(log.last_lines(2).unwrap(), ["five"]);
+        let whole = std::fs::read_to_string(log.path()).unwrap();
+        assert!(whole.contains("four\n=== scanloop: incarnation 2\n"), "{whole}");
+    }
+
+    #[test]
+    fn lines_for_the_terminal_carry_no_control_characters() {
+        let scratch = Scratch::new();
+        let log = scratch.log();
+        (&log.append).write_all(b"\x1b[31mred\x07\tand \xff bad\r\n").unwrap();
+        assert_eq!(log.last_lines(1).unwrap(), ["[31mred\tand \u{fffd} bad"]);
+        write(&log, &format!("{}\n", "x".repeat(1000)));
+        assert_eq!(log.last_lines(1).unwrap()[0].len(), LONGEST_LINE + 3);
+    }
+
+    #[test]
+    fn a_short_file_is_left_alone() {
+        let scratch = Scratch::new();
+        let log = scratch.log();
+        write(&log, &"y".repeat(TRIM_ABOVE_BYTES as usize));
+        assert!(!log.trim().unwrap());
+        assert_eq!(log.append.metadata().unwrap().len(), TRIM_ABOVE_BYTES);
+    }
+
+    #[test]
+    fn a_long_file_keeps_its_last_whole_lines_and_goes_on() {
+        let scratch = Scratch::new();
+        let log = scratch.log();
+        let other_end = log.output().unwrap();
+        // 140,000 lines of 8 bytes are 1,120,000 bytes, more than 1,048,576.
+        let text: String = (0..140_000).map(|number| format!("{number:07}\n")).collect();
+        write(&log, &text);
+        assert!(log.trim().unwrap());
+        (&other_end).write_all(b"after\n").unwrap();
+        let kept = std::fs::read_to_string(log.path()).unwrap();
+        let lines: Vec<&str> = kept.lines().collect();
+        // The cut lies on a line's border, of which the first line is dropped as if it were partial: 8191 stay.
+        assert_eq!(lines[0], "=== 1054472 bytes dropped");
+        assert_eq!((lines[1], lines[8191], lines[8192]), ("0131809", "0139999", "after"));
+        assert_eq!(lines.len(), 8193);
+        assert!(!log.trim().unwrap(), "it is short now");
+    }
+
+    #[test]
+    fn a_file_that_was_deleted_is_still_bounded() {
+        let scratch = Scratch::new();
+        let log = scratch.log();
+        std::fs::remove_file(log.path()).unwrap();
+        write(&log, &"z\n".repeat(TRIM_ABOVE_BYTES as usize));
+        assert!(log.trim().unwrap());
+        assert!(log.append.metadata().unwrap().len() <= KEEP_BYTES + 100);
+    }
+}

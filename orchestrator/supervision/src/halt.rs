@@ -1,0 +1,220 @@
+//! Brings a run to a stop from outside: wheels blocked first, then rest, then the end of its processes.
+//!
+//! Nothing here needs the orchestrator, the bus, the directory or a lock of the run. It serves `scanloop stop`, a new run
+//! that finds an old one, and an orchestrator that ends for an error.
+//!
+//! 1. [`block`]: the stop word is latched; actuator and robot are woken (CONT), asked to end (TERM) when they do not
+//!    acknowledge, and the actuator is killed after [`KILL_AFTER_NS`], so that at last the dead man of the robot blocks.
+//! 2. [`finish`]: the orchestrator is given time to end its run itself. Then controller, obstacles and estimator end, then
+//!    the actuator, then the robot, at last an orchestrator that does not respond. A robot is killed only when it is
+//!    known to rest; otherwise it is left and named.
+
+use std::time::Duration;
+
+use runtime::{Domain, Identified, StopWord, Wheels, monotonic_ns, remove_bus_files_of};
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use shared_types::Role;
+
+use crate::runs::{LivingRun, RunProcess};
+
+/// The whole stop lasts this long at most, but not less than [`KILL_AFTER_NS`] and two scan periods [ns].
+const LIMIT_NS: u64 = 1_000_000_000;
+/// Of the limit, what is left for the start and the end of the command [ns].
+const MARGIN_NS: u64 = 60_000_000;
+/// Who does not acknowledge after this time is asked to end [ns].
+const TERM_AFTER_NS: u64 = 100_000_000;
+/// An actuator that does not acknowledge after this time is killed [ns].
+const KILL_AFTER_NS: u64 = 300_000_000;
+/// An orchestrator that responds ends its run within this time [ns].
+const ORCHESTRATOR_NS: u64 = 8_000_000_000;
+/// Wheels that were blocked at 2 m/s rest after 0.4 s; a robot that does not report is waited for this long [ns].
+const REST_NS: u64 = 2_000_000_000;
+/// Between the request to end and the kill [ns].
+const GRACE_NS: u64 = 1_500_000_000;
+/// A killed process goes within this time unless it hangs in the kernel [ns].
+const KILLED_NS: u64 = 1_000_000_000;
+/// Time between two checks.
+const POLL: Duration = Duration::from_millis(2);
+
+/// What became of the request to block the wheels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Blocked {
+    /// Whether the robot, or the actuator for one that does not report, has acknowledged.
+    pub confirmed: bool,
+    /// Time since the request [ns].
+    pub after_ns: u64,
+}
+
+/// How long [`block`] may take for a run [ns].
+pub fn limit_ns(run: &LivingRun) -> u64 {
+    let period_ns = run.word.as_ref().map_or(0, StopWord::period_ns);
+    LIMIT_NS.max(KILL_AFTER_NS + 2 * period_ns) - MARGIN_NS
+}
+
+/// Latches the stop of a run and waits until its wheels are blocked.
+pub fn block(run: &LivingRun) -> Blocked {
+    let began_ns = monotonic_ns();
+    if let Some(word) = &run.word {
+        word.latch();
+    }
+    let actuators: Vec<Identified> = run.of_role(Role::Actuator).collect();
+    let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
+    let both = || actuators.iter().chain(&robots);
+    both().for_each(|process| process.signal(Signal::CONT));
+    let (mut termed, mut killed) = (false, false);
+    loop {
+        let after_ns = monotonic_ns() - began_ns;
+        if is_blocked(run, &robots) {
+            return Blocked { confirmed: true, after_ns };
+        }
+        if after_ns >= limit_ns(run) {
+            return Blocked { confirmed: false, after_ns };
+        }
+        if !termed && (after_ns >= TERM_AFTER_NS || run.word.is_none()) {
+            termed = true;
+            for process in both() {
+                process.signal(Signal::TERM);
+                process.signal(Signal::CONT);
+            }
+        }
+        if !killed && after_ns >= KILL_AFTER_NS {
+            killed = true;
+            actuators.iter().for_each(|process| process.signal(Signal::KILL));
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Whether the wheels are known to be blocked since the stop: by the robot, or by the actuator for a robot that does not
+/// report. Without a process of the role robot there are none.
+fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
+    if robots.iter().all(Identified::has_ended) {
+        return true;
+    }
+    let Some(word) = &run.word else { return false };
+    let reports = robots.iter().any(|robot| robot.pid() == word.obeyed_by(Role::Robot));
+    let (wheels, seen_ns) = word.wheels(if reports { Role::Robot } else { Role::Actuator });
+    wheels >= Wheels::Blocked && seen_ns >= word.stopped_ns()
+}
+
+/// Waits until nothing of the run lives, for so long at most; returns whether nothing does.
+pub fn wait_for_end(run: &LivingRun, timeout_ns: u64) -> bool {
+    let deadline_ns = monotonic_ns() + timeout_ns;
+    while !run.is_over() {
+        if monotonic_ns() >= deadline_ns {
+            return false;
+        }
+        std::thread::sleep(POLL);
+    }
+    true
+}
+
+/// Ends all processes of a run that was stopped and removes its files; returns what could not be ended, in words.
+pub fn finish(run: &LivingRun) -> Vec<String> {
+    if let Some(pid) = foreign_orchestrator(run) {
+        signal_orchestrator(run, pid, Signal::CONT);
+        wait_for_end(run, ORCHESTRATOR_NS);
+    }
+    let mut left = end_processes(run);
+    if let Some(pid) = foreign_orchestrator(run) {
+        end_orchestrator(run, pid);
+        left.extend(foreign_orchestrator(run).map(|pid| format!("orchestrator {pid}")));
+    }
+    clean(run);
+    left
+}
+
+/// Ends all processes of a run whose wheels were blocked, but no orchestrator; returns those that are left, in words.
+pub fn end_processes(run: &LivingRun) -> Vec<String> {
+    // Processes may have come since the run was looked at.
+    let now = LivingRun::all(run.uid).into_iter().find(|found| found.run_id == run.run_id);
+    let run = now.unwrap_or_else(|| run.clone());
+    let others = run.processes.iter();
+    let others = others.filter(|process| !matches!(process.role, Some(Role::Actuator | Role::Robot)));
+    end_all(others.filter_map(|process| process.open()).collect());
+    end_all(run.of_role(Role::Actuator).collect());
+    end_robots(&run);
+    run.living_processes().map(RunProcess::label).collect()
+}
+
+/// The orchestrator of the run, unless it is this process.
+fn foreign_orchestrator(run: &LivingRun) -> Option<u32> {
+    run.orchestrator().filter(|pid| *pid != std::process::id())
+}
+
+/// TERM, grace, KILL.
+fn end_all(processes: Vec<Identified>) {
+    for process in &processes {
+        process.signal(Signal::TERM);
+        process.signal(Signal::CONT);
+    }
+    if !wait_for(&processes, GRACE_NS) {
+        processes.iter().for_each(|process| process.signal(Signal::KILL));
+        wait_for(&processes, KILLED_NS);
+    }
+}
+
+/// A robot ends when it rests; one that does not report is given the time to. It is killed only when it is known to rest.
+fn end_robots(run: &LivingRun) {
+    let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
+    let rests = || run.word.as_ref().is_some_and(|word| word.wheels(Role::Robot).0 == Wheels::Resting);
+    let deadline_ns = monotonic_ns() + REST_NS;
+    while !rests() && !robots.iter().all(Identified::has_ended) && monotonic_ns() < deadline_ns {
+        std::thread::sleep(POLL);
+    }
+    for robot in &robots {
+        robot.signal(Signal::TERM);
+        robot.signal(Signal::CONT);
+    }
+    if !wait_for(&robots, GRACE_NS) && rests() {
+        robots.iter().for_each(|robot| robot.signal(Signal::KILL));
+        wait_for(&robots, KILLED_NS);
+    }
+}
+
+/// Ends an orchestrator that does not respond. One that a service manager would start again is followed by a mark, so that
+/// no run begins by itself after a stop.
+fn end_orchestrator(run: &LivingRun, pid: u32) {
+    let starts_again = std::fs::read(format!("/proc/{pid}/cmdline"))
+        .is_ok_and(|line| line.split(|byte| *byte == 0).any(|word| word == b"--adopt-or-start"));
+    if starts_again && let Err(error) = Domain::mark_stopped(&run.system_id) {
+        tracing::warn!("a service manager may start the system again: {error}");
+    }
+    signal_orchestrator(run, pid, Signal::KILL);
+    wait_for_end(run, KILLED_NS);
+}
+
+fn wait_for(processes: &[Identified], timeout_ns: u64) -> bool {
+    let deadline_ns = monotonic_ns() + timeout_ns;
+    while !processes.iter().all(Identified::has_ended) {
+        if monotonic_ns() >= deadline_ns {
+            return false;
+        }
+        std::thread::sleep(POLL);
+    }
+    true
+}
+
+/// Removes what carries the id of the run, and nothing else.
+fn clean(run: &LivingRun) {
+    if run.uid != rustix::process::geteuid().as_raw() {
+        return;
+    }
+    let removed = match run.domain() {
+        Some(domain) => domain.remove(),
+        None => remove_bus_files_of(&run.run_id),
+    };
+    if let Err(error) = removed {
+        tracing::warn!("not cleaned up: {error}");
+    }
+}
+
+/// Signals the orchestrator. It is opened first and compared then, so that no other process with its number is signalled.
+fn signal_orchestrator(run: &LivingRun, pid: u32, signal: Signal) {
+    let opened = Pid::from_raw(pid.cast_signed()).and_then(|raw| pidfd_open(raw, PidfdFlags::empty()).ok());
+    if let Some(process) = opened
+        && run.orchestrator() == Some(pid)
+    {
+        let _ = pidfd_send_signal(process, signal);
+    }
+}

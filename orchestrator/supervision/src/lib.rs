@@ -1,0 +1,13 @@
+//! The processes of a system as the operating system sees them: started, watched, signalled, reaped.
+
+pub mod background;
+pub mod child;
+pub mod child_log;
+pub mod entry;
+pub mod fleet;
+pub mod halt;
+pub mod lock;
+pub mod realtime;
+pub mod room;
+pub mod runs;
+pub mod supervisor;

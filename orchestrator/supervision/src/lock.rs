@@ -1,0 +1,237 @@
+//! One orchestrator per system: the lock, and which process cleans up.
+
+use std::fs::File;
+use std::io::{ErrorKind, Read, Seek, Write};
+use std::os::unix::fs::MetadataExt;
+
+use anyhow::Context;
+use runtime::{Domain, LEAVING, LOCK_FILE, RuntimeError, monotonic_ns};
+use rustix::fs::{FlockOperation, OFlags, flock};
+
+use crate::halt;
+use crate::runs::{self, LivingRun};
+
+/// The last process of a system without an orchestrator cleans up within this time, and so does a run that was stopped [ns].
+const LEAVING_NS: u64 = 15_000_000_000;
+/// Descriptors that stay free for the removal of files, whatever the limit has become: as deep as these files lie, and two.
+const SPARE_DESCRIPTORS: usize = 6;
+/// Time between two tries.
+const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
+
+/// The right to run a system. Dropping it gives the right back; from [`SystemLock::own`] on it also removes everything
+/// that the system has on this machine: nothing is left in shared memory or in its directory, however the run ended.
+#[derive(Debug)]
+pub struct SystemLock {
+    domain: Domain,
+    _lock: File,
+    spare: Vec<File>,
+    owns: bool,
+}
+
+/// What is found under the id of a system that is to run.
+pub enum Claim {
+    /// Nothing: the directory was just made.
+    New(Domain, SystemLock),
+    /// What a run has left whose orchestrator is gone; its processes may live.
+    Left(Domain, SystemLock),
+}
+
+impl Claim {
+    /// Takes the right to run the system of that id. A run that was stopped and is just ending is waited for.
+    ///
+    /// # Errors
+    /// [`RuntimeError::AlreadyRunning`] while another orchestrator lives, [`RuntimeError::NotPrivate`] for a directory that
+    /// is not this user's alone, and errors of the file system.
+    pub fn take(system_id: &str) -> anyhow::Result<Self> {
+        let deadline_ns = monotonic_ns() + LEAVING_NS;
+        loop {
+            let taken = match Domain::find(system_id)? {
+                Some(domain) => SystemLock::try_take(&domain)?.map(|lock| Self::Left(domain, lock)),
+                None => match runs::living(system_id) {
+                    Some(run) => return Err(already_running(system_id, &run)),
+                    None => Self::make(system_id)?,
+                },
+            };
+            if let Some(claim) = taken {
+                return Ok(claim);
+            }
+            if !is_leaving(system_id) || monotonic_ns() > deadline_ns {
+                let pid = runs::living(system_id)
+                    .and_then(|run| run.orchestrator())
+                    .map_or("unknown".to_owned(), |pid| pid.to_string());
+                return Err(RuntimeError::AlreadyRunning { system_id: system_id.to_owned(), pid }.into());
+            }
+            std::thread::sleep(RETRY);
+        }
+    }
+
+    /// [`Claim::take`], with whatever an earlier run has left ended and removed.
+    ///
+    /// # Errors
+    /// As [`Claim::take`], and a robot of an earlier run that is not known to rest.
+    pub fn take_new(system_id: &str) -> anyhow::Result<(Domain, SystemLock)> {
+        loop {
+            match Self::take(system_id)? {
+                Self::New(domain, lock) => return Ok((domain, lock)),
+                Self::Left(domain, lock) => clear(&domain, lock)?,
+            }
+        }
+    }
+
+    /// `None` when another process made the same system meanwhile.
+    fn make(system_id: &str) -> anyhow::Result<Option<Self>> {
+        let domain = match Domain::create(system_id) {
+            Err(RuntimeError::File { source, .. }) if source.kind() == ErrorKind::AlreadyExists => {
+                return Ok(None);
+            }
+            made => made?,
+        };
+        let Some(mut lock) = SystemLock::try_take(&domain)? else {
+            // A `stop` that came in between removes the directory, but may not have seen the run id.
+            domain.remove_bus_files()?;
+            return Ok(None);
+        };
+        // No other process will remove what is there.
+        lock.own();
+        Ok(Some(Self::New(domain, lock)))
+    }
+}
+
+/// Ends the processes of a run whose orchestrator is gone, and removes its files with the lock.
+///
+/// # Errors
+/// A robot that is not known to rest, a process that does not go, and a file that can't be removed.
+pub fn clear(domain: &Domain, lock: SystemLock) -> anyhow::Result<()> {
+    if let Some(run) = LivingRun::of(domain.run_id()) {
+        halt::block(&run);
+        let left = halt::finish(&run);
+        if !left.is_empty() {
+            return Err(console::exit::Failure::process(format!(
+                "an earlier run of system `{}` does not end: {}",
+                domain.system_id(),
+                left.join(", ")
+            )));
+        }
+    }
+    Ok(lock.remove()?)
+}
+
+impl SystemLock {
+    /// Takes the lock of a system that has a directory and leaves everything else as it is.
+    ///
+    /// # Errors
+    /// [`RuntimeError::AlreadyRunning`] while another orchestrator holds it, and errors of the file system.
+    pub fn take(domain: &Domain) -> anyhow::Result<Self> {
+        match Self::try_take(domain)? {
+            Some(lock) => Ok(lock),
+            None => {
+                let run = LivingRun::of(domain.run_id());
+                let pid = run
+                    .and_then(|run| run.orchestrator())
+                    .map_or_else(|| holder(domain), |pid| pid.to_string());
+                Err(RuntimeError::AlreadyRunning { system_id: domain.system_id().to_owned(), pid }.into())
+            }
+        }
+    }
+
+    /// `None` while another process holds it, or when the directory has just been removed.
+    fn try_take(domain: &Domain) -> anyhow::Result<Option<Self>> {
+        let folder = domain.folder();
+        let context = || folder.path().join(LOCK_FILE).display().to_string();
+        let mut lock = match folder.open_file(LOCK_FILE, OFlags::RDWR | OFlags::CREATE) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            opened => opened.with_context(context)?,
+        };
+        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return Ok(None);
+        }
+        // A holder before may have removed the file meanwhile: then this lock is worth nothing.
+        let same = |there: &File| {
+            let pair = lock.metadata().and_then(|here| there.metadata().map(|there| (here, there)));
+            pair.is_ok_and(|(here, there)| (here.dev(), here.ino()) == (there.dev(), there.ino()))
+        };
+        if !folder.open_file(LOCK_FILE, OFlags::RDONLY).is_ok_and(|there| same(&there)) || !domain.exists() {
+            return Ok(None);
+        }
+        lock.set_len(0).and_then(|()| lock.rewind()).with_context(context)?;
+        writeln!(lock, "{}", std::process::id()).with_context(context)?;
+        let spare = std::iter::repeat_with(|| lock.try_clone()).take(SPARE_DESCRIPTORS).flatten().collect();
+        Ok(Some(Self { domain: domain.clone(), _lock: lock, spare, owns: false }))
+    }
+
+    /// From now on the files of the system are of this run: they are removed when the lock is dropped.
+    pub fn own(&mut self) {
+        self.owns = true;
+    }
+
+    /// Removes everything that the system has on this machine.
+    fn remove(mut self) -> Result<(), RuntimeError> {
+        self.owns = false;
+        self.spare.clear();
+        self.domain.remove()
+    }
+}
+
+impl Drop for SystemLock {
+    fn drop(&mut self) {
+        self.spare.clear();
+        if self.owns
+            && let Err(error) = self.domain.remove()
+        {
+            tracing::warn!("not cleaned up: {error:#}");
+        }
+    }
+}
+
+/// What the holder of the lock has written into it.
+fn holder(domain: &Domain) -> String {
+    let mut text = String::new();
+    if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
+        let _ = file.read_to_string(&mut text);
+    }
+    text.split_whitespace().next().unwrap_or("unknown").to_owned()
+}
+
+/// Whether the system is about to be gone: its last process cleans up, it was stopped, or nothing of it lives.
+fn is_leaving(system_id: &str) -> bool {
+    let Ok(Some(domain)) = Domain::find(system_id) else { return true };
+    let mut text = String::new();
+    if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
+        let _ = file.read_to_string(&mut text);
+    }
+    // Without a living process it is just being made or removed.
+    let Some(run) = LivingRun::of(domain.run_id()) else { return true };
+    text.contains(LEAVING) || run.word.is_some_and(|word| !word.is_armed())
+}
+
+/// A run whose directory is not where one is looked for.
+fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
+    let place = run.directory.as_ref().map_or("no directory".to_owned(), |path| path.display().to_string());
+    let alive = run.alive().join(", ");
+    console::exit::Failure::bad_input(format!(
+        "system `{system_id}` is already running in {place} ({alive}); `scanloop stop` ends it, or choose another with \
+         --system-id"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_waits_for_a_stop_that_removes_what_was_left() {
+        let id = format!("lock{}", std::process::id());
+        let left = Domain::create(&id).unwrap();
+        let mut stop = SystemLock::take(&left).unwrap();
+        stop.own();
+        let run = std::thread::spawn(move || {
+            let (domain, _lock) = Claim::take_new(&id)?;
+            anyhow::Ok(domain)
+        });
+        std::thread::sleep(5 * RETRY);
+        assert!(!run.is_finished(), "nothing lives that could be running already");
+        drop(stop);
+        let made = run.join().unwrap().unwrap();
+        assert!(made.run_id() != left.run_id() && !made.exists() && !left.bus_directory().exists());
+    }
+}

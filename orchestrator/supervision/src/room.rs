@@ -1,0 +1,57 @@
+//! Shared memory for one more process, kept while all is well, so that a swap or a restart finds it also when another
+//! program has filled `/dev/shm`.
+
+use runtime::{Bus, Reserve, RuntimeError, monotonic_ns};
+
+/// Time between two attempts to get it back [ns].
+const RETRY_NS: u64 = 100_000_000;
+/// So long it may be missing before that is a reason to warn [ns]: what a process had is free when the last of its
+/// readers has noticed that it ended.
+const WARN_NS: u64 = 2_000_000_000;
+
+/// The reserve of one orchestrator.
+#[derive(Debug, Default)]
+pub struct Room {
+    reserve: Option<Reserve>,
+    retry_ns: u64,
+    /// When it could not be taken for the first time.
+    missing_ns: Option<u64>,
+    warned: bool,
+}
+
+impl Room {
+    /// Frees the reserve for a process that is about to be started.
+    ///
+    /// # Errors
+    /// [`RuntimeError::SharedMemory`] when there was no reserve and there is no room.
+    pub fn make(&mut self) -> Result<(), RuntimeError> {
+        self.missing_ns = None;
+        if self.reserve.take().is_none() {
+            Reserve::take(Reserve::of_a_process())?;
+        }
+        Ok(())
+    }
+
+    /// While the reserve is not held: allocates what new processes have made, as those in other languages do not, and
+    /// takes the reserve again once no process `is_moving`. Returns what is missing, once until it was held again.
+    pub fn keep(&mut self, bus: &Bus, is_moving: bool) -> Option<RuntimeError> {
+        let now_ns = monotonic_ns();
+        if self.reserve.is_some() || now_ns < self.retry_ns {
+            return None;
+        }
+        self.retry_ns = now_ns + RETRY_NS;
+        let reserve = || if is_moving { Ok(None) } else { Reserve::take(Reserve::of_a_process()).map(Some) };
+        match bus.allocate().and_then(|()| reserve()) {
+            Ok(None) => None,
+            Ok(reserve) => {
+                *self = Self { reserve, ..Self::default() };
+                None
+            }
+            Err(error) => {
+                let is_new = now_ns - *self.missing_ns.get_or_insert(now_ns) >= WARN_NS && !self.warned;
+                self.warned |= is_new;
+                is_new.then_some(error)
+            }
+        }
+    }
+}
