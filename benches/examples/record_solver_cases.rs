@@ -12,7 +12,7 @@
 use nmpc::{Budget, Collocation, Solver, SolverSettings, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use scanloop::bench::solver::problem::{Case, PERIOD_S, guess, problem};
+use commands::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use vehicle::State;
 use vehicle::integrate::integrate;
 

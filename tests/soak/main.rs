@@ -68,7 +68,7 @@ struct OperatorArguments {
 
 fn main() -> std::process::ExitCode {
     if std::env::args().nth(1).is_some_and(|word| word == "--system-id" || word == "service") {
-        return scanloop::main();
+        return commands::main();
     }
     let arguments = Arguments::parse();
     let Ok(executable) = std::env::current_exe() else {

@@ -5,5 +5,5 @@
 static ALLOCATOR: runtime::CountingAllocator = runtime::CountingAllocator;
 
 fn main() -> std::process::ExitCode {
-    scanloop::main()
+    commands::main()
 }

@@ -161,22 +161,22 @@ fn printable(line: &str) -> String {
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(crate) mod tests {
     use super::*;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     /// A folder of its own for one test, removed at its end.
-    pub struct Scratch(pub PathBuf);
+    pub(crate) struct Scratch(pub PathBuf);
 
     impl Scratch {
-        pub fn new() -> Self {
+        pub(crate) fn new() -> Self {
             static COUNT: AtomicU32 = AtomicU32::new(0);
             let name =
                 format!("scanloop-child-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
             Self(std::env::temp_dir().join(name))
         }
 
-        pub fn log(&self) -> ChildLog {
+        pub(crate) fn log(&self) -> ChildLog {
             ChildLog::open(&self.0.join("log/process.log")).unwrap()
         }
     }
