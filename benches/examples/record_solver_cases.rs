@@ -9,10 +9,10 @@
 //! this fails as a set of cases: all three laps pass the ellipse on the right, and nothing is ever seen late; use a file
 //! of your own for those.
 
+use commands::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use nmpc::{Budget, Collocation, Solver, SolverSettings, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use commands::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use vehicle::State;
 use vehicle::integrate::integrate;
 

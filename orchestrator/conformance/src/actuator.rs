@@ -3,14 +3,14 @@
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Level as CommandLevel, StopReason, Topic,
 };
-use vehicle::correction::{Correction, Linkage, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
-use vehicle::{Bounds, Control};
+use vehicle::Control;
+use vehicle::correction::{Correction, Linkage};
 
-use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::lifecycle::end;
 use super::message::Message;
+use super::ranges::SENT;
 use super::stand::{ANSWER_NS, Stand};
 use super::suite::{Setup, Suite};
 
@@ -18,8 +18,6 @@ use super::suite::{Setup, Suite};
 const FIRST_SCAN: u64 = 20;
 /// Scans of a case.
 const SCANS: usize = 10;
-/// Largest difference between what is sent and what should be [m/s, rad]: single precision on the way is allowed.
-const SENT: f64 = 1e-6;
 
 /// The cases of actuators alone.
 pub(crate) const CASES: [Case; 10] = [
@@ -105,21 +103,6 @@ pub(crate) const CASES: [Case; 10] = [
         play: first_word,
     },
 ];
-
-/// The ranges of an actuation: limits (7.41), limits of what is sent, no velocity with blocked wheels.
-pub(crate) fn ranges(actuation: &Actuation) -> Result<(), String> {
-    if actuation.kind != ActuationKind::Drive.wire() {
-        return within(&[("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0)]);
-    }
-    let bounds = Bounds::default();
-    let (desired, sent) = (bounds.steering_max_rad + SENT, SENT_STEERING_MAX_RAD + SENT);
-    within(&[
-        ("desired_velocity_mps", actuation.desired_velocity_mps, 0.0..=bounds.velocity_max_mps + SENT),
-        ("desired_steering_rad", actuation.desired_steering_rad, -desired..=desired),
-        ("sent_velocity_mps", actuation.sent_velocity_mps, 0.0..=SENT_VELOCITY_MAX_MPS + SENT),
-        ("sent_steering_rad", actuation.sent_steering_rad, -sent..=sent),
-    ])
-}
 
 fn limits(suite: &Suite) -> Verdict {
     let mut stand = driving(suite)?;

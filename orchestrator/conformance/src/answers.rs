@@ -5,7 +5,7 @@ use shared_types::{CHECKPOINT_BYTES, Checkpoint, Header, Role};
 
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require, skipped};
 use super::drive::Course;
-use super::message::Message;
+use super::ranges::valid;
 use super::stand::{ANSWER_NS, Heard, Stand, asking};
 use super::suite::{Setup, Suite};
 
@@ -182,39 +182,6 @@ fn valid_values(suite: &Suite) -> Verdict {
     stand.rounds(SCANS)?;
     valid(&stand.heard)?;
     Ok(format!("{} samples", stand.heard.len()))
-}
-
-/// That every sample passes the check of its type and the ranges of its topic.
-pub(crate) fn valid(heard: &[Heard]) -> Result<(), Trouble> {
-    for Heard { message, .. } in heard {
-        let scan_id = message.scan_id();
-        if let Err(fault) = message.check() {
-            return failed(format!("{} of scan {scan_id}: {fault}", message.topic()));
-        }
-        let ranges = match message {
-            Message::Pose(pose) => super::estimator::ranges(pose),
-            Message::Obstacles(obstacles) => super::obstacles::ranges(obstacles),
-            Message::Command(command) => super::controller::ranges(command),
-            Message::Actuation(actuation) => super::actuator::ranges(actuation),
-            Message::Scan(scan) => super::robot::scan_ranges(scan),
-            Message::Odometry(odometry) => super::robot::odometry_ranges(odometry),
-            Message::Truth(_) => Ok(()),
-        };
-        if let Err(reason) = ranges {
-            return failed(format!("{} of scan {scan_id}: {reason}", message.topic()));
-        }
-    }
-    Ok(())
-}
-
-/// Fails with the name, the value and the range of the first number that is outside.
-pub(crate) fn within(numbers: &[(&str, f64, std::ops::RangeInclusive<f64>)]) -> Result<(), String> {
-    for (name, value, range) in numbers {
-        if !range.contains(value) {
-            return Err(format!("{name} = {value} is outside {} to {}", range.start(), range.end()));
-        }
-    }
-    Ok(())
 }
 
 fn repeatable(suite: &Suite) -> Verdict {

@@ -1,11 +1,10 @@
 //! What a case is and how it can end.
 
-use std::fmt::Display;
-
-use runtime::RuntimeError;
 use serde::{Deserialize, Serialize};
 
 use super::suite::Suite;
+
+pub(crate) use super::trouble::{Trouble, Verdict, failed, require, skipped};
 
 /// In real time a machine that is too busy for a process to run within three periods spoils a case.
 pub(crate) const LIVE: u32 = 3;
@@ -51,20 +50,6 @@ pub enum Outcome {
     Skipped,
 }
 
-/// What was measured when the requirement is met, else why it is not.
-pub(crate) type Verdict = Result<String, Trouble>;
-
-/// Why a case did not pass.
-#[derive(Debug)]
-pub(crate) enum Trouble {
-    /// The implementation does not meet the requirement.
-    Failed(String),
-    /// The requirement does not apply to it.
-    Skipped(String),
-    /// The suite itself could not go on.
-    Broken(anyhow::Error),
-}
-
 impl Level {
     /// The name in reports.
     pub(crate) const fn name(self) -> &'static str {
@@ -84,37 +69,4 @@ impl Outcome {
             Self::Skipped => "skipped",
         }
     }
-}
-
-impl From<anyhow::Error> for Trouble {
-    fn from(error: anyhow::Error) -> Self {
-        Self::Broken(error)
-    }
-}
-
-impl From<RuntimeError> for Trouble {
-    fn from(error: RuntimeError) -> Self {
-        Self::Broken(error.into())
-    }
-}
-
-impl From<std::io::Error> for Trouble {
-    fn from(error: std::io::Error) -> Self {
-        Self::Broken(error.into())
-    }
-}
-
-/// Fails the case with `reason` unless `holds`.
-pub(crate) fn require(holds: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
-    if holds { Ok(()) } else { Err(Trouble::Failed(reason())) }
-}
-
-/// Fails the case.
-pub(crate) fn failed<T>(reason: impl Display) -> Result<T, Trouble> {
-    Err(Trouble::Failed(reason.to_string()))
-}
-
-/// Leaves the case out.
-pub(crate) fn skipped<T>(reason: impl Display) -> Result<T, Trouble> {
-    Err(Trouble::Skipped(reason.to_string()))
 }

@@ -3,9 +3,7 @@
 use shared_types::{
     Alarm, Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, StopReason, Suspect, Topic,
 };
-use vehicle::Bounds;
 
-use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
@@ -16,8 +14,6 @@ use super::suite::{Setup, Suite};
 const SCANS: usize = 12;
 /// How far before the barrier the robot's centre is: 0.5 m from its front [m].
 const IN_FRONT_M: f64 = 0.8;
-/// Rounding of a solver, as in the actuator [m/s, rad].
-const ROUNDING: f64 = 1e-6;
 
 /// The cases of controllers alone.
 pub(crate) const CASES: [Case; 9] = [
@@ -94,24 +90,6 @@ pub(crate) const CASES: [Case; 9] = [
         play: plan,
     },
 ];
-
-/// The ranges of a command: limits (7.41), verified when driving.
-pub(crate) fn ranges(command: &Command) -> Result<(), String> {
-    if command.kind != CommandKind::Drive.wire() {
-        return Ok(());
-    }
-    let bounds = Bounds::default();
-    let steering = bounds.steering_max_rad + ROUNDING;
-    within(&[
-        (
-            "velocity_mps",
-            command.velocity_mps,
-            bounds.velocity_min_mps - ROUNDING..=bounds.velocity_max_mps + ROUNDING,
-        ),
-        ("steering_rad", command.steering_rad, -steering..=steering),
-        ("verified", f64::from(command.verified), 1.0..=1.0),
-    ])
-}
 
 fn drives(suite: &Suite) -> Verdict {
     let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;

@@ -3,7 +3,6 @@
 use shared_types::{Odometry, Pose, Truth};
 use vehicle::frame::wrap_angle;
 
-use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
@@ -62,22 +61,6 @@ pub(crate) const CASES: [Case; 5] = [
         play: covariance,
     },
 ];
-
-/// The ranges of a pose.
-pub(crate) fn ranges(pose: &Pose) -> Result<(), String> {
-    let far = -1e6..=1e6;
-    within(&[
-        ("x_m", pose.x_m, far.clone()),
-        ("y_m", pose.y_m, far.clone()),
-        ("predicted_x_m", pose.predicted_x_m, far.clone()),
-        ("predicted_y_m", pose.predicted_y_m, far),
-        ("yaw_rad", pose.yaw_rad, -3.2..=3.2),
-        ("speed_mps", pose.speed_mps, -10.0..=10.0),
-        ("predicted_speed_mps", pose.predicted_speed_mps, -10.0..=10.0),
-        ("sideslip_rad", pose.sideslip_rad, -1.0..=1.0),
-        ("yaw_rate_radps", pose.yaw_rate_radps, -10.0..=10.0),
-    ])
-}
 
 fn near_the_truth(suite: &Suite) -> Verdict {
     follow(suite, Course::Exact)

@@ -21,10 +21,12 @@ mod intake;
 mod lifecycle;
 mod message;
 mod obstacles;
+mod ranges;
 mod report;
 mod robot;
 mod stand;
 mod suite;
+mod trouble;
 
 use std::ffi::OsString;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -41,8 +43,9 @@ use console::note;
 use console::output::data;
 use supervision::entry::IMPLEMENTATIONS;
 
-use case::{Case, Trouble, Verdict};
+use case::Case;
 use suite::Suite;
+use trouble::{Trouble, Verdict};
 
 /// Arguments of `conformance`.
 #[derive(Debug, Args)]

@@ -2,7 +2,6 @@
 
 use shared_types::{Obstacle, Obstacles, Topic};
 
-use super::answers::within;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
@@ -70,28 +69,6 @@ pub(crate) const CASES: [Case; 6] = [
         play: remembers,
     },
 ];
-
-/// The ranges of a description.
-pub(crate) fn ranges(obstacles: &Obstacles) -> Result<(), String> {
-    let list = obstacles.list();
-    for (index, item) in list.iter().enumerate() {
-        if item.id == 0 || list[..index].iter().any(|other| other.id == item.id) {
-            return Err(format!("id {} of ellipse {index} is zero or not its own", item.id));
-        }
-        within(&[
-            ("a_m", item.a_m, 0.01..=20.0),
-            ("b_m", item.b_m, 0.01..=20.0),
-            ("velocity_x_mps", item.velocity_x_mps, -20.0..=20.0),
-            ("velocity_y_mps", item.velocity_y_mps, -20.0..=20.0),
-            ("unseen_s", item.unseen_s, 0.0..=3600.0),
-        ])?;
-    }
-    let rest = &obstacles.items[list.len()..];
-    if rest.iter().any(|item| *item != Obstacle::default()) {
-        return Err(format!("ellipses beyond count = {} are not zero", obstacles.count));
-    }
-    Ok(())
-}
 
 fn sees_a_box(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);

@@ -2,11 +2,12 @@
 //!
 //! How it moves is judged by its own odometry and its own stamps, so nothing depends on when the stand looks.
 
-use shared_types::{ActuationKind, Odometry, Phase, Scan, Topic};
+use shared_types::{ActuationKind, Odometry, Phase, Topic};
 
-use super::answers::{own_stamps, same, valid, within};
+use super::answers::{own_stamps, same};
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require};
 use super::message::Message;
+use super::ranges::valid;
 use super::stand::{ANSWER_NS, Heard, Order, STRANGER, Stand};
 use super::suite::{Setup, Suite};
 
@@ -134,24 +135,6 @@ pub(crate) const CASES: [Case; 14] = [
         play: repeatable,
     },
 ];
-
-/// The ranges of a scan, beyond what its check says.
-pub(crate) fn scan_ranges(scan: &Scan) -> Result<(), String> {
-    let returns = (0..scan.ranges_mm.len()).filter_map(|beam| scan.range_m(beam));
-    let farthest = returns.fold(0.0, f64::max);
-    within(&[("range_m", farthest, 0.0..=65.0), ("period_ns", scan.period_ns as f64, 1e6..=10e9)])
-}
-
-/// The ranges of an odometry sample.
-pub(crate) fn odometry_ranges(odometry: &Odometry) -> Result<(), String> {
-    within(&[
-        ("x_m", odometry.x_m, -1e6..=1e6),
-        ("y_m", odometry.y_m, -1e6..=1e6),
-        ("yaw_rad", odometry.yaw_rad, -3.2..=3.2),
-        ("speed_mps", odometry.speed_mps, -10.0..=10.0),
-        ("dt_s", odometry.dt_s, 0.0..=10.0),
-    ])
-}
 
 fn scans(suite: &Suite) -> Verdict {
     let mut stand = suite.started(Setup::default())?;

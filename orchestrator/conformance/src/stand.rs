@@ -9,6 +9,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use anyhow::Context;
 use console::exit::{Exit, Failure};
@@ -101,6 +102,21 @@ pub(crate) struct Stand<'a> {
     word: StopWord,
     // Dropped last: removes what the ports above used.
     _lock: SystemLock,
+}
+
+impl Suite {
+    /// A stand without a candidate yet.
+    pub(crate) fn stand(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
+        let number = self.stands.fetch_add(1, Ordering::Relaxed);
+        Ok(Stand::new(self, setup, number)?)
+    }
+
+    /// A stand whose candidate has started and waits for its first scan.
+    pub(crate) fn started(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
+        let mut stand = self.stand(setup)?;
+        stand.start()?;
+        Ok(stand)
+    }
 }
 
 impl<'a> Stand<'a> {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::AtomicU32;
 use std::sync::{Arc, Mutex};
 
 use plan::settings;
@@ -10,9 +10,7 @@ use runtime::{ClockKind, Domain, Realtime, RunSettings, Shutdown};
 use shared_types::Role;
 use supervision::lock::{SystemLock, clear};
 
-use super::case::Trouble;
 use super::drive::{Course, Drive};
-use super::stand::Stand;
 
 /// What all cases of a suite share.
 pub(crate) struct Suite {
@@ -25,7 +23,8 @@ pub(crate) struct Suite {
     /// Tells when the user wants to end.
     pub(crate) shutdown: Shutdown,
     drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
-    stands: AtomicU32,
+    /// How many stands there were.
+    pub(crate) stands: AtomicU32,
 }
 
 /// How a stand is set up.
@@ -64,19 +63,6 @@ impl Suite {
         let drive = Arc::new(Drive::record(course, self.period_ns)?);
         drives.insert(course, Arc::clone(&drive));
         Ok(drive)
-    }
-
-    /// A stand without a candidate yet.
-    pub(crate) fn stand(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
-        let number = self.stands.fetch_add(1, Ordering::Relaxed);
-        Ok(Stand::new(self, setup, number)?)
-    }
-
-    /// A stand whose candidate has started and waits for its first scan.
-    pub(crate) fn started(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
-        let mut stand = self.stand(setup)?;
-        stand.start()?;
-        Ok(stand)
     }
 }
 

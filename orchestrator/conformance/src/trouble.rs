@@ -1,0 +1,52 @@
+//! Why a case does not pass.
+
+use std::fmt::Display;
+
+use runtime::RuntimeError;
+
+/// What was measured when the requirement is met, else why it is not.
+pub(crate) type Verdict = Result<String, Trouble>;
+
+/// Why a case did not pass.
+#[derive(Debug)]
+pub(crate) enum Trouble {
+    /// The implementation does not meet the requirement.
+    Failed(String),
+    /// The requirement does not apply to it.
+    Skipped(String),
+    /// The suite itself could not go on.
+    Broken(anyhow::Error),
+}
+
+impl From<anyhow::Error> for Trouble {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Broken(error)
+    }
+}
+
+impl From<RuntimeError> for Trouble {
+    fn from(error: RuntimeError) -> Self {
+        Self::Broken(error.into())
+    }
+}
+
+impl From<std::io::Error> for Trouble {
+    fn from(error: std::io::Error) -> Self {
+        Self::Broken(error.into())
+    }
+}
+
+/// Fails the case with `reason` unless `holds`.
+pub(crate) fn require(holds: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
+    if holds { Ok(()) } else { Err(Trouble::Failed(reason())) }
+}
+
+/// Fails the case.
+pub(crate) fn failed<T>(reason: impl Display) -> Result<T, Trouble> {
+    Err(Trouble::Failed(reason.to_string()))
+}
+
+/// Leaves the case out.
+pub(crate) fn skipped<T>(reason: impl Display) -> Result<T, Trouble> {
+    Err(Trouble::Skipped(reason.to_string()))
+}
