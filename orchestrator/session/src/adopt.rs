@@ -18,9 +18,10 @@ use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
+use crate::beginning::{Beginning, Manner};
 use crate::results::conclude;
 use crate::roster::{Roster, RunFile};
-use crate::start::{Beginning, Manner, assemble};
+use crate::session::Session;
 use crate::survivors::Survivors;
 
 /// Takes over the processes of a run and drives it to its end.
@@ -148,7 +149,7 @@ pub(crate) fn take_over(
         out: out.clone(),
     };
     let beginning = Beginning { bus, word, fleet, shutdown, events, directive, first_scan: 0 };
-    let mut session = assemble(domain, &plan, manner, beginning)?;
+    let mut session = Session::new(domain, &plan, manner, beginning)?;
     session.resume_end(roster.outcome, roster.reason);
     conclude(session, &plan.scenario, &out)
 }

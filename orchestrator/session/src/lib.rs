@@ -2,7 +2,9 @@
 
 pub mod adopt;
 pub mod arguments;
+pub mod beginning;
 pub mod control;
+mod directives;
 pub mod driverless;
 mod results;
 mod roster;

@@ -9,8 +9,9 @@ use supervision::lock::{Claim, clear};
 
 use crate::adopt;
 use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
+use crate::beginning::Manner;
 use crate::results::conclude;
-use crate::start::{Manner, start};
+use crate::start::start;
 use crate::survivors::Survivors;
 
 /// Drives a scenario and writes its report.

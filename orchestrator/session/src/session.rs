@@ -6,40 +6,40 @@
 
 mod account;
 mod candidate;
+mod conclusion;
 mod refusals;
+mod requests;
 mod shadowing;
+mod status;
 mod swapping;
-
-use std::time::Instant;
 
 use audit::digest::Digests;
 use audit::ledger::{Books, PROCESS_RESTARTED};
 use audit::samples::{Samples, ScanRecord};
-use console::progress::{COLUMNS, ProcessWord, Progress, line};
+use console::progress::Progress;
 use emulator::{Referee, Scenario};
-use report::recorder::{Ending, Recorder};
+use plan::Plan;
+use report::recorder::{Ending, Recorder, RunInfo};
 use report::{Outcome, ProcessReport};
-use runtime::{Bus, Domain, Shutdown, StopWord, Voice, Wheels, monotonic_ns, wait_for};
-use shared_types::{Authority, Directive, Phase, ProcessState, Role};
+use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
+use shared_types::{Authority, Phase, ProcessState, Role};
 use supervision::fleet::Fleet;
 use supervision::supervisor::{Action, Event, Severity, Supervisor};
 
-use crate::control::{ControlSocket, ProcessStatus, Reply, Request, Status};
+use crate::beginning::{Beginning, Manner};
+use crate::control::ControlSocket;
+use crate::directives::Directives;
 use crate::service_manager::ServiceManager;
 use crate::vitals::Vitals;
 
-pub(crate) use account::Word;
+pub(crate) use account::Account;
+pub(crate) use conclusion::Conclusion;
+use conclusion::Step;
 pub(crate) use shadowing::Shadows;
 pub(crate) use swapping::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
-/// The directive is repeated this often for those who missed it [ns].
-const REPEAT_NS: u64 = 100_000_000;
-/// A robot that does not come to rest within this time after the stop is not waited for [ns].
-const REST_PATIENCE_NS: u64 = 1_500_000_000;
-/// Scans on their way when the robot was told to publish no more are waited for this long [ns].
-const DRAIN_PATIENCE_NS: u64 = 300_000_000;
 /// In lock-step a scan that is not answered within this time of the machine's clock ends the run [ns].
 const LOCKSTEP_PATIENCE_NS: u64 = 20_000_000_000;
 
@@ -62,45 +62,88 @@ pub struct Session {
     pub(crate) control: ControlSocket,
     pub(crate) referee: Referee,
     pub(crate) samples: Samples,
+    /// The account of all samples, and when it was closed last [ns].
     pub(crate) books: Books,
     pub(crate) closed_ns: u64,
     pub(crate) digests: Digests,
     pub(crate) vitals: Vitals,
-    pub(crate) voice: Voice<Directive>,
-    pub(crate) directive: Directive,
-    /// What the roster said last of the directive.
-    pub(crate) written: Option<Word>,
-    /// When to write again what could not be written; 0 when all is written [ns].
-    pub(crate) rewrite_ns: u64,
+    pub(crate) directives: Directives,
+    pub(crate) account: Account,
     pub(crate) swaps: Swaps,
     /// What the supervisor is told first: to start all, or who is there already.
     pub(crate) beginning: Vec<Event>,
     /// Sees every recorded scan: for benches.
     pub(crate) on_scan: Option<ScanListener>,
     pub(crate) shadows: Shadows,
-    pub(crate) end: End,
-    pub(crate) dirty: bool,
-    pub(crate) said_ns: u64,
+    pub(crate) conclusion: Conclusion,
     pub(crate) moved_ns: u64,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
     pub(crate) bus: Bus,
     pub(crate) fleet: Fleet,
 }
 
-/// How far the end of a run has come.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) enum End {
-    /// The robot is on its way.
-    NotYet,
-    /// The outcome is known; the wheels are being blocked until this time at the latest.
-    Resting(Outcome, String, u64),
-    /// The robot publishes no more; answers on their way are waited for until this time at the latest.
-    Draining(Outcome, String, u64),
-    /// Processes are ending.
-    Ending(Outcome, String),
-}
-
 impl Session {
+    /// A session that is about to drive.
+    ///
+    /// # Errors
+    /// Errors of the bus, and a control socket that can't be made.
+    pub(crate) fn new(
+        domain: &Domain,
+        plan: &Plan,
+        manner: Manner,
+        beginning: Beginning,
+    ) -> anyhow::Result<Self> {
+        let Plan { scenario, system } = plan;
+        let Beginning { bus, word, fleet, shutdown, events, directive, first_scan } = beginning;
+        shutdown.latch_also(&word)?;
+        let control = ControlSocket::open(domain)?;
+        let period_ns = system.period_ns();
+        let policies = Role::ALL
+            .iter()
+            .filter_map(|role| fleet.entry(*role).map(|entry| entry.policy(*role, period_ns)))
+            .collect();
+        let supervisor = Supervisor::new(policies);
+        let supervisor = if manner.lockstep { supervisor.in_lockstep() } else { supervisor };
+        let info = RunInfo {
+            run_id: domain.run_id().to_owned(),
+            scenario: scenario.name.clone(),
+            seed: scenario.seed,
+            lockstep: manner.lockstep,
+            first_scan,
+            goal_m: [scenario.goal.x_m, scenario.goal.y_m],
+        };
+        Ok(Self {
+            samples: Samples::new(&bus, period_ns)?,
+            books: if first_scan == 0 { Books::midway() } else { Books::new(manner.lockstep) },
+            closed_ns: 0,
+            vitals: Vitals::new(&bus)?,
+            directives: Directives::new(&bus, directive)?,
+            digests: Digests::default(),
+            referee: Referee::new(scenario),
+            progress: Progress::new(manner.quiet),
+            manager: ServiceManager::new(),
+            recorder: Recorder::new(info),
+            domain: domain.clone(),
+            word,
+            scenario: scenario.clone(),
+            lockstep: manner.lockstep,
+            duration_s: manner.duration_s,
+            account: Account::default(),
+            swaps: Swaps::default(),
+            beginning: events,
+            on_scan: None,
+            shadows: Shadows::default(),
+            conclusion: Conclusion::new(manner.lockstep, period_ns),
+            moved_ns: 0,
+            period_ns,
+            bus,
+            fleet,
+            supervisor,
+            shutdown,
+            control,
+        })
+    }
+
     /// Calls `listener` with each scan that is recorded: for a bench.
     pub fn listen(&mut self, listener: Box<dyn FnMut(&ScanRecord)>) {
         self.on_scan = Some(listener);
@@ -126,7 +169,7 @@ impl Session {
         while !self.supervisor.is_finished() {
             self.sleep();
             self.heed_stop();
-            self.samples.poll(&self.directive, &mut self.books)?;
+            self.samples.poll(&self.directives.current, &mut self.books)?;
             self.observe_swap()?;
             self.observe_shadows()?;
             self.take_heartbeats()?;
@@ -147,7 +190,7 @@ impl Session {
             self.show();
         }
         self.take_heartbeats()?;
-        self.samples.poll(&self.directive, &mut self.books)?;
+        self.samples.poll(&self.directives.current, &mut self.books)?;
         self.record(true)?;
         self.close_books(true);
         self.progress.finish();
@@ -215,7 +258,7 @@ impl Session {
             if self.shadow_ended(role, incarnation, exit) || self.swap_ended(role, incarnation, exit)? {
                 continue;
             }
-            if self.end == End::NotYet {
+            if self.conclusion.is_open() {
                 self.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.progress.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_words(role) {
@@ -223,62 +266,6 @@ impl Session {
                 }
             }
             self.handle(Event::Exited { role, incarnation, exit })?;
-        }
-        Ok(())
-    }
-
-    fn serve(&mut self) -> anyhow::Result<()> {
-        if !wait_for(&[self.control.descriptor()], 0) {
-            return Ok(());
-        }
-        let stopped = !self.word.is_armed();
-        let mut requests = Vec::new();
-        let status = Reply::Status(Box::new(self.status()));
-        let Self { control, swaps, shadows, fleet, supervisor, lockstep, .. } = self;
-        control.serve(|request| match request {
-            Request::Status => status.clone(),
-            Request::Swap(_) | Request::Shadow(_) | Request::Restart { .. } if stopped => {
-                Reply::Refused("the run was stopped".to_owned())
-            }
-            Request::Swap(request) if shadows.concern(&request.role) => {
-                Reply::Refused(format!("a process runs in the shadow of {}: end that first", request.role))
-            }
-            Request::Swap(request) => swaps.ask(request, fleet, supervisor),
-            Request::Shadow(_) if *lockstep => Reply::Refused(
-                "a shadow needs a run in real time: in lock-step all wait for the slowest".to_owned(),
-            ),
-            Request::Shadow(request) => match request.role.parse() {
-                Ok(role) if swaps.concerns(role) => {
-                    Reply::Refused(format!("{role} is being exchanged: wait for the certificate"))
-                }
-                _ => shadows.ask(&request, fleet, supervisor),
-            },
-            Request::ShadowResult { number } => shadows.result(number),
-            Request::ShadowEnd { number } => shadows.end_early(number),
-            Request::SwapResult { number } => swaps.result(number),
-            Request::Restart { role } => match role.parse::<Role>() {
-                Ok(role) if swaps.concerns(role) => {
-                    Reply::Refused(format!("{role} is not restarted: it is being exchanged"))
-                }
-                Ok(Role::Robot) => {
-                    Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
-                }
-                Ok(role) => swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
-                    requests.push(Event::RestartRequested { role });
-                    Reply::Done
-                }),
-                Err(unknown) => Reply::Refused(unknown.to_string()),
-            },
-            Request::Stop => {
-                requests.push(Event::StopRequested);
-                Reply::Done
-            }
-        });
-        for request in requests {
-            match request {
-                Event::StopRequested => self.decide(Outcome::Interrupted, "stopped by command"),
-                event => self.handle(event)?,
-            }
         }
         Ok(())
     }
@@ -298,7 +285,7 @@ impl Session {
             scan.commands.iter().for_each(|command| self.recorder.command(command));
             self.recorder.truth(&scan.truth);
             scan.actuations.iter().for_each(|actuation| self.recorder.actuation(actuation));
-            if self.end == End::NotYet {
+            if self.conclusion.is_open() {
                 self.judge(&scan.truth);
             }
             self.swap_recorded(&scan)?;
@@ -308,7 +295,7 @@ impl Session {
 
     /// In lock-step nothing after the scan that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
-        !self.lockstep || self.end == End::NotYet
+        !self.lockstep || self.conclusion.is_open()
     }
 
     /// In lock-step equal runs have equal samples; in real time stamps differ.
@@ -332,13 +319,11 @@ impl Session {
     }
 
     fn decide(&mut self, outcome: Outcome, reason: &str) {
-        if self.end == End::NotYet {
+        if self.conclusion.is_open() {
             let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
             let reason = if is_explained { reason.to_owned() } else { reason.to_owned() + &self.blame() };
-            let patience = if self.lockstep { 0 } else { REST_PATIENCE_NS };
-            self.end = End::Resting(outcome, reason, monotonic_ns() + patience);
-            self.directive.stop = 1;
-            self.dirty = true;
+            self.conclusion.decide(monotonic_ns(), outcome, reason);
+            self.directives.stop();
         }
     }
 
@@ -357,7 +342,7 @@ impl Session {
         self.heed_stop();
         let now = monotonic_ns();
         if self.lockstep
-            && self.end == End::NotYet
+            && self.conclusion.is_open()
             && self.supervisor.phase() == Phase::Driving
             && now.saturating_sub(self.moved_ns) > LOCKSTEP_PATIENCE_NS
         {
@@ -367,43 +352,26 @@ impl Session {
                 &format!("scan {scan} was not answered within 20 s of the machine's time"),
             );
         }
-        match self.end.clone() {
-            End::Resting(outcome, reason, until_ns) => {
-                if self.rests(outcome, until_ns)
-                    || now >= until_ns
-                    || self.supervisor.phase() != Phase::Driving
-                {
-                    self.end = End::Draining(
-                        outcome,
-                        reason,
-                        now + if self.lockstep { 0 } else { DRAIN_PATIENCE_NS },
-                    );
-                    self.directive.phase = Phase::Stopping.wire();
-                    self.dirty = true;
-                }
+        let drives = self.supervisor.phase() == Phase::Driving;
+        let is_answered = self.samples.answered_scan() >= self.samples.newest_scan();
+        match self.conclusion.advance(now, drives, self.rests(), is_answered) {
+            Some(Step::EndScans) => self.directives.enter(Phase::Stopping),
+            Some(Step::EndProcesses) => {
+                self.recorder.run_ended();
+                self.books.run_ended();
+                self.handle(Event::StopRequested)?;
             }
-            End::Draining(outcome, reason, until_ns) => {
-                let answered = self.samples.answered_scan() >= self.samples.newest_scan();
-                // One more look after the robot has heard that it shall stop publishing.
-                let heard = now + DRAIN_PATIENCE_NS >= until_ns + self.period_ns.min(DRAIN_PATIENCE_NS);
-                if (answered && heard) || now >= until_ns || self.supervisor.phase() != Phase::Driving {
-                    self.recorder.run_ended();
-                    self.books.run_ended();
-                    self.end = End::Ending(outcome, reason);
-                    self.handle(Event::StopRequested)?;
-                }
-            }
-            End::NotYet | End::Ending(..) => {}
+            None => {}
         }
         Ok(())
     }
 
     /// Whether the wheels rest since the end was decided. A robot that tells no truth is given the time to.
-    fn rests(&self, outcome: Outcome, until_ns: u64) -> bool {
+    fn rests(&self) -> bool {
+        let Some((outcome, decided_ns)) = self.conclusion.resting() else { return false };
         // The referee has seen it stand.
         let stood =
             matches!(outcome, Outcome::Reached | Outcome::Missed | Outcome::Stopped | Outcome::Collision);
-        let decided_ns = until_ns.saturating_sub(REST_PATIENCE_NS);
         let newest = self.samples.newest_truth().or(self.recorder.last_truth());
         newest.is_some_and(|truth| {
             truth.speed_mps <= 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
@@ -426,8 +394,9 @@ impl Session {
     fn carry_out(&mut self, action: Action) -> anyhow::Result<Option<Event>> {
         match action {
             Action::Grant { role, incarnation } => {
-                self.directive.authority[role.index()] = Authority { incarnation, ..Authority::default() };
-                self.dirty = true;
+                let authority = &mut self.directives.current.authority[role.index()];
+                *authority = Authority { incarnation, ..Authority::default() };
+                self.directives.changed = true;
                 self.speak()?;
             }
             Action::Spawn { role, .. } if !self.word.is_armed() => {
@@ -456,30 +425,27 @@ impl Session {
                 }
                 if phase == Phase::Driving {
                     self.books.driving();
-                    self.directive.granted_scan = GRANT_AHEAD;
+                    self.directives.grant(GRANT_AHEAD);
                     self.moved_ns = monotonic_ns();
                 }
-                self.directive.phase = self.directive.phase.max(phase.wire());
-                self.dirty = true;
+                self.directives.enter(phase);
                 self.speak()?;
             }
             Action::RunFailed { role, reason } => {
                 let reason = format!("{role} ({}): {reason}", self.fleet.label(role));
                 if self.supervisor.phase() == Phase::Driving {
                     self.decide(Outcome::Failed, &reason);
-                } else if self.end == End::NotYet {
+                } else if self.conclusion.fail(reason) {
                     self.recorder.run_ended();
                     self.books.run_ended();
-                    self.end = End::Ending(Outcome::Failed, reason);
-                    self.directive.stop = 1;
-                    self.dirty = true;
+                    self.directives.stop();
                 }
                 self.speak()?;
             }
             Action::AllStopped => {}
             Action::Log(severity, text) => match severity {
                 Severity::Info => tracing::debug!("{text}"),
-                Severity::Warn if self.end == End::NotYet => self.progress.warn(&text),
+                Severity::Warn if self.conclusion.is_open() => self.progress.warn(&text),
                 Severity::Error => self.progress.warn(&text),
                 Severity::Warn => {}
             },
@@ -509,86 +475,27 @@ impl Session {
         let pid = self.fleet.leave(role)?;
         let text = format!("robot {pid} does not end, and is not known to rest: it is left");
         self.progress.warn(&text);
-        if let End::Resting(outcome, reason, _)
-        | End::Draining(outcome, reason, _)
-        | End::Ending(outcome, reason) = &mut self.end
-        {
-            (*outcome, *reason) = (Outcome::Failed, text);
-        }
+        self.conclusion.correct(text);
         Some(Event::Exited { role, incarnation, exit: supervision::supervisor::Exit::Unknown })
     }
 
     /// Publishes the directive when it changed, and from time to time for those who missed it.
     fn speak(&mut self) -> anyhow::Result<()> {
         let now = monotonic_ns();
-        if self.dirty || now.saturating_sub(self.said_ns) >= REPEAT_NS {
-            match self.dirty {
+        if self.directives.is_due(now) {
+            match self.directives.changed {
                 true => self.keep_account(),
                 false => self.fleet.trim_logs(),
             }
-            self.directive.issued_ns = now;
-            self.voice.say(&mut self.directive, self.dirty)?;
-            self.dirty = false;
-            self.said_ns = now;
+            self.directives.say(now)?;
         }
         Ok(())
     }
 
-    fn show(&mut self) {
-        let processes: Vec<_> = self.supervisor.processes().collect();
-        let words: Vec<_> =
-            processes.iter().map(|view| ProcessWord { role: view.role, state: view.state.name() }).collect();
-        let view = self.recorder.view();
-        self.progress.update(Instant::now(), &view, &words);
-        match self.supervisor.phase() {
-            Phase::Driving => self.manager.ready(),
-            Phase::Stopping => self.manager.stopping(),
-            Phase::Starting | Phase::Connecting => {}
-        }
-        self.manager.turn(|| line(&view, &words, COLUMNS));
-    }
-
-    fn status(&mut self) -> Status {
-        let views: Vec<_> = self.supervisor.processes().collect();
-        let processes = views.into_iter().map(|view| {
-            let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(view.incarnation);
-            let load = self.fleet.load(view.role);
-            ProcessStatus {
-                role: view.role.name().to_owned(),
-                implementation: self.fleet.label(view.role),
-                pid: view.pid.map_or(0, u32::cast_signed),
-                state: view.state.name().to_owned(),
-                restarts: view.restarts,
-                rate_hz,
-                last_sample_age_ms,
-                cpu_percent: load.cpu_percent,
-                memory_kib: load.memory_kib,
-                obeys_stop: self.vitals.obeys_stop(view.incarnation),
-                last_words: self.fleet.last_words(view.role).to_vec(),
-            }
-        });
-        let mut processes: Vec<_> = processes.collect();
-        processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        self.show_swap(&mut processes);
-        self.show_shadows(&mut processes);
-        Status {
-            system_id: self.domain.system_id().to_owned(),
-            state: Phase::try_from(self.directive.phase).map_or("starting", Phase::name).to_owned(),
-            scenario: self.scenario.name.clone(),
-            scan: self.samples.newest_scan(),
-            lockstep: self.lockstep,
-            processes,
-            refused: self.books.refused().to_vec(),
-        }
-    }
-
     fn ending(&mut self) -> Ending {
-        let (outcome, reason) = match &self.end {
-            End::NotYet => (Outcome::Failed, "the processes ended".to_owned()),
-            End::Resting(outcome, reason, _)
-            | End::Draining(outcome, reason, _)
-            | End::Ending(outcome, reason) => (*outcome, reason.clone()),
-        };
+        let undecided = (Outcome::Failed, "the processes ended");
+        let (outcome, reason) = self.conclusion.decided().unwrap_or(undecided);
+        let reason = reason.to_owned();
         let mut processes: Vec<_> = self
             .supervisor
             .processes()

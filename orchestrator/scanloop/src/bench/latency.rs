@@ -33,7 +33,8 @@ use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
 use session::arguments::out_folder;
-use session::start::{Manner, start};
+use session::beginning::Manner;
+use session::start::start;
 use supervision::lock::Claim;
 use supervision::realtime;
 

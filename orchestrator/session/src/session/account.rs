@@ -4,25 +4,33 @@ use emulator::Outcome;
 use runtime::monotonic_ns;
 use shared_types::{Authority, ROLES, Role};
 
-use super::{End, Session};
+use super::Session;
 use crate::roster::{Right, RoleRow, Roster};
 
 /// Time until what could not be written is tried again [ns].
 const REWRITE_NS: u64 = 1_000_000_000;
 
 /// What is compared to see whether something new has to be written down: phase, stop, authority, how the run ends.
-pub(crate) type Word = (u32, u32, [Authority; ROLES], bool);
+type Word = (u32, u32, [Authority; ROLES], bool);
+
+/// What was written down last.
+#[derive(Default)]
+pub(crate) struct Account {
+    written: Option<Word>,
+    /// When to write again what could not be written; 0 when all is written [ns].
+    rewrite_ns: u64,
+}
 
 impl Session {
     /// [`Session::write_account`], again every second while it fails.
     pub(super) fn keep_account(&mut self) {
-        let (now_ns, failed) = (monotonic_ns(), self.rewrite_ns > 0);
-        if now_ns < self.rewrite_ns {
+        let (now_ns, failed) = (monotonic_ns(), self.account.rewrite_ns > 0);
+        if now_ns < self.account.rewrite_ns {
             return;
         }
-        self.rewrite_ns = 0;
+        self.account.rewrite_ns = 0;
         if let Err(error) = self.write_account() {
-            self.rewrite_ns = now_ns + REWRITE_NS;
+            self.account.rewrite_ns = now_ns + REWRITE_NS;
             if !failed {
                 self.progress.warn(&format!(
                     "the run can't be adopted, as its processes can't be written down: {error:#}"
@@ -36,26 +44,23 @@ impl Session {
     /// # Errors
     /// Those of the file system; what could not be written is written by the next call.
     pub(super) fn write_account(&mut self) -> anyhow::Result<()> {
-        let directive = &self.directive;
-        let word = (directive.phase, directive.stop, directive.authority, self.end != End::NotYet);
+        let directive = &self.directives.current;
+        let word = (directive.phase, directive.stop, directive.authority, !self.conclusion.is_open());
         let has_changed = self.fleet.has_changed();
-        if !has_changed && self.written == Some(word) {
+        if !has_changed && self.account.written == Some(word) {
             return Ok(());
         }
-        self.written = None;
+        self.account.written = None;
         self.roster().write(&self.domain)?;
-        self.written = Some(word);
+        self.account.written = Some(word);
         Ok(())
     }
 
     fn roster(&self) -> Roster {
-        let directive = &self.directive;
-        let (outcome, reason) = match &self.end {
-            End::NotYet => (None, String::new()),
-            End::Resting(outcome, reason, _)
-            | End::Draining(outcome, reason, _)
-            | End::Ending(outcome, reason) => (Some(*outcome), reason.clone()),
-        };
+        let directive = &self.directives.current;
+        let decided = self.conclusion.decided();
+        let (outcome, reason) =
+            (decided.map(|(outcome, _)| outcome), decided.map_or("", |(_, reason)| reason));
         let row = |role: &Role| {
             let view = self.supervisor.process(*role)?;
             let entry = self.fleet.entry(*role)?.clone();
@@ -69,7 +74,7 @@ impl Session {
             phase: directive.phase,
             stop: directive.stop,
             outcome,
-            reason,
+            reason: reason.to_owned(),
             authority: directive.authority.iter().map(Right::from).collect(),
             role: Role::ALL.iter().filter_map(row).collect(),
             process: self.fleet.rows(),

@@ -9,7 +9,7 @@ use runtime::monotonic_ns;
 use shared_types::{Phase, Rule};
 use supervision::supervisor::Event;
 
-use super::{End, Session};
+use super::Session;
 
 /// Time between two closings, of this computer and of the drive [ns].
 const CLOSING_NS: u64 = 1_000_000_000;
@@ -26,7 +26,7 @@ impl Session {
     pub(super) fn audit(&mut self) {
         let now_ns = monotonic_ns();
         let stands_still = self.lockstep
-            && self.end == End::NotYet
+            && self.conclusion.is_open()
             && self.supervisor.phase() == Phase::Driving
             && now_ns.saturating_sub(self.moved_ns) >= STANDSTILL_NS;
         let period_ns = if stands_still { STANDSTILL_NS } else { CLOSING_NS };
@@ -53,7 +53,7 @@ impl Session {
                 "its {topic} for scan {newest_scan} was dropped by {reader}: {}",
                 refusal.row.fault()
             );
-            if refusal.is_first && refusal.rule.is_of_writer() && self.end == End::NotYet {
+            if refusal.is_first && refusal.rule.is_of_writer() && self.conclusion.is_open() {
                 let is_current =
                     self.supervisor.process(role).is_some_and(|view| view.incarnation == incarnation);
                 let name =

@@ -11,7 +11,7 @@ use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
 use supervision::supervisor::{Exit, Supervisor, VisibleState};
 
-use super::{End, Session};
+use super::Session;
 use crate::control::{ProcessStatus, Reply, ShadowRequest};
 
 /// A shadow whose newest output is older than this at the end, or than five periods, has fallen silent [ns].
@@ -124,7 +124,7 @@ impl Session {
     pub(super) fn observe_shadows(&mut self) -> anyhow::Result<()> {
         let now_ns = monotonic_ns();
         for Lane { role, incarnation, watch, work, .. } in &mut self.shadows.lanes {
-            let live = self.directive.authority[role.index()].incarnation;
+            let live = self.directives.current.authority[role.index()].incarnation;
             if let Work::Running(study) = work {
                 watch.poll(live, *incarnation, |party, output| study.output(now_ns, party, output))?;
             }
@@ -135,7 +135,7 @@ impl Session {
     /// A process said what it is doing.
     pub(super) fn shadow_heard(&mut self, incarnation: u32, state: ProcessState) {
         // One that has just attached waits for a word, which would be repeated only after a while.
-        self.dirty |= state == ProcessState::Attached
+        self.directives.changed |= state == ProcessState::Attached
             && self.shadows.incarnations().any(|shadow| shadow == incarnation);
     }
 
@@ -157,7 +157,7 @@ impl Session {
         for asked in std::mem::take(&mut self.shadows.asked) {
             self.begin_shadow(asked);
         }
-        let run_ends = self.end != End::NotYet || self.supervisor.phase() != Phase::Driving;
+        let run_ends = !self.conclusion.is_open() || self.supervisor.phase() != Phase::Driving;
         let now_ns = monotonic_ns();
         let Self { shadows, fleet, period_ns, .. } = self;
         for lane in &mut shadows.lanes {

@@ -15,7 +15,7 @@ use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
 use supervision::supervisor::{self, Exit, Supervisor, VisibleState};
 
-use super::{End, Session, Shadows};
+use super::{Session, Shadows};
 use crate::control::{ProcessStatus, Reply, SwapRequest};
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
@@ -209,7 +209,7 @@ impl Session {
         let Some(exchange) = &mut self.swaps.current else { return };
         if exchange.swap.plan().new == incarnation {
             // It waits for a word, which would be repeated only after a while.
-            self.dirty |= state == ProcessState::Attached;
+            self.directives.changed |= state == ProcessState::Attached;
             if state >= ProcessState::Connected {
                 exchange.connected_at.get_or_insert(recorded_scan);
             }
@@ -256,7 +256,7 @@ impl Session {
 
     /// Begins what was asked for, moves on what has begun, and lets the loop go on in lock-step.
     pub(super) fn advance_swap(&mut self) -> anyhow::Result<()> {
-        if self.end != End::NotYet || self.supervisor.phase() != Phase::Driving {
+        if !self.conclusion.is_open() || self.supervisor.phase() != Phase::Driving {
             if let Some(Asked { role, entry, purpose, .. }) = self.swaps.asked.take() {
                 let certificate = self.refusal(role, &entry, "the run ended");
                 self.swap_over(certificate, purpose);
@@ -273,10 +273,7 @@ impl Session {
         if self.lockstep && self.is_recorded() && !self.swaps.holds(monotonic_ns()) {
             let ahead = if self.swaps.is_busy() { 1 } else { super::GRANT_AHEAD };
             let granted = self.swaps.recorded_scan + ahead;
-            if granted > self.directive.granted_scan {
-                self.directive.granted_scan = granted;
-                self.dirty = true;
-            }
+            self.directives.grant(granted);
         }
         Ok(())
     }
@@ -331,7 +328,7 @@ impl Session {
             let is_whole = !hears_answers || state.header.stage(Role::Actuator).published_ns > 0;
             state.header.scan_id >= recorded && is_whole
         });
-        recorded >= self.directive.granted_scan && has_state
+        recorded >= self.directives.current.granted_scan && has_state
     }
 
     fn begin_swap(&mut self) -> anyhow::Result<()> {
@@ -380,11 +377,11 @@ impl Session {
         let (role, old, new) = (plan.role, plan.old, plan.new);
         match action {
             Action::Authorise(authority) => {
-                let current = &mut self.directive.authority[role.index()];
+                let current = &mut self.directives.current.authority[role.index()];
                 // The supervisor may have started another one since.
                 if [old, new].contains(&current.incarnation) && *current != authority {
                     *current = authority;
-                    self.dirty = true;
+                    self.directives.changed = true;
                     self.speak()?;
                 }
             }

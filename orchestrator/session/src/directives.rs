@@ -1,0 +1,61 @@
+//! What all processes are told: published when it changes, and from time to time for those who missed it.
+
+use runtime::{Bus, RuntimeError, Voice};
+use shared_types::{Directive, Phase};
+
+/// The directive is repeated this often for those who missed it [ns].
+const REPEAT_NS: u64 = 100_000_000;
+
+/// The newest directive and its topic.
+pub(crate) struct Directives {
+    /// What everyone is told; who changes it says so with [`Directives::changed`].
+    pub(crate) current: Directive,
+    /// Whether it is to be published without delay.
+    pub(crate) changed: bool,
+    voice: Voice<Directive>,
+    said_ns: u64,
+}
+
+impl Directives {
+    pub(crate) fn new(bus: &Bus, first: Directive) -> Result<Self, RuntimeError> {
+        let current = Directive { orchestrator_pid: u64::from(std::process::id()), ..first };
+        Ok(Self { current, changed: true, voice: Voice::new(bus)?, said_ns: 0 })
+    }
+
+    /// The wheels are to be blocked.
+    pub(crate) fn stop(&mut self) {
+        self.current.stop = 1;
+        self.changed = true;
+    }
+
+    /// The system goes into a phase, never back.
+    pub(crate) fn enter(&mut self, phase: Phase) {
+        self.current.phase = self.current.phase.max(phase.wire());
+        self.changed = true;
+    }
+
+    /// Scans up to this one may be made, in lock-step.
+    pub(crate) fn grant(&mut self, scan_id: u64) {
+        if scan_id > self.current.granted_scan {
+            self.current.granted_scan = scan_id;
+            self.changed = true;
+        }
+    }
+
+    /// Whether it is to be published now.
+    pub(crate) fn is_due(&self, now_ns: u64) -> bool {
+        self.changed || now_ns.saturating_sub(self.said_ns) >= REPEAT_NS
+    }
+
+    /// Publishes it.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    pub(crate) fn say(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
+        self.current.issued_ns = now_ns;
+        self.voice.say(&mut self.current, self.changed)?;
+        self.changed = false;
+        self.said_ns = now_ns;
+        Ok(())
+    }
+}
