@@ -11,6 +11,7 @@ use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::shadow::ShadowArguments;
+use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
 
 /// Autonomous driving that closes the loop within one laser scan.
@@ -133,33 +134,6 @@ pub struct StopArguments {
     /// End the processes of a run that was stopped: what `stop` leaves behind to do.
     #[arg(long, value_name = "RUN", hide = true)]
     pub finish: Option<String>,
-}
-
-/// Arguments of `swap`.
-#[derive(Debug, Args)]
-#[command(group = clap::ArgGroup::new("successor").required(true))]
-pub struct SwapArguments {
-    /// robot, estimator, obstacles, controller or actuator.
-    pub role: String,
-    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
-    #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
-    pub to: Option<String>,
-    /// Scans in a row on which the new process must agree with the old one.
-    #[arg(long, visible_alias = "gate-scans", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
-    pub shadow_scans: u64,
-    /// Scans after the change during which the old process stands by.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
-    pub standby_scans: u64,
-    /// Factor on the bounds of agreement, for one that drives differently on purpose: 0 to 1000; with 1000 agreement
-    /// is not judged, validity and timing only.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
-    pub tolerance: f64,
-    /// Print the certificate as JSON to standard output.
-    #[arg(long)]
-    pub json: bool,
-    /// Any program that fills the role, with its arguments.
-    #[arg(last = true, value_name = "COMMAND", group = "successor")]
-    pub command: Vec<String>,
 }
 
 /// Arguments of `check`.

@@ -7,10 +7,12 @@ mod campaign;
 mod check;
 pub mod cli;
 mod live_latency;
-mod remote;
 mod service;
 pub mod shadow;
+mod status;
 mod stop;
+pub mod successor;
+pub mod swap;
 mod topic;
 mod types;
 
@@ -74,11 +76,11 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
-        Command::Status { json } => remote::status(&domain()?, *json),
+        Command::Status { json } => status::status(&domain()?, *json),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
         Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
-        Command::Restart { role } => remote::restart(&cli.system_id, role),
-        Command::Swap(arguments) => remote::swap(&cli.system_id, arguments),
+        Command::Restart { role } => swap::restart(&cli.system_id, role),
+        Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),

@@ -8,9 +8,8 @@ use console::note;
 use console::output::data;
 use runtime::Shutdown;
 use session::control::{Reply, Request, ShadowRequest, ask};
-use shared_types::Role;
 
-use crate::remote::from_here;
+use crate::successor::{SuccessorArguments, begin};
 
 /// Time between two looks at a shadow [ns].
 const LOOK_NS: u64 = 50_000_000;
@@ -21,22 +20,16 @@ const RANGE: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(24 * 3
 
 /// Arguments of `shadow`.
 #[derive(Debug, Args)]
-#[command(group = clap::ArgGroup::new("beside").required(true))]
 pub struct ShadowArguments {
-    /// robot, estimator, obstacles, controller or actuator.
-    pub role: String,
-    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
-    #[arg(long, value_name = "IMPLEMENTATION", group = "beside")]
-    pub to: Option<String>,
+    /// The process that runs in the shadow.
+    #[command(flatten)]
+    pub successor: SuccessorArguments,
     /// How long, 1s to 24h: 30s, 1500ms, 2m, 1h; a bare number is seconds. Default 30s. May stand at the very end.
     #[arg(long = "for", value_name = "TIME", value_parser = duration_of)]
     pub duration: Option<Duration>,
     /// Print the report as JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Any program that could fill the role, with its arguments.
-    #[arg(last = true, value_name = "COMMAND", group = "beside")]
-    pub command: Vec<String>,
 }
 
 /// Lets a process run in the shadow and prints the report; Ctrl-C ends it early.
@@ -45,24 +38,15 @@ pub struct ShadowArguments {
 /// An unknown role or implementation, a system that is not running, does not drive, runs in lock-step or has a
 /// process beside that role already; exit code 2.
 pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Exit> {
-    let role: Role = arguments.role.parse().map_err(Failure::bad_input)?;
-    let (command, duration) = split(&arguments.command, arguments.duration)?;
-    if command.is_empty() && arguments.to.is_none() {
+    let (command, duration) = split(&arguments.successor.command, arguments.duration)?;
+    let successor = SuccessorArguments { command: command.to_vec(), ..arguments.successor.clone() };
+    if command.is_empty() && successor.to.is_none() {
         return Err(Failure::bad_input("a command is missing after `--`"));
     }
     let domain = &supervision::runs::existing(system_id)?;
     let shutdown = Shutdown::on_signals()?;
-    let request = ShadowRequest {
-        role: role.name().to_owned(),
-        implementation: arguments.to.clone(),
-        command: (!command.is_empty()).then(|| from_here(command)),
-        duration_ms: duration.as_millis() as u64,
-    };
-    let number = match ask(domain, &Request::Shadow(request))? {
-        Reply::Accepted(number) => number,
-        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
-        _ => anyhow::bail!("the orchestrator did not answer the request"),
-    };
+    let request = ShadowRequest { successor: successor.named()?, duration_ms: duration.as_millis() as u64 };
+    let number = begin(domain, &Request::Shadow(request))?;
     let mut told = false;
     let report = loop {
         if shutdown.requested() && !told {

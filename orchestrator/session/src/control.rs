@@ -4,6 +4,7 @@
 //! number, length and time, and hands whole requests to the loop.
 
 mod line;
+mod request;
 mod server;
 
 use std::os::fd::{AsFd, BorrowedFd};
@@ -22,6 +23,7 @@ use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 
 use self::line::{read_line, write_line};
+pub use self::request::{Request, ShadowRequest, Successor, SwapRequest};
 use self::server::{BUSY, Server};
 
 /// A command waits this long for its answer, whatever the orchestrator does: longer than a request waits there.
@@ -30,70 +32,6 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(12);
 const MAX_ANSWER: usize = 16 << 20;
 /// A command comes again after this time when the orchestrator has too many connections.
 const BUSY_PAUSE: Duration = Duration::from_millis(50);
-
-/// What can be asked of a running orchestrator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Request {
-    /// The state of all processes.
-    Status,
-    /// Block the wheels and end everything.
-    Stop,
-    /// End one process and start it again.
-    Restart {
-        /// Name of the role.
-        role: String,
-    },
-    /// Exchange one process for another.
-    Swap(SwapRequest),
-    /// What became of an exchange.
-    SwapResult {
-        /// Its number, from [`Reply::Accepted`].
-        number: u64,
-    },
-    /// Let a process run in the shadow of another.
-    Shadow(ShadowRequest),
-    /// What became of a shadow.
-    ShadowResult {
-        /// Its number, from [`Reply::Accepted`].
-        number: u64,
-    },
-    /// End a shadow early.
-    ShadowEnd {
-        /// Its number, from [`Reply::Accepted`].
-        number: u64,
-    },
-}
-
-/// An exchange that is asked for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SwapRequest {
-    /// Name of the role.
-    pub role: String,
-    /// Built-in implementation; exactly one of this and `command`.
-    pub implementation: Option<String>,
-    /// Program and arguments.
-    pub command: Option<Vec<String>>,
-    /// Scans in a row on which the new process must agree before it takes over.
-    pub shadow_scans: u64,
-    /// Scans after that during which the old process stands by.
-    pub standby_scans: u64,
-    /// Factor on the bounds of agreement.
-    pub tolerance: f64,
-}
-
-/// A shadow that is asked for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ShadowRequest {
-    /// Name of the role.
-    pub role: String,
-    /// Built-in implementation; exactly one of this and `command`.
-    pub implementation: Option<String>,
-    /// Program and arguments.
-    pub command: Option<Vec<String>>,
-    /// How long it is to run [ms].
-    pub duration_ms: u64,
-}
 
 /// What it answers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

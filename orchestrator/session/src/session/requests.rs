@@ -23,35 +23,34 @@ impl Session {
             Request::Swap(_) | Request::Shadow(_) | Request::Restart { .. } if stopped => {
                 Reply::Refused("the run was stopped".to_owned())
             }
-            Request::Swap(request) if shadows.concern(&request.role) => {
-                Reply::Refused(format!("a process runs in the shadow of {}: end that first", request.role))
-            }
+            Request::Swap(request) if shadows.concern(request.successor.role) => Reply::Refused(format!(
+                "a process runs in the shadow of {}: end that first",
+                request.successor.role
+            )),
             Request::Swap(request) => swaps.ask(request, fleet, supervisor),
             Request::Shadow(_) if *lockstep => Reply::Refused(
                 "a shadow needs a run in real time: in lock-step all wait for the slowest".to_owned(),
             ),
-            Request::Shadow(request) => match request.role.parse() {
-                Ok(role) if swaps.concerns(role) => {
-                    Reply::Refused(format!("{role} is being exchanged: wait for the certificate"))
-                }
-                _ => shadows.ask(&request, fleet, supervisor),
-            },
+            Request::Shadow(request) if swaps.concerns(request.successor.role) => Reply::Refused(format!(
+                "{} is being exchanged: wait for the certificate",
+                request.successor.role
+            )),
+            Request::Shadow(request) => shadows.ask(&request, fleet, supervisor),
             Request::ShadowResult { number } => shadows.result(number),
             Request::ShadowEnd { number } => shadows.end_early(number),
             Request::SwapResult { number } => swaps.result(number),
-            Request::Restart { role } => match role.parse::<Role>() {
-                Ok(role) if swaps.concerns(role) => {
-                    Reply::Refused(format!("{role} is not restarted: it is being exchanged"))
-                }
-                Ok(Role::Robot) => {
-                    Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
-                }
-                Ok(role) => swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
+            Request::Restart { role } if swaps.concerns(role) => {
+                Reply::Refused(format!("{role} is not restarted: it is being exchanged"))
+            }
+            Request::Restart { role: Role::Robot } => {
+                Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
+            }
+            Request::Restart { role } => {
+                swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
                     requests.push(Event::RestartRequested { role });
                     Reply::Done
-                }),
-                Err(unknown) => Reply::Refused(unknown.to_string()),
-            },
+                })
+            }
             Request::Stop => {
                 requests.push(Event::StopRequested);
                 Reply::Done

@@ -57,9 +57,9 @@ enum Work {
 
 impl Shadows {
     /// Whether a role has a shadow.
-    pub(super) fn concern(&self, role: &str) -> bool {
-        self.lanes.iter().any(|lane| lane.role.name() == role && lane.study().is_some())
-            || self.asked.iter().any(|asked| asked.role.name() == role)
+    pub(super) fn concern(&self, role: Role) -> bool {
+        self.lanes.iter().any(|lane| lane.role == role && lane.study().is_some())
+            || self.asked.iter().any(|asked| asked.role == role)
     }
 
     /// Incarnations of all shadows.
@@ -70,7 +70,8 @@ impl Shadows {
     /// Accepts a shadow, or says why not.
     pub(super) fn ask(&mut self, request: &ShadowRequest, fleet: &Fleet, supervisor: &Supervisor) -> Reply {
         match self.check(request, fleet, supervisor) {
-            Ok((role, entry)) => {
+            Ok(entry) => {
+                let role = request.successor.role;
                 self.accepted += 1;
                 let duration_ns = request.duration_ms.saturating_mul(1_000_000);
                 self.asked.push(Asked { number: self.accepted, role, entry, duration_ns });
@@ -85,20 +86,13 @@ impl Shadows {
         request: &ShadowRequest,
         fleet: &Fleet,
         supervisor: &Supervisor,
-    ) -> Result<(Role, ProcessEntry), String> {
-        let role = request.role.parse::<Role>().map_err(|unknown| unknown.to_string())?;
-        let entry = fleet
-            .entry_with(role, request.implementation.clone(), request.command.clone())
-            .ok_or_else(|| format!("no process of role {role}"))?;
-        entry.validate().map_err(|invalid| invalid.to_string())?;
-        if self.concern(role.name()) {
+    ) -> Result<ProcessEntry, String> {
+        let (role, entry) = (request.successor.role, request.successor.entry(fleet)?);
+        if self.concern(role) {
             return Err(format!("a process runs in the shadow of {role} already"));
         }
-        let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
-        if supervisor.phase() != Phase::Driving || !is_ready {
-            return Err(format!("{role} is not ready for a shadow: the system must drive"));
-        }
-        Ok((role, entry))
+        request.successor.require_ready(supervisor, "for a shadow")?;
+        Ok(entry)
     }
 
     /// The answer to someone who asks what became of the shadow of that number.

@@ -16,7 +16,7 @@ use supervision::fleet::Fleet;
 use supervision::supervisor::{self, Exit, Supervisor, VisibleState};
 
 use super::{Session, Shadows};
-use crate::control::{ProcessStatus, Reply, SwapRequest};
+use crate::control::{ProcessStatus, Reply, Successor, SwapRequest};
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
 const MOST_SCANS: u64 = 10_000;
@@ -119,14 +119,16 @@ impl Swaps {
         supervisor: &Supervisor,
     ) -> Option<Reply> {
         let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
-        if supervisor.phase() != Phase::Driving || !is_ready || shadows.concern(role.name()) {
+        if supervisor.phase() != Phase::Driving || !is_ready || shadows.concern(role) {
             return None;
         }
         let entry = fleet.entry(role)?;
         let request = SwapRequest {
-            role: role.name().to_owned(),
-            implementation: entry.implementation.clone(),
-            command: entry.command.clone(),
+            successor: Successor {
+                role,
+                implementation: entry.implementation.clone(),
+                command: entry.command.clone(),
+            },
             shadow_scans: RESTART_SHADOW_SCANS,
             standby_scans: RESTART_STANDBY_SCANS,
             tolerance: MOST_TOLERANCE,
@@ -142,7 +144,8 @@ impl Swaps {
         supervisor: &Supervisor,
     ) -> Reply {
         match self.check(&request, fleet, supervisor) {
-            Ok((role, entry)) => {
+            Ok(entry) => {
+                let role = request.successor.role;
                 self.asked = Some(Asked { role, entry, request, since_ns: monotonic_ns(), purpose });
                 Reply::Accepted(self.ended.len() as u64 + 1)
             }
@@ -155,12 +158,8 @@ impl Swaps {
         request: &SwapRequest,
         fleet: &Fleet,
         supervisor: &Supervisor,
-    ) -> Result<(Role, ProcessEntry), String> {
-        let role = request.role.parse::<Role>().map_err(|unknown| unknown.to_string())?;
-        let entry = fleet
-            .entry_with(role, request.implementation.clone(), request.command.clone())
-            .ok_or_else(|| format!("no process of role {role}"))?;
-        entry.validate().map_err(|invalid| invalid.to_string())?;
+    ) -> Result<ProcessEntry, String> {
+        let entry = request.successor.entry(fleet)?;
         for (key, scans) in [("shadow-scans", request.shadow_scans), ("standby-scans", request.standby_scans)]
         {
             if !(1..=MOST_SCANS).contains(&scans) {
@@ -173,11 +172,8 @@ impl Swaps {
         if self.is_busy() {
             return Err("another exchange is going on".to_owned());
         }
-        let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
-        if supervisor.phase() != Phase::Driving || !is_ready {
-            return Err(format!("{role} is not ready to be exchanged: the system must drive"));
-        }
-        Ok((role, entry))
+        request.successor.require_ready(supervisor, "to be exchanged")?;
+        Ok(entry)
     }
 
     /// In lock-step, whether the loop has to wait at the last recorded scan.

@@ -1,0 +1,82 @@
+//! `scanloop status`: the processes of a running system.
+
+use std::fmt::Write as _;
+
+use console::exit::Exit;
+use console::note;
+use console::output::data;
+use runtime::{Domain, RuntimeError};
+use session::control::{Reply, Request, Status, ask};
+use session::driverless::{self, DRIVERLESS};
+
+/// Prints the state of the system.
+///
+/// # Errors
+/// A system that is not running; exit code 2.
+pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
+    let status = match ask(domain, &Request::Status) {
+        Ok(Reply::Status(status)) => *status,
+        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
+        Err(error) => match driverless::status(domain) {
+            Some(status) if is_not_running(&error) => status,
+            _ => return Err(error),
+        },
+    };
+    if json {
+        data(&serde_json::to_string_pretty(&status)?)?;
+    } else {
+        note!("{}", table(&status));
+        if status.state == DRIVERLESS {
+            note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn is_not_running(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_)))
+}
+
+fn table(status: &Status) -> String {
+    let mut text = format!(
+        "system {}: {}, scenario {}, scan {}\n{:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
+        status.system_id,
+        status.state,
+        status.scenario,
+        status.scan,
+        "role",
+        "implementation",
+        "pid",
+        "state",
+        "restarts",
+        "rate/Hz",
+        "age/ms",
+        "cpu/%",
+        "mem/KiB"
+    );
+    for process in &status.processes {
+        let _ = writeln!(
+            text,
+            "{:<11} {:<16.16} {:>7}  {:<9} {:>8} {:>8.1} {:>8.0} {:>6.1} {:>9}",
+            process.role,
+            process.implementation,
+            process.pid,
+            process.state,
+            process.restarts,
+            process.rate_hz,
+            process.last_sample_age_ms,
+            process.cpu_percent,
+            process.memory_kib
+        );
+        if !process.obeys_stop && ["robot", "actuator"].contains(&process.role.as_str()) {
+            let _ = writeln!(text, "            ! it does not see the stop word: `scanloop stop` ends it");
+        }
+        for line in &process.last_words {
+            let _ = writeln!(text, "            | {line}");
+        }
+        for row in status.refused.iter().filter(|row| row.writer == process.role) {
+            let _ = writeln!(text, "            ! {row}");
+        }
+    }
+    text
+}

@@ -1,0 +1,56 @@
+//! What `swap` and `shadow` have in common: a process that comes beside the one that fills a role.
+
+use clap::{ArgGroup, Args};
+use console::exit::Failure;
+use runtime::Domain;
+use session::control::{Reply, Request, Successor, ask};
+
+/// The role, and the process for it.
+#[derive(Debug, Clone, Args)]
+#[command(group = ArgGroup::new("successor").required(true))]
+pub struct SuccessorArguments {
+    /// robot, estimator, obstacles, controller or actuator.
+    pub role: String,
+    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
+    pub to: Option<String>,
+    /// Any program that fills the role, with its arguments.
+    #[arg(last = true, value_name = "COMMAND", group = "successor")]
+    pub command: Vec<String>,
+}
+
+impl SuccessorArguments {
+    /// The process as the orchestrator has to know it, whose working folder is another one.
+    ///
+    /// # Errors
+    /// An unknown role; exit code 2.
+    pub(crate) fn named(&self) -> anyhow::Result<Successor> {
+        let role = self.role.parse().map_err(Failure::bad_input)?;
+        let command = (!self.command.is_empty()).then(|| from_here(&self.command));
+        Ok(Successor { role, implementation: self.to.clone(), command })
+    }
+}
+
+/// Asks for an exchange or a shadow; returns its number.
+///
+/// # Errors
+/// What was refused, exit code 2, and a system that is not running.
+pub(crate) fn begin(domain: &Domain, request: &Request) -> anyhow::Result<u64> {
+    match ask(domain, request)? {
+        Reply::Accepted(number) => Ok(number),
+        Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+        _ => anyhow::bail!("the orchestrator did not answer the request"),
+    }
+}
+
+/// A command as the orchestrator has to start it, whose working folder is another one.
+fn from_here(command: &[String]) -> Vec<String> {
+    let mut command = command.to_vec();
+    if let Some(program) = command.first_mut()
+        && program.contains('/')
+        && let Ok(path) = std::path::absolute(&*program)
+    {
+        *program = path.to_string_lossy().into_owned();
+    }
+    command
+}

@@ -1,0 +1,103 @@
+//! `scanloop swap` and `scanloop restart`: ask a running system to exchange a process, and print what became of it.
+
+use clap::Args;
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use handover::swap::{Certificate, MOST_TOLERANCE, SwapOutcome};
+use runtime::Domain;
+use session::control::{Reply, Request, SwapRequest, ask};
+use shared_types::Role;
+
+use crate::successor::{SuccessorArguments, begin};
+
+/// Time between two looks at an exchange: a fifth of a scan period.
+const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
+
+/// Arguments of `swap`.
+#[derive(Debug, Args)]
+pub struct SwapArguments {
+    /// The process that takes over.
+    #[command(flatten)]
+    pub successor: SuccessorArguments,
+    /// Scans in a row on which the new process must agree with the old one.
+    #[arg(long, visible_alias = "gate-scans", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub shadow_scans: u64,
+    /// Scans after the change during which the old process stands by.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    pub standby_scans: u64,
+    /// Factor on the bounds of agreement, for one that drives differently on purpose: 0 to 1000; with 1000 agreement
+    /// is not judged, validity and timing only.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub tolerance: f64,
+    /// Print the certificate as JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Exchanges one process and prints what became of it.
+///
+/// # Errors
+/// An unknown role or implementation, a system that is not running or already exchanges one; exit code 2.
+pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
+    let tolerance = arguments.tolerance;
+    // JSON has no word for NaN, so the orchestrator could not say what is wrong with it.
+    if !(0.0..=MOST_TOLERANCE).contains(&tolerance) {
+        return Err(Failure::bad_input(format!(
+            "--tolerance {tolerance} is not allowed: 0 to {MOST_TOLERANCE}"
+        )));
+    }
+    let request = SwapRequest {
+        successor: arguments.successor.named()?,
+        shadow_scans: arguments.shadow_scans,
+        standby_scans: arguments.standby_scans,
+        tolerance,
+    };
+    let domain = &supervision::runs::existing(system_id)?;
+    let number = begin(domain, &Request::Swap(request))?;
+    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    if arguments.json {
+        data(&serde_json::to_string_pretty(&certificate)?)?;
+    }
+    note!("{certificate}");
+    Ok(exit_of(&certificate))
+}
+
+/// Restarts one process; waits until the new one drives when the one before works.
+///
+/// # Errors
+/// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
+pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
+    let role: Role = role.parse().map_err(Failure::bad_input)?;
+    let domain = &supervision::runs::existing(system_id)?;
+    let number = match ask(domain, &Request::Restart { role })? {
+        Reply::Refused(reason) => return Err(Failure::bad_input(reason)),
+        Reply::Accepted(number) => number,
+        _ => {
+            note!("{role} is being restarted");
+            return Ok(Exit::Done);
+        }
+    };
+    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    note!("{}", certificate.of_restart());
+    Ok(exit_of(&certificate))
+}
+
+/// Waits for the certificate of a swap; none when the system ends before.
+fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificate>> {
+    loop {
+        match ask(domain, &Request::SwapResult { number }) {
+            Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
+            Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
+            Ok(_) => std::thread::sleep(SWAP_LOOK),
+            Err(error) => {
+                note!("the system ended before the swap did: {error:#}");
+                return Ok(None);
+            }
+        }
+    }
+}
+
+fn exit_of(certificate: &Certificate) -> Exit {
+    if certificate.outcome == SwapOutcome::Swapped { Exit::Done } else { Exit::NotReached }
+}
