@@ -13,8 +13,6 @@
 
 mod books;
 mod fault;
-#[cfg(test)]
-mod model;
 mod refused;
 mod rows;
 mod stream;

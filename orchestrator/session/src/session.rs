@@ -24,7 +24,7 @@ use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
 use shared_types::{Authority, Phase, ProcessState, Role};
 use supervision::fleet::Fleet;
-use supervision::supervisor::{Action, Event, Severity, Supervisor};
+use supervision::supervisor::{Action, Event, Severity, Supervisor, VisibleState};
 
 use crate::beginning::{Beginning, Manner};
 use crate::control::ControlSocket;
@@ -504,7 +504,7 @@ impl Session {
                 implementation: self.fleet.label(view.role),
                 pid: self.fleet.last_pid(view.role),
                 restarts: view.restarts,
-                state: if view.state.name() == "stopped" {
+                state: if view.state == VisibleState::Stopped {
                     "exited".to_owned()
                 } else {
                     view.state.name().to_owned()

@@ -4,7 +4,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use super::policy::nanoseconds;
 use super::watch::feeders;
-use super::{Action, Event, Exit, ProcessPolicy, Supervisor};
+use super::{Action, Event, Exit, ProcessPolicy, Supervisor, VisibleState};
 
 /// What the world knows of one role, by its own account.
 #[derive(Debug, Clone, Default)]
@@ -263,7 +263,7 @@ impl World {
                     self.die(role, Exit::Signal(15));
                 }
             }
-            let all_ready = self.supervisor.processes().all(|view| view.state.name() == "ready");
+            let all_ready = self.supervisor.processes().all(|view| view.state == VisibleState::Ready);
             if self.stopping || all_ready {
                 return;
             }

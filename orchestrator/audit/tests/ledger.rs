@@ -2,14 +2,13 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use audit::ledger::{ACCOUNTS, Books, Fault, Kind};
 use proptest::prelude::*;
 use runtime::{KEPT, buffer};
 use shared_types::{
     Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState, Role,
     Sample, Scan, Topic, Truth,
 };
-
-use super::{ACCOUNTS, Books, Fault, Kind};
 
 const PERIOD_NS: u64 = 100_000_000;
 /// Scans of a run in which something is hidden.
