@@ -1,5 +1,7 @@
 //! Exit codes of the public interface.
 
+use rustix::io::Errno;
+
 /// How a command ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
@@ -45,6 +47,9 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     if let Some(failure) = error.downcast_ref::<Failure>() {
         return failure.exit;
     }
+    if error.chain().filter_map(|cause| cause.downcast_ref()).any(is_shortage) {
+        return Exit::ProcessFailed;
+    }
     match error.downcast_ref::<runtime::RuntimeError>() {
         Some(
             runtime::RuntimeError::SystemId(_)
@@ -58,5 +63,26 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
         Some(runtime::RuntimeError::Stopped(_)) => Exit::NotReached,
         Some(runtime::RuntimeError::SharedMemory(_)) => Exit::ProcessFailed,
         _ => Exit::Internal,
+    }
+}
+
+/// Whether the machine, or a limit of this process, has no more of what was asked for: files, memory, room.
+fn is_shortage(error: &std::io::Error) -> bool {
+    const SHORTAGES: [Errno; 4] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM, Errno::NOSPC];
+    Errno::from_io_error(error).is_some_and(|errno| SHORTAGES.contains(&errno))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shortage_is_no_error_of_ours() {
+        let error = |errno: Errno| {
+            let source = std::io::Error::from(errno);
+            anyhow::Error::from(runtime::RuntimeError::System { action: "make the stop word", source })
+        };
+        assert_eq!(exit_of(&error(Errno::MFILE).context("start")), Exit::ProcessFailed);
+        assert_eq!(exit_of(&error(Errno::INVAL)), Exit::Internal);
     }
 }
