@@ -159,11 +159,6 @@ impl Actuator {
         self.state.stopped == 1
     }
 
-    /// The header of the last command answered.
-    pub fn last_answered(&self) -> &Header {
-        &self.state.header
-    }
-
     /// Commands refused since the start.
     pub fn refused(&self) -> u64 {
         self.state.refused

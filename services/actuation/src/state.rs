@@ -1,6 +1,6 @@
 //! What the actuator remembers from command to command, as plain bytes for a checkpoint.
 
-use shared_types::{Fault, Header, plain_state};
+use shared_types::{Fault, Header, finite, plain_state};
 use vehicle::correction::SENT_STEERING_MAX_RAD;
 
 plain_state! {
@@ -49,9 +49,7 @@ impl ActuatorState {
             ("shaft_rad", self.shaft_rad),
             ("wheels_rad", self.wheels_rad),
         ] {
-            if !value.is_finite() {
-                return Err(Fault::NotFinite { field });
-            }
+            finite(field, &[value])?;
             if value.abs() > SENT_STEERING_MAX_RAD {
                 return Err(Fault::OutOfRange { field, value });
             }

@@ -1,6 +1,6 @@
 //! Whether one command may move the wheels.
 
-use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveStatus, StopReason};
+use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveStatus, StopReason, finite};
 use vehicle::{Bounds, Control};
 
 /// How far desired values may be outside their hard limits [m/s, rad]: the rounding of a solver, no more.
@@ -25,11 +25,8 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
     SolveStatus::try_from(command.status)?;
     StopReason::try_from(command.reason)?;
     let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
-    for (field, value) in [("velocity_mps", desired.velocity), ("steering_rad", desired.steering)] {
-        if !value.is_finite() {
-            return Err(Fault::NotFinite { field });
-        }
-    }
+    finite("velocity_mps", &[desired.velocity])?;
+    finite("steering_rad", &[desired.steering])?;
     match kind {
         CommandKind::Stop => Ok(Wish::Block(BlockReason::Commanded)),
         CommandKind::Land => Ok(Wish::Block(BlockReason::Landed)),

@@ -8,6 +8,7 @@
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
 
 use crate::history::{History, Node};
@@ -16,12 +17,6 @@ use crate::odometer::{Odometer, Reckoning};
 use crate::plant::{Plant, STEP_NS};
 use crate::scenario::{Goal, Scenario, Start};
 use crate::scene::Scene;
-
-/// Largest velocity that the drive accepts [m/s]; it does not drive backwards.
-pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
-
-/// Largest steering angle that the drive accepts, to either side [rad].
-pub const SENT_STEERING_MAX_RAD: f64 = 0.12;
 
 /// The dead-man blocks the wheels this many scan periods after the last actuation.
 pub const DEAD_MAN_PERIODS: u64 = 2;

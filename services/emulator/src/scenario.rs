@@ -152,8 +152,8 @@ impl Scenario {
         require("timeout_s", self.timeout_s, 0.1..=1e6)?;
         require("stop_final_s", self.stop_final_s, 0.1..=1e6)?;
         self.track.validate().map_err(|error| error.within("track"))?;
-        self.robot.validate().map_err(|error| error.within("robot"))?;
-        self.noise.validate().map_err(|error| error.within("noise"))?;
+        self.robot.require_ranges().map_err(|error| error.within("robot"))?;
+        self.noise.require_ranges().map_err(|error| error.within("noise"))?;
         self.start.validate(&self.track).map_err(|error| error.within("start"))?;
         self.goal.validate(&self.track).map_err(|error| error.within("goal"))?;
         if let Some(endless) = &self.endless {

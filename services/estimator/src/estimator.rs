@@ -14,6 +14,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
 use vehicle::Invalid;
+use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
 use crate::correction::{CorrectionState, Planar};
@@ -36,8 +37,8 @@ const GATE: [f64; 3] = [10.828, 13.816, 16.266];
 /// [m], and of the yaw [rad].
 const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
 
-/// More than the curvature of any way: the sharpest turn that can be sent has 0.64 [1/m].
-const REACH_CURVATURE: f64 = 0.7;
+/// More than the curvature of any way [1/m]: per steering angle 5.4 by the geometry, and 8 % more.
+const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
 
 /// The interval that Q is given for [s].
 const NOISE_INTERVAL_S: f64 = 0.1;

@@ -1,7 +1,7 @@
 //! All that the estimator remembers, as plain bytes: the working state and the checkpoint are one thing.
 
 use nalgebra::Matrix3;
-use shared_types::{Fault, plain_state};
+use shared_types::{Fault, finite, plain_state};
 
 use crate::correction::CorrectionState;
 use crate::motion::{HISTORY, MotionState};
@@ -47,13 +47,6 @@ impl EstimatorState {
     /// # Errors
     /// [`Fault`] when a number is not finite, the covariance is not positive definite, or a count is too large.
     pub fn check(&self) -> Result<(), Fault> {
-        let finite = |field, values: &[f64]| {
-            if values.iter().all(|value| value.is_finite()) {
-                Ok(())
-            } else {
-                Err(Fault::NotFinite { field })
-            }
-        };
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
@@ -73,5 +66,3 @@ impl EstimatorState {
         Ok(())
     }
 }
-
-const _: () = assert!(size_of::<EstimatorState>() <= shared_types::CHECKPOINT_BYTES);

@@ -135,9 +135,7 @@ fn sized(
     directions: &Directions,
 ) -> Ellipse {
     let b = b.clamp(0.01, 80.0);
-    let ratio = config.long_axis_ratio * b;
-    let rule =
-        if b < config.long_axis_m { config.long_axis_m.max(ratio.min(config.long_axis_m)) } else { ratio };
+    let rule = if b < config.long_axis_m { config.long_axis_m } else { config.long_axis_ratio * b };
     let mut needed = 0.0_f64;
     for corner in rectangle.corners() {
         for index in (0..DIRECTIONS).step_by(3) {

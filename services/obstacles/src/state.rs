@@ -1,6 +1,6 @@
 //! State that a restarted or swapped process resumes from: all tracks as plain bytes.
 
-use shared_types::{CHECKPOINT_BYTES, plain_state};
+use shared_types::plain_state;
 
 use crate::shape::DIRECTIONS;
 
@@ -60,5 +60,3 @@ plain_state! {
         pub tracks: [TrackState; TRACKS],
     }
 }
-
-const _: () = assert!(size_of::<ObstaclesState>() <= CHECKPOINT_BYTES, "the state does not fit a checkpoint");

@@ -5,7 +5,7 @@
 //! to a third of a period after the scan before it was. A later one is not given away.
 
 use nalgebra::Vector2;
-use shared_types::{Fault, plain_state};
+use shared_types::{Fault, finite, plain_state};
 use vehicle::State;
 
 use super::{Emulator, HISTORY_PERIODS, node};
@@ -172,11 +172,7 @@ impl EmulatorState {
             ("max_abs_lateral_m", &[self.max_abs_lateral_m]),
             ("appeared_s", &self.appeared_s),
         ];
-        for (field, values) in numbers {
-            if !values.iter().all(|value| value.is_finite()) {
-                return Err(Fault::NotFinite { field });
-            }
-        }
+        numbers.into_iter().try_for_each(|(field, values)| finite(field, values))?;
         if self.plant_ns > self.clock_ns {
             return Err(Fault::OutOfRange { field: "plant_ns", value: self.plant_ns as f64 });
         }
