@@ -1,17 +1,16 @@
 //! Enums whose values have names, and those among them that travel in samples as a number.
 
 /// Declares an enum with the names that stand in files, reports and messages.
+#[macro_export]
 macro_rules! named_enum {
     (
         $(#[$meta:meta])*
-        pub enum $name:ident {
-            $(#[doc = $doc:literal] $(#[doc = $more:literal])* $variant:ident $(= $value:literal)? $text:literal,)*
-        }
+        pub enum $name:ident { $($(#[$attribute:meta])* $variant:ident $(= $value:literal)? $text:literal,)* }
     ) => {
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         #[repr(u32)]
-        pub enum $name { $(#[doc = $doc] $(#[doc = $more])* $variant $(= $value)?,)* }
+        pub enum $name { $($(#[$attribute])* $variant $(= $value)?,)* }
 
         impl $name {
             /// All values in their order.
@@ -25,7 +24,7 @@ macro_rules! named_enum {
 
         impl std::fmt::Display for $name {
             fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                formatter.write_str(self.name())
+                formatter.pad(self.name())
             }
         }
     };

@@ -73,11 +73,11 @@ impl Actuator {
         self.refusal = None;
         if let Some(fault) = self.disbelieved(&command.header, now_ns) {
             self.refuse(fault);
-            return self.block(block_reason(&fault), 0, StopReason::None.wire());
+            return self.block_by_itself(block_reason(&fault));
         }
 
         self.state.header = command.header.answer();
-        let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None).wire();
+        let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None);
         let age_ns = now_ns.saturating_sub(command.header.acquired_ns);
         let verdict = if age_ns > self.max_age_ns {
             Err(Fault::TooOld { age_ms: milliseconds(age_ns) })
@@ -87,14 +87,14 @@ impl Actuator {
         match verdict {
             Err(fault) => {
                 self.refuse(fault);
-                self.block(block_reason(&fault), 1, stop_reason)
+                self.block(block_reason(&fault), stop_reason)
             }
             Ok(wish) => {
                 self.accept(now_ns);
                 match wish {
-                    Wish::Block(reason) => self.block(reason, 1, stop_reason),
+                    Wish::Block(reason) => self.block(reason, stop_reason),
                     Wish::Drive(_) if self.state.silenced == 1 => {
-                        self.block(BlockReason::NoCommand, 1, stop_reason)
+                        self.block(BlockReason::NoCommand, stop_reason)
                     }
                     Wish::Drive(desired) => self.drive(desired, stop_reason),
                 }
@@ -139,14 +139,14 @@ impl Actuator {
             return None;
         }
         self.state.told_ns = now_ns;
-        Some(self.block(reason, 0, StopReason::None.wire()))
+        Some(self.block_by_itself(reason))
     }
 
     /// Blocks the wheels until [`Self::release`], whatever is commanded.
     pub fn stop(&mut self, now_ns: u64) -> Actuation {
         self.state.stopped = 1;
         self.state.told_ns = now_ns;
-        self.block(BlockReason::StopRequested, 0, StopReason::None.wire())
+        self.block_by_itself(BlockReason::StopRequested)
     }
 
     /// Ends an explicit stop: the next valid command drives again.
@@ -216,12 +216,12 @@ impl Actuator {
         }
     }
 
-    fn drive(&mut self, desired: Control, stop_reason: u32) -> Actuation {
+    fn drive(&mut self, desired: Control, stop_reason: StopReason) -> Actuation {
         let linkage = Linkage { shaft: self.state.shaft_rad, wheels: self.state.wheels_rad };
         let Correction { velocity, steering, linkage } = self.correction.correct(desired, linkage);
         let sendable = velocity.is_finite() && steering.is_finite();
         if self.is_stopped() || !sendable {
-            return self.block(BlockReason::InvalidCommand, 1, stop_reason);
+            return self.block(BlockReason::InvalidCommand, stop_reason);
         }
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
@@ -230,7 +230,7 @@ impl Actuator {
             header: self.state.header,
             kind: ActuationKind::Drive.wire(),
             reason: BlockReason::None.wire(),
-            stop_reason,
+            stop_reason: stop_reason.wire(),
             answers: 1,
             desired_velocity_mps: desired.velocity,
             desired_steering_rad: desired.steering,
@@ -240,15 +240,20 @@ impl Actuator {
         }
     }
 
-    /// Blocked wheels; an explicit stop is named before any other reason.
-    fn block(&self, reason: BlockReason, answers: u32, stop_reason: u32) -> Actuation {
+    /// Blocked wheels that answer no command.
+    fn block_by_itself(&self, reason: BlockReason) -> Actuation {
+        Actuation { answers: 0, ..self.block(reason, StopReason::None) }
+    }
+
+    /// Blocked wheels in answer to a command; an explicit stop is named before any other reason.
+    fn block(&self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
         let reason = if self.is_stopped() { BlockReason::StopRequested } else { reason };
         Actuation {
             header: self.state.header,
             kind: ActuationKind::Block.wire(),
             reason: reason.wire(),
-            stop_reason,
-            answers,
+            stop_reason: stop_reason.wire(),
+            answers: 1,
             desired_velocity_mps: 0.0,
             desired_steering_rad: self.state.steering_rad,
             sent_velocity_mps: 0.0,

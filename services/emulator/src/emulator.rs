@@ -37,7 +37,7 @@ pub enum Received {
 }
 
 /// What is counted since the start of the run.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Tally {
     min_clearance: f64,
     path_length: f64,
@@ -77,20 +77,9 @@ impl Emulator {
         let (plant, reckoning) = (Plant::new(scenario), Reckoning::new(scenario));
         let history = History::new(node(0, &plant, &reckoning), HISTORY_PERIODS.saturating_mul(period_ns));
         let mut scene = Scene::new(scenario);
-        let body = scenario.body(scenario.start.x_m, scenario.start.y_m, scenario.start.yaw_rad);
+        let body = scenario.start_body();
         scene.trigger(&body, 0.0);
-        let tally = Tally {
-            min_clearance: scene.clearance(&body, 0.0),
-            path_length: 0.0,
-            max_abs_lateral: 0.0,
-            longest_blind_ns: 0,
-            collided: false,
-            struck: false,
-            dead_man: false,
-            refused: 0,
-            steps: 0,
-            actuation_scan: 0,
-        };
+        let tally = Tally { min_clearance: scene.clearance(&body, 0.0), ..Tally::default() };
         Self {
             period_ns,
             clock_ns: 0,
