@@ -159,11 +159,6 @@ impl Actuator {
         self.state.stopped == 1
     }
 
-    /// Commands refused since the start.
-    pub fn refused(&self) -> u64 {
-        self.state.refused
-    }
-
     /// What a restarted actuator resumes from.
     pub fn state(&self) -> ActuatorState {
         self.state

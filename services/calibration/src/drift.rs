@@ -24,10 +24,10 @@ use crate::refusal::{enough, within};
 use crate::{Chart, Estimate, Refusal};
 
 /// Fewest measured positions of one run; three numbers of its own are fitted to them.
-pub const MIN_MARKS: usize = 5;
+const MIN_MARKS: usize = 5;
 
 /// Shortest way of a run [m].
-pub const MIN_WAY_M: f64 = 3.0;
+const MIN_WAY_M: f64 = 3.0;
 
 /// Slower than this the robot stands [m/s].
 const STANDSTILL_MPS: f64 = 0.01;

@@ -16,13 +16,13 @@ use crate::record::{CircleRun, Side, SineRow, StraightRun};
 use crate::velocity::TAPE_ERROR_M;
 
 /// Standard deviation of a time between two passages by stopwatch [s]: two hands of 35 ms.
-pub const STOPWATCH_S: f64 = 0.05;
+const STOPWATCH_S: f64 = 0.05;
 
 /// Standard deviation of each coordinate of a chalk mark [m].
-pub const MARK_M: f64 = 0.003;
+const MARK_M: f64 = 0.003;
 
 /// Standard deviation of the direction in which the robot is put down for a sine run [rad].
-pub const PLACE_RAD: f64 = 0.002;
+const PLACE_RAD: f64 = 0.002;
 
 /// Time between two actuations [ns]: well within the dead-man of the robot.
 const PERIOD_NS: u64 = 100_000_000;

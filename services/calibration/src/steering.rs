@@ -35,7 +35,7 @@ use network_error::NetworkError;
 pub const DESIRED_MAX_RAD: f64 = STEERING_MAX_RAD;
 
 /// Largest step between neighbouring sent angles [rad]; the map may bend within a larger one unseen.
-pub const LARGEST_STEP_RAD: f64 = 0.012;
+const LARGEST_STEP_RAD: f64 = 0.012;
 
 /// Larger scatter about a smooth map than this is no error of a tape measure [rad].
 const LARGEST_SCATTER_RAD: f64 = 0.005;
@@ -84,11 +84,6 @@ pub struct MapPoint {
     pub sent_rad: f64,
     /// Angle that is realised then; about the desired one [rad].
     pub realised_rad: Estimate,
-}
-
-/// Radius of the arc with a chord and a height, R = s^2 / (8 h) + h / 2 [m].
-pub fn radius(chord_m: f64, height_m: f64) -> f64 {
-    chord_m * chord_m / (8.0 * height_m) + height_m / 2.0
 }
 
 /// Steering angle that drives the arc with a chord and a height, tan(u2) = (lh + lv) / (2 R) [rad].

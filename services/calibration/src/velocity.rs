@@ -15,7 +15,7 @@ use crate::refusal::{enough, within};
 use crate::{Chart, Estimate, Refusal};
 
 /// Fewest runs.
-pub const MIN_RUNS: usize = 5;
+const MIN_RUNS: usize = 5;
 
 /// Standard error of a distance of a few metres by tape measure, common to all runs [m].
 pub const TAPE_ERROR_M: f64 = 0.003;

@@ -11,13 +11,13 @@ use crate::noise::{Purpose, Stream};
 use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
 
 /// No surface of an obstacle stands nearer to the start than this [m].
-pub const AFTER_START_M: f64 = 3.5;
+const AFTER_START_M: f64 = 3.5;
 
 /// No surface of an obstacle stands nearer to the goal than this [m].
-pub const BEFORE_GOAL_M: f64 = 4.5;
+const BEFORE_GOAL_M: f64 = 4.5;
 
 /// Smallest distance from obstacle to obstacle along the track [m].
-pub const SPACING_M: f64 = 5.5;
+const SPACING_M: f64 = 5.5;
 
 /// Largest distance of the goal from the start, so that the robot can overshoot within the track [m].
 const GOAL_MAX_M: f64 = 21.5;

@@ -19,7 +19,7 @@ use crate::scenario::{Goal, Scenario, Start};
 use crate::scene::Scene;
 
 /// The dead-man blocks the wheels this many scan periods after the last actuation.
-pub const DEAD_MAN_PERIODS: u64 = 2;
+const DEAD_MAN_PERIODS: u64 = 2;
 
 /// Scan periods that the history goes back: a caller may be late by two before old poses are forgotten.
 const HISTORY_PERIODS: u64 = 3;

@@ -27,10 +27,10 @@ pub const MAX_RANGE_M: f64 = 5.6;
 pub const NO_RETURN: u16 = 0;
 
 /// Error code where too little light came back: a dropout.
-pub const LOW_INTENSITY: u16 = 1;
+const LOW_INTENSITY: u16 = 1;
 
 /// Error code of a surface nearer than 20 mm.
-pub const TOO_NEAR: u16 = 19;
+const TOO_NEAR: u16 = 19;
 
 /// Neighbouring beams whose ranges differ by more than this look across an edge [m].
 const EDGE_M: f64 = 0.1;

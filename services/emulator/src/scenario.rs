@@ -21,7 +21,7 @@ pub use places::{Goal, Start, Track};
 pub use robot::{Drift, Noise, Robot};
 
 /// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
-pub const WALL_MARGIN_M: f64 = 0.2;
+const WALL_MARGIN_M: f64 = 0.2;
 
 settings! {
     /// A checked scenario file.

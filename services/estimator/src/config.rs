@@ -60,8 +60,8 @@ settings! {
 /// All settings with the profile's values filled in, checked.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Which of (yaw, x, y) are measured.
-    pub measured: [bool; 3],
+    /// Whether the yaw is measured; x and y always are, because nothing else determines the state.
+    pub yaw_is_measured: bool,
     /// Variances Q per 100 ms.
     pub process_noise: [f64; 3],
     /// Whether Q is along and across the heading instead of along the axes of the track.
@@ -108,7 +108,7 @@ impl Config {
             reset_s: self.drift_reset_s,
         };
         let settings = Settings {
-            measured: [Measured::Yaw, Measured::X, Measured::Y].map(|state| self.measure.contains(&state)),
+            yaw_is_measured: self.measure.contains(&Measured::Yaw),
             process_noise: self.process_noise.unwrap_or(process_noise),
             noise_turns: !source,
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
@@ -204,7 +204,7 @@ mod tests {
             measurement_noise = [1e-4, 1e-4, 1e-4]";
         let config = read(text).unwrap();
         assert_eq!((config.profile, config.correction), (Profile::Source, Some(Mode::Yaw)));
-        assert_eq!(config.settings().unwrap().measured, [false, true, true]);
+        assert!(!config.settings().unwrap().yaw_is_measured);
         assert_eq!(toml::from_str(&toml::to_string(&config).unwrap()), Ok(config));
         assert!(read("measure = [\"speed\"]").is_err() && read("noise = 1").is_err());
     }

@@ -50,19 +50,6 @@ pub struct Estimator {
     state: EstimatorState,
 }
 
-/// What the estimator did not use, and why, since the start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counters {
-    /// Measurements refused by the gate.
-    pub rejected: u64,
-    /// Times the estimate began anew from a measurement.
-    pub restarts: u64,
-    /// Odometry samples that were not newer than the estimate.
-    pub skipped: u64,
-    /// Odometry samples that could not be used because of their content.
-    pub invalid: u64,
-}
-
 /// The measurement update in terms of (yaw, x, y), whatever is measured.
 #[derive(Debug, Clone, Copy, Default)]
 struct Update {
@@ -138,12 +125,6 @@ impl Estimator {
         if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
             self.state.motion.note(actuation);
         }
-    }
-
-    /// What was not used since the start.
-    pub fn counters(&self) -> Counters {
-        let EstimatorState { rejected, restarts, skipped, invalid, .. } = self.state;
-        Counters { rejected, restarts, skipped, invalid }
     }
 
     /// What a restarted estimator resumes from.
@@ -265,11 +246,10 @@ impl Estimator {
 
     /// Measurement update (7.24)-(7.26) with what is measured, unless the gate refuses it.
     fn update(&mut self, measured: Planar, odometry: &Odometry) -> Update {
-        let update = match self.settings.measured {
-            [true, true, true] => self.update_with([0, 1, 2], measured),
-            [false, true, true] => self.update_with([1, 2], measured),
-            // Not reached: the settings were refused, as nothing else determines the state.
-            _ => Ok((Update::default(), true)),
+        let update = if self.settings.yaw_is_measured {
+            self.update_with([0, 1, 2], measured)
+        } else {
+            self.update_with([1, 2], measured)
         };
         let finite = self.state.estimate.iter().chain(&self.state.covariance).all(|value| value.is_finite());
         match update {

@@ -209,7 +209,7 @@ fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
     if piece.duration_s <= 0.0 || (piece.from_mps <= 0.0 && piece.to_mps <= 0.0) {
         return state;
     }
-    let steps = (piece.duration_s / MAX_STEP_S).ceil().max(1.0);
+    let steps = (piece.duration_s / MAX_STEP_S).ceil();
     let step_s = piece.duration_s / steps;
     (0..steps as usize).fold(state, |state, step| {
         let share = (step as f64 + 0.5) / steps;

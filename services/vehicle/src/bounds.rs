@@ -8,6 +8,9 @@ use crate::Control;
 /// has to cover and the defaults of all settings follow from it.
 pub const STEERING_MAX_RAD: f64 = 0.06;
 
+/// How far desired values may be outside of their bounds [m/s, rad]: the rounding of a solver, no more.
+pub const ROUNDING: f64 = 1e-6;
+
 /// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
