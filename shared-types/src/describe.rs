@@ -80,6 +80,28 @@ impl<T: Described, const N: usize> Described for [T; N] {
     const KIND: Kind = Kind::Array(&T::KIND, N);
 }
 
+/// Yes or no in the state of a checkpoint: a `u32`, 1 for yes.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Flag(u32);
+
+impl Flag {
+    /// Whether it says yes.
+    pub const fn is_set(self) -> bool {
+        self.0 == 1
+    }
+}
+
+impl From<bool> for Flag {
+    fn from(is_set: bool) -> Self {
+        Self(u32::from(is_set))
+    }
+}
+
+impl Described for Flag {
+    const KIND: Kind = u32::KIND;
+}
+
 /// Declares a plain `#[repr(C)]` struct of a sample or of the state in a checkpoint, with the description that it is
 /// recognised by.
 ///
@@ -176,6 +198,12 @@ const fn hash_number(number: usize, seed: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flag_is_a_u32_to_other_languages() {
+        assert_eq!((Flag::KIND, size_of::<Flag>()), (u32::KIND, 4));
+        assert!(Flag::from(true).is_set() && !Flag::default().is_set());
+    }
 
     #[test]
     fn fnv_of_a_known_text_is_the_published_value() {

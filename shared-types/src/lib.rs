@@ -36,7 +36,7 @@ pub use authority::{Admission, Authority, AuthorityFilter};
 pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
 pub use command::{Command, CommandKind, Level, PLAN_NODES, PlanNode, SolveStatus, StopReason};
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
-pub use describe::{Described, Enumeration, EnumerationValue, Field, Kind};
+pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use layouts::{Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};

@@ -64,11 +64,11 @@ impl Actuator {
     /// `answers` is 1 once per scan. A command for a scan answered before, or for one that lies in the future, gets
     /// a block that the actuator decides by itself (`answers` = 0), because its header is not to be believed.
     pub fn answer(&mut self, command: &Command, now_ns: u64) -> Actuation {
-        if self.state.commanded == 1 && self.silence_ns(now_ns) > self.timeout_ns {
+        if self.state.commanded.is_set() && self.silence_ns(now_ns) > self.timeout_ns {
             self.fall_silent();
         }
         self.state.told_ns = now_ns;
-        self.state.awake = 1;
+        self.state.awake = true.into();
 
         self.refusal = None;
         if let Some(fault) = self.disbelieved(&command.header, now_ns) {
@@ -93,7 +93,7 @@ impl Actuator {
                 self.accept(now_ns);
                 match wish {
                     Wish::Block(reason) => self.block(reason, stop_reason),
-                    Wish::Drive(_) if self.state.silenced == 1 => {
+                    Wish::Drive(_) if self.state.silenced.is_set() => {
                         self.block(BlockReason::NoCommand, stop_reason)
                     }
                     Wish::Drive(desired) => self.drive(desired, stop_reason),
@@ -117,8 +117,8 @@ impl Actuator {
     ///
     /// The first call before any command starts the watch.
     pub fn tick(&mut self, now_ns: u64) -> Option<Actuation> {
-        if self.state.awake == 0 {
-            self.state.awake = 1;
+        if !self.state.awake.is_set() {
+            self.state.awake = true.into();
             self.state.told_ns = now_ns;
             self.state.valid_ns = now_ns;
             return None;
@@ -127,13 +127,13 @@ impl Actuator {
         if !silent {
             return None;
         }
-        if self.state.commanded == 1 {
+        if self.state.commanded.is_set() {
             self.fall_silent();
         }
-        let reason = match self.state.commanded {
+        let reason = match self.state.commanded.is_set() {
             _ if self.dropped => BlockReason::InvalidCommand,
-            1 => BlockReason::NoCommand,
-            _ => BlockReason::Start,
+            true => BlockReason::NoCommand,
+            false => BlockReason::Start,
         };
         if now_ns.saturating_sub(self.state.told_ns) < self.period_ns {
             return None;
@@ -144,19 +144,19 @@ impl Actuator {
 
     /// Blocks the wheels until [`Self::release`], whatever is commanded.
     pub fn stop(&mut self, now_ns: u64) -> Actuation {
-        self.state.stopped = 1;
+        self.state.stopped = true.into();
         self.state.told_ns = now_ns;
         self.block_by_itself(BlockReason::StopRequested)
     }
 
     /// Ends an explicit stop: the next valid command drives again.
     pub fn release(&mut self) {
-        self.state.stopped = 0;
+        self.state.stopped = false.into();
     }
 
     /// Whether an explicit stop holds.
     pub fn is_stopped(&self) -> bool {
-        self.state.stopped == 1
+        self.state.stopped.is_set()
     }
 
     /// What a restarted actuator resumes from.
@@ -179,7 +179,7 @@ impl Actuator {
     }
 
     fn fall_silent(&mut self) {
-        self.state.silenced = 1;
+        self.state.silenced = true.into();
         self.state.streak = 0;
     }
 
@@ -201,13 +201,13 @@ impl Actuator {
     fn accept(&mut self, now_ns: u64) {
         let is_apart = now_ns.saturating_sub(self.state.valid_ns) >= self.period_ns / 2;
         self.dropped = false;
-        self.state.commanded = 1;
+        self.state.commanded = true.into();
         self.state.valid_ns = now_ns;
         if is_apart || self.state.streak == 0 {
             self.state.streak = self.state.streak.saturating_add(1);
         }
         if self.state.streak >= self.config.recovery {
-            self.state.silenced = 0;
+            self.state.silenced = false.into();
         }
     }
 

@@ -87,7 +87,7 @@ impl Estimator {
         }
         let acquired_ns = odometry.header.acquired_ns;
         let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
-        let update = if self.state.initialised == 1 {
+        let update = if self.state.initialised.is_set() {
             let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
             let before = self.state;
@@ -110,7 +110,7 @@ impl Estimator {
             self.begin(reported, odometry);
             Update::default()
         };
-        self.state.initialised = 1;
+        self.state.initialised = true.into();
         self.state.incarnation = odometry.header.incarnation;
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
@@ -146,7 +146,7 @@ impl Estimator {
     pub fn is_newer(&self, odometry: &Odometry) -> bool {
         let header = &odometry.header;
         let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
-        self.state.initialised == 0
+        !self.state.initialised.is_set()
             || (header.acquired_ns > self.state.acquired_ns
                 && !(same_producer && header.sequence <= self.state.sequence))
     }

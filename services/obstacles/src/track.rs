@@ -248,8 +248,8 @@ impl Track {
             sightings: state.sightings,
             unseen_s: state.unseen_s,
             free: state.free,
-            moving: state.moving == 1,
-            confirmed: state.confirmed == 1,
+            moving: state.moving.is_set(),
+            confirmed: state.confirmed.is_set(),
             pieces: state.pieces,
             motion: Motion {
                 state: Vector4::from(state.motion),
