@@ -5,7 +5,7 @@
 //! Numbers are added up beside their count, so a single sample without a fate is known by its number.
 
 use crate::Header;
-use crate::sample::layout;
+use crate::describe::layout;
 
 /// Writers of one topic that an account keeps apart: as many as may write a topic at a time.
 pub const WRITERS: usize = 4;

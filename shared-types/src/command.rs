@@ -1,7 +1,9 @@
 //! What the controller wants.
 
+use crate::describe::layout;
 use crate::fault::finite;
-use crate::sample::{layout, sample, wire_enum};
+use crate::named::wire_enum;
+use crate::sample::sample;
 use crate::{Fault, Header};
 
 /// How many nodes of the plan a command carries.

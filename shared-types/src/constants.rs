@@ -1,9 +1,26 @@
-//! The constants that a process in another language needs to read and write samples.
+//! The enumerations and constants that a process in another language needs to read and write samples.
 
 use crate::{
-    BEAMS, CHECKPOINT_BYTES, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD,
-    PLAN_NODES, ROLES, WINDOW,
+    ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, Enumeration, FIRST_BEAM_YAW_RAD,
+    FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role,
+    Rule, SolveStatus, StopReason, Suspect, WINDOW,
 };
+
+/// All enumerations of the samples.
+pub const ENUMERATIONS: [Enumeration; 12] = [
+    Role::ENUMERATION,
+    Phase::ENUMERATION,
+    ProcessState::ENUMERATION,
+    Suspect::ENUMERATION,
+    Alarm::ENUMERATION,
+    CommandKind::ENUMERATION,
+    Level::ENUMERATION,
+    SolveStatus::ENUMERATION,
+    StopReason::ENUMERATION,
+    ActuationKind::ENUMERATION,
+    BlockReason::ENUMERATION,
+    Rule::ENUMERATION,
+];
 
 /// A named number of the vocabulary.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -52,22 +52,6 @@ pub struct EnumerationValue {
     pub doc: &'static str,
 }
 
-/// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 12] = [
-    crate::Role::ENUMERATION,
-    crate::Phase::ENUMERATION,
-    crate::ProcessState::ENUMERATION,
-    crate::Suspect::ENUMERATION,
-    crate::Alarm::ENUMERATION,
-    crate::CommandKind::ENUMERATION,
-    crate::Level::ENUMERATION,
-    crate::SolveStatus::ENUMERATION,
-    crate::StopReason::ENUMERATION,
-    crate::ActuationKind::ENUMERATION,
-    crate::BlockReason::ENUMERATION,
-    crate::Rule::ENUMERATION,
-];
-
 /// One field of a sample: its place and meaning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {
@@ -96,16 +80,45 @@ impl<T: Described, const N: usize> Described for [T; N] {
     const KIND: Kind = Kind::Array(&T::KIND, N);
 }
 
-/// Declares a plain `#[repr(C)]` struct for the state in a checkpoint, with the description that it is recognised by.
+/// Yes or no in the state of a checkpoint: a `u32`, 1 for yes.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Flag(u32);
+
+impl Flag {
+    /// Whether it says yes.
+    pub const fn is_set(self) -> bool {
+        self.0 == 1
+    }
+}
+
+impl From<bool> for Flag {
+    fn from(is_set: bool) -> Self {
+        Self(u32::from(is_set))
+    }
+}
+
+impl Described for Flag {
+    const KIND: Kind = u32::KIND;
+}
+
+/// Declares a plain `#[repr(C)]` struct of a sample or of the state in a checkpoint, with the description that it is
+/// recognised by.
 ///
-/// The crate that uses it needs `bytemuck` with `derive`. Every field needs a documentation of one line.
+/// The crate that uses it needs `bytemuck` with `derive`. Every field needs documentation; its first line is part of
+/// the description.
 #[macro_export]
 macro_rules! plain_state {
-    ($(#[$meta:meta])* pub struct $name:ident { $(#[doc = $doc:literal] pub $field:ident: $type:ty,)* }) => {
+    (
+        $(#[$meta:meta])*
+        pub struct $name:ident {
+            $(#[doc = $doc:literal] $(#[doc = $more:literal])* pub $field:ident: $type:ty,)*
+        }
+    ) => {
         $(#[$meta])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-        pub struct $name { $(#[doc = $doc] pub $field: $type,)* }
+        pub struct $name { $(#[doc = $doc] $(#[doc = $more])* pub $field: $type,)* }
 
         impl $crate::Described for $name {
             const KIND: $crate::Kind = $crate::Kind::Struct(stringify!($name), &[
@@ -125,6 +138,17 @@ macro_rules! plain_state {
         }
     };
 }
+
+/// [`plain_state!`] for a part of samples, whose size is pinned.
+macro_rules! layout {
+    ($(#[$meta:meta])* pub struct $name:ident($size:literal) { $($body:tt)* }) => {
+        $crate::describe::plain_state! { $(#[$meta])* pub struct $name { $($body)* } }
+
+        const _: () = assert!(size_of::<$name>() == $size, "the layout of the sample changed");
+    };
+}
+
+pub(crate) use {layout, plain_state};
 
 /// 32-bit FNV-1a hash of the names, kinds and offsets of all fields: the layout version of a sample.
 pub(crate) const fn fingerprint(kind: &Kind, seed: u32) -> u32 {
@@ -174,6 +198,12 @@ const fn hash_number(number: usize, seed: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flag_is_a_u32_to_other_languages() {
+        assert_eq!((Flag::KIND, size_of::<Flag>()), (u32::KIND, 4));
+        assert!(Flag::from(true).is_set() && !Flag::default().is_set());
+    }
 
     #[test]
     fn fnv_of_a_known_text_is_the_published_value() {

@@ -1,47 +1,4 @@
-//! Why a sample may not be used: what is wrong with it, and the rule that it failed.
-
-use crate::sample::wire_enum;
-
-wire_enum! {
-    /// The rule that a dropped or refused sample failed.
-    pub enum Rule {
-        /// None was failed.
-        None = 0 "none",
-        /// Its layout is that of this system.
-        Layout = 1 "foreign_layout",
-        /// Its numbers are finite.
-        NotFinite = 2 "not_finite",
-        /// Its numbers are within what the fields can mean.
-        OutOfRange = 3 "out_of_range",
-        /// Its enumerations hold known numbers.
-        UnknownValue = 4 "unknown_value",
-        /// A command to drive was verified.
-        NotVerified = 5 "not_verified",
-        /// A command to drive is within the hard limits of the actuator.
-        OutsideBounds = 6 "outside_bounds",
-        /// Its scan is young enough.
-        TooOld = 7 "too_old",
-        /// Its scan does not lie in the future.
-        FromTheFuture = 8 "from_the_future",
-        /// Its scan was not answered before.
-        AnsweredBefore = 9 "answered_before",
-    }
-}
-
-impl Rule {
-    /// Whether every reader drops a sample that fails it, whatever the time and the scans before.
-    pub const fn is_of_content(self) -> bool {
-        matches!(
-            self,
-            Self::Layout | Self::NotFinite | Self::OutOfRange | Self::UnknownValue | Self::NotVerified
-        )
-    }
-
-    /// Whether the writer of the sample is the one at fault; age and number may also be due to what came before it.
-    pub const fn is_of_writer(self) -> bool {
-        self.is_of_content() || matches!(self, Self::OutsideBounds)
-    }
-}
+//! Why a sample may not be used.
 
 /// What is wrong with a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,21 +63,6 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// The rule that the sample failed.
-    pub const fn rule(&self) -> Rule {
-        match self {
-            Self::NotFinite { .. } => Rule::NotFinite,
-            Self::OutOfRange { .. } => Rule::OutOfRange,
-            Self::UnknownValue { .. } => Rule::UnknownValue,
-            Self::Layout { .. } => Rule::Layout,
-            Self::NotVerified { .. } => Rule::NotVerified,
-            Self::OutsideBounds { .. } => Rule::OutsideBounds,
-            Self::TooOld { .. } => Rule::TooOld,
-            Self::FromTheFuture { .. } => Rule::FromTheFuture,
-            Self::AnsweredBefore { .. } => Rule::AnsweredBefore,
-        }
-    }
-
     /// Name of the field at fault, and the value found; the value is 0 when it is not finite.
     pub fn finding(&self) -> (&'static str, f64) {
         let (field, value) = match *self {
@@ -166,6 +108,9 @@ impl std::fmt::Display for Fault {
 impl std::error::Error for Fault {}
 
 /// Passes when all `values` are finite, else names `field`.
-pub(crate) fn finite(field: &'static str, values: &[f64]) -> Result<(), Fault> {
+///
+/// # Errors
+/// [`Fault::NotFinite`] with the name of the field.
+pub fn finite(field: &'static str, values: &[f64]) -> Result<(), Fault> {
     if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(Fault::NotFinite { field }) }
 }

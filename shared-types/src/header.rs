@@ -1,7 +1,7 @@
 //! The header of all samples and the way of a scan through the stages.
 
-use crate::sample::layout;
-use crate::{Fault, ROLES, Role, Sample};
+use crate::describe::layout;
+use crate::{ROLES, Role};
 
 /// Data of this age is young at any scan rate: a scan of the fastest scanners of their kind takes as long [ns].
 pub const YOUNG_NS: u64 = 25_000_000;
@@ -75,24 +75,11 @@ impl Header {
     pub fn scan_published_ns(&self) -> u64 {
         self.stage(Role::Robot).published_ns
     }
-
-    /// Passes when the header was filled by a producer built against the layout of `S`.
-    ///
-    /// # Errors
-    /// [`Fault::Layout`] with both layout versions.
-    pub fn check<S: Sample>(&self) -> Result<(), Fault> {
-        if self.layout == S::LAYOUT {
-            Ok(())
-        } else {
-            Err(Fault::Layout { expected: S::LAYOUT, found: self.layout })
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Pose;
 
     #[test]
     fn an_answer_to_two_inputs_carries_the_stamps_of_both() {
@@ -103,14 +90,5 @@ mod tests {
         let answer = obstacles.answer_both(&pose);
         assert_eq!(answer.stage(Role::Estimator).published_ns, 11);
         assert_eq!(answer.stage(Role::Obstacles).published_ns, 13);
-    }
-
-    #[test]
-    fn a_foreign_layout_is_refused() {
-        let header = Header { layout: Pose::LAYOUT ^ 1, ..Header::default() };
-        assert_eq!(
-            header.check::<Pose>(),
-            Err(Fault::Layout { expected: Pose::LAYOUT, found: Pose::LAYOUT ^ 1 })
-        );
     }
 }

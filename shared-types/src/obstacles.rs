@@ -1,7 +1,8 @@
 //! The described obstacles.
 
+use crate::describe::layout;
 use crate::fault::finite;
-use crate::sample::{layout, sample};
+use crate::sample::sample;
 use crate::{Fault, Header};
 
 /// How many ellipses a description can hold.

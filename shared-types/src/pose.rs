@@ -1,7 +1,8 @@
 //! Where the robot is and how it moves.
 
 use crate::fault::finite;
-use crate::sample::{sample, wire_enum};
+use crate::named::wire_enum;
+use crate::sample::sample;
 use crate::{Fault, Header};
 
 wire_enum! {

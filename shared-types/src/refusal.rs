@@ -1,6 +1,6 @@
 //! What a reader says of the samples that it dropped or refused because of their content.
 
-use crate::sample::layout;
+use crate::describe::layout;
 use crate::{Fault, Header, Rule};
 
 /// Longest name of a field in a [`Refusal`] [bytes].

@@ -1,7 +1,7 @@
-//! The five roles of the loop.
+//! The five roles of the loop, and the data flow: which role reads and writes which topic, and when.
 
 use crate::Topic;
-use crate::sample::wire_enum;
+use crate::named::{UnknownName, by_name, wire_enum};
 
 /// Most topics that a role reads, and most that it writes.
 pub const PORTS: usize = 2;
@@ -30,7 +30,9 @@ impl Role {
     pub const fn index(self) -> usize {
         self as usize
     }
+}
 
+impl Role {
     /// The topics the role reads.
     pub const fn reads(self) -> &'static [Topic] {
         match self {
@@ -65,26 +67,53 @@ impl Role {
     }
 }
 
+impl Topic {
+    /// The role that writes the topic; `None` where several processes or the orchestrator do.
+    pub const fn writer(self) -> Option<Role> {
+        match self {
+            Self::Scan | Self::Odometry | Self::Truth => Some(Role::Robot),
+            Self::Pose => Some(Role::Estimator),
+            Self::Obstacles => Some(Role::Obstacles),
+            Self::Command => Some(Role::Controller),
+            Self::Actuation => Some(Role::Actuator),
+            Self::Heartbeat | Self::Directive | Self::Checkpoint => None,
+        }
+    }
+
+    /// When a sample is published, in words.
+    pub const fn published(self) -> &'static str {
+        match self {
+            Self::Scan | Self::Odometry => "once per scan, at the end of the sweep",
+            Self::Pose => "once per odometry sample",
+            Self::Obstacles => "once per scan, when scan and pose are there",
+            Self::Command => "once per scan, when pose and obstacles are there",
+            Self::Actuation => "once per command, and when the actuator blocks the wheels by itself",
+            Self::Heartbeat => "ten times a second by each process, and at each change of its state",
+            Self::Directive => "ten times a second by the orchestrator, and at each change",
+            Self::Checkpoint => "once per scan by each stateful process",
+            Self::Truth => "once per scan by the emulated robot",
+        }
+    }
+}
+
 impl std::str::FromStr for Role {
-    type Err = UnknownRole;
+    type Err = UnknownName;
 
-    fn from_str(text: &str) -> Result<Self, UnknownRole> {
-        Self::ALL.iter().copied().find(|role| role.name() == text).ok_or_else(|| UnknownRole(text.to_owned()))
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        by_name("role", text, Self::ALL, Self::name)
     }
 }
 
-/// A text that names no role.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UnknownRole(pub String);
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl std::fmt::Display for UnknownRole {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            formatter,
-            "unknown role `{}`: expected robot, estimator, obstacles, controller or actuator",
-            self.0
-        )
+    #[test]
+    fn every_topic_of_a_role_names_that_role_as_its_writer() {
+        for role in Role::ALL {
+            for topic in role.writes() {
+                assert_eq!(topic.writer(), Some(*role), "{topic}");
+            }
+        }
     }
 }
-
-impl std::error::Error for UnknownRole {}

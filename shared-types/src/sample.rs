@@ -1,4 +1,4 @@
-//! What all samples have in common, and the macros that declare them.
+//! What all samples have in common, and the macro that declares them.
 
 use bytemuck::Pod;
 
@@ -34,40 +34,18 @@ pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     fn check(&self) -> Result<(), Fault>;
 }
 
-/// Declares a `#[repr(C)]` plain struct together with its [`Described`] implementation.
-macro_rules! layout {
-    (
-        $(#[$meta:meta])*
-        pub struct $name:ident($size:literal) {
-            $(#[doc = $doc:literal] $(#[doc = $more:literal])* pub $field:ident: $type:ty,)*
+impl Header {
+    /// Passes when the header was filled by a producer built against the layout of `S`.
+    ///
+    /// # Errors
+    /// [`Fault::Layout`] with both layout versions.
+    pub fn check<S: Sample>(&self) -> Result<(), Fault> {
+        if self.layout == S::LAYOUT {
+            Ok(())
+        } else {
+            Err(Fault::Layout { expected: S::LAYOUT, found: self.layout })
         }
-    ) => {
-        $(#[$meta])*
-        #[repr(C)]
-        #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-        pub struct $name {
-            $(#[doc = $doc] $(#[doc = $more])* pub $field: $type,)*
-        }
-
-        const _: () = assert!(size_of::<$name>() == $size, "the layout of the sample changed");
-
-        impl $crate::Described for $name {
-            const KIND: $crate::Kind = $crate::Kind::Struct(stringify!($name), &[
-                $($crate::Field {
-                    name: stringify!($field),
-                    doc: $doc.trim_ascii(),
-                    offset: std::mem::offset_of!($name, $field),
-                    kind: <$type as $crate::Described>::KIND,
-                },)*
-            ]);
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                bytemuck::Zeroable::zeroed()
-            }
-        }
-    };
+    }
 }
 
 /// Declares a sample: its struct, its topic, its name on the bus and its check.
@@ -80,7 +58,7 @@ macro_rules! sample {
             $($body:tt)*
         }
     ) => {
-        $crate::sample::layout! { $(#[$meta])* pub struct $name($size) { $($body)* } }
+        $crate::describe::layout! { $(#[$meta])* pub struct $name($size) { $($body)* } }
 
         const _: () = assert!(
             <$name as $crate::Sample>::LAYOUT == $layout,
@@ -116,61 +94,19 @@ macro_rules! sample {
     };
 }
 
-/// Declares an enum that travels as a `u32` and is checked on arrival.
-macro_rules! wire_enum {
-    (
-        #[doc = $about:literal]
-        pub enum $name:ident {
-            $(#[doc = $doc:literal] $(#[doc = $more:literal])* $variant:ident = $value:literal $text:literal,)*
-        }
-    ) => {
-        #[doc = $about]
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        #[repr(u32)]
-        pub enum $name { $(#[doc = $doc] $(#[doc = $more])* $variant = $value,)* }
+pub(crate) use sample;
 
-        impl $name {
-            /// All values, in the order of their numbers.
-            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Pose;
 
-            pub(crate) const ENUMERATION: $crate::Enumeration = $crate::Enumeration {
-                name: stringify!($name),
-                doc: $about.trim_ascii(),
-                values: &[$($crate::EnumerationValue {
-                    name: $text,
-                    number: $value,
-                    doc: $doc.trim_ascii(),
-                },)*],
-            };
-
-            /// The number that stands in the sample.
-            pub const fn wire(self) -> u32 {
-                self as u32
-            }
-
-            /// The name used in reports and messages.
-            pub const fn name(self) -> &'static str {
-                match self { $(Self::$variant => $text,)* }
-            }
-        }
-
-        impl TryFrom<u32> for $name {
-            type Error = $crate::Fault;
-
-            fn try_from(number: u32) -> Result<Self, $crate::Fault> {
-                match number {
-                    $($value => Ok(Self::$variant),)*
-                    _ => Err($crate::Fault::UnknownValue { field: stringify!($name), value: number }),
-                }
-            }
-        }
-
-        impl std::fmt::Display for $name {
-            fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                formatter.write_str(self.name())
-            }
-        }
-    };
+    #[test]
+    fn a_foreign_layout_is_refused() {
+        let header = Header { layout: Pose::LAYOUT ^ 1, ..Header::default() };
+        assert_eq!(
+            header.check::<Pose>(),
+            Err(Fault::Layout { expected: Pose::LAYOUT, found: Pose::LAYOUT ^ 1 })
+        );
+    }
 }
-
-pub(crate) use {layout, sample, wire_enum};

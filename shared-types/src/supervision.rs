@@ -1,7 +1,8 @@
 //! What processes tell the orchestrator, and what it tells them.
 
-use crate::sample::{layout, sample, wire_enum};
-use crate::{Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role};
+use crate::named::wire_enum;
+use crate::sample::sample;
+use crate::{Authority, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic};
 
 wire_enum! {
     /// What the whole system is doing.
@@ -31,20 +32,8 @@ wire_enum! {
     }
 }
 
-layout! {
-    /// Whose samples count for one role.
-    pub struct Authority(16) {
-        /// The incarnation whose samples count from `from_scan` on; 0 accepts none
-        pub incarnation: u32,
-        /// The incarnation whose samples count before `from_scan`
-        pub previous: u32,
-        /// The scan at which authority changes
-        pub from_scan: u64,
-    }
-}
-
 sample! {
-    /// The orchestrator's word to all processes.
+    /// What the orchestrator tells all processes.
     pub struct Directive(304, Directive, 0x54ea_ca76, "scanloop.Directive.v1", check) {
         /// Identity; the chain is unused
         pub header: Header,
@@ -64,26 +53,20 @@ sample! {
 }
 
 impl Directive {
+    /// Whose samples count on a topic; `None` for a topic that several processes write, where all do.
+    pub fn authority_over(&self, topic: Topic) -> Option<&Authority> {
+        topic.writer().map(|role| &self.authority[role.index()])
+    }
+
     /// Whether a sample of `role` for `scan_id` made by `incarnation` counts.
     pub fn accepts(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
-        let authority = &self.authority[role.index()];
-        let counts = if scan_id >= authority.from_scan { authority.incarnation } else { authority.previous };
-        counts != 0 && counts == incarnation
+        self.authority[role.index()].accepts(incarnation, scan_id)
     }
 
-    /// Whether `incarnation` is the other one of an exchange: it counts for scans before or after this one, so its
-    /// sample is worth keeping until it is certain which of the two answers `scan_id`.
-    pub fn stands_by(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
-        let authority = &self.authority[role.index()];
-        self.is_exchanged(role)
-            && [authority.incarnation, authority.previous].contains(&incarnation)
-            && !self.accepts(role, incarnation, scan_id)
-    }
-
-    /// Whether one process of `role` is just taking over from another.
-    pub fn is_exchanged(&self, role: Role) -> bool {
-        let authority = &self.authority[role.index()];
-        authority.incarnation != 0 && authority.previous != 0 && authority.incarnation != authority.previous
+    /// Whether the writer of a sample of `topic` is the one that counts for its scan.
+    pub fn counts(&self, topic: Topic, header: &Header) -> bool {
+        let authority = self.authority_over(topic);
+        authority.is_none_or(|authority| authority.accepts(header.incarnation, header.scan_id))
     }
 }
 
@@ -156,34 +139,4 @@ fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {
     heartbeat.header.check::<Heartbeat>()?;
     Role::try_from(heartbeat.role)?;
     ProcessState::try_from(heartbeat.state).map(|_| ())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn authority_changes_at_its_scan() {
-        let mut directive = Directive::default();
-        directive.authority[3] = Authority { incarnation: 9, previous: 4, from_scan: 100 };
-        assert!(directive.accepts(Role::Controller, 4, 99));
-        assert!(!directive.accepts(Role::Controller, 4, 100));
-        assert!(directive.accepts(Role::Controller, 9, 100));
-        assert!(!directive.accepts(Role::Actuator, 0, 1), "incarnation 0 never counts");
-    }
-
-    #[test]
-    fn in_an_exchange_one_counts_and_the_other_stands_by() {
-        let mut directive = Directive::default();
-        directive.authority[3] = Authority { incarnation: 9, previous: 4, from_scan: 100 };
-        for (incarnation, scan_id) in [(4, 99), (9, 100)] {
-            assert!(!directive.stands_by(Role::Controller, incarnation, scan_id), "it counts");
-        }
-        assert!(
-            directive.stands_by(Role::Controller, 9, 99) && directive.stands_by(Role::Controller, 4, 100)
-        );
-        assert!(!directive.stands_by(Role::Controller, 5, 100), "it has no part in it");
-        directive.authority[3].previous = 0;
-        assert!(!directive.stands_by(Role::Controller, 9, 99), "the exchange is over");
-    }
 }

@@ -8,8 +8,8 @@ use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
 use shared_types::{
-    Actuation, Command, Directive, Fault, Header, Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth,
-    YOUNG_NS,
+    Actuation, Admission, AuthorityFilter, Command, Directive, Fault, Obstacles, Odometry, Pose, Rule,
+    Sample, Scan, Truth, YOUNG_NS,
 };
 
 use crate::ledger::Books;
@@ -30,7 +30,7 @@ struct Queue<S: Sample> {
     observer: Observer<S>,
     waiting: VecDeque<S>,
     aside: VecDeque<S>,
-    last: (u32, u64),
+    filter: AuthorityFilter,
 }
 
 impl<S: Sample> Queue<S> {
@@ -39,7 +39,7 @@ impl<S: Sample> Queue<S> {
             observer: Observer::new(bus)?,
             waiting: VecDeque::with_capacity(64),
             aside: VecDeque::with_capacity(ASIDE),
-            last: (0, 0),
+            filter: AuthorityFilter::default(),
         })
     }
 
@@ -49,25 +49,19 @@ impl<S: Sample> Queue<S> {
         books: &mut Books,
         refused: &mut Vec<(u64, Rule)>,
     ) -> Result<u64, RuntimeError> {
-        let Self { observer, waiting, aside, last } = self;
-        // As the processes do: what was kept aside may count now, unless its scan was answered meanwhile.
+        let Self { observer, waiting, aside, filter } = self;
         let kept = std::mem::take(aside);
-        let mut put = |sample: &S, was_aside: bool| {
-            let (incarnation, scan_id) = (sample.header().incarnation, sample.header().scan_id);
-            if let Some(writer) = S::TOPIC.writer() {
-                if directive.stands_by(writer, incarnation, scan_id) {
-                    if aside.len() == ASIDE {
-                        aside.pop_front();
-                    }
-                    return aside.push_back(*sample);
+        let authority = directive.authority_over(S::TOPIC);
+        let mut put = |sample: &S, was_aside: bool| match filter.admit(authority, sample.header(), was_aside)
+        {
+            Admission::Counts => waiting.push_back(*sample),
+            Admission::Aside => {
+                if aside.len() == ASIDE {
+                    aside.pop_front();
                 }
-                let other = was_aside || directive.is_exchanged(writer) && incarnation != last.0;
-                if !directive.accepts(writer, incarnation, scan_id) || (other && scan_id <= last.1) {
-                    return;
-                }
+                aside.push_back(*sample);
             }
-            *last = (incarnation, last.1.max(scan_id));
-            waiting.push_back(*sample);
+            Admission::Foreign => {}
         };
         kept.iter().for_each(|sample| put(sample, true));
         look(observer, directive, books, refused, |sample| put(sample, false))
@@ -103,9 +97,8 @@ fn look<S: Sample>(
             Ok(()) => each(sample),
             Err(fault) => {
                 invalid += 1;
-                let Header { incarnation, scan_id, .. } = *sample.header();
-                if S::TOPIC.writer().is_some_and(|role| directive.accepts(role, incarnation, scan_id)) {
-                    refused.push((scan_id, fault.rule()));
+                if directive.counts(S::TOPIC, sample.header()) {
+                    refused.push((sample.header().scan_id, fault.rule()));
                 }
             }
         }

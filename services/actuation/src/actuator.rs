@@ -64,20 +64,20 @@ impl Actuator {
     /// `answers` is 1 once per scan. A command for a scan answered before, or for one that lies in the future, gets
     /// a block that the actuator decides by itself (`answers` = 0), because its header is not to be believed.
     pub fn answer(&mut self, command: &Command, now_ns: u64) -> Actuation {
-        if self.state.commanded == 1 && self.silence_ns(now_ns) > self.timeout_ns {
+        if self.state.commanded.is_set() && self.silence_ns(now_ns) > self.timeout_ns {
             self.fall_silent();
         }
         self.state.told_ns = now_ns;
-        self.state.awake = 1;
+        self.state.awake = true.into();
 
         self.refusal = None;
         if let Some(fault) = self.disbelieved(&command.header, now_ns) {
             self.refuse(fault);
-            return self.block(block_reason(&fault), 0, StopReason::None.wire());
+            return self.block_by_itself(block_reason(&fault));
         }
 
         self.state.header = command.header.answer();
-        let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None).wire();
+        let stop_reason = StopReason::try_from(command.reason).unwrap_or(StopReason::None);
         let age_ns = now_ns.saturating_sub(command.header.acquired_ns);
         let verdict = if age_ns > self.max_age_ns {
             Err(Fault::TooOld { age_ms: milliseconds(age_ns) })
@@ -87,14 +87,14 @@ impl Actuator {
         match verdict {
             Err(fault) => {
                 self.refuse(fault);
-                self.block(block_reason(&fault), 1, stop_reason)
+                self.block(block_reason(&fault), stop_reason)
             }
             Ok(wish) => {
                 self.accept(now_ns);
                 match wish {
-                    Wish::Block(reason) => self.block(reason, 1, stop_reason),
-                    Wish::Drive(_) if self.state.silenced == 1 => {
-                        self.block(BlockReason::NoCommand, 1, stop_reason)
+                    Wish::Block(reason) => self.block(reason, stop_reason),
+                    Wish::Drive(_) if self.state.silenced.is_set() => {
+                        self.block(BlockReason::NoCommand, stop_reason)
                     }
                     Wish::Drive(desired) => self.drive(desired, stop_reason),
                 }
@@ -117,8 +117,8 @@ impl Actuator {
     ///
     /// The first call before any command starts the watch.
     pub fn tick(&mut self, now_ns: u64) -> Option<Actuation> {
-        if self.state.awake == 0 {
-            self.state.awake = 1;
+        if !self.state.awake.is_set() {
+            self.state.awake = true.into();
             self.state.told_ns = now_ns;
             self.state.valid_ns = now_ns;
             return None;
@@ -127,46 +127,36 @@ impl Actuator {
         if !silent {
             return None;
         }
-        if self.state.commanded == 1 {
+        if self.state.commanded.is_set() {
             self.fall_silent();
         }
-        let reason = match self.state.commanded {
+        let reason = match self.state.commanded.is_set() {
             _ if self.dropped => BlockReason::InvalidCommand,
-            1 => BlockReason::NoCommand,
-            _ => BlockReason::Start,
+            true => BlockReason::NoCommand,
+            false => BlockReason::Start,
         };
         if now_ns.saturating_sub(self.state.told_ns) < self.period_ns {
             return None;
         }
         self.state.told_ns = now_ns;
-        Some(self.block(reason, 0, StopReason::None.wire()))
+        Some(self.block_by_itself(reason))
     }
 
     /// Blocks the wheels until [`Self::release`], whatever is commanded.
     pub fn stop(&mut self, now_ns: u64) -> Actuation {
-        self.state.stopped = 1;
+        self.state.stopped = true.into();
         self.state.told_ns = now_ns;
-        self.block(BlockReason::StopRequested, 0, StopReason::None.wire())
+        self.block_by_itself(BlockReason::StopRequested)
     }
 
     /// Ends an explicit stop: the next valid command drives again.
     pub fn release(&mut self) {
-        self.state.stopped = 0;
+        self.state.stopped = false.into();
     }
 
     /// Whether an explicit stop holds.
     pub fn is_stopped(&self) -> bool {
-        self.state.stopped == 1
-    }
-
-    /// The header of the last command answered.
-    pub fn last_answered(&self) -> &Header {
-        &self.state.header
-    }
-
-    /// Commands refused since the start.
-    pub fn refused(&self) -> u64 {
-        self.state.refused
+        self.state.stopped.is_set()
     }
 
     /// What a restarted actuator resumes from.
@@ -189,7 +179,7 @@ impl Actuator {
     }
 
     fn fall_silent(&mut self) {
-        self.state.silenced = 1;
+        self.state.silenced = true.into();
         self.state.streak = 0;
     }
 
@@ -211,22 +201,22 @@ impl Actuator {
     fn accept(&mut self, now_ns: u64) {
         let is_apart = now_ns.saturating_sub(self.state.valid_ns) >= self.period_ns / 2;
         self.dropped = false;
-        self.state.commanded = 1;
+        self.state.commanded = true.into();
         self.state.valid_ns = now_ns;
         if is_apart || self.state.streak == 0 {
             self.state.streak = self.state.streak.saturating_add(1);
         }
         if self.state.streak >= self.config.recovery {
-            self.state.silenced = 0;
+            self.state.silenced = false.into();
         }
     }
 
-    fn drive(&mut self, desired: Control, stop_reason: u32) -> Actuation {
+    fn drive(&mut self, desired: Control, stop_reason: StopReason) -> Actuation {
         let linkage = Linkage { shaft: self.state.shaft_rad, wheels: self.state.wheels_rad };
         let Correction { velocity, steering, linkage } = self.correction.correct(desired, linkage);
         let sendable = velocity.is_finite() && steering.is_finite();
         if self.is_stopped() || !sendable {
-            return self.block(BlockReason::InvalidCommand, 1, stop_reason);
+            return self.block(BlockReason::InvalidCommand, stop_reason);
         }
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
@@ -235,7 +225,7 @@ impl Actuator {
             header: self.state.header,
             kind: ActuationKind::Drive.wire(),
             reason: BlockReason::None.wire(),
-            stop_reason,
+            stop_reason: stop_reason.wire(),
             answers: 1,
             desired_velocity_mps: desired.velocity,
             desired_steering_rad: desired.steering,
@@ -245,15 +235,20 @@ impl Actuator {
         }
     }
 
-    /// Blocked wheels; an explicit stop is named before any other reason.
-    fn block(&self, reason: BlockReason, answers: u32, stop_reason: u32) -> Actuation {
+    /// Blocked wheels that answer no command.
+    fn block_by_itself(&self, reason: BlockReason) -> Actuation {
+        Actuation { answers: 0, ..self.block(reason, StopReason::None) }
+    }
+
+    /// Blocked wheels in answer to a command; an explicit stop is named before any other reason.
+    fn block(&self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
         let reason = if self.is_stopped() { BlockReason::StopRequested } else { reason };
         Actuation {
             header: self.state.header,
             kind: ActuationKind::Block.wire(),
             reason: reason.wire(),
-            stop_reason,
-            answers,
+            stop_reason: stop_reason.wire(),
+            answers: 1,
             desired_velocity_mps: 0.0,
             desired_steering_rad: self.state.steering_rad,
             sent_velocity_mps: 0.0,

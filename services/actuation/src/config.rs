@@ -1,37 +1,24 @@
 //! Settings of the actuator.
 
-use serde::{Deserialize, Serialize};
 use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
-use vehicle::{Bounds, Invalid, require};
+use vehicle::{Bounds, Invalid, require, settings};
 
-/// Settings of the actuator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// What undoes the robot's imperfections: `"default"`, `"identity"`, or a correction of its own.
-    pub calibration: Calibration,
-    /// Hard limits of desired values; only those of the controls, (7.41), are used here.
-    pub bounds: Bounds,
-    /// Silence after which the wheels are blocked, in scan periods, 1 to 10.
-    pub timeout_periods: f64,
-    /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100. 25 ms are never too old.
-    pub max_age_periods: f64,
-    /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
-    pub recovery: u32,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            calibration: Calibration::Default,
-            bounds: Bounds::default(),
-            // One late command is tolerated, a lost one is not.
-            timeout_periods: 1.5,
-            // An answer is due one period after the scan; two periods more cover a swap of the controller.
-            max_age_periods: 3.0,
-            // A single command may be the last word of a process that is dying.
-            recovery: 2,
-        }
+settings! {
+    /// Settings of the actuator.
+    pub struct Config {
+        /// What undoes the robot's imperfections: `"default"`, `"identity"`, or a correction of its own.
+        pub calibration: Calibration = Calibration::Default;
+        /// Hard limits of desired values; only those of the controls, (7.41), are used here.
+        pub bounds: Bounds = Bounds::default();
+        /// Silence after which the wheels are blocked, in scan periods, 1 to 10.
+        // One late command is tolerated, a lost one is not.
+        pub timeout_periods: f64 = 1.5, 1.0..=10.0;
+        /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100. 25 ms are never too old.
+        // An answer is due one period after the scan; two periods more cover a swap of the controller.
+        pub max_age_periods: f64 = 3.0, 0.1..=100.0;
+        /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
+        // A single command may be the last word of a process that is dying.
+        pub recovery: u32 = 2, 1.0..=100.0;
     }
 }
 
@@ -49,9 +36,7 @@ impl Config {
             require("steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)
         };
         bounds().map_err(|invalid| invalid.within("bounds"))?;
-        require("timeout_periods", self.timeout_periods, 1.0..=10.0)?;
-        require("max_age_periods", self.max_age_periods, 0.1..=100.0)?;
-        require("recovery", f64::from(self.recovery), 1.0..=100.0)
+        self.require_ranges()
     }
 }
 

@@ -1,6 +1,6 @@
 //! What the actuator remembers from command to command, as plain bytes for a checkpoint.
 
-use shared_types::{Fault, Header, plain_state};
+use shared_types::{Fault, Flag, Header, finite, plain_state};
 use vehicle::correction::SENT_STEERING_MAX_RAD;
 
 plain_state! {
@@ -25,13 +25,13 @@ plain_state! {
         /// Valid commands in a row
         pub streak: u32,
         /// 1 after silence, until enough valid commands came in a row
-        pub silenced: u32,
+        pub silenced: Flag,
         /// 1 after an explicit stop, until it is released
-        pub stopped: u32,
+        pub stopped: Flag,
         /// 1 once a valid command came
-        pub commanded: u32,
+        pub commanded: Flag,
         /// 1 once the clock was looked at
-        pub awake: u32,
+        pub awake: Flag,
         /// Unused, zero
         pub reserved: u32,
     }
@@ -49,9 +49,7 @@ impl ActuatorState {
             ("shaft_rad", self.shaft_rad),
             ("wheels_rad", self.wheels_rad),
         ] {
-            if !value.is_finite() {
-                return Err(Fault::NotFinite { field });
-            }
+            finite(field, &[value])?;
             if value.abs() > SENT_STEERING_MAX_RAD {
                 return Err(Fault::OutOfRange { field, value });
             }

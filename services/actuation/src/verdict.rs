@@ -1,10 +1,8 @@
 //! Whether one command may move the wheels.
 
-use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveStatus, StopReason};
+use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveStatus, StopReason, finite};
+use vehicle::bounds::ROUNDING;
 use vehicle::{Bounds, Control};
-
-/// How far desired values may be outside their hard limits [m/s, rad]: the rounding of a solver, no more.
-pub(crate) const TOLERANCE: f64 = 1e-6;
 
 /// What a valid command asks for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,16 +23,13 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
     SolveStatus::try_from(command.status)?;
     StopReason::try_from(command.reason)?;
     let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
-    for (field, value) in [("velocity_mps", desired.velocity), ("steering_rad", desired.steering)] {
-        if !value.is_finite() {
-            return Err(Fault::NotFinite { field });
-        }
-    }
+    finite("velocity_mps", &[desired.velocity])?;
+    finite("steering_rad", &[desired.steering])?;
     match kind {
         CommandKind::Stop => Ok(Wish::Block(BlockReason::Commanded)),
         CommandKind::Land => Ok(Wish::Block(BlockReason::Landed)),
         CommandKind::Drive if command.verified != 1 => Err(Fault::NotVerified { value: command.verified }),
-        CommandKind::Drive if bounds.contains(desired, TOLERANCE) => Ok(Wish::Drive(bounds.clamp(desired))),
+        CommandKind::Drive if bounds.contains(desired, ROUNDING) => Ok(Wish::Drive(bounds.clamp(desired))),
         CommandKind::Drive => Err(outside(desired, bounds)),
     }
 }
@@ -42,7 +37,7 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
 /// Which of the two is outside of its limits.
 fn outside(desired: Control, bounds: &Bounds) -> Fault {
     let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = *bounds;
-    let velocities = velocity_min_mps - TOLERANCE..=velocity_max_mps + TOLERANCE;
+    let velocities = velocity_min_mps - ROUNDING..=velocity_max_mps + ROUNDING;
     let (field, value, lowest, highest) = if velocities.contains(&desired.velocity) {
         ("steering_rad", desired.steering, -steering_max_rad, steering_max_rad)
     } else {

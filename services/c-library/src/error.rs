@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::ffi::{CString, c_char, c_int};
 
 use runtime::RuntimeError;
-use shared_types::{CheckpointError, Fault, Topic, UnknownRole, UnknownTopic};
+use shared_types::{CheckpointError, Fault, Topic, UnknownName};
 
 /// Why a call was refused.
 #[derive(Debug, thiserror::Error)]
@@ -14,9 +14,7 @@ pub(crate) enum Refusal {
     #[error("{0} is not UTF-8")]
     NotText(&'static str),
     #[error(transparent)]
-    Topic(#[from] UnknownTopic),
-    #[error(transparent)]
-    Role(#[from] UnknownRole),
+    Name(#[from] UnknownName),
     #[error("role {0} is unknown: 0 to 4")]
     RoleNumber(u32),
     #[error("this role does not {verb} topic {topic}")]

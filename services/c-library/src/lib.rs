@@ -177,7 +177,7 @@ pub unsafe extern "C" fn scanloop_resume(
         }
         // SAFETY: C passes a state of its own and its size.
         let state = unsafe { std::slice::from_raw_parts_mut(state.cast::<u8>(), size) };
-        process.resume(kind, state)
+        Ok(process.resume(kind, state)? as c_int)
     })
 }
 

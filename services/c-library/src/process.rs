@@ -26,6 +26,19 @@ enum Inputs {
     Actuator(Port<Command>),
 }
 
+/// `enum scanloop_handover`: what a process goes on from.
+#[derive(Clone, Copy)]
+pub(crate) enum Resumed {
+    /// Nothing ran before.
+    FirstStart = 0,
+    /// The state of the process before.
+    State = 1,
+    /// The process before was another program, whose state is of another kind.
+    Foreign = 2,
+    /// The state of the process before is too old, or was never saved.
+    Lost = 3,
+}
+
 /// A process as C sees it.
 pub struct CProcess {
     // Before the process, whose bus its samples are borrowed from.
@@ -105,19 +118,19 @@ impl CProcess {
         Ok(self.process.save_checkpoint(header, checkpoint)?)
     }
 
-    /// Copies the state that was handed over; a number of `enum scanloop_handover`.
-    pub(crate) fn resume(&self, kind: u32, state: &mut [u8]) -> Result<i32, Refusal> {
+    /// Copies the state that was handed over.
+    pub(crate) fn resume(&self, kind: u32, state: &mut [u8]) -> Result<Resumed, Refusal> {
         let checkpoint = match self.process.resume_checkpoint()? {
-            Handover::FirstStart => return Ok(0),
-            Handover::Lost => return Ok(3),
+            Handover::FirstStart => return Ok(Resumed::FirstStart),
+            Handover::Lost => return Ok(Resumed::Lost),
             Handover::State(checkpoint) => checkpoint,
         };
         match checkpoint.state_bytes(kind) {
             Ok(bytes) if bytes.len() == state.len() => {
                 state.copy_from_slice(bytes);
-                Ok(1)
+                Ok(Resumed::State)
             }
-            _ => Ok(2),
+            _ => Ok(Resumed::Foreign),
         }
     }
 

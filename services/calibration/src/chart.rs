@@ -14,3 +14,15 @@ pub struct Chart {
     /// The fit; empty where there is none to show.
     pub line: Vec<[f64; 2]>,
 }
+
+impl Chart {
+    /// A chart of points alone.
+    pub(crate) fn of_points(
+        title: &str,
+        across: &'static str,
+        up: &'static str,
+        points: Vec<[f64; 2]>,
+    ) -> Self {
+        Self { title: title.to_owned(), across, up, points, line: Vec::new() }
+    }
+}

@@ -14,6 +14,7 @@
 //! are those of the model. Where odometry errs otherwise (a turned heading, a slipping wheel) the residual is large,
 //! and the fit is refused.
 
+use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::{to_track, wrap_angle};
 
 use crate::backlash;
@@ -23,10 +24,10 @@ use crate::refusal::{enough, within};
 use crate::{Chart, Estimate, Refusal};
 
 /// Fewest measured positions of one run; three numbers of its own are fitted to them.
-pub const MIN_MARKS: usize = 5;
+const MIN_MARKS: usize = 5;
 
 /// Shortest way of a run [m].
-pub const MIN_WAY_M: f64 = 3.0;
+const MIN_WAY_M: f64 = 3.0;
 
 /// Slower than this the robot stands [m/s].
 const STANDSTILL_MPS: f64 = 0.01;
@@ -139,7 +140,8 @@ fn check(run: &[SineRow]) -> Result<(), Refusal> {
         within(place, "time_s", row.time_s, 0.0..=3600.0)?;
         within(place, "speed_mps", row.speed_mps, STANDSTILL_MPS..=3.0)?;
         within(place, "reported_yaw_rad", row.reported_yaw_rad, -1e3..=1e3)?;
-        within(place, "sent_steering_rad", row.sent_steering_rad.unwrap_or(0.0), -0.12..=0.12)?;
+        let sent = row.sent_steering_rad.unwrap_or(0.0);
+        within(place, "sent_steering_rad", sent, -SENT_STEERING_MAX_RAD..=SENT_STEERING_MAX_RAD)?;
         let places = [
             ("reported_x_m", Some(row.reported_x_m)),
             ("reported_y_m", Some(row.reported_y_m)),
@@ -228,31 +230,15 @@ fn require_range(name: &str, value: f64, limit: f64) -> Result<(), Refusal> {
 
 fn charts(marks: &[Mark<'_>], residuals: &[f64]) -> Vec<Chart> {
     let raw = |axis: usize| marks.iter().map(move |mark| [mark.time_s, mark.error[axis]]).collect();
-    let rest = marks.iter().zip(residuals.chunks(2));
+    let rest = marks
+        .iter()
+        .zip(residuals.chunks(2))
+        .flat_map(|(mark, pair)| pair.iter().map(|missed| [mark.time_s, 1e3 * missed]))
+        .collect();
     vec![
-        Chart {
-            title: "what odometry misses along x".to_owned(),
-            across: "time [s]",
-            up: "error [m]",
-            points: raw(0),
-            line: Vec::new(),
-        },
-        Chart {
-            title: "what odometry misses along y".to_owned(),
-            across: "time [s]",
-            up: "error [m]",
-            points: raw(1),
-            line: Vec::new(),
-        },
-        Chart {
-            title: "what remains after the correction, x and y".to_owned(),
-            across: "time [s]",
-            up: "residual [mm]",
-            points: rest
-                .flat_map(|(mark, pair)| pair.iter().map(|missed| [mark.time_s, 1e3 * missed]))
-                .collect(),
-            line: Vec::new(),
-        },
+        Chart::of_points("what odometry misses along x", "time [s]", "error [m]", raw(0)),
+        Chart::of_points("what odometry misses along y", "time [s]", "error [m]", raw(1)),
+        Chart::of_points("what remains after the correction, x and y", "time [s]", "residual [mm]", rest),
     ]
 }
 

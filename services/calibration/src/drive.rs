@@ -9,19 +9,20 @@ use emulator::noise::{Purpose, Stream};
 use emulator::scenario::{Scenario, Start, Track};
 use nalgebra::Vector2;
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::to_robot;
 
 use crate::record::{CircleRun, Side, SineRow, StraightRun};
 use crate::velocity::TAPE_ERROR_M;
 
 /// Standard deviation of a time between two passages by stopwatch [s]: two hands of 35 ms.
-pub const STOPWATCH_S: f64 = 0.05;
+const STOPWATCH_S: f64 = 0.05;
 
 /// Standard deviation of each coordinate of a chalk mark [m].
-pub const MARK_M: f64 = 0.003;
+const MARK_M: f64 = 0.003;
 
 /// Standard deviation of the direction in which the robot is put down for a sine run [rad].
-pub const PLACE_RAD: f64 = 0.002;
+const PLACE_RAD: f64 = 0.002;
 
 /// Time between two actuations [ns]: well within the dead-man of the robot.
 const PERIOD_NS: u64 = 100_000_000;
@@ -48,7 +49,7 @@ const ARC_M: f64 = 4.0;
 /// Sine runs: how many, velocity sent [m/s], amplitude [rad], period [s], duration [s], time between marks [s].
 const SINE_RUNS: u32 = 4;
 const SINE_MPS: f64 = 1.0;
-const SINE_RAD: f64 = 0.06;
+const SINE_RAD: f64 = STEERING_MAX_RAD;
 const SINE_PERIOD_S: f64 = 5.0;
 const SINE_S: f64 = 60.0;
 const SINE_MARK_S: f64 = 1.0;

@@ -25,7 +25,8 @@ impl Estimate {
     }
 
     /// Whether the 95 % interval holds a value.
-    pub fn covers(&self, truth: f64) -> bool {
+    #[cfg(test)]
+    pub(crate) fn covers(&self, truth: f64) -> bool {
         (self.interval_95[0]..=self.interval_95[1]).contains(&truth)
     }
 

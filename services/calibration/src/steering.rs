@@ -20,6 +20,8 @@ mod network_error;
 mod play;
 
 use vehicle::Parameters;
+use vehicle::bounds::STEERING_MAX_RAD;
+use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::network::{MIN_SAMPLES, SteeringNetwork, train};
 
 use crate::least_squares::{outlier, root_mean_square};
@@ -30,10 +32,10 @@ use crate::{Chart, Estimate, Refusal};
 use network_error::NetworkError;
 
 /// Desired angles that the correction has to realise, to either side, (7.41) [rad].
-pub const DESIRED_MAX_RAD: f64 = 0.06;
+pub const DESIRED_MAX_RAD: f64 = STEERING_MAX_RAD;
 
 /// Largest step between neighbouring sent angles [rad]; the map may bend within a larger one unseen.
-pub const LARGEST_STEP_RAD: f64 = 0.012;
+const LARGEST_STEP_RAD: f64 = 0.012;
 
 /// Larger scatter about a smooth map than this is no error of a tape measure [rad].
 const LARGEST_SCATTER_RAD: f64 = 0.005;
@@ -48,7 +50,7 @@ const LARGEST_INVERSION_RAD: f64 = 1e-3;
 const SMALLEST_SLOPE: f64 = 0.2;
 
 /// Realised angles up to this are fitted by the inverse [rad]: a little more than desired, so that its ends are good.
-const INVERTED_MAX_RAD: f64 = 0.068;
+const INVERTED_MAX_RAD: f64 = DESIRED_MAX_RAD + 0.008;
 
 /// What circle runs tell.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,11 +84,6 @@ pub struct MapPoint {
     pub sent_rad: f64,
     /// Angle that is realised then; about the desired one [rad].
     pub realised_rad: Estimate,
-}
-
-/// Radius of the arc with a chord and a height, R = s^2 / (8 h) + h / 2 [m].
-pub fn radius(chord_m: f64, height_m: f64) -> f64 {
-    chord_m * chord_m / (8.0 * height_m) + height_m / 2.0
 }
 
 /// Steering angle that drives the arc with a chord and a height, tan(u2) = (lh + lv) / (2 R) [rad].
@@ -147,7 +144,12 @@ pub fn fit(runs: &[CircleRun]) -> Result<SteeringFit, Refusal> {
 
 fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
     for CircleRun { sent_steering_rad, chord_m, height_m, place, .. } in runs {
-        within(place, "sent_steering_rad", *sent_steering_rad, -0.12..=0.12)?;
+        within(
+            place,
+            "sent_steering_rad",
+            *sent_steering_rad,
+            -SENT_STEERING_MAX_RAD..=SENT_STEERING_MAX_RAD,
+        )?;
         within(place, "chord_m", *chord_m, 0.3..=100.0)?;
         // Half a circle: a higher arc has the same chord as a flatter one.
         within(place, "height_m", *height_m, -chord_m / 2.0..=chord_m / 2.0)?;
@@ -247,21 +249,19 @@ fn charts(
     [low, high]: [f64; 2],
 ) -> Vec<Chart> {
     let line = (0..=100).map(|step| low + (high - low) * f64::from(step) / 100.0);
+    let driven = samples.iter().map(|(sent, angle)| [*sent, *angle]).collect();
+    let missed = samples.iter().zip(residuals).map(|((sent, _), missed)| [*sent, 1e3 * missed]).collect();
     vec![
         Chart {
-            title: "circle runs, play taken out".to_owned(),
-            across: "angle sent [rad]",
-            up: "angle realised [rad]",
-            points: samples.iter().map(|(sent, angle)| [*sent, *angle]).collect(),
             line: line.map(|sent| [sent, map.eval(sent)]).collect(),
+            ..Chart::of_points(
+                "circle runs, play taken out",
+                "angle sent [rad]",
+                "angle realised [rad]",
+                driven,
+            )
         },
-        Chart {
-            title: "what the map misses".to_owned(),
-            across: "angle sent [rad]",
-            up: "residual [mrad]",
-            points: samples.iter().zip(residuals).map(|((sent, _), missed)| [*sent, 1e3 * missed]).collect(),
-            line: Vec::new(),
-        },
+        Chart::of_points("what the map misses", "angle sent [rad]", "residual [mrad]", missed),
     ]
 }
 

@@ -7,13 +7,15 @@
 //! Assumption: velocity is proportional to what is sent, and both points are passed at full speed. A run that starts
 //! from standstill adds a constant to the time: that is noticed and refused.
 
+use vehicle::correction::SENT_VELOCITY_MAX_MPS;
+
 use crate::least_squares::{odd_one_out, root_mean_square, solve};
 use crate::record::StraightRun;
 use crate::refusal::{enough, within};
 use crate::{Chart, Estimate, Refusal};
 
 /// Fewest runs.
-pub const MIN_RUNS: usize = 5;
+const MIN_RUNS: usize = 5;
 
 /// Standard error of a distance of a few metres by tape measure, common to all runs [m].
 pub const TAPE_ERROR_M: f64 = 0.003;
@@ -81,7 +83,7 @@ pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, Refusal> {
 
 fn check(runs: &[StraightRun]) -> Result<(), Refusal> {
     for StraightRun { sent_velocity_mps, distance_m, time_s, place } in runs {
-        within(place, "sent_velocity_mps", *sent_velocity_mps, 0.05..=2.0)?;
+        within(place, "sent_velocity_mps", *sent_velocity_mps, 0.05..=SENT_VELOCITY_MAX_MPS)?;
         within(place, "distance_m", *distance_m, 1.0..=1000.0)?;
         within(place, "time_s", *time_s, 0.5..=36_000.0)?;
     }
@@ -112,26 +114,15 @@ fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), Refusal> {
 
 fn charts(runs: &[StraightRun], factor: f64, residuals: &[f64]) -> Vec<Chart> {
     let fastest = runs.iter().map(|run| run.sent_velocity_mps).fold(0.0, f64::max);
-    let driven = |run: &StraightRun| [run.sent_velocity_mps, run.distance_m / run.time_s];
+    let driven = runs.iter().map(|run| [run.sent_velocity_mps, run.distance_m / run.time_s]).collect();
+    let missed = runs.iter().zip(residuals).map(|(run, missed)| [run.sent_velocity_mps, *missed]).collect();
+    let title = format!("straight runs, kv = {factor:.4}");
     vec![
         Chart {
-            title: format!("straight runs, kv = {factor:.4}"),
-            across: "velocity sent [m/s]",
-            up: "velocity driven [m/s]",
-            points: runs.iter().map(driven).collect(),
             line: vec![[0.0, 0.0], [fastest, fastest / factor]],
+            ..Chart::of_points(&title, "velocity sent [m/s]", "velocity driven [m/s]", driven)
         },
-        Chart {
-            title: "what the times miss".to_owned(),
-            across: "velocity sent [m/s]",
-            up: "residual [s]",
-            points: runs
-                .iter()
-                .zip(residuals)
-                .map(|(run, missed)| [run.sent_velocity_mps, *missed])
-                .collect(),
-            line: Vec::new(),
-        },
+        Chart::of_points("what the times miss", "velocity sent [m/s]", "residual [s]", missed),
     ]
 }
 

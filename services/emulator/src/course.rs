@@ -5,17 +5,19 @@
 //! any strength up to the largest that a drive has to bear. A course need not be passable: ask
 //! [`crate::feasible::passable`].
 
+use shared_types::named_enum;
+
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
 
 /// No surface of an obstacle stands nearer to the start than this [m].
-pub const AFTER_START_M: f64 = 3.5;
+const AFTER_START_M: f64 = 3.5;
 
 /// No surface of an obstacle stands nearer to the goal than this [m].
-pub const BEFORE_GOAL_M: f64 = 4.5;
+const BEFORE_GOAL_M: f64 = 4.5;
 
 /// Smallest distance from obstacle to obstacle along the track [m].
-pub const SPACING_M: f64 = 5.5;
+const SPACING_M: f64 = 5.5;
 
 /// Largest distance of the goal from the start, so that the robot can overshoot within the track [m].
 const GOAL_MAX_M: f64 = 21.5;
@@ -68,34 +70,19 @@ pub fn random(seed: u64) -> Scenario {
     }
 }
 
-/// What kind of course a campaign drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Family {
-    /// Obstacles at rest anywhere, as [`random`] places them.
-    Plain,
-    /// All obstacles exactly on the line.
-    Symmetric,
-    /// The track is closed.
-    Blocked,
-    /// An obstacle appears 1.0 to 3.0 m ahead.
-    Sudden,
-    /// One obstacle crosses the track or comes along it.
-    Moving,
-}
-
-impl Family {
-    /// All families.
-    pub const ALL: [Self; 5] = [Self::Plain, Self::Symmetric, Self::Blocked, Self::Sudden, Self::Moving];
-
-    /// The name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Plain => "plain",
-            Self::Symmetric => "symmetric",
-            Self::Blocked => "blocked",
-            Self::Sudden => "sudden",
-            Self::Moving => "moving",
-        }
+named_enum! {
+    /// What kind of course a campaign drives.
+    pub enum Family {
+        /// Obstacles at rest anywhere, as [`random`] places them.
+        Plain "plain",
+        /// All obstacles exactly on the line.
+        Symmetric "symmetric",
+        /// The track is closed.
+        Blocked "blocked",
+        /// An obstacle appears 1.0 to 3.0 m ahead.
+        Sudden "sudden",
+        /// One obstacle crosses the track or comes along it.
+        Moving "moving",
     }
 }
 
@@ -183,7 +170,7 @@ mod tests {
     fn a_campaign_has_all_families_and_only_the_closed_ones_are_impassable() {
         let courses: Vec<(Family, Scenario)> = (0..200).map(of_campaign).collect();
         for family in Family::ALL {
-            assert!(courses.iter().any(|(other, _)| *other == family), "{}", family.name());
+            assert!(courses.iter().any(|(other, _)| other == family), "{}", family.name());
         }
         for (family, course) in courses.iter().filter(|(family, _)| *family != Family::Moving) {
             assert_eq!(course.validate(), Ok(()), "{}", course.name);

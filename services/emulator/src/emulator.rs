@@ -8,6 +8,7 @@
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
 
 use crate::history::{History, Node};
@@ -17,14 +18,8 @@ use crate::plant::{Plant, STEP_NS};
 use crate::scenario::{Goal, Scenario, Start};
 use crate::scene::Scene;
 
-/// Largest velocity that the drive accepts [m/s]; it does not drive backwards.
-pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
-
-/// Largest steering angle that the drive accepts, to either side [rad].
-pub const SENT_STEERING_MAX_RAD: f64 = 0.12;
-
 /// The dead-man blocks the wheels this many scan periods after the last actuation.
-pub const DEAD_MAN_PERIODS: u64 = 2;
+const DEAD_MAN_PERIODS: u64 = 2;
 
 /// Scan periods that the history goes back: a caller may be late by two before old poses are forgotten.
 const HISTORY_PERIODS: u64 = 3;
@@ -42,7 +37,7 @@ pub enum Received {
 }
 
 /// What is counted since the start of the run.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Tally {
     min_clearance: f64,
     path_length: f64,
@@ -82,20 +77,9 @@ impl Emulator {
         let (plant, reckoning) = (Plant::new(scenario), Reckoning::new(scenario));
         let history = History::new(node(0, &plant, &reckoning), HISTORY_PERIODS.saturating_mul(period_ns));
         let mut scene = Scene::new(scenario);
-        let body = scenario.body(scenario.start.x_m, scenario.start.y_m, scenario.start.yaw_rad);
+        let body = scenario.start_body();
         scene.trigger(&body, 0.0);
-        let tally = Tally {
-            min_clearance: scene.clearance(&body, 0.0),
-            path_length: 0.0,
-            max_abs_lateral: 0.0,
-            longest_blind_ns: 0,
-            collided: false,
-            struck: false,
-            dead_man: false,
-            refused: 0,
-            steps: 0,
-            actuation_scan: 0,
-        };
+        let tally = Tally { min_clearance: scene.clearance(&body, 0.0), ..Tally::default() };
         Self {
             period_ns,
             clock_ns: 0,

@@ -9,13 +9,15 @@
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, HashSet};
 
+use vehicle::bounds::STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
 use crate::scenario::{Obstacle, Scenario};
 use crate::scene::Scene;
 
-/// Smallest radius of a turn [m]: the robot's own is 3.1 m, the rest is for getting into the turn.
-pub const RADIUS_M: f64 = 3.2;
+/// Smallest radius of a turn [m]: the robot's own at the largest steering angle, (lh + lv) / 2 = 0.185 m by the angle, and
+/// 4 % more for getting into the turn; 3.2 m at 0.06 rad.
+pub const RADIUS_M: f64 = 0.192 / STEERING_MAX_RAD;
 
 /// Distance that the body keeps [m].
 pub const MARGIN_M: f64 = 0.1;

@@ -13,7 +13,7 @@ use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan};
-use vehicle::frame::wrap_angle;
+use vehicle::frame::{heading, wrap_angle};
 
 use crate::history::History;
 use crate::noise::{Purpose, Stream};
@@ -27,10 +27,10 @@ pub const MAX_RANGE_M: f64 = 5.6;
 pub const NO_RETURN: u16 = 0;
 
 /// Error code where too little light came back: a dropout.
-pub const LOW_INTENSITY: u16 = 1;
+const LOW_INTENSITY: u16 = 1;
 
 /// Error code of a surface nearer than 20 mm.
-pub const TOO_NEAR: u16 = 19;
+const TOO_NEAR: u16 = 19;
 
 /// Neighbouring beams whose ranges differ by more than this look across an edge [m].
 const EDGE_M: f64 = 0.1;
@@ -130,12 +130,11 @@ impl Laser {
             let time_ns = sweep.beam_ns(index);
             let state = walk(time_ns).state;
             let origin = Vector2::new(state.x, state.y);
-            let (sin, cos) = (state.yaw + Scan::beam_yaw_rad(index)).sin_cos();
             motion.way = motion.way.max((origin - motion.origin).norm());
             motion.turn = motion.turn.max((state.yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
-                direction: Vector2::new(cos, sin),
+                direction: heading(state.yaw + Scan::beam_yaw_rad(index)),
                 time_s: time_ns as f64 * 1e-9,
             });
         }

@@ -4,22 +4,18 @@
 //! the play between shaft and wheels. The robot has no brake: it stops by blocking its wheels, which slide with a
 //! constant deceleration while the steering angle stays as it was.
 //!
-//! The model divides by the velocity. Below [`SLOWEST_MPS`] the lateral part is computed as if the robot drove
+//! The model divides by the velocity. Below [`vehicle::model::SLOWEST_MPS`] the lateral part is computed as if the robot drove
 //! that fast, which keeps it stable; at standstill nothing moves and sideslip and yaw rate are zero. So turning
 //! rates below 0.05 m/s are too large; a blocked robot spends 10 ms there.
 
-use nalgebra::SVector;
 use vehicle::integrate::runge_kutta;
-use vehicle::model::lateral;
-use vehicle::{Control, Parameters, State};
+use vehicle::model::derivative_at;
+use vehicle::{Parameters, State};
 
 use crate::scenario::{Robot, Scenario};
 
 /// Longest plant step [ns]. RK4 is stable up to 3.9 ms at the slowest velocity of the lateral part.
 pub const STEP_NS: u64 = 1_000_000;
-
-/// Velocity below which the lateral part of the model is not slowed down further [m/s].
-pub const SLOWEST_MPS: f64 = 0.05;
 
 /// State of the robot and of its drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,7 +122,9 @@ impl Plant {
         }
         // The mean speed over the step gives the way of a constant deceleration exactly: v^2 / (2 a).
         let mean = if self.blocked { (before + self.speed) / 2.0 } else { before };
-        self.state = rk4(&self.parameters, &self.state, mean, self.steering, moving);
+        self.state = runge_kutta(&self.state, moving, |state| {
+            derivative_at(&self.parameters, state, mean, self.steering)
+        });
         self.settle();
         mean * moving
     }
@@ -141,20 +139,11 @@ impl Plant {
     }
 }
 
-/// One Runge-Kutta step of the model, with the velocity of the lateral part held above [`SLOWEST_MPS`].
-fn rk4(parameters: &Parameters, state: &State, speed: f64, steering: f64, step: f64) -> State {
-    let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
-    runge_kutta(state, step, |state| {
-        let [sideslip_rate, yaw_acceleration] = lateral(parameters, state.sideslip, state.yaw_rate, &control);
-        let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
-        SVector::from([sideslip_rate, state.yaw_rate, yaw_acceleration, speed * cos, speed * sin])
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::steering_map::{SteeringMap, nonlinear};
+    use vehicle::Control;
     use vehicle::integrate::integrate;
 
     fn plant(robot: Robot) -> Plant {

@@ -5,29 +5,31 @@
 //! Time is the time of the plant, so a run in lock-step ends as one in real time.
 
 use serde::{Deserialize, Serialize};
-use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth};
+use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
 
 use crate::scenario::Scenario;
 
-/// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Outcome {
-    /// Landed within the tolerance of the goal.
-    Reached,
-    /// Landed elsewhere, or the goal was passed.
-    Missed,
-    /// Time was up.
-    Timeout,
-    /// A safety rule blocked the wheels for good, or a moving obstacle struck the standing robot.
-    Stopped,
-    /// The moving body touched an obstacle or a wall.
-    Collision,
-    /// The user ended the run.
-    Interrupted,
-    /// A process could not be started or kept running.
-    #[default]
-    Failed,
+named_enum! {
+    /// How a run ended.
+    #[derive(Default, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Outcome {
+        /// Landed within the tolerance of the goal.
+        Reached "reached",
+        /// Landed elsewhere, or the goal was passed.
+        Missed "missed",
+        /// Time was up.
+        Timeout "timeout",
+        /// A safety rule blocked the wheels for good, or a moving obstacle struck the standing robot.
+        Stopped "stopped",
+        /// The moving body touched an obstacle or a wall.
+        Collision "collision",
+        /// The user ended the run.
+        Interrupted "interrupted",
+        /// A process could not be started or kept running.
+        #[default]
+        Failed "failed",
+    }
 }
 
 /// Judges a drive.
@@ -51,19 +53,6 @@ struct Sent {
 }
 
 impl Outcome {
-    /// The name in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Reached => "reached",
-            Self::Missed => "missed",
-            Self::Timeout => "timeout",
-            Self::Stopped => "stopped",
-            Self::Collision => "collision",
-            Self::Interrupted => "interrupted",
-            Self::Failed => "failed",
-        }
-    }
-
     /// The exit code of a run.
     pub const fn exit_code(self) -> u8 {
         match self {
@@ -72,12 +61,6 @@ impl Outcome {
             Self::Collision => 3,
             Self::Failed => 4,
         }
-    }
-}
-
-impl std::fmt::Display for Outcome {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.pad(self.name())
     }
 }
 

@@ -12,9 +12,8 @@ mod robot;
 mod shipped;
 
 use nalgebra::Vector2;
-use serde::{Deserialize, Serialize};
 use vehicle::geometry::Rectangle;
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, settings};
 
 pub use endless::Endless;
 pub use obstacle::{Obstacle, Shape};
@@ -22,36 +21,36 @@ pub use places::{Goal, Start, Track};
 pub use robot::{Drift, Noise, Robot};
 
 /// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
-pub const WALL_MARGIN_M: f64 = 0.2;
+const WALL_MARGIN_M: f64 = 0.2;
 
-/// A checked scenario file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Scenario {
-    /// Name in reports: letters, digits, blank, `-`, `_` and `.`.
-    pub name: String,
-    /// Seed of all noise and of the obstacles that the seed places.
-    pub seed: u64,
-    /// Time after which the run ends as `timeout` [s], 0.1 to 1e6.
-    pub timeout_s: f64,
-    /// Time of blocked wheels without a break that ends the run as `stopped` [s], 0.1 to 1e6.
-    pub stop_final_s: f64,
-    /// Bounds of the track, (7.45) and (7.46).
-    pub track: Track,
-    /// Pose at the start.
-    pub start: Start,
-    /// Where to land.
-    pub goal: Goal,
-    /// Obstacles by hand.
-    #[serde(rename = "obstacle")]
-    pub obstacles: Vec<Obstacle>,
-    /// Obstacles placed by the seed along the whole track.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub endless: Option<Endless>,
-    /// Imperfections of the robot.
-    pub robot: Robot,
-    /// Noise of scanner and odometer.
-    pub noise: Noise,
+settings! {
+    /// A checked scenario file.
+    pub struct Scenario {
+        /// Name in reports: letters, digits, blank, `-`, `_` and `.`.
+        pub name: String = "corridor".to_owned();
+        /// Seed of all noise and of the obstacles that the seed places.
+        pub seed: u64 = 1;
+        /// Time after which the run ends as `timeout` [s], 0.1 to 1e6.
+        pub timeout_s: f64 = 60.0, 0.1..=1e6;
+        /// Time of blocked wheels without a break that ends the run as `stopped` [s], 0.1 to 1e6.
+        pub stop_final_s: f64 = 5.0, 0.1..=1e6;
+        /// Bounds of the track, (7.45) and (7.46).
+        pub track: Track = Track::default();
+        /// Pose at the start.
+        pub start: Start = Start::default();
+        /// Where to land.
+        pub goal: Goal = Goal::default();
+        /// Obstacles by hand.
+        #[serde(rename = "obstacle")]
+        pub obstacles: Vec<Obstacle> = Vec::new();
+        /// Obstacles placed by the seed along the whole track.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub endless: Option<Endless> = None;
+        /// Imperfections of the robot.
+        pub robot: Robot = Robot::default();
+        /// Noise of scanner and odometer.
+        pub noise: Noise = Noise::default();
+    }
 }
 
 /// Why a scenario can't be driven.
@@ -73,24 +72,6 @@ pub enum ScenarioError {
         /// Key, value and allowed range.
         invalid: Invalid,
     },
-}
-
-impl Default for Scenario {
-    fn default() -> Self {
-        Self {
-            name: "corridor".to_owned(),
-            seed: 1,
-            timeout_s: 60.0,
-            stop_final_s: 5.0,
-            track: Track::default(),
-            start: Start::default(),
-            goal: Goal::default(),
-            obstacles: Vec::new(),
-            endless: None,
-            robot: Robot::default(),
-            noise: Noise::default(),
-        }
-    }
 }
 
 impl Scenario {
@@ -149,11 +130,10 @@ impl Scenario {
         if i64::try_from(self.seed).is_err() {
             return Err(Invalid::new("seed", self.seed, format!("0 to {}", i64::MAX)));
         }
-        require("timeout_s", self.timeout_s, 0.1..=1e6)?;
-        require("stop_final_s", self.stop_final_s, 0.1..=1e6)?;
+        self.require_ranges()?;
         self.track.validate().map_err(|error| error.within("track"))?;
-        self.robot.validate().map_err(|error| error.within("robot"))?;
-        self.noise.validate().map_err(|error| error.within("noise"))?;
+        self.robot.require_ranges().map_err(|error| error.within("robot"))?;
+        self.noise.require_ranges().map_err(|error| error.within("noise"))?;
         self.start.validate(&self.track).map_err(|error| error.within("start"))?;
         self.goal.validate(&self.track).map_err(|error| error.within("goal"))?;
         if let Some(endless) = &self.endless {
@@ -178,7 +158,8 @@ impl Scenario {
     pub fn placed_obstacles(&self) -> Vec<Obstacle> {
         let mut obstacles = self.obstacles.clone();
         if let Some(endless) = &self.endless {
-            endless.place(self, &mut obstacles);
+            let last_x_m = self.goal.x_m.min(self.track.x_m[1]);
+            obstacles.extend(endless.placed(self.seed, &self.start, last_x_m));
         }
         obstacles
     }
@@ -193,7 +174,8 @@ impl Scenario {
         [low + shrink, high - shrink]
     }
 
-    fn start_body(&self) -> Rectangle {
+    /// The body of the robot at the start.
+    pub fn start_body(&self) -> Rectangle {
         self.body(self.start.x_m, self.start.y_m, self.start.yaw_rad)
     }
 

@@ -8,6 +8,7 @@
 mod solid;
 
 use nalgebra::Vector2;
+use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 use crate::scenario::{Obstacle, Scenario};
@@ -94,8 +95,7 @@ impl Scene {
     pub fn trigger(&mut self, body: &Rectangle, time_s: f64) {
         for entry in &mut self.temporary {
             let (None, Some(ahead)) = (entry.appears_s, entry.obstacle.appears_ahead_m) else { continue };
-            let (sin, cos) = body.yaw.sin_cos();
-            let forward = Vector2::new(cos, sin);
+            let forward = heading(body.yaw);
             let front = body.centre.dot(&forward) + body.length / 2.0;
             if entry.solid.nearest_along(forward) - front <= ahead {
                 entry.appears_s = Some(time_s);

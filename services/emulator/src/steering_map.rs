@@ -5,9 +5,10 @@
 //! and rises strictly, so it can be undone; the shipped correction network is trained to do that.
 
 use serde::{Deserialize, Serialize};
+use vehicle::correction::SENT_STEERING_MAX_RAD;
 
 /// The angle sent at which the linkage reaches its stops [rad].
-pub const STOP_RAD: f64 = 0.12;
+const STOP_RAD: f64 = SENT_STEERING_MAX_RAD;
 
 /// The steering map of the emulated robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -1,7 +1,7 @@
 //! Settings of the estimator.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Invalid, Parameters, require};
+use vehicle::{Invalid, Parameters, settings};
 
 use crate::correction::{Drift, Mode};
 use crate::motion::MotionModel;
@@ -20,70 +20,48 @@ pub enum Profile {
     Source,
 }
 
-/// Settings of the estimator; what is not set comes from the profile.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// `"scaled"` or `"source"`.
-    pub profile: Profile,
-    /// What is measured; must determine the state while the robot moves, (7.1)-(7.2).
-    pub measure: Vec<Measured>,
-    /// Variances Q of (yaw, x, y) per 100 ms, each 1e-12 to 1e6 [rad^2, m^2, m^2]; scaled: of (yaw, ahead, left).
-    pub process_noise: Option<[f64; 3]>,
-    /// Variances R of measured (yaw, x, y), each 1e-12 to 1e6 [rad^2, m^2, m^2].
-    pub measurement_noise: Option<[f64; 3]>,
-    /// How measured data are corrected: `"off"`, `"time"`, `"moving"` or `"yaw"`.
-    pub correction: Option<Mode>,
-    /// Share of the way that odometry misses, df, -0.5 to 0.5.
-    pub odometry_longitudinal: Option<f64>,
-    /// Growth of the lateral drift, dds, -1 to 1 [1/s].
-    pub odometry_lateral_rate: Option<f64>,
-    /// Time after which the lateral drift begins at zero again, 0 (never) to 3600 [s].
-    pub drift_reset_s: f64,
-    /// Whether measurements that do not fit the estimate are refused; not with the printed noise.
-    pub gate: Option<bool>,
-    /// Whether a calibration that is wrong is noticed, and ends the drive.
-    pub self_check: bool,
-    /// Measurements refused in a row after which the estimate begins anew, 1 to 1000.
-    pub recover_after: u32,
-    /// Time without odometry after which the estimate begins anew, 0.1 to 60 [s].
-    pub max_gap_s: f64,
-    /// Weight of the speed measured at the wheels against the desired one, 0 to 1.
-    pub speed_weight: f64,
-    /// Time from the pose to the wheels that is added to the age of the scan, 0 to 500 [ms].
-    pub extra_latency_ms: f64,
-    /// Deceleration of blocked wheels, 0.1 to 50 [m/s^2].
-    pub blocked_deceleration_mps2: f64,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            profile: Profile::Scaled,
-            measure: vec![Measured::Yaw, Measured::X, Measured::Y],
-            process_noise: None,
-            measurement_noise: None,
-            correction: None,
-            odometry_longitudinal: None,
-            odometry_lateral_rate: None,
-            drift_reset_s: 0.0,
-            gate: None,
-            self_check: true,
-            // Half a second at 10 Hz: longer than a burst of outliers, shorter than a metre at top speed.
-            recover_after: 5,
-            max_gap_s: 2.0,
-            speed_weight: 1.0,
-            extra_latency_ms: 0.0,
-            blocked_deceleration_mps2: 5.0,
-        }
+settings! {
+    /// Settings of the estimator; what is not set comes from the profile.
+    pub struct Config {
+        /// `"scaled"` or `"source"`.
+        pub profile: Profile = Profile::Scaled;
+        /// What is measured; must determine the state while the robot moves, (7.1)-(7.2).
+        pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y];
+        /// Variances Q of (yaw, x, y) per 100 ms, each 1e-12 to 1e6 [rad^2, m^2, m^2]; scaled: of (yaw, ahead, left).
+        pub process_noise: Option<[f64; 3]> = None, 1e-12..=1e6;
+        /// Variances R of measured (yaw, x, y), each 1e-12 to 1e6 [rad^2, m^2, m^2].
+        pub measurement_noise: Option<[f64; 3]> = None, 1e-12..=1e6;
+        /// How measured data are corrected: `"off"`, `"time"`, `"moving"` or `"yaw"`.
+        pub correction: Option<Mode> = None;
+        /// Share of the way that odometry misses, df, -0.5 to 0.5.
+        pub odometry_longitudinal: Option<f64> = None, -0.5..=0.5;
+        /// Growth of the lateral drift, dds, -1 to 1 [1/s].
+        pub odometry_lateral_rate: Option<f64> = None, -1.0..=1.0;
+        /// Time after which the lateral drift begins at zero again, 0 (never) to 3600 [s].
+        pub drift_reset_s: f64 = 0.0, 0.0..=3600.0;
+        /// Whether measurements that do not fit the estimate are refused; not with the printed noise.
+        pub gate: Option<bool> = None;
+        /// Whether a calibration that is wrong is noticed, and ends the drive.
+        pub self_check: bool = true;
+        /// Measurements refused in a row after which the estimate begins anew, 1 to 1000.
+        // Half a second at 10 Hz: longer than a burst of outliers, shorter than a metre at top speed.
+        pub recover_after: u32 = 5, 1.0..=1000.0;
+        /// Time without odometry after which the estimate begins anew, 0.1 to 60 [s].
+        pub max_gap_s: f64 = 2.0, 0.1..=60.0;
+        /// Weight of the speed measured at the wheels against the desired one, 0 to 1.
+        pub speed_weight: f64 = 1.0, 0.0..=1.0;
+        /// Time from the pose to the wheels that is added to the age of the scan, 0 to 500 [ms].
+        pub extra_latency_ms: f64 = 0.0, 0.0..=500.0;
+        /// Deceleration of blocked wheels, 0.1 to 50 [m/s^2].
+        pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
     }
 }
 
 /// All settings with the profile's values filled in, checked.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Which of (yaw, x, y) are measured.
-    pub measured: [bool; 3],
+    /// Whether the yaw is measured; x and y always are, because nothing else determines the state.
+    pub yaw_is_measured: bool,
     /// Variances Q per 100 ms.
     pub process_noise: [f64; 3],
     /// Whether Q is along and across the heading instead of along the axes of the track.
@@ -130,7 +108,7 @@ impl Config {
             reset_s: self.drift_reset_s,
         };
         let settings = Settings {
-            measured: [Measured::Yaw, Measured::X, Measured::Y].map(|state| self.measure.contains(&state)),
+            yaw_is_measured: self.measure.contains(&Measured::Yaw),
             process_noise: self.process_noise.unwrap_or(process_noise),
             noise_turns: !source,
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
@@ -148,20 +126,7 @@ impl Config {
         };
 
         require_observable(&self.measure)?;
-        for variance in settings.process_noise {
-            require("process_noise", variance, 1e-12..=1e6)?;
-        }
-        for variance in settings.measurement_noise {
-            require("measurement_noise", variance, 1e-12..=1e6)?;
-        }
-        require("odometry_longitudinal", drift.longitudinal, -0.5..=0.5)?;
-        require("odometry_lateral_rate", drift.lateral_rate, -1.0..=1.0)?;
-        require("drift_reset_s", drift.reset_s, 0.0..=3600.0)?;
-        require("recover_after", f64::from(self.recover_after), 1.0..=1000.0)?;
-        require("max_gap_s", self.max_gap_s, 0.1..=60.0)?;
-        require("speed_weight", self.speed_weight, 0.0..=1.0)?;
-        require("extra_latency_ms", self.extra_latency_ms, 0.0..=500.0)?;
-        require("blocked_deceleration_mps2", self.blocked_deceleration_mps2, 0.1..=50.0)?;
+        self.require_ranges()?;
         if settings.gate && source {
             return Err(Invalid::new(
                 "gate",
@@ -239,7 +204,7 @@ mod tests {
             measurement_noise = [1e-4, 1e-4, 1e-4]";
         let config = read(text).unwrap();
         assert_eq!((config.profile, config.correction), (Profile::Source, Some(Mode::Yaw)));
-        assert_eq!(config.settings().unwrap().measured, [false, true, true]);
+        assert!(!config.settings().unwrap().yaw_is_measured);
         assert_eq!(toml::from_str(&toml::to_string(&config).unwrap()), Ok(config));
         assert!(read("measure = [\"speed\"]").is_err() && read("noise = 1").is_err());
     }

@@ -14,6 +14,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
 use vehicle::Invalid;
+use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
 use crate::correction::{CorrectionState, Planar};
@@ -36,8 +37,8 @@ const GATE: [f64; 3] = [10.828, 13.816, 16.266];
 /// [m], and of the yaw [rad].
 const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
 
-/// More than the curvature of any way: the sharpest turn that can be sent has 0.64 [1/m].
-const REACH_CURVATURE: f64 = 0.7;
+/// More than the curvature of any way [1/m]: per steering angle 5.4 by the geometry, and 8 % more.
+const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
 
 /// The interval that Q is given for [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
@@ -47,19 +48,6 @@ const NOISE_INTERVAL_S: f64 = 0.1;
 pub struct Estimator {
     settings: Settings,
     state: EstimatorState,
-}
-
-/// What the estimator did not use, and why, since the start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counters {
-    /// Measurements refused by the gate.
-    pub rejected: u64,
-    /// Times the estimate began anew from a measurement.
-    pub restarts: u64,
-    /// Odometry samples that were not newer than the estimate.
-    pub skipped: u64,
-    /// Odometry samples that could not be used because of their content.
-    pub invalid: u64,
 }
 
 /// The measurement update in terms of (yaw, x, y), whatever is measured.
@@ -99,7 +87,7 @@ impl Estimator {
         }
         let acquired_ns = odometry.header.acquired_ns;
         let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
-        let update = if self.state.initialised == 1 {
+        let update = if self.state.initialised.is_set() {
             let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
             let before = self.state;
@@ -122,7 +110,7 @@ impl Estimator {
             self.begin(reported, odometry);
             Update::default()
         };
-        self.state.initialised = 1;
+        self.state.initialised = true.into();
         self.state.incarnation = odometry.header.incarnation;
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
@@ -137,12 +125,6 @@ impl Estimator {
         if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
             self.state.motion.note(actuation);
         }
-    }
-
-    /// What was not used since the start.
-    pub fn counters(&self) -> Counters {
-        let EstimatorState { rejected, restarts, skipped, invalid, .. } = self.state;
-        Counters { rejected, restarts, skipped, invalid }
     }
 
     /// What a restarted estimator resumes from.
@@ -164,7 +146,7 @@ impl Estimator {
     pub fn is_newer(&self, odometry: &Odometry) -> bool {
         let header = &odometry.header;
         let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
-        self.state.initialised == 0
+        !self.state.initialised.is_set()
             || (header.acquired_ns > self.state.acquired_ns
                 && !(same_producer && header.sequence <= self.state.sequence))
     }
@@ -264,11 +246,10 @@ impl Estimator {
 
     /// Measurement update (7.24)-(7.26) with what is measured, unless the gate refuses it.
     fn update(&mut self, measured: Planar, odometry: &Odometry) -> Update {
-        let update = match self.settings.measured {
-            [true, true, true] => self.update_with([0, 1, 2], measured),
-            [false, true, true] => self.update_with([1, 2], measured),
-            // Not reached: the settings were refused, as nothing else determines the state.
-            _ => Ok((Update::default(), true)),
+        let update = if self.settings.yaw_is_measured {
+            self.update_with([0, 1, 2], measured)
+        } else {
+            self.update_with([1, 2], measured)
         };
         let finite = self.state.estimate.iter().chain(&self.state.covariance).all(|value| value.is_finite());
         match update {

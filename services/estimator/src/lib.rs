@@ -16,6 +16,6 @@ pub mod service;
 mod state;
 
 pub use config::{Config, Profile, Settings};
-pub use estimator::{Counters, Estimator};
+pub use estimator::Estimator;
 pub use observability::Measured;
 pub use state::EstimatorState;

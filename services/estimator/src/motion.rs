@@ -13,11 +13,10 @@
 //! fast, and at standstill sideslip and yaw rate are zero. Where it fails: an offset of the steering, which nobody
 //! sees here; the filter corrects what comes of it.
 
-use nalgebra::SVector;
 use shared_types::{Actuation, ActuationKind, Role, plain_state};
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::integrate::MAX_STEP_S;
-use vehicle::model::lateral;
+use vehicle::model::{SLOWEST_MPS, derivative_at};
 use vehicle::{Control, Parameters, State};
 
 use crate::correction::Planar;
@@ -25,9 +24,6 @@ use crate::correction::Planar;
 /// How many actuations are remembered: more than can be in force within a gap of several scans at which the filter
 /// begins anew, and a block with its recovery within one scan.
 pub const HISTORY: usize = 8;
-
-/// Velocity below which the lateral part of the model is not slowed down further [m/s].
-pub const SLOWEST_MPS: f64 = 0.05;
 
 /// Speeds beyond this are no measurement [m/s]: no more can be sent, and the robot only gets slower from there.
 const FASTEST_MPS: f64 = SENT_VELOCITY_MAX_MPS;
@@ -213,7 +209,7 @@ fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
     if piece.duration_s <= 0.0 || (piece.from_mps <= 0.0 && piece.to_mps <= 0.0) {
         return state;
     }
-    let steps = (piece.duration_s / MAX_STEP_S).ceil().max(1.0);
+    let steps = (piece.duration_s / MAX_STEP_S).ceil();
     let step_s = piece.duration_s / steps;
     (0..steps as usize).fold(state, |state, step| {
         let share = (step as f64 + 0.5) / steps;
@@ -223,13 +219,7 @@ fn integrate(parameters: &Parameters, state: State, piece: &Piece) -> State {
 }
 
 fn runge_kutta(parameters: &Parameters, state: &State, speed: f64, steering: f64, step_s: f64) -> State {
-    let control = Control { velocity: speed.max(SLOWEST_MPS), steering };
-    let slope = |vector: SVector<f64, 5>| {
-        let State { sideslip, yaw, yaw_rate, .. } = State::from_vector(&vector);
-        let [sideslip_rate, yaw_acceleration] = lateral(parameters, sideslip, yaw_rate, &control);
-        let (sin, cos) = (sideslip + yaw).sin_cos();
-        SVector::from([sideslip_rate, yaw_rate, yaw_acceleration, speed * cos, speed * sin])
-    };
+    let slope = |vector| derivative_at(parameters, &State::from_vector(&vector), speed, steering);
     let start = state.to_vector();
     let first = slope(start);
     let second = slope(start + first * (step_s / 2.0));

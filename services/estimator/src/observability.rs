@@ -6,36 +6,30 @@
 
 use nalgebra::{Matrix3, SMatrix};
 use serde::{Deserialize, Serialize};
+use shared_types::named_enum;
 use vehicle::Invalid;
 
 /// Number of states.
 pub const STATES: usize = 3;
 
-/// A state that is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Measured {
-    /// Yaw.
-    Yaw,
-    /// Position along the track.
-    X,
-    /// Lateral position.
-    Y,
+named_enum! {
+    /// A state that is measured.
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Measured {
+        /// Yaw.
+        Yaw "yaw",
+        /// Position along the track.
+        X "x",
+        /// Lateral position.
+        Y "y",
+    }
 }
 
 impl Measured {
     /// Index in (yaw, x, y).
     pub const fn index(self) -> usize {
         self as usize
-    }
-
-    /// The name in settings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Yaw => "yaw",
-            Self::X => "x",
-            Self::Y => "y",
-        }
     }
 }
 
@@ -95,8 +89,9 @@ pub fn require_observable(measured: &[Measured]) -> Result<(), Invalid> {
     if found == STATES {
         return Ok(());
     }
-    let hidden: Vec<_> = [Measured::Yaw, Measured::X, Measured::Y]
-        .into_iter()
+    let hidden: Vec<_> = Measured::ALL
+        .iter()
+        .copied()
         .filter(|state| !measured.contains(state) && (*state != Measured::Yaw || measured.is_empty()))
         .map(Measured::name)
         .collect();

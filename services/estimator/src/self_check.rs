@@ -21,15 +21,15 @@ use shared_types::plain_state;
 pub const WINDOW: usize = 20;
 
 /// Share by which the median of the speed may differ from the one desired. Half of the error of kv that is to be found.
-pub const SPEED_TOLERANCE: f64 = 0.05;
+const SPEED_TOLERANCE: f64 = 0.05;
 
 /// Largest median of an innovation, in standard deviations: 5.4 standard deviations of the median itself, about 1e-7 by
 /// chance.
-pub const INNOVATION_TOLERANCE: f64 = 1.5;
+const INNOVATION_TOLERANCE: f64 = 1.5;
 
 /// Largest median of the yaw's innovation, in standard deviations. Play of 6 mrad that no calibration knows, used up on
 /// one side, makes 1.6, and is driven with; 3 is a steering angle that is 11 mrad off, a fifth of what there is.
-pub const YAW_TOLERANCE: f64 = 3.0;
+const YAW_TOLERANCE: f64 = 3.0;
 
 /// Refused measurements in a row that are a jump. Two may be a coincidence of noise (1e-6), three are not.
 pub const JUMP: u64 = 3;

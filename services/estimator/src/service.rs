@@ -41,7 +41,7 @@ pub fn run() -> anyhow::Result<()> {
                 actuated = newer.header.scan_id;
                 estimator.note(&newer, process.clock().now_ns());
                 let state = estimator.state();
-                if state.initialised == 1 {
+                if state.initialised.is_set() {
                     process.save(&newer.header, &state)?;
                 }
             }

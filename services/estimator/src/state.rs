@@ -1,7 +1,7 @@
 //! All that the estimator remembers, as plain bytes: the working state and the checkpoint are one thing.
 
 use nalgebra::Matrix3;
-use shared_types::{Fault, plain_state};
+use shared_types::{Fault, Flag, finite, plain_state};
 
 use crate::correction::CorrectionState;
 use crate::motion::{HISTORY, MotionState};
@@ -11,7 +11,7 @@ plain_state! {
     /// All that the estimator remembers from sample to sample.
     pub struct EstimatorState {
         /// 1 once there is an estimate
-        pub initialised: u32,
+        pub initialised: Flag,
         /// Incarnation that the last odometry came from
         pub incarnation: u32,
         /// Sequence number of the last odometry
@@ -47,13 +47,6 @@ impl EstimatorState {
     /// # Errors
     /// [`Fault`] when a number is not finite, the covariance is not positive definite, or a count is too large.
     pub fn check(&self) -> Result<(), Fault> {
-        let finite = |field, values: &[f64]| {
-            if values.iter().all(|value| value.is_finite()) {
-                Ok(())
-            } else {
-                Err(Fault::NotFinite { field })
-            }
-        };
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
@@ -67,11 +60,9 @@ impl EstimatorState {
         if motion.count > HISTORY as u64 {
             return Err(Fault::OutOfRange { field: "count", value: motion.count as f64 });
         }
-        if self.initialised == 1 && Matrix3::from_column_slice(&self.covariance).cholesky().is_none() {
+        if self.initialised.is_set() && Matrix3::from_column_slice(&self.covariance).cholesky().is_none() {
             return Err(Fault::OutOfRange { field: "covariance", value: self.covariance[0] });
         }
         Ok(())
     }
 }
-
-const _: () = assert!(size_of::<EstimatorState>() <= shared_types::CHECKPOINT_BYTES);

@@ -75,40 +75,42 @@ pub(crate) fn cover(
 ) -> Cover {
     let keep = Keep::of(config);
     let single = single(config, &keep, rectangle, extent, directions);
-    let mut result = Cover { ellipses: [single; MAX_PIECES], count: 1 };
+    let mut ellipses = [single; MAX_PIECES];
+    let Some(count) = pieces(rectangle, &single, before) else { return Cover { ellipses, count: 1 } };
+    for (index, ellipse) in ellipses.iter_mut().enumerate().take(count) {
+        let piece = piece(rectangle, index, count);
+        let b = ROOM * (spans(&piece)[1] / 2.0 + keep.across);
+        *ellipse = sized(config, &keep, piece.centre, &piece, b, directions);
+    }
+    Cover { ellipses, count }
+}
+
+/// How many pieces a body is cut into; `None` where one ellipse covers it whole.
+fn pieces(rectangle: &Rectangle, single: &Ellipse, before: u32) -> Option<usize> {
     let length = rectangle.length.max(rectangle.width);
     let wanted = length / PIECE_M.max(rectangle.length.min(rectangle.width));
     let [dx, dy] = spans(rectangle);
     let turned = dx * dy / (rectangle.length * rectangle.width);
     // Once cut, a body stays cut until it is clearly short and straight again, and the other way round.
     let bias = if before > 1 { 1.0 - KEEP } else { 1.0 };
-    let cut = (turned > TURNED * bias && length > MIN_CUT_M * bias) || single.a > MAX_SINGLE_M * bias;
-    if !cut {
-        return result;
-    }
+    let is_cut = (turned > TURNED * bias && length > MIN_CUT_M * bias) || single.a > MAX_SINGLE_M * bias;
     let before = (before as usize).clamp(1, MAX_PIECES);
-    let mut count = (wanted - KEEP).ceil().clamp(1.0, MAX_PIECES as f64) as usize;
-    if count < before && wanted > before as f64 - 1.0 - 2.0 * KEEP {
-        count = before;
-    }
-    let along = if rectangle.length >= rectangle.width {
-        to_track(rectangle.yaw, length, 0.0)
+    let count = (wanted - KEEP).ceil().clamp(1.0, MAX_PIECES as f64) as usize;
+    let stays = count < before && wanted > before as f64 - 1.0 - 2.0 * KEEP;
+    is_cut.then_some(if stays { before } else { count })
+}
+
+/// One of `count` equal pieces along the longer side.
+fn piece(rectangle: &Rectangle, index: usize, count: usize) -> Rectangle {
+    let Rectangle { yaw, length, width, .. } = *rectangle;
+    let share = (index as f64 + 0.5) / count as f64 - 0.5;
+    if length >= width {
+        let centre = rectangle.centre + to_track(yaw, length, 0.0) * share;
+        Rectangle { centre, length: length / count as f64, ..*rectangle }
     } else {
-        to_track(rectangle.yaw, 0.0, length)
-    };
-    for (index, ellipse) in result.ellipses.iter_mut().enumerate().take(count) {
-        let share = (index as f64 + 0.5) / count as f64 - 0.5;
-        let mut piece = Rectangle { centre: rectangle.centre + along * share, ..*rectangle };
-        if rectangle.length >= rectangle.width {
-            piece.length /= count as f64;
-        } else {
-            piece.width /= count as f64;
-        }
-        let b = ROOM * (spans(&piece)[1] / 2.0 + keep.across);
-        *ellipse = sized(config, &keep, piece.centre, &piece, b, directions);
+        let centre = rectangle.centre + to_track(yaw, 0.0, width) * share;
+        Rectangle { centre, width: width / count as f64, ..*rectangle }
     }
-    result.count = count;
-    result
 }
 
 /// The one ellipse of (7.35), its a enlarged where the body is long.
@@ -135,9 +137,7 @@ fn sized(
     directions: &Directions,
 ) -> Ellipse {
     let b = b.clamp(0.01, 80.0);
-    let ratio = config.long_axis_ratio * b;
-    let rule =
-        if b < config.long_axis_m { config.long_axis_m.max(ratio.min(config.long_axis_m)) } else { ratio };
+    let rule = if b < config.long_axis_m { config.long_axis_m } else { config.long_axis_ratio * b };
     let mut needed = 0.0_f64;
     for corner in rectangle.corners() {
         for index in (0..DIRECTIONS).step_by(3) {

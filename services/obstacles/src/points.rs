@@ -9,6 +9,7 @@
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, Pose, Scan};
+use vehicle::frame::heading;
 
 /// Longest reading that is a return [m]; the device measures to 5.6 m, noise may add to that.
 pub(crate) const MAX_RANGE_M: f64 = 5.75;
@@ -76,11 +77,7 @@ pub(crate) struct Beams {
 impl Beams {
     /// The table of directions.
     pub(crate) fn new() -> Self {
-        let unit = |beam| {
-            let (sin, cos) = Scan::beam_yaw_rad(beam).sin_cos();
-            Vector2::new(cos, sin)
-        };
-        Self { units: (0..BEAMS).map(unit).collect() }
+        Self { units: (0..BEAMS).map(|beam| heading(Scan::beam_yaw_rad(beam))).collect() }
     }
 
     /// Direction of one beam in the robot's frame; `beam` is below [`BEAMS`].

@@ -10,6 +10,7 @@
 
 use nalgebra::Vector2;
 use std::f64::consts::{FRAC_PI_2, TAU};
+use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 use crate::outline::Vertex;
@@ -48,10 +49,7 @@ pub(crate) struct Directions([Vector2<f64>; DIRECTIONS]);
 impl Directions {
     /// The table.
     pub(crate) fn new() -> Self {
-        Self(std::array::from_fn(|index| {
-            let (sin, cos) = yaw_of(index).sin_cos();
-            Vector2::new(cos, sin)
-        }))
+        Self(std::array::from_fn(|index| heading(yaw_of(index))))
     }
 
     /// The unit vector of one direction; indices wrap.
@@ -144,8 +142,8 @@ pub(crate) fn facing(rectangle: &Rectangle, unit: Vector2<f64>, robot: Vector2<f
 }
 
 fn axes(rectangle: &Rectangle) -> (Vector2<f64>, Vector2<f64>) {
-    let (sin, cos) = rectangle.yaw.sin_cos();
-    (Vector2::new(cos, sin), Vector2::new(-sin, cos))
+    let forward = heading(rectangle.yaw);
+    (forward, Vector2::new(-forward.y, forward.x))
 }
 
 /// What one sighting tells about the shape.

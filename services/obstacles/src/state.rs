@@ -1,6 +1,6 @@
 //! State that a restarted or swapped process resumes from: all tracks as plain bytes.
 
-use shared_types::{CHECKPOINT_BYTES, plain_state};
+use shared_types::{Flag, plain_state};
 
 use crate::shape::DIRECTIONS;
 
@@ -33,7 +33,7 @@ plain_state! {
         /// Scans in a row that saw its place free
         pub free: u32,
         /// 1 while the body moves
-        pub moving: u32,
+        pub moving: Flag,
         /// Scans in a row that speak against `moving`
         pub doubts: u32,
         /// Direction of the box's axis
@@ -41,7 +41,7 @@ plain_state! {
         /// Ellipses that cover the body; 0 before the first description
         pub pieces: u32,
         /// 1 once the body is reported
-        pub confirmed: u32,
+        pub confirmed: Flag,
     }
 }
 
@@ -60,5 +60,3 @@ plain_state! {
         pub tracks: [TrackState; TRACKS],
     }
 }
-
-const _: () = assert!(size_of::<ObstaclesState>() <= CHECKPOINT_BYTES, "the state does not fit a checkpoint");

@@ -136,7 +136,7 @@ impl Track {
         let origin = self.motion.place();
         let expected = self.expected(directions);
         let seen = Seen::of(view.vertices, origin, directions);
-        let nearest = nearest_point(&expected, view.robot);
+        let nearest = expected.nearest_to(view.robot);
         // From afar the view is that of the centre; beside a long body it is that of its side.
         let far = (expected.centre - view.robot).norm() > 1.5 * expected.length.hypot(expected.width) / 2.0;
         let near = directions.nearest(view.robot - if far { expected.centre } else { nearest });
@@ -248,8 +248,8 @@ impl Track {
             sightings: state.sightings,
             unseen_s: state.unseen_s,
             free: state.free,
-            moving: state.moving == 1,
-            confirmed: state.confirmed == 1,
+            moving: state.moving.is_set(),
+            confirmed: state.confirmed.is_set(),
             pieces: state.pieces,
             motion: Motion {
                 state: Vector4::from(state.motion),
@@ -304,16 +304,6 @@ impl Track {
         self.rest.place = self.motion.place();
         self.rest.covariance = self.motion.covariance.fixed_view::<2, 2>(0, 0).into();
     }
-}
-
-/// The point of a rectangle nearest to `point`.
-fn nearest_point(rectangle: &Rectangle, point: Vector2<f64>) -> Vector2<f64> {
-    let (sin, cos) = rectangle.yaw.sin_cos();
-    let offset = point - rectangle.centre;
-    let (half_length, half_width) = (rectangle.length / 2.0, rectangle.width / 2.0);
-    let forward = (offset.x * cos + offset.y * sin).clamp(-half_length, half_length);
-    let left = (offset.y * cos - offset.x * sin).clamp(-half_width, half_width);
-    rectangle.centre + Vector2::new(forward * cos - left * sin, left * cos + forward * sin)
 }
 
 /// Unit vector from one point to another, along the track when they coincide.

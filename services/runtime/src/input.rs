@@ -9,7 +9,7 @@ use std::sync::Arc;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as BusSample;
-use shared_types::{Fate, Fault, InputAccount, Refusal, Role, Sample, Topic};
+use shared_types::{Admission, AuthorityFilter, Fate, Fault, InputAccount, Refusal, Role, Sample, Topic};
 
 use crate::bell::Bells;
 use crate::bus::WireSubscriber;
@@ -59,16 +59,9 @@ struct Reader<S: Sample> {
     kept: RefCell<VecDeque<Taken<S>>>,
     aside: RefCell<VecDeque<Taken<S>>>,
     dropped: RefCell<Vec<Taken<S>>>,
-    last: Cell<Last>,
+    filter: Cell<AuthorityFilter>,
     account: RefCell<InputAccount>,
     refusals: Refusals,
-}
-
-/// Of the sample accepted last.
-#[derive(Clone, Copy, Default)]
-struct Last {
-    incarnation: u32,
-    scan_id: u64,
 }
 
 impl<S: Sample> Input<S> {
@@ -83,7 +76,7 @@ impl<S: Sample> Input<S> {
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
             dropped: RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed())),
-            last: Cell::default(),
+            filter: Cell::default(),
             account: RefCell::default(),
             refusals: Refusals::default(),
         })))
@@ -321,9 +314,7 @@ impl<S: Sample> Reader<S> {
     /// Tells of a sample whose content may not be used. Samples that would not count are no news: nothing follows from them.
     fn refuse(&self, sample: &S, fault: &Fault) {
         let header = sample.header();
-        let counts = S::TOPIC.writer().is_none_or(|writer| {
-            self.shared.directive.borrow().accepts(writer, header.incarnation, header.scan_id)
-        });
+        let counts = self.shared.directive.borrow().counts(S::TOPIC, header);
         if counts && self.refusals.note(S::TOPIC, header, fault) {
             self.shared.counters.news.set(true);
         }
@@ -331,22 +322,17 @@ impl<S: Sample> Reader<S> {
 
     /// Keeps a sample that counts, keeps one aside that may count later, drops any other.
     fn offer(&self, sample: Taken<S>, was_aside: bool) {
-        let header = sample.header();
-        let last = self.last.get();
-        if let Some(writer) = S::TOPIC.writer() {
+        let mut filter = self.filter.get();
+        let admission = {
             let directive = self.shared.directive.borrow();
-            if directive.stands_by(writer, header.incarnation, header.scan_id) {
-                return self.push(&self.aside, sample, ASIDE, Fate::Foreign);
-            }
-            // Outside of exchanges an actuator that was restarted blocks the wheels under an older scan.
-            let other = was_aside || directive.is_exchanged(writer) && header.incarnation != last.incarnation;
-            let answered_by_other = other && header.scan_id <= last.scan_id;
-            if answered_by_other || !directive.accepts(writer, header.incarnation, header.scan_id) {
-                return self.discard(Fate::Foreign, sample);
-            }
+            filter.admit(directive.authority_over(S::TOPIC), sample.header(), was_aside)
+        };
+        self.filter.set(filter);
+        match admission {
+            Admission::Counts => {}
+            Admission::Aside => return self.push(&self.aside, sample, ASIDE, Fate::Foreign),
+            Admission::Foreign => return self.discard(Fate::Foreign, sample),
         }
-        let scan_id = header.scan_id.max(last.scan_id);
-        self.last.set(Last { incarnation: header.incarnation, scan_id });
         if let Some(age_ns) = self.age_of_stale(&sample) {
             self.refuse(&sample, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
             return self.discard(Fate::Stale, sample);

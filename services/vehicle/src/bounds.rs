@@ -4,6 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::Control;
 
+/// Largest steering angle to either side that may be desired, (7.41) [rad]. Turning radii, the range that a calibration
+/// has to cover and the defaults of all settings follow from it.
+pub const STEERING_MAX_RAD: f64 = 0.06;
+
+/// How far desired values may be outside of their bounds [m/s, rad]: the rounding of a solver, no more.
+pub const ROUNDING: f64 = 1e-6;
+
 /// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -27,7 +34,7 @@ impl Default for Bounds {
         Self {
             velocity_min_mps: 0.1,
             velocity_max_mps: 1.0,
-            steering_max_rad: 0.06,
+            steering_max_rad: STEERING_MAX_RAD,
             sideslip_max_rad: 0.15,
             yaw_max_rad: std::f64::consts::PI,
             yaw_rate_max_radps: 0.8,

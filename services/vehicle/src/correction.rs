@@ -19,7 +19,7 @@ pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
 pub const SENT_STEERING_MAX_RAD: f64 = 0.12;
 
 /// Velocity sent per velocity desired, kv, from timed straight runs.
-pub const VELOCITY_FACTOR: f64 = 1.4;
+const VELOCITY_FACTOR: f64 = 1.4;
 
 /// What undoes the robot's imperfections in velocity and steering.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -56,7 +56,7 @@ pub struct Correction {
 
 /// Wheels within this of the desired angle are left where they are [rad]: the shaft would have to cross the whole play
 /// for it, forth and back for every bit of noise in the command. At full lock 1 mrad is 5 cm of the turning radius.
-pub const PLAY_TOLERANCE_RAD: f64 = 0.0005;
+const PLAY_TOLERANCE_RAD: f64 = 0.0005;
 
 /// Steering angle sent for the angle desired.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

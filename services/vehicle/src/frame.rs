@@ -9,6 +9,12 @@ pub fn wrap_angle(angle: f64) -> f64 {
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
 
+/// Unit vector in the direction of a yaw.
+pub fn heading(yaw: f64) -> Vector2<f64> {
+    let (sin, cos) = yaw.sin_cos();
+    Vector2::new(cos, sin)
+}
+
 /// A vector in robot coordinates (forward, left) turned into track coordinates, the rotation of (7.32), (7.33).
 ///
 /// Source note: the text uses xi = -yaw in a frame with y to the right; in ours the form is the same with yaw.

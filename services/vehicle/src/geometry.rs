@@ -31,6 +31,16 @@ impl Rectangle {
         [0, 1, 2, 3].map(|index| (corners[index], corners[(index + 1) % 4]))
     }
 
+    /// The point of the rectangle nearest to `point`.
+    pub fn nearest_to(&self, point: Vector2<f64>) -> Vector2<f64> {
+        let offset = point - self.centre;
+        let local = to_robot(self.yaw, offset.x, offset.y);
+        let (half_length, half_width) = (self.length / 2.0, self.width / 2.0);
+        let (forward, left) =
+            (local.x.clamp(-half_length, half_length), local.y.clamp(-half_width, half_width));
+        self.centre + to_track(self.yaw, forward, left)
+    }
+
     /// Distance of a point to the surface, negative inside [m].
     pub fn distance_to_point(&self, point: Vector2<f64>) -> f64 {
         let offset = point - self.centre;

@@ -14,7 +14,7 @@ pub fn integrate(parameters: &Parameters, state: &State, control: &Control, dura
     if duration <= 0.0 {
         return *state;
     }
-    let steps = (duration / MAX_STEP_S).ceil().max(1.0);
+    let steps = (duration / MAX_STEP_S).ceil();
     let step = duration / steps;
     (0..steps as usize).fold(*state, |state, _| rk4(parameters, &state, control, step))
 }

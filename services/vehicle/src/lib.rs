@@ -12,9 +12,11 @@ mod invalid;
 pub mod model;
 pub mod network;
 mod parameters;
+mod settings;
 mod state;
 
 pub use bounds::Bounds;
 pub use invalid::{Invalid, require};
 pub use parameters::Parameters;
+pub use settings::Numeric;
 pub use state::{Control, State};

@@ -4,24 +4,38 @@
 //! velocities above zero: u1 divides. It is stiff: the eigenvalues of (sideslip, yaw rate) are -34 1/s at
 //! 1 m/s and -350 1/s at 0.1 m/s.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::SVector;
 
 use crate::{Control, Parameters, State};
+
+/// Velocity below which the lateral part of the model is not slowed down further [m/s]: RK4 is stable there in steps of
+/// up to 3.9 ms.
+pub const SLOWEST_MPS: f64 = 0.05;
 
 /// Time derivative of the state, (7.27)-(7.31).
 ///
 /// Source note: the extracted text of (7.27) shows a product between 2 x1 and the yaw rate term; with it the
 /// sideslip would have no damping. Single-track physics gives the sum used here, and (7.29) as printed.
 pub fn derivative(parameters: &Parameters, state: &State, control: &Control) -> SVector<f64, 5> {
-    let [sideslip_rate, yaw_acceleration] = lateral(parameters, state.sideslip, state.yaw_rate, control);
-    let course = state.sideslip + state.yaw;
-    SVector::from([
-        sideslip_rate,
-        state.yaw_rate,
-        yaw_acceleration,
-        control.velocity * course.cos(),
-        control.velocity * course.sin(),
-    ])
+    derivative_under(parameters, state, control, control.velocity)
+}
+
+/// [`derivative`] of a robot that drives at any speed from zero on: below [`SLOWEST_MPS`] its lateral part is that of a
+/// robot that drives that fast.
+pub fn derivative_at(parameters: &Parameters, state: &State, speed: f64, steering: f64) -> SVector<f64, 5> {
+    derivative_under(parameters, state, &Control { velocity: speed.max(SLOWEST_MPS), steering }, speed)
+}
+
+fn derivative_under(
+    parameters: &Parameters,
+    state: &State,
+    lateral_control: &Control,
+    speed: f64,
+) -> SVector<f64, 5> {
+    let State { sideslip, yaw, yaw_rate, .. } = *state;
+    let [sideslip_rate, yaw_acceleration] = lateral(parameters, sideslip, yaw_rate, lateral_control);
+    let (sin, cos) = (sideslip + yaw).sin_cos();
+    SVector::from([sideslip_rate, yaw_rate, yaw_acceleration, speed * cos, speed * sin])
 }
 
 /// Derivatives of sideslip (7.27) and yaw rate (7.29): the stiff part, which depends on nothing else.
@@ -70,37 +84,6 @@ pub fn lateral_jacobians(
     (by_state, by_control)
 }
 
-/// Jacobian of [`derivative`] with respect to the state, 5 x 5.
-pub fn state_jacobian(parameters: &Parameters, state: &State, control: &Control) -> SMatrix<f64, 5, 5> {
-    let (by_state, _) = lateral_jacobians(parameters, state.sideslip, state.yaw_rate, control);
-    let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
-    let mut jacobian = SMatrix::zeros();
-    for (row, source) in [(0, by_state[0]), (2, by_state[1])] {
-        jacobian[(row, 0)] = source[0];
-        jacobian[(row, 2)] = source[1];
-    }
-    jacobian[(1, 2)] = 1.0;
-    for column in 0..2 {
-        jacobian[(3, column)] = -control.velocity * sin;
-        jacobian[(4, column)] = control.velocity * cos;
-    }
-    jacobian
-}
-
-/// Jacobian of [`derivative`] with respect to the control, 5 x 2.
-pub fn control_jacobian(parameters: &Parameters, state: &State, control: &Control) -> SMatrix<f64, 5, 2> {
-    let (_, by_control) = lateral_jacobians(parameters, state.sideslip, state.yaw_rate, control);
-    let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
-    let mut jacobian = SMatrix::zeros();
-    for (row, source) in [(0, by_control[0]), (2, by_control[1])] {
-        jacobian[(row, 0)] = source[0];
-        jacobian[(row, 1)] = source[1];
-    }
-    jacobian[(3, 0)] = cos;
-    jacobian[(4, 0)] = sin;
-    jacobian
-}
-
 /// Steady sideslip and yaw rate under a constant control, for small angles.
 pub fn steady_turn(parameters: &Parameters, control: &Control) -> (f64, f64) {
     let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, .. } = *parameters;
@@ -117,7 +100,39 @@ pub fn steady_turn(parameters: &Parameters, control: &Control) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::SMatrix;
     use proptest::prelude::*;
+
+    /// Jacobian of [`derivative`] with respect to the state, 5 x 5.
+    fn state_jacobian(parameters: &Parameters, state: &State, control: &Control) -> SMatrix<f64, 5, 5> {
+        let (by_state, _) = lateral_jacobians(parameters, state.sideslip, state.yaw_rate, control);
+        let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
+        let mut jacobian = SMatrix::zeros();
+        for (row, source) in [(0, by_state[0]), (2, by_state[1])] {
+            jacobian[(row, 0)] = source[0];
+            jacobian[(row, 2)] = source[1];
+        }
+        jacobian[(1, 2)] = 1.0;
+        for column in 0..2 {
+            jacobian[(3, column)] = -control.velocity * sin;
+            jacobian[(4, column)] = control.velocity * cos;
+        }
+        jacobian
+    }
+
+    /// Jacobian of [`derivative`] with respect to the control, 5 x 2.
+    fn control_jacobian(parameters: &Parameters, state: &State, control: &Control) -> SMatrix<f64, 5, 2> {
+        let (_, by_control) = lateral_jacobians(parameters, state.sideslip, state.yaw_rate, control);
+        let (sin, cos) = (state.sideslip + state.yaw).sin_cos();
+        let mut jacobian = SMatrix::zeros();
+        for (row, source) in [(0, by_control[0]), (2, by_control[1])] {
+            jacobian[(row, 0)] = source[0];
+            jacobian[(row, 1)] = source[1];
+        }
+        jacobian[(3, 0)] = cos;
+        jacobian[(4, 0)] = sin;
+        jacobian
+    }
 
     proptest! {
         #[test]

@@ -86,7 +86,7 @@ fn stop_and_land_block_the_wheels_with_their_reasons() {
     assert_blocked(&actuation, BlockReason::Commanded, 1);
     assert_eq!(actuation.stop_reason, StopReason::Blocked.wire());
     assert_blocked(&actuator.answer(&command(3, CommandKind::Land), arrival(3)), BlockReason::Landed, 1);
-    assert_eq!(actuator.refused(), 0, "a stop is a valid command");
+    assert_eq!(actuator.state().refused, 0, "a stop is a valid command");
     assert!(turns(&actuator.answer(&drive(4), arrival(4))), "the reason is gone");
 }
 
@@ -196,7 +196,7 @@ fn a_scan_is_answered_once() {
         assert_blocked(&actuation, BlockReason::StaleCommand, 0);
         assert_eq!(actuation.header.scan_id, 5, "the header is that of the last command answered");
     }
-    assert_eq!(actuator.refused(), 4);
+    assert_eq!(actuator.state().refused, 4);
     let mut refused_first = driving(1);
     refused_first.answer(&Command { verified: 0, ..drive(2) }, arrival(2));
     assert_blocked(&refused_first.answer(&drive(2), arrival(2)), BlockReason::StaleCommand, 0);

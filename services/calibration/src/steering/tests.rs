@@ -38,6 +38,11 @@ fn reason(runs: &[CircleRun]) -> String {
     fit(runs).unwrap_err().to_string()
 }
 
+/// Radius of the arc with a chord and a height, R = s^2 / (8 h) + h / 2 [m].
+fn radius(chord_m: f64, height_m: f64) -> f64 {
+    chord_m * chord_m / (8.0 * height_m) + height_m / 2.0
+}
+
 #[test]
 fn chord_and_height_of_a_quarter_circle_give_its_radius() {
     // R = 2: chord 2 sqrt(2), height 2 - sqrt(2).

@@ -5,7 +5,7 @@
 //! to a third of a period after the scan before it was. A later one is not given away.
 
 use nalgebra::Vector2;
-use shared_types::{Fault, plain_state};
+use shared_types::{Fault, Flag, finite, plain_state};
 use vehicle::State;
 
 use super::{Emulator, HISTORY_PERIODS, node};
@@ -34,9 +34,9 @@ plain_state! {
         /// Steering angle of the wheels [rad]
         pub steering_rad: f64,
         /// 1 while the wheels are blocked
-        pub blocked: u32,
+        pub blocked: Flag,
         /// 1 when it has run into something
-        pub wrecked: u32,
+        pub wrecked: Flag,
         /// Lateral share of the way that the odometer misses
         pub odometry_lateral: f64,
         /// Position that the odometer believes in, without noise [m]
@@ -56,11 +56,11 @@ plain_state! {
         /// Longest time that the wheels turned without a new actuation [ns]
         pub longest_blind_ns: u64,
         /// 1 when the body has touched something while the wheels turned
-        pub collided: u32,
+        pub collided: Flag,
         /// 1 when something has touched the standing body
-        pub struck: u32,
+        pub struck: Flag,
         /// 1 when the dead-man has blocked the wheels
-        pub dead_man: u32,
+        pub dead_man: Flag,
         /// How many of `appeared_s` are used
         pub appearing: u32,
         /// Actuations refused since the start
@@ -97,8 +97,8 @@ impl Emulator {
             motion: [sideslip, yaw, yaw_rate, x, y],
             speed_mps: plant.speed(),
             steering_rad: plant.steering(),
-            blocked: u32::from(plant.is_blocked()),
-            wrecked: u32::from(plant.is_wrecked()),
+            blocked: plant.is_blocked().into(),
+            wrecked: plant.is_wrecked().into(),
             odometry_lateral: reckoning.lateral(),
             odometry_m: reckoning.reported().into(),
             reported: last.map_or([0.0; 3], |last| [last.x, last.y, last.yaw]),
@@ -108,9 +108,9 @@ impl Emulator {
             path_length_m: tally.path_length,
             max_abs_lateral_m: tally.max_abs_lateral,
             longest_blind_ns: tally.longest_blind_ns,
-            collided: u32::from(tally.collided),
-            struck: u32::from(tally.struck),
-            dead_man: u32::from(tally.dead_man),
+            collided: tally.collided.into(),
+            struck: tally.struck.into(),
+            dead_man: tally.dead_man.into(),
             appearing: appearing as u32,
             refused: tally.refused,
             steps: tally.steps,
@@ -130,7 +130,7 @@ impl Emulator {
         }
         let [sideslip, yaw, yaw_rate, x, y] = state.motion;
         let motion = State { sideslip, yaw, yaw_rate, x, y };
-        let (blocked, wrecked) = (state.blocked == 1, state.wrecked == 1);
+        let (blocked, wrecked) = (state.blocked.is_set(), state.wrecked.is_set());
         self.clock_ns = state.clock_ns;
         self.plant_ns = state.plant_ns;
         self.last_actuation_ns = state.last_actuation_ns;
@@ -145,9 +145,9 @@ impl Emulator {
         self.tally.path_length = state.path_length_m;
         self.tally.max_abs_lateral = state.max_abs_lateral_m;
         self.tally.longest_blind_ns = state.longest_blind_ns;
-        self.tally.collided = state.collided == 1;
-        self.tally.struck = state.struck == 1;
-        self.tally.dead_man = state.dead_man == 1;
+        self.tally.collided = state.collided.is_set();
+        self.tally.struck = state.struck.is_set();
+        self.tally.dead_man = state.dead_man.is_set();
         self.tally.refused = state.refused;
         self.tally.steps = state.steps;
         self.tally.actuation_scan = state.actuation_scan;
@@ -172,11 +172,7 @@ impl EmulatorState {
             ("max_abs_lateral_m", &[self.max_abs_lateral_m]),
             ("appeared_s", &self.appeared_s),
         ];
-        for (field, values) in numbers {
-            if !values.iter().all(|value| value.is_finite()) {
-                return Err(Fault::NotFinite { field });
-            }
-        }
+        numbers.into_iter().try_for_each(|(field, values)| finite(field, values))?;
         if self.plant_ns > self.clock_ns {
             return Err(Fault::OutOfRange { field: "plant_ns", value: self.plant_ns as f64 });
         }

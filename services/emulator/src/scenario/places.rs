@@ -1,7 +1,7 @@
 //! Track, start and goal.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, require, settings};
 
 /// Bounds of the track.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -27,27 +27,22 @@ pub struct Start {
     pub yaw_rad: f64,
 }
 
-/// Where to land.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Goal {
-    /// Position along the track [m], inside it.
-    pub x_m: f64,
-    /// Lateral position [m], inside the track.
-    pub y_m: f64,
-    /// Largest distance of the robot's centre that counts as reached [m], 0.001 to 10.
-    pub tolerance_m: f64,
+settings! {
+    /// Where to land.
+    #[derive(Copy)]
+    pub struct Goal {
+        /// Position along the track [m], inside it.
+        pub x_m: f64 = 10.0;
+        /// Lateral position [m], inside the track.
+        pub y_m: f64 = 0.0;
+        /// Largest distance of the robot's centre that counts as reached [m], 0.001 to 10.
+        pub tolerance_m: f64 = 0.1, 0.001..=10.0;
+    }
 }
 
 impl Default for Track {
     fn default() -> Self {
         Self { x_m: [0.0, 22.0], y_m: [-1.5, 1.5], walls: false }
-    }
-}
-
-impl Default for Goal {
-    fn default() -> Self {
-        Self { x_m: 10.0, y_m: 0.0, tolerance_m: 0.1 }
     }
 }
 
@@ -74,7 +69,7 @@ impl Start {
 impl Goal {
     pub(super) fn validate(&self, track: &Track) -> Result<(), Invalid> {
         track.require_inside(self.x_m, self.y_m)?;
-        require("tolerance_m", self.tolerance_m, 0.001..=10.0)
+        self.require_ranges()
     }
 }
 

@@ -1,6 +1,7 @@
 //! The body of an obstacle at one moment: distances and ray casting.
 
 use nalgebra::Vector2;
+use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 /// An upright body.
@@ -30,8 +31,7 @@ impl Solid {
 
     /// A box.
     pub fn rectangle(outline: Rectangle) -> Self {
-        let (sin, cos) = outline.yaw.sin_cos();
-        Self::Box { outline, axis: Vector2::new(cos, sin) }
+        Self::Box { outline, axis: heading(outline.yaw) }
     }
 
     /// The same body elsewhere.

@@ -102,7 +102,7 @@ fn samples_that_are_not_newer_give_no_pose_and_change_nothing() {
     let mut renumbered = odometry(6, 0.6, 1.0);
     renumbered.header.sequence = 3;
     assert!(estimator.step(&renumbered, None, at(6)).is_none());
-    assert_eq!(estimator.counters().skipped, 4);
+    assert_eq!(estimator.state().skipped, 4);
     assert_eq!(EstimatorState { skipped: 0, ..estimator.state() }, before);
     assert!(estimator.step(&odometry(6, 0.6, 1.0), None, at(6)).is_some());
     let mut restarted = odometry(7, 0.7, 1.0);
@@ -156,14 +156,14 @@ fn an_estimate_that_fits_nothing_any_more_begins_anew() {
         assert!((pose.x_m - 0.1 * scan as f64).abs() < 1e-9);
     }
     let pose = estimator.step(&odometry(25, 3.5, 1.0), None, at(25)).unwrap();
-    assert_eq!((pose.x_m, pose.rejected, estimator.counters().restarts), (3.5, 5, 1));
+    assert_eq!((pose.x_m, pose.rejected, estimator.state().restarts), (3.5, 5, 1));
 }
 
 #[test]
 fn after_a_long_gap_the_estimate_is_the_measurement() {
     let (mut estimator, _) = straight(&ideal(), 5);
     let pose = estimator.step(&odometry(60, 1.25, 0.0), None, at(60)).unwrap();
-    assert_eq!((pose.x_m, pose.speed_mps, estimator.counters().restarts), (1.25, 0.0, 1));
+    assert_eq!((pose.x_m, pose.speed_mps, estimator.state().restarts), (1.25, 0.0, 1));
 }
 
 /// A successor knows the state of scan 5; the wheels were blocked at scan 7, and it was not told.

@@ -1,0 +1,62 @@
+//! The rules for samples, one of which a dropped or refused sample failed.
+
+use crate::Fault;
+use crate::named::wire_enum;
+
+wire_enum! {
+    /// The rule that a dropped or refused sample failed.
+    pub enum Rule {
+        /// None was failed.
+        None = 0 "none",
+        /// Its layout is that of this system.
+        Layout = 1 "foreign_layout",
+        /// Its numbers are finite.
+        NotFinite = 2 "not_finite",
+        /// Its numbers are within what the fields can mean.
+        OutOfRange = 3 "out_of_range",
+        /// Its enumerations hold known numbers.
+        UnknownValue = 4 "unknown_value",
+        /// A command to drive was verified.
+        NotVerified = 5 "not_verified",
+        /// A command to drive is within the hard limits of the actuator.
+        OutsideBounds = 6 "outside_bounds",
+        /// Its scan is young enough.
+        TooOld = 7 "too_old",
+        /// Its scan does not lie in the future.
+        FromTheFuture = 8 "from_the_future",
+        /// Its scan was not answered before.
+        AnsweredBefore = 9 "answered_before",
+    }
+}
+
+impl Rule {
+    /// Whether every reader drops a sample that fails it, whatever the time and the scans before.
+    pub const fn is_of_content(self) -> bool {
+        matches!(
+            self,
+            Self::Layout | Self::NotFinite | Self::OutOfRange | Self::UnknownValue | Self::NotVerified
+        )
+    }
+
+    /// Whether the writer of the sample is the one at fault; age and number may also be due to what came before it.
+    pub const fn is_of_writer(self) -> bool {
+        self.is_of_content() || matches!(self, Self::OutsideBounds)
+    }
+}
+
+impl Fault {
+    /// The rule that the sample failed.
+    pub const fn rule(&self) -> Rule {
+        match self {
+            Self::NotFinite { .. } => Rule::NotFinite,
+            Self::OutOfRange { .. } => Rule::OutOfRange,
+            Self::UnknownValue { .. } => Rule::UnknownValue,
+            Self::Layout { .. } => Rule::Layout,
+            Self::NotVerified { .. } => Rule::NotVerified,
+            Self::OutsideBounds { .. } => Rule::OutsideBounds,
+            Self::TooOld { .. } => Rule::TooOld,
+            Self::FromTheFuture { .. } => Rule::FromTheFuture,
+            Self::AnsweredBefore { .. } => Rule::AnsweredBefore,
+        }
+    }
+}
