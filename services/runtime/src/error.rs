@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use shared_types::{Difference, Role, Topic};
 
-use crate::Shortage;
+use crate::shared_memory::Shortage;
 
 /// An error of the bus or of its surroundings.
 #[derive(Debug, thiserror::Error)]
