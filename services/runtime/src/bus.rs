@@ -48,7 +48,7 @@ pub struct Bus {
     node: Enclosed<Node<ipc::Service>>,
     bells: Arc<Bells>,
     /// Services that exist for as long as this value does.
-    held: Enclosed<Vec<(Samples, Option<Events>)>>,
+    held: Vec<Enclosed<(Samples, Option<Events>)>>,
 }
 
 impl Bus {
@@ -112,7 +112,7 @@ impl Bus {
         // The processes that run make their ends of its connections: without room they would be ended by SIGBUS.
         require_room(None)?;
         let node = Enclosed::new(node::join(domain, name)?);
-        Ok(Self { domain: domain.clone(), node, bells, held: Enclosed::new(Vec::new()) })
+        Ok(Self { domain: domain.clone(), node, bells, held: Vec::new() })
     }
 
     /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
@@ -145,7 +145,7 @@ impl Bus {
             .max_nodes(NODES)
             .create()
             .map_err(|reason| RuntimeError::bus(format!("create payloads of topic {topic}"), reason))?;
-        self.held.push((created, None));
+        self.held.push(Enclosed::new((created, None)));
         Ok(())
     }
 
@@ -188,7 +188,6 @@ impl Bus {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    #[inline(always)]
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
         let quality = Quality { subscribers: readers, ..quality(S::TOPIC) };
         self.create_topic(SampleType::of::<S>(), quality, false)
@@ -234,7 +233,7 @@ impl Bus {
                 events().create().map_err(|reason| error(&reason))?,
             )
         };
-        self.held.push((made.0, Some(made.1)));
+        self.held.push(Enclosed::new((made.0, Some(made.1))));
         Ok(())
     }
 

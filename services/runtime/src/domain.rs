@@ -126,7 +126,7 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`] and [`RuntimeError::File`] when the directory is not what it should be.
     pub fn at(system_id: &str, run_id: &str, path: &Path) -> Result<Self, RuntimeError> {
         check_id(system_id)?;
-        let missing = || RuntimeError::File { path: path.to_path_buf(), source: ErrorKind::NotFound.into() };
+        let missing = || RuntimeError::file(path, ErrorKind::NotFound);
         let folder = Folder::open(path)?.ok_or_else(missing)?;
         Ok(Self::assemble(system_id, run_id.to_owned(), folder))
     }
@@ -179,7 +179,7 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`], and [`RuntimeError::File`] when it is not there.
     pub(crate) fn bus_folder(&self) -> Result<Folder, RuntimeError> {
         let path = self.bus_directory();
-        let missing = || RuntimeError::File { path: path.clone(), source: ErrorKind::NotFound.into() };
+        let missing = || RuntimeError::file(&path, ErrorKind::NotFound);
         Folder::open(&path)?.ok_or_else(missing)
     }
 
@@ -257,20 +257,15 @@ pub fn remove_bus_files_of(run_id: &str) -> Result<(), RuntimeError> {
     if !is_run_id(run_id) {
         return Ok(());
     }
-    let file = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| RuntimeError::File { path, source }
-    };
-    let shared = Path::new(SHARED_MEMORY);
     let mut result = Ok(());
     let mut note = |path: &Path, removed: std::io::Result<()>| {
         let failed = removed.err().filter(|error| error.kind() != ErrorKind::NotFound);
         if let (Some(error), Ok(())) = (failed, &result) {
-            result = Err(file(path)(error));
+            result = Err(RuntimeError::file(path, error));
         }
     };
-    let prefix = prefix(run_id);
-    for entry in shared_memory::files(&prefix).map_err(file(shared))? {
+    let (shared, prefix) = (Path::new(SHARED_MEMORY), prefix(run_id));
+    for entry in shared_memory::files(&prefix).map_err(|error| RuntimeError::file(shared, error))? {
         note(&entry.path(), std::fs::remove_file(entry.path()));
     }
     let bus = shared.join(prefix.trim_end_matches('_'));

@@ -6,7 +6,7 @@
 
 use std::fmt::{Debug, Formatter};
 use std::mem::ManuallyDrop;
-use std::ops::{Deref, DerefMut};
+use std::ops::Deref;
 
 /// A value that other crates own and drop without knowing how.
 pub(crate) struct Enclosed<T> {
@@ -27,19 +27,6 @@ impl<T> Deref for Enclosed<T> {
     #[inline(always)]
     fn deref(&self) -> &T {
         &self.value
-    }
-}
-
-impl<T> DerefMut for Enclosed<T> {
-    #[inline(always)]
-    fn deref_mut(&mut self) -> &mut T {
-        &mut self.value
-    }
-}
-
-impl<T: Clone> Clone for Enclosed<T> {
-    fn clone(&self) -> Self {
-        Self { value: self.value.clone(), destructor: self.destructor }
     }
 }
 

@@ -102,6 +102,10 @@ pub enum RuntimeError {
 }
 
 impl RuntimeError {
+    pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {
+        Self::File { path: path.into(), source: source.into() }
+    }
+
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
         Self::Bus { action: action.into(), reason: format!("{reason:?}") }
     }

@@ -22,7 +22,6 @@ pub struct Taken<S: Sample>(Enclosed<Received>, PhantomData<S>);
 
 impl<S: Sample> Taken<S> {
     /// A sample that a reader of `S` has given.
-    #[inline(always)]
     fn of(sample: Enclosed<Received>) -> Self {
         Self(sample, PhantomData)
     }
@@ -48,15 +47,8 @@ impl<S: Sample> Deref for Taken<S> {
 /// was answered by one of the two is answered by the other again.
 pub struct Input<S: Sample>(Enclosed<Rc<Reader>>, PhantomData<S>);
 
-impl<S: Sample> Clone for Input<S> {
-    fn clone(&self) -> Self {
-        Self(self.0.clone(), PhantomData)
-    }
-}
-
 impl<S: Sample> Input<S> {
     /// The input of a reader of `S`.
-    #[inline(always)]
     pub(crate) fn of(reader: Enclosed<Rc<Reader>>) -> Self {
         Self(reader, PhantomData)
     }
@@ -67,7 +59,6 @@ impl<S: Sample> Input<S> {
     }
 
     /// The reader of this input.
-    #[inline(always)]
     pub(crate) fn reader(&self) -> &Reader {
         &self.0
     }
@@ -79,37 +70,31 @@ impl<S: Sample> Input<S> {
     }
 
     /// The scan of the oldest sample not yet taken.
-    #[inline(always)]
     pub fn next_scan(&self) -> Option<u64> {
         self.0.next_scan()
     }
 
     /// Drops what is kept of scans up to `scan_id`, counted as replaced: a state that was taken up contains them.
-    #[inline(always)]
     pub fn skip_to(&self, scan_id: u64) {
         self.0.skip_to(scan_id);
     }
 
     /// Drops what is kept and `is_old`, counted as replaced.
-    #[inline(always)]
     pub fn skip(&self, is_old: impl Fn(&S) -> bool) {
         self.0.skip(&|sample| is_old(view(sample)));
     }
 
     /// The newest sample; older ones are dropped and counted as replaced.
-    #[inline(always)]
     pub fn take_newest(&self) -> Option<Taken<S>> {
         self.0.take_newest().map(Taken::of)
     }
 
     /// Notes that the process refuses a sample that it has taken: in its log, and in its next heartbeat.
-    #[inline(always)]
     pub fn refuse(&self, sample: &S, fault: &Fault) {
         self.0.refuse(sample.header(), fault);
     }
 
     /// How many samples of the writer in charge were dropped for their content.
-    #[inline(always)]
     pub fn dropped(&self) -> u64 {
         self.0.dropped()
     }
@@ -122,7 +107,6 @@ impl<S: Sample> Input<S> {
 /// and no scan stays without an answer; otherwise the newest. Its last two answers tell: the quicker how fast it is, the
 /// slower how long an answer may take. To be called until there is none: [`crate::Process::wait`] does not return for
 /// what has come before.
-#[inline(always)]
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let (first, second) = reader::join(&one.0, &other.0)?;
     Some((Taken::of(first), Taken::of(second)))

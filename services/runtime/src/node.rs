@@ -79,7 +79,7 @@ fn copy(original: &str, prefix: &str) -> Result<(), RuntimeError> {
         return Err(RuntimeError::bus("find the management segment", "it is not there"));
     };
     let target = shared.join(name.replacen(original, prefix, 1));
-    let error = |source| RuntimeError::File { path: target.clone(), source };
+    let error = |source| RuntimeError::file(&target, source);
     let mut bytes = Vec::new();
     let read = File::open(shared.join(&name)).and_then(|file| file.take(MAX_BYTES).read_to_end(&mut bytes));
     read.map_err(error)?;

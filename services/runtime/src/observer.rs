@@ -29,7 +29,6 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
-    #[inline(always)]
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
         Source::open(bus, SampleType::of::<S>(), false).map(|source| Self(source, PhantomData))
     }
@@ -38,7 +37,6 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
-    #[inline(always)]
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
         Source::open(bus, SampleType::of::<S>(), true).map(|source| Self(source, PhantomData))
     }
@@ -47,13 +45,11 @@ impl<S: Sample> Observer<S> {
     /// [`Observer::waking`] it always sleeps to the end.
     ///
     /// What came after the last [`Observer::poll`] or [`Observer::look`] had begun ends the sleep at once.
-    #[inline(always)]
     pub fn wait(&self, timeout_ns: u64) -> bool {
         self.0.wait(timeout_ns)
     }
 
     /// Makes this end of all connections.
-    #[inline(always)]
     pub fn connect(&self) {
         self.0.subscriber.connect();
     }
@@ -63,7 +59,6 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    #[inline(always)]
     pub fn next(&self) -> Result<Option<Checked<S>>, RuntimeError> {
         let sample = self.0.next()?;
         Ok(sample.map(|sample| (*view::<S>(&sample), view::<S>(&sample).check())))
@@ -73,7 +68,6 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    #[inline(always)]
     pub fn poll(&self, mut each: impl FnMut(&S)) -> Result<u64, RuntimeError> {
         let mut invalid = 0;
         self.look(|sample, check| match check {
@@ -90,7 +84,6 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    #[inline(always)]
     pub fn look(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
         self.0.look(&mut |sample| {
             let sample = view::<S>(sample);
@@ -116,7 +109,8 @@ struct Waking {
 
 impl Source {
     fn open(bus: &Bus, of: &'static SampleType, waking: bool) -> Result<Enclosed<Self>, RuntimeError> {
-        let waking = if waking { Some(Waking::new(bus, of)?) } else { None };
+        let ear = if waking { Some(Ear::new(bus, of.topic)?) } else { None };
+        let waking = ear.map(|ear| Waking { bells: Arc::clone(bus.bells()), ear, seen: Cell::new(0) });
         let borrowed = RefCell::new(Vec::with_capacity(quality(of.topic).most_borrowed()));
         let subscriber = bus.subscriber(of)?;
         bus.allocate()?;
@@ -174,12 +168,6 @@ impl Source {
     }
 }
 
-impl Waking {
-    fn new(bus: &Bus, of: &SampleType) -> Result<Self, RuntimeError> {
-        Ok(Self { bells: Arc::clone(bus.bells()), ear: Ear::new(bus, of.topic)?, seen: Cell::new(0) })
-    }
-}
-
 /// Publishes samples that belong to no role: the orchestrator's directives and relayed checkpoints.
 pub struct Voice<S: Sample>(Enclosed<Sender>, PhantomData<S>);
 
@@ -188,7 +176,6 @@ impl<S: Sample> Voice<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
-    #[inline(always)]
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
         Sender::open(bus, SampleType::of::<S>()).map(|sender| Self(sender, PhantomData))
     }
@@ -207,7 +194,6 @@ impl<S: Sample> Voice<S> {
     ///
     /// # Errors
     /// As [`Voice::say`].
-    #[inline(always)]
     pub fn say_as_it_is(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         self.0.send(bytes_of(sample), wake)
     }
@@ -218,20 +204,20 @@ struct Sender {
     of: &'static SampleType,
     publisher: Publisher,
     ringer: Ringer,
-    sequence: u64,
+    sequence: Cell<u64>,
 }
 
 impl Sender {
     fn open(bus: &Bus, of: &'static SampleType) -> Result<Enclosed<Self>, RuntimeError> {
         let publisher = bus.publisher(of)?;
         bus.allocate()?;
-        Ok(Enclosed::new(Self { of, publisher, ringer: Ringer::new(bus, of.topic)?, sequence: 0 }))
+        Ok(Enclosed::new(Self { of, publisher, ringer: Ringer::new(bus, of.topic)?, sequence: Cell::new(0) }))
     }
 
-    fn number(&mut self, sample: &mut [u8]) {
-        self.sequence += 1;
+    fn number(&self, sample: &mut [u8]) {
+        self.sequence.set(self.sequence.get() + 1);
         let header = (self.of.header_mut)(sample);
-        (header.layout, header.sequence) = (self.of.layout, self.sequence);
+        (header.layout, header.sequence) = (self.of.layout, self.sequence.get());
     }
 
     fn send(&self, sample: &[u8], wake: bool) -> Result<(), RuntimeError> {

@@ -20,7 +20,6 @@ pub struct Output<S: Sample>(Enclosed<Rc<Writer>>, PhantomData<S>);
 
 impl<S: Sample> Output<S> {
     /// The output of a writer of `S`.
-    #[inline(always)]
     pub(crate) fn of(writer: Enclosed<Rc<Writer>>) -> Self {
         Self(writer, PhantomData)
     }
@@ -31,7 +30,6 @@ impl<S: Sample> Output<S> {
     }
 
     /// The writer of this output.
-    #[inline(always)]
     pub(crate) fn writer(&self) -> &Writer {
         &self.0
     }

@@ -57,7 +57,7 @@ pub struct Process {
     directive: Input<Directive>,
     heartbeat: Output<Heartbeat>,
     checkpoint: Output<Checkpoint>,
-    inputs: Enclosed<Vec<Rc<Reader>>>,
+    inputs: Vec<Enclosed<Rc<Reader>>>,
     outputs: Vec<Rc<dyn Connect>>,
     handed_scan: Cell<u64>,
     handed_actuations: RefCell<Vec<Actuation>>,
@@ -126,7 +126,7 @@ impl Process {
             directive,
             heartbeat,
             checkpoint,
-            inputs: Enclosed::new(Vec::new()),
+            inputs: Vec::new(),
             outputs: Vec::new(),
             handed_scan: Cell::new(0),
             handed_actuations: RefCell::default(),
@@ -210,7 +210,6 @@ impl Process {
     ///
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when the role does not read it, and errors of the bus.
-    #[inline(always)]
     pub fn input<S: Sample>(&mut self) -> Result<Input<S>, RuntimeError> {
         self.open_input(SampleType::of::<S>()).map(Input::of)
     }
@@ -221,7 +220,7 @@ impl Process {
             return Err(RuntimeError::NotYourTopic { role, verb: "read", topic: of.topic });
         }
         let reader = Rc::new(Reader::new(&self.bus, Rc::clone(&self.shared), of)?);
-        self.inputs.push(Rc::clone(&reader));
+        self.inputs.push(Enclosed::new(Rc::clone(&reader)));
         self.topics |= bit(of.topic);
         Ok(Enclosed::new(reader))
     }
@@ -230,7 +229,6 @@ impl Process {
     ///
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when another role writes it, and errors of the bus.
-    #[inline(always)]
     pub fn output<S: Sample>(&mut self) -> Result<Rc<Output<S>>, RuntimeError> {
         self.open_output(SampleType::of::<S>()).map(|writer| Rc::new(Output::of(writer)))
     }
@@ -273,7 +271,7 @@ impl Process {
             if phase >= Phase::Connecting && self.state == ProcessState::Attached {
                 self.outputs.iter().for_each(|output| output.connect());
                 self.checkpoint.writer().connect();
-                for input in self.inputs.iter() {
+                for input in &self.inputs {
                     input.drain()?;
                 }
                 self.realtime.apply_memory();
@@ -309,7 +307,7 @@ impl Process {
             ..Heartbeat::default()
         };
         self.shared.counters.fill(&mut heartbeat);
-        for input in self.inputs.iter() {
+        for input in &self.inputs {
             if let Some(port) = self.shared.role.reads().iter().position(|topic| *topic == input.topic()) {
                 add_account(&mut heartbeat, port, input.account());
                 heartbeat.refused[port] = input.refusal();

@@ -109,7 +109,7 @@ pub(crate) fn remove_empty_files(domain: &Domain) {
 /// Files of a system in shared memory of one kind.
 fn files(domain: &Domain, is_wanted: fn(&std::fs::Metadata) -> bool) -> Result<Vec<PathBuf>, RuntimeError> {
     let ours = shared_memory::files(domain.shared_memory_prefix())
-        .map_err(|source| RuntimeError::File { path: SHARED_MEMORY.into(), source })?;
+        .map_err(|source| RuntimeError::file(SHARED_MEMORY, source))?;
     let wanted = ours.filter(|entry| entry.metadata().is_ok_and(|file| file.is_file() && is_wanted(&file)));
     Ok(wanted.map(|entry| entry.path()).collect())
 }
@@ -120,7 +120,7 @@ fn is_sparse(file: &std::fs::Metadata) -> bool {
 
 /// A file that its process has removed meanwhile needs nothing.
 fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
-    let error = |source| RuntimeError::File { path: path.to_path_buf(), source };
+    let error = |source| RuntimeError::file(path, source);
     let flags = (OFlags::NOFOLLOW | OFlags::CLOEXEC).bits().cast_signed();
     let file = match OpenOptions::new().write(true).custom_flags(flags).open(path) {
         Err(gone) if gone.kind() == std::io::ErrorKind::NotFound => return Ok(()),
@@ -159,7 +159,7 @@ fn free(file: impl AsFd) -> Result<Option<u64>, RuntimeError> {
 }
 
 fn error(reason: Errno) -> RuntimeError {
-    RuntimeError::File { path: SHARED_MEMORY.into(), source: reason.into() }
+    RuntimeError::file(SHARED_MEMORY, reason)
 }
 
 /// What a process of a role has in shared memory at most, and the orchestrator to watch its output [bytes].

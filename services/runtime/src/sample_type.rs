@@ -1,7 +1,5 @@
 //! What ports need to know of the type of their samples. They move bytes, so they are compiled once for all types.
 
-use std::fmt::{Debug, Formatter};
-
 use shared_types::{Fault, Header, Sample, Topic};
 
 /// A type of samples, as a value.
@@ -30,12 +28,6 @@ impl SampleType {
     /// The description of `S`.
     pub(crate) const fn of<S: Sample>() -> &'static Self {
         <S as Described>::TYPE
-    }
-}
-
-impl Debug for SampleType {
-    fn fmt(&self, formatter: &mut Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(self.name)
     }
 }
 

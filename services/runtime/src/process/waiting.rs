@@ -163,7 +163,7 @@ impl Process {
             // Before anything newer is taken: what was kept aside comes first.
             self.inputs.iter().for_each(|input| input.review());
         }
-        for input in self.inputs.iter() {
+        for input in &self.inputs {
             if everywhere || self.listens || input.is_rung() {
                 input.drain()?;
             }
@@ -257,7 +257,7 @@ impl Process {
     fn look_around(&mut self, again: bool) {
         self.outputs.iter().for_each(|output| output.look_for_listeners());
         let mut needed = false;
-        for input in self.inputs.iter() {
+        for input in &self.inputs {
             needed |= input.ear().is_needed(again);
         }
         if needed || self.listens {
