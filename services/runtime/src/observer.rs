@@ -139,12 +139,12 @@ impl Source {
     }
 
     fn next(&self) -> Result<Option<Enclosed<Received>>, RuntimeError> {
-        self.begin_look();
+        self.mark_seen();
         Ok(self.subscriber.receive()?.map(Enclosed::new))
     }
 
     fn look(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
-        self.begin_look();
+        self.mark_seen();
         let mut borrowed = self.borrowed.borrow_mut();
         for _ in 0..GOES {
             let is_all = self.subscriber.receive_all(|sample| {
@@ -160,7 +160,7 @@ impl Source {
     }
 
     /// What is rung or notified from here on was not seen yet.
-    fn begin_look(&self) {
+    fn mark_seen(&self) {
         if let Some(waking) = &self.waking {
             waking.seen.set(waking.bells.topic(self.of.topic).look());
             waking.ear.clear();

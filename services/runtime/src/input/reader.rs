@@ -72,7 +72,7 @@ impl Reader {
     pub(super) fn take(&self) -> Option<Enclosed<Received>> {
         loop {
             let sample = self.kept.borrow_mut().pop_front()?;
-            if !self.must_not_be_seen(&sample) {
+            if !self.is_held_back(&sample) {
                 self.note_taken(&sample);
                 return Some(Enclosed::new(sample));
             }
@@ -84,7 +84,7 @@ impl Reader {
         let mut kept = self.kept.borrow_mut();
         let sample = kept.pop_back()?;
         kept.drain(..).for_each(|older| self.settle(Fate::Replaced, &older));
-        if self.must_not_be_seen(&sample) {
+        if self.is_held_back(&sample) {
             self.settle(Fate::Foreign, &sample);
             return None;
         }
@@ -198,7 +198,7 @@ impl Reader {
     }
 
     /// An actuation that would drive, for a robot whose wheels must not turn.
-    fn must_not_be_seen(&self, sample: &[u8]) -> bool {
+    fn is_held_back(&self, sample: &[u8]) -> bool {
         self.of.topic == Topic::Actuation
             && bytemuck::try_from_bytes::<Actuation>(sample)
                 .is_ok_and(|actuation| self.shared.guard.refuses(actuation))

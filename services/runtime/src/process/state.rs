@@ -104,8 +104,8 @@ impl Process {
         Ok(newest)
     }
 
-    /// Shows `accept` fresh checkpoints of the process that this one was started beside until it has accepted one of those
-    /// that came together, or it is too late.
+    /// Hands fresh checkpoints of the running process to `accept`, until the newest of one poll was accepted or the time is
+    /// over.
     fn join_checkpoint(&mut self, accept: &mut dyn FnMut(&Checkpoint) -> bool) -> Result<(), RuntimeError> {
         let Some(beside) = environment::beside() else { return Ok(()) };
         if self.shared.clock.is_simulated() {
