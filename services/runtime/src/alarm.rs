@@ -10,8 +10,10 @@
 use std::os::fd::OwnedFd;
 
 use rustix::time::{
-    Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, timerfd_create, timerfd_settime,
+    Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, timerfd_create, timerfd_settime,
 };
+
+use crate::clock::timespec;
 
 /// One timer of CLOCK_MONOTONIC. Nobody reads it.
 pub(crate) struct Alarm(Option<OwnedFd>);
@@ -24,12 +26,8 @@ impl Alarm {
     /// Sets the timer to a time [ns]; the one before is forgotten.
     pub(crate) fn set(&self, time_ns: u64) {
         let Some(timer) = &self.0 else { return };
-        let it_interval = Timespec { tv_sec: 0, tv_nsec: 0 };
-        let it_value = Timespec {
-            tv_sec: (time_ns / 1_000_000_000).cast_signed(),
-            tv_nsec: (time_ns % 1_000_000_000).cast_signed(),
-        };
-        let _ = timerfd_settime(timer, TimerfdTimerFlags::ABSTIME, &Itimerspec { it_interval, it_value });
+        let value = Itimerspec { it_interval: timespec(0), it_value: timespec(time_ns) };
+        let _ = timerfd_settime(timer, TimerfdTimerFlags::ABSTIME, &value);
     }
 }
 
@@ -44,7 +42,7 @@ mod tests {
     fn the_timer_ends_at_the_time_that_was_set_last() {
         let alarm = Alarm::new();
         let timer = alarm.0.as_ref().unwrap();
-        let far = Timespec { tv_sec: 60, tv_nsec: 0 };
+        let far = timespec(60_000_000_000);
         let first_ns = monotonic_ns() + 1_000_000;
         let second_ns = first_ns + 2_000_000;
         alarm.set(first_ns);

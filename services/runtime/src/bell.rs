@@ -12,20 +12,20 @@
 //! which costs a needless system call per sample and never a wake-up.
 //!
 //! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
-#![expect(unsafe_code, reason = "shared memory is mapped and read through a pointer")]
+#![expect(unsafe_code, reason = "a page of shared memory is a promise about a file")]
 
 use std::fs::File;
 use std::num::NonZeroU32;
-use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
 use rustix::fs::OFlags;
-use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
-use rustix::thread::futex::{self, Flags, Timespec};
+use rustix::thread::futex::{self, Flags};
 use shared_types::{ROLES, Role, TOPICS, Topic};
 
+use crate::clock::timespec;
 use crate::reserve::allocate;
+use crate::shared_memory::Mapped;
 use crate::{Domain, RuntimeError};
 
 /// Name of the file in the directory of the bus. The layout has a number: processes of another one would sleep on other
@@ -55,12 +55,7 @@ const _: () = assert!(size_of::<Bell>() == LINE && size_of::<Page>() <= 4096);
 
 /// All bells of one system.
 #[derive(Debug)]
-pub(crate) struct Bells(NonNull<Page>);
-
-// SAFETY: the page consists of atomics only, and it stays mapped until the last user is gone.
-unsafe impl Send for Bells {}
-// SAFETY: as above; every access is atomic.
-unsafe impl Sync for Bells {}
+pub(crate) struct Bells(Mapped<Page>);
 
 impl Bell {
     /// What a reader compares later: to be read before its inputs are emptied.
@@ -106,12 +101,8 @@ impl Bell {
         if self.look() != seen {
             return true;
         }
-        let until = Timespec {
-            tv_sec: (until_ns / 1_000_000_000).cast_signed(),
-            tv_nsec: (until_ns % 1_000_000_000).cast_signed(),
-        };
         self.sleepers(topics).for_each(|sleepers| _ = sleepers.fetch_add(1, Ordering::SeqCst));
-        let slept = futex::wait_bitset(&self.rung, Flags::empty(), seen, Some(&until), bits);
+        let slept = futex::wait_bitset(&self.rung, Flags::empty(), seen, Some(&timespec(until_ns)), bits);
         self.sleepers(topics).for_each(|sleepers| _ = sleepers.fetch_sub(1, Ordering::SeqCst));
         slept != Err(rustix::io::Errno::TIMEDOUT)
     }
@@ -129,7 +120,7 @@ impl Bells {
     /// Makes the page of a system, or opens the one that is there: its processes may be asleep on it.
     pub(crate) fn create(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
         let folder = domain.bus_folder()?;
-        let error = |source| RuntimeError::File { path: folder.path().join(FILE), source };
+        let error = |source| RuntimeError::file(folder.path().join(FILE), source);
         let file = folder.open_file(FILE, OFlags::RDWR | OFlags::CREATE).map_err(error)?;
         let length = size_of::<Page>() as u64;
         allocate(&file, length, length)?;
@@ -139,7 +130,7 @@ impl Bells {
     /// Opens the page of a running system.
     pub(crate) fn open(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
         let folder = domain.bus_folder()?;
-        let error = |source| RuntimeError::File { path: folder.path().join(FILE), source };
+        let error = |source| RuntimeError::file(folder.path().join(FILE), source);
         let file = folder.open_file(FILE, OFlags::RDWR).map_err(error)?;
         if file.metadata().map_err(error)?.len() < size_of::<Page>() as u64 {
             return Err(error(std::io::Error::other("the doorbells are not finished")));
@@ -149,12 +140,12 @@ impl Bells {
 
     /// The bell of a role.
     pub(crate) fn role(&self, role: Role) -> &Bell {
-        &self.page().roles[role.index()]
+        &self.0.roles[role.index()]
     }
 
     /// The bell of those who look on at a topic.
     pub(crate) fn topic(&self, topic: Topic) -> &Bell {
-        &self.page().topics[topic as usize]
+        &self.0.topics[topic as usize]
     }
 
     /// Rings for all readers of a topic.
@@ -186,26 +177,8 @@ impl Bells {
     }
 
     fn map(file: &File) -> std::io::Result<Arc<Self>> {
-        let protection = ProtFlags::READ | ProtFlags::WRITE;
-        // SAFETY: a new mapping at an address of the kernel's choice; the file is as large as the page, which callers
-        // made sure of, and nobody ever makes it smaller.
-        let page =
-            unsafe { mmap(std::ptr::null_mut(), size_of::<Page>(), protection, MapFlags::SHARED, file, 0) }?;
-        let page = NonNull::new(page.cast()).ok_or_else(|| std::io::Error::other("mapped at zero"))?;
-        Ok(Arc::new(Self(page)))
-    }
-
-    fn page(&self) -> &Page {
-        // SAFETY: mapped in `map` with this size, aligned to a page of the machine, unmapped only on drop; any bytes
-        // are valid atomics, and other processes use atomics too.
-        unsafe { self.0.as_ref() }
-    }
-}
-
-impl Drop for Bells {
-    fn drop(&mut self) {
-        // SAFETY: the mapping was made in `map` with this size, and nobody borrows from a value being dropped.
-        let _ = unsafe { munmap(self.0.as_ptr().cast(), size_of::<Page>()) };
+        // SAFETY: atomics only; the file is as large as the page, which callers made sure of, and never made smaller.
+        Ok(Arc::new(Self(unsafe { Mapped::new(file) }?)))
     }
 }
 

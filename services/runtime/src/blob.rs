@@ -7,34 +7,29 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::ipc;
-use iceoryx2::sample::Sample;
 use shared_types::Topic;
 
-use crate::bus::{BlobPublisher, BlobSubscriber};
+use crate::enclosed::Enclosed;
 use crate::output::Connect;
+use crate::port::{Publisher, Received, Subscriber};
 use crate::{Process, RuntimeError};
 
 /// Smallest blob: the number of its scan [bytes].
 pub const SMALLEST_BLOB: usize = 8;
-/// One payload, in shared memory.
-type Blob = Sample<ipc::Service, [u8], ()>;
 
 /// Publishes blobs beside one topic.
 pub struct BlobOutput {
-    publisher: BlobPublisher,
+    publisher: Enclosed<Publisher>,
     content: RefCell<Vec<u8>>,
     topic: Topic,
 }
 
 /// Takes blobs that came beside one topic.
 pub struct BlobInput {
-    subscriber: BlobSubscriber,
+    subscriber: Enclosed<Subscriber>,
     /// Of a later scan than the one asked for last.
-    ahead: RefCell<Option<Blob>>,
+    ahead: Enclosed<RefCell<Option<Received>>>,
     read: Cell<u64>,
-    topic: Topic,
 }
 
 impl Process {
@@ -43,7 +38,7 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn blob_output(&mut self, topic: Topic, bytes: usize) -> Result<Rc<BlobOutput>, RuntimeError> {
-        let publisher = self.bus().blob_publisher(topic, bytes.max(SMALLEST_BLOB))?;
+        let publisher = Enclosed::new(self.bus().blob_publisher(topic, bytes.max(SMALLEST_BLOB))?);
         let content = RefCell::new(vec![0; bytes.max(SMALLEST_BLOB)]);
         let output = Rc::new(BlobOutput { publisher, content, topic });
         self.connects(Rc::clone(&output) as Rc<dyn Connect>);
@@ -55,9 +50,9 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn blob_input(&mut self, topic: Topic) -> Result<Rc<BlobInput>, RuntimeError> {
-        let subscriber = self.bus().blob_subscriber(topic)?;
-        let input =
-            Rc::new(BlobInput { subscriber, ahead: RefCell::default(), read: Cell::default(), topic });
+        let subscriber = Enclosed::new(self.bus().blob_subscriber(topic)?);
+        let ahead = Enclosed::new(RefCell::default());
+        let input = Rc::new(BlobInput { subscriber, ahead, read: Cell::default() });
         self.connects(Rc::clone(&input) as Rc<dyn Connect>);
         Ok(input)
     }
@@ -74,8 +69,9 @@ impl BlobOutput {
         };
         let mut content = self.content.borrow_mut();
         content[..SMALLEST_BLOB].copy_from_slice(&scan_id.to_le_bytes());
-        let loaned = self.publisher.loan_slice_uninit(content.len()).map_err(|reason| error(&reason))?;
-        loaned.write_from_slice(&content).send().map_err(|reason| error(&reason))?;
+        let mut place = self.publisher.loan(content.len()).map_err(|reason| error(&reason))?;
+        place.bytes().copy_from_slice(&content);
+        place.send().map_err(|reason| error(&reason))?;
         Ok(())
     }
 }
@@ -90,19 +86,17 @@ impl BlobInput {
             let ahead = self.ahead.take();
             let received = match ahead {
                 Some(blob) => Some(blob),
-                None => self.subscriber.receive().map_err(|reason| {
-                    RuntimeError::bus(format!("receive a payload beside topic {}", self.topic), reason)
-                })?,
+                None => self.subscriber.receive()?,
             };
             let Some(blob) = received else { return Ok(false) };
-            let number = blob.payload().first_chunk().map_or(0, |number| u64::from_le_bytes(*number));
+            let number = blob.first_chunk().map_or(0, |number| u64::from_le_bytes(*number));
             if number > scan_id {
                 // The bus keeps fewer blobs than samples: those of older scans are gone, this one's turn comes.
                 self.ahead.replace(Some(blob));
                 return Ok(false);
             }
             if number == scan_id {
-                let sum = blob.payload().iter().step_by(64).fold(0_u64, |sum, byte| sum + u64::from(*byte));
+                let sum = blob.iter().step_by(64).fold(0_u64, |sum, byte| sum + u64::from(*byte));
                 self.read.set(std::hint::black_box(sum));
                 return Ok(true);
             }
@@ -112,12 +106,12 @@ impl BlobInput {
 
 impl Connect for BlobOutput {
     fn connect(&self) {
-        let _ = self.publisher.update_connections();
+        self.publisher.connect();
     }
 }
 
 impl Connect for BlobInput {
     fn connect(&self) {
-        let _ = self.subscriber.update_connections();
+        self.subscriber.connect();
     }
 }

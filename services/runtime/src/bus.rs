@@ -7,43 +7,48 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::{
-    BackpressureStrategy, Config, LogLevel, Node, NodeBuilder, NodeName, ServiceName, SignalHandlingMode,
-    ipc, set_log_level_from_env_or,
-};
-use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::prelude::{Node, ServiceName, ipc};
+use iceoryx2::service::port_factory::event;
 use shared_types::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, Scan, Topic,
-    Truth,
+    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, Scan, TOPICS,
+    Topic, Truth,
 };
 
 use crate::bell::Bells;
+use crate::enclosed::Enclosed;
+use crate::port::{self, Publisher, Samples, Subscriber};
 use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
 use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
-use crate::wire::Wire;
-use crate::{Domain, RuntimeError, layouts, management};
+use crate::sample_type::SampleType;
+use crate::{Domain, RuntimeError, layouts, node};
 
-type Samples<S> = publish_subscribe::PortFactory<ipc::Service, Wire<S>, ()>;
-type Blobs = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type Events = event::PortFactory<ipc::Service>;
-
-pub(crate) type WirePublisher<S> = Publisher<ipc::Service, Wire<S>, ()>;
-pub(crate) type BlobPublisher = Publisher<ipc::Service, [u8], ()>;
-pub(crate) type BlobSubscriber = Subscriber<ipc::Service, [u8], ()>;
-pub(crate) type WireSubscriber<S> = Subscriber<ipc::Service, Wire<S>, ()>;
 
 /// How long to retry opening a service that another process is just cleaning up.
 const OPEN_RETRY: Duration = Duration::from_secs(5);
+
+/// Samples of all topics.
+const ALL_SAMPLES: [&SampleType; TOPICS.len()] = [
+    SampleType::of::<Scan>(),
+    SampleType::of::<Odometry>(),
+    SampleType::of::<Pose>(),
+    SampleType::of::<Obstacles>(),
+    SampleType::of::<Command>(),
+    SampleType::of::<Actuation>(),
+    SampleType::of::<Heartbeat>(),
+    SampleType::of::<Directive>(),
+    SampleType::of::<Checkpoint>(),
+    SampleType::of::<Truth>(),
+];
 
 /// One process's access to the services of its system.
 #[derive(Debug)]
 pub struct Bus {
     domain: Domain,
-    node: Node<ipc::Service>,
+    node: Enclosed<Node<ipc::Service>>,
     bells: Arc<Bells>,
-    held: Vec<Box<dyn std::fmt::Debug>>,
+    /// Services that exist for as long as this value does.
+    held: Vec<Enclosed<(Samples, Option<Events>)>>,
 }
 
 impl Bus {
@@ -77,16 +82,9 @@ impl Bus {
         } else {
             Self::create_empty(domain)?
         };
-        bus.topic::<Scan>(take_over)?;
-        bus.topic::<Odometry>(take_over)?;
-        bus.topic::<Pose>(take_over)?;
-        bus.topic::<Obstacles>(take_over)?;
-        bus.topic::<Command>(take_over)?;
-        bus.topic::<Actuation>(take_over)?;
-        bus.topic::<Heartbeat>(take_over)?;
-        bus.topic::<Directive>(take_over)?;
-        bus.topic::<Checkpoint>(take_over)?;
-        bus.topic::<Truth>(take_over)?;
+        for of in ALL_SAMPLES {
+            bus.create_topic(of, quality(of.topic), take_over)?;
+        }
         allocate_files(domain)?;
         Ok(bus)
     }
@@ -96,7 +94,7 @@ impl Bus {
     /// # Errors
     /// As [`Bus::create`].
     pub fn create_empty(domain: &Domain) -> Result<Self, RuntimeError> {
-        management::create(domain)?;
+        node::create_management(domain)?;
         let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::write(domain)?;
         Ok(bus)
@@ -113,7 +111,8 @@ impl Bus {
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
         // The processes that run make their ends of its connections: without room they would be ended by SIGBUS.
         require_room(None)?;
-        Ok(Self { domain: domain.clone(), node: node(name, &domain.config()?)?, bells, held: Vec::new() })
+        let node = Enclosed::new(node::join(domain, name)?);
+        Ok(Self { domain: domain.clone(), node, bells, held: Vec::new() })
     }
 
     /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
@@ -136,10 +135,7 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_blobs(&mut self, topic: Topic) -> Result<(), RuntimeError> {
-        let created = self
-            .node
-            .service_builder(&blob_name(topic)?)
-            .publish_subscribe::<[u8]>()
+        let created = port::samples(&self.node, &blob_name(topic)?, &port::of_bytes())
             .max_publishers(2)
             .max_subscribers(4)
             .subscriber_max_buffer_size(4)
@@ -149,44 +145,30 @@ impl Bus {
             .max_nodes(NODES)
             .create()
             .map_err(|reason| RuntimeError::bus(format!("create payloads of topic {topic}"), reason))?;
-        self.held.push(Box::new(created));
+        self.held.push(Enclosed::new((created, None)));
         Ok(())
     }
 
-    pub(crate) fn blob_publisher(&self, topic: Topic, bytes: usize) -> Result<BlobPublisher, RuntimeError> {
-        let created = self
-            .blobs(topic)?
-            .publisher_builder()
-            .initial_max_slice_len(bytes)
-            .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create();
+    /// A port for payloads beside a topic, of at most so many bytes.
+    pub(crate) fn blob_publisher(&self, topic: Topic, longest: usize) -> Result<Publisher, RuntimeError> {
+        let created = Publisher::new(self.open_blobs(topic)?, longest);
         created.map_err(|reason| RuntimeError::bus(format!("write payloads of topic {topic}"), reason))
     }
 
-    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<BlobSubscriber, RuntimeError> {
-        let created = self.blobs(topic)?.subscriber_builder().create();
+    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<Subscriber, RuntimeError> {
+        let created = Subscriber::new(&self.open_blobs(topic)?, 0, topic, None);
         created.map_err(|reason| RuntimeError::bus(format!("read payloads of topic {topic}"), reason))
     }
 
-    pub(crate) fn publisher<S: Sample>(&self) -> Result<(WirePublisher<S>, Samples<S>), RuntimeError> {
-        let service = self.samples::<S>()?;
-        let publisher = service
-            .publisher_builder()
-            .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(|reason| RuntimeError::bus(format!("write topic {}", S::TOPIC), reason))?;
-        Ok((publisher, service))
+    pub(crate) fn publisher(&self, of: &SampleType) -> Result<Publisher, RuntimeError> {
+        let created = Publisher::new(self.open_samples(of)?, 1);
+        created.map_err(|reason| RuntimeError::bus(format!("write topic {}", of.topic), reason))
     }
 
-    pub(crate) fn subscriber<S: Sample>(&self) -> Result<WireSubscriber<S>, RuntimeError> {
-        let service = self.samples::<S>()?;
-        service
-            .subscriber_builder()
-            .history_request(quality(S::TOPIC).history)
-            .create()
-            .map_err(|reason| RuntimeError::bus(format!("read topic {}", S::TOPIC), reason))
+    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<Subscriber, RuntimeError> {
+        let history = quality(of.topic).history;
+        let created = Subscriber::new(&self.open_samples(of)?, history, of.topic, Some(of.size));
+        created.map_err(|reason| RuntimeError::bus(format!("read topic {}", of.topic), reason))
     }
 
     /// The doorbells of the system.
@@ -207,19 +189,19 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
-        self.sized_topic::<S>(Quality { subscribers: readers, ..quality(S::TOPIC) }, false)
+        let quality = Quality { subscribers: readers, ..quality(S::TOPIC) };
+        self.create_topic(SampleType::of::<S>(), quality, false)
     }
 
-    fn topic<S: Sample>(&mut self, take_over: bool) -> Result<(), RuntimeError> {
-        self.sized_topic::<S>(quality(S::TOPIC), take_over)
-    }
-
-    fn sized_topic<S: Sample>(&mut self, quality: Quality, take_over: bool) -> Result<(), RuntimeError> {
-        let name = service_name(S::TOPIC)?;
+    fn create_topic(
+        &mut self,
+        of: &SampleType,
+        quality: Quality,
+        take_over: bool,
+    ) -> Result<(), RuntimeError> {
+        let (name, detail) = (service_name(of.topic)?, port::of_samples(of)?);
         let samples = || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<Wire<S>>()
+            port::samples(&self.node, &name, &detail)
                 .max_publishers(quality.publishers)
                 .max_subscribers(quality.subscribers)
                 .subscriber_max_buffer_size(quality.buffer)
@@ -237,51 +219,41 @@ impl Bus {
                 .max_nodes(NODES)
                 .event_id_max_value(15)
         };
-        let (samples, events) = if take_over {
-            let error = |reason: &dyn std::fmt::Debug| {
-                RuntimeError::bus(format!("take over topic {}", S::TOPIC), reason)
-            };
+        let verb = if take_over { "take over" } else { "create" };
+        let error =
+            |reason: &dyn std::fmt::Debug| RuntimeError::bus(format!("{verb} topic {}", of.topic), reason);
+        let made = if take_over {
             (
                 retry(|| samples().open_or_create()).map_err(|reason| error(&reason))?,
                 retry(|| events().open_or_create()).map_err(|reason| error(&reason))?,
             )
         } else {
-            let error = |reason: &dyn std::fmt::Debug| {
-                RuntimeError::bus(format!("create topic {}", S::TOPIC), reason)
-            };
             (
                 samples().create().map_err(|reason| error(&reason))?,
                 events().create().map_err(|reason| error(&reason))?,
             )
         };
-        self.held.push(Box::new(samples));
-        self.held.push(Box::new(events));
+        self.held.push(Enclosed::new((made.0, Some(made.1))));
         Ok(())
     }
 
-    fn samples<S: Sample>(&self) -> Result<Samples<S>, RuntimeError> {
-        let name = service_name(S::TOPIC)?;
-        let open = || self.node.service_builder(&name).publish_subscribe::<Wire<S>>().open();
-        retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", S::TOPIC), reason))
+    fn open_samples(&self, of: &SampleType) -> Result<Samples, RuntimeError> {
+        let (name, detail) = (service_name(of.topic)?, port::of_samples(of)?);
+        let open = || port::samples(&self.node, &name, &detail).open();
+        retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", of.topic), reason))
     }
 
-    fn blobs(&self, topic: Topic) -> Result<Blobs, RuntimeError> {
-        let name = blob_name(topic)?;
-        let open = || self.node.service_builder(&name).publish_subscribe::<[u8]>().open();
+    fn open_blobs(&self, topic: Topic) -> Result<Samples, RuntimeError> {
+        let (name, detail) = (blob_name(topic)?, port::of_bytes());
+        let open = || port::samples(&self.node, &name, &detail).open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open payloads of topic {topic}"), reason))
     }
-}
 
-/// A node of the bus.
-pub(crate) fn node(name: &str, config: &Config) -> Result<Node<ipc::Service>, RuntimeError> {
-    set_log_level_from_env_or(LogLevel::Fatal);
-    let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
-    let node = NodeBuilder::new()
-        .name(&name)
-        .config(config)
-        .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>();
-    node.map_err(|reason| RuntimeError::bus("join the bus", reason))
+    /// The node of this process, for tests that open services otherwise.
+    #[cfg(test)]
+    pub(crate) fn node(&self) -> &Node<ipc::Service> {
+        &self.node
+    }
 }
 
 fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {

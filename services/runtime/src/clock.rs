@@ -2,10 +2,18 @@
 
 use std::cell::Cell;
 
+use rustix::time::Timespec;
+
 /// Nanoseconds of CLOCK_MONOTONIC.
 pub fn monotonic_ns() -> u64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+/// Nanoseconds as the kernel takes them.
+pub(crate) fn timespec(time_ns: u64) -> Timespec {
+    let (seconds, rest) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
+    Timespec { tv_sec: seconds.cast_signed(), tv_nsec: rest.cast_signed() }
 }
 
 /// Time as the loop sees it.

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use shared_types::{Heartbeat, InputAccount, PORTS, Role, Sample};
+use shared_types::{Header, Heartbeat, InputAccount, PORTS, Role, Topic};
 
 /// Counters of one process, shared by its inputs and outputs; what became of inputs stands in their accounts.
 #[derive(Debug, Default)]
@@ -36,20 +36,19 @@ impl Counters {
     }
 
     /// Notes that `role` begins to work on a sample.
-    pub(crate) fn take<S: Sample>(&self, role: Role, sample: &S) {
-        if role.answers() == Some(S::TOPIC) {
+    pub(crate) fn take(&self, role: Role, topic: Topic, header: &Header) {
+        if role.answers() == Some(topic) {
             self.took.set(true);
             count(&self.taken, 1);
-            count(&self.taken_scans, sample.header().scan_id);
+            count(&self.taken_scans, header.scan_id);
         }
     }
 
     /// Notes that `role` has numbered a sample of its own. It is an answer when a sample taken has none yet. What an
-    /// actuator decides by itself is one only when it has taken something since it woke: that it refuses; otherwise
-    /// it has noticed a silence, and what it owes it still owes.
-    pub(crate) fn write<S: Sample>(&self, role: Role, sample: &S) {
-        let Some(port) = role.writes().iter().position(|topic| *topic == S::TOPIC) else { return };
-        let header = sample.header();
+    /// actuator decides by itself (`is_answer` is false) is one only when it has taken something since it woke: that it
+    /// refuses; otherwise it has noticed a silence, and what it owes it still owes.
+    pub(crate) fn write(&self, role: Role, topic: Topic, header: &Header, is_answer: bool) {
+        let Some(port) = role.writes().iter().position(|written| *written == topic) else { return };
         self.written[port].set(header.sequence);
         // A role with several topics publishes one sample of each per scan; the first stands for all.
         if port > 0 {
@@ -57,7 +56,7 @@ impl Counters {
         }
         self.last_scan.set(header.scan_id);
         count(&self.published, 1);
-        let is_answer = sample.is_answer() || self.took.get();
+        let is_answer = is_answer || self.took.get();
         if is_answer && self.answered.get() < self.taken.get() {
             count(&self.answered, 1);
             count(&self.answered_scans, header.scan_id);
@@ -94,27 +93,26 @@ pub(crate) fn add_account(heartbeat: &mut Heartbeat, port: usize, account: Input
 
 #[cfg(test)]
 mod tests {
-    use shared_types::{Actuation, Command, Directive};
+    use shared_types::{Actuation, Sample};
 
     use super::*;
 
     #[test]
     fn what_an_actuator_decides_by_itself_answers_no_command_but_one_that_it_refuses() {
         let counters = Counters::default();
-        let mut command = Command::default();
-        command.header.scan_id = 40;
+        let command = Header { scan_id: 40, ..Header::default() };
         let publish = |scan_id, answers| {
             let mut actuation = Actuation { answers, ..Actuation::default() };
             actuation.header.scan_id = scan_id;
-            counters.write(Role::Actuator, &actuation);
+            counters.write(Role::Actuator, Topic::Actuation, &actuation.header, actuation.is_answer());
             counters.answered.get()
         };
-        counters.take(Role::Actuator, &command);
+        counters.take(Role::Actuator, Topic::Command, &command);
         counters.wake();
-        counters.take(Role::Actuator, &Directive::default());
+        counters.take(Role::Actuator, Topic::Directive, &Header::default());
         assert_eq!(publish(40, 0), 0, "a silence that it noticed, or a stop that it was told");
         assert_eq!(publish(40, 1), 1, "its answer");
-        counters.take(Role::Actuator, &command);
+        counters.take(Role::Actuator, Topic::Command, &command);
         assert_eq!(publish(39, 0), 2, "a refusal");
         assert_eq!(publish(40, 0), 2, "nothing is answered twice");
     }

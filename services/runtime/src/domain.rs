@@ -7,13 +7,12 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use iceoryx2::prelude::{Config, FileName, Path as BusPath, SemanticString};
-
 use crate::folder::Folder;
-use crate::{DIRECTORY_VARIABLE, RUN_ID_VARIABLE, RuntimeError, environment, place};
+use crate::shared_memory::{self, SHARED_MEMORY};
+use crate::{
+    DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RUN_ID_VARIABLE, RuntimeError, SYSTEM_ID_VARIABLE, place,
+};
 
-/// Where the kernel shows shared memory as files.
-pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 /// Name of the file that holds the run id.
 const RUN_ID_FILE: &str = "run-id";
 /// Name of the file in the directory of the bus that tells whose it is.
@@ -116,9 +115,8 @@ impl Domain {
     /// [`RuntimeError::NotInASystem`] when the process was started by hand, [`RuntimeError::NotPrivate`] and
     /// [`RuntimeError::File`] when the directory it was given is not what it should be.
     pub fn of_this_process() -> Result<Self, RuntimeError> {
-        let (system_id, _) = environment::identity()?;
-        let read = |variable| std::env::var(variable).map_err(|_| RuntimeError::NotInASystem(variable));
-        let (run_id, path) = (read(RUN_ID_VARIABLE)?, PathBuf::from(read(DIRECTORY_VARIABLE)?));
+        let (system_id, _) = identity()?;
+        let (run_id, path) = (variable(RUN_ID_VARIABLE)?, PathBuf::from(variable(DIRECTORY_VARIABLE)?));
         Self::at(&system_id, &run_id, &path)
     }
 
@@ -128,7 +126,7 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`] and [`RuntimeError::File`] when the directory is not what it should be.
     pub fn at(system_id: &str, run_id: &str, path: &Path) -> Result<Self, RuntimeError> {
         check_id(system_id)?;
-        let missing = || RuntimeError::File { path: path.to_path_buf(), source: ErrorKind::NotFound.into() };
+        let missing = || RuntimeError::file(path, ErrorKind::NotFound);
         let folder = Folder::open(path)?.ok_or_else(missing)?;
         Ok(Self::assemble(system_id, run_id.to_owned(), folder))
     }
@@ -181,7 +179,7 @@ impl Domain {
     /// [`RuntimeError::NotPrivate`], and [`RuntimeError::File`] when it is not there.
     pub(crate) fn bus_folder(&self) -> Result<Folder, RuntimeError> {
         let path = self.bus_directory();
-        let missing = || RuntimeError::File { path: path.clone(), source: ErrorKind::NotFound.into() };
+        let missing = || RuntimeError::file(&path, ErrorKind::NotFound);
         Folder::open(&path)?.ok_or_else(missing)
     }
 
@@ -214,23 +212,6 @@ impl Domain {
         self.folder.path().parent() != named.as_deref()
     }
 
-    /// Settings of the bus for this domain; files in the user's or the machine's configuration are not read.
-    pub(crate) fn config(&self) -> Result<Config, RuntimeError> {
-        self.config_with(&self.prefix)
-    }
-
-    /// [`Domain::config`] with another beginning of names.
-    pub(crate) fn config_with(&self, prefix: &str) -> Result<Config, RuntimeError> {
-        let mut config = Config::default();
-        config.global.prefix = FileName::new(prefix.as_bytes())
-            .map_err(|reason| RuntimeError::bus("set the prefix of the bus", reason))?;
-        let root = self.bus_directory();
-        let root = BusPath::new(root.as_os_str().as_encoded_bytes())
-            .map_err(|reason| RuntimeError::bus("set the root directory of the bus", reason))?;
-        config.global.set_root_path(&root);
-        Ok(config)
-    }
-
     fn of_folder(system_id: &str, folder: Folder) -> Self {
         let run_id = folder.read_text(RUN_ID_FILE).unwrap_or_default();
         let run_id = if is_run_id(&run_id) { run_id } else { String::new() };
@@ -240,6 +221,19 @@ impl Domain {
     fn assemble(system_id: &str, run_id: String, folder: Folder) -> Self {
         Self { system_id: system_id.to_owned(), prefix: prefix(&run_id), run_id, folder }
     }
+}
+
+/// System id and incarnation that the orchestrator gave to this process.
+pub(crate) fn identity() -> Result<(String, u32), RuntimeError> {
+    let incarnation = variable(INCARNATION_VARIABLE)?;
+    match incarnation.parse() {
+        Ok(number) if number > 0 => Ok((variable(SYSTEM_ID_VARIABLE)?, number)),
+        _ => Err(RuntimeError::Environment { variable: INCARNATION_VARIABLE, value: incarnation }),
+    }
+}
+
+fn variable(name: &'static str) -> Result<String, RuntimeError> {
+    std::env::var(name).map_err(|_| RuntimeError::NotInASystem(name))
 }
 
 /// Makes the directory of a system in the first usable place, which another system that ends may just remove.
@@ -263,23 +257,16 @@ pub fn remove_bus_files_of(run_id: &str) -> Result<(), RuntimeError> {
     if !is_run_id(run_id) {
         return Ok(());
     }
-    let file = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| RuntimeError::File { path, source }
-    };
-    let shared = Path::new(SHARED_MEMORY);
     let mut result = Ok(());
     let mut note = |path: &Path, removed: std::io::Result<()>| {
         let failed = removed.err().filter(|error| error.kind() != ErrorKind::NotFound);
         if let (Some(error), Ok(())) = (failed, &result) {
-            result = Err(file(path)(error));
+            result = Err(RuntimeError::file(path, error));
         }
     };
-    let prefix = prefix(run_id);
-    for entry in std::fs::read_dir(shared).map_err(file(shared))?.flatten() {
-        if entry.file_name().to_string_lossy().starts_with(&prefix) {
-            note(&entry.path(), std::fs::remove_file(entry.path()));
-        }
+    let (shared, prefix) = (Path::new(SHARED_MEMORY), prefix(run_id));
+    for entry in shared_memory::files(&prefix).map_err(|error| RuntimeError::file(shared, error))? {
+        note(&entry.path(), std::fs::remove_file(entry.path()));
     }
     let bus = shared.join(prefix.trim_end_matches('_'));
     note(&bus, std::fs::remove_dir_all(&bus));

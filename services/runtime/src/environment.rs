@@ -1,7 +1,5 @@
 //! The environment variables by which an orchestrator tells a process where it belongs.
 
-use crate::RuntimeError;
-
 /// Names the system that the process belongs to.
 pub const SYSTEM_ID_VARIABLE: &str = "SCANLOOP_SYSTEM_ID";
 /// Gives the process its incarnation, one number per started process.
@@ -31,14 +29,4 @@ pub(crate) fn beside() -> Option<u32> {
 /// Whether this process takes the place of another.
 pub(crate) fn is_restart() -> bool {
     std::env::var(RESTART_VARIABLE).is_ok_and(|value| value == "1")
-}
-
-/// System id and incarnation of this process.
-pub(crate) fn identity() -> Result<(String, u32), RuntimeError> {
-    let read = |variable| std::env::var(variable).map_err(|_| RuntimeError::NotInASystem(variable));
-    let incarnation = read(INCARNATION_VARIABLE)?;
-    match incarnation.parse() {
-        Ok(number) if number > 0 => Ok((read(SYSTEM_ID_VARIABLE)?, number)),
-        _ => Err(RuntimeError::Environment { variable: INCARNATION_VARIABLE, value: incarnation }),
-    }
 }

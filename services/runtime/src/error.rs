@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use shared_types::{Difference, Role, Topic};
 
-use crate::Shortage;
+use crate::shared_memory::Shortage;
 
 /// An error of the bus or of its surroundings.
 #[derive(Debug, thiserror::Error)]
@@ -102,6 +102,10 @@ pub enum RuntimeError {
 }
 
 impl RuntimeError {
+    pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {
+        Self::File { path: path.into(), source: source.into() }
+    }
+
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
         Self::Bus { action: action.into(), reason: format!("{reason:?}") }
     }

@@ -194,7 +194,7 @@ impl Folder {
         }
         match rustix::fs::unlinkat(CWD, &self.path, AtFlags::REMOVEDIR) {
             Ok(()) | Err(Errno::NOENT) => Ok(()),
-            Err(error) => Err(RuntimeError::File { path: self.path.clone(), source: error.into() }),
+            Err(error) => Err(RuntimeError::file(&self.path, error)),
         }
     }
 
@@ -204,11 +204,11 @@ impl Folder {
     }
 
     fn error(&self, name: &str, source: io::Error) -> RuntimeError {
-        RuntimeError::File { path: self.path.join(name), source }
+        RuntimeError::file(self.path.join(name), source)
     }
 
     fn make_at(at: impl AsFd + Copy, name: &Path, path: PathBuf) -> Result<Self, RuntimeError> {
-        let error = |source: Errno| RuntimeError::File { path: path.clone(), source: source.into() };
+        let error = |source: Errno| RuntimeError::file(&path, source);
         rustix::fs::mkdirat(at, name, PRIVATE).map_err(error)?;
         let flags = OFlags::PATH | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
         let made = rustix::fs::openat(at, name, flags, Mode::empty()).map_err(error)?;
@@ -232,8 +232,7 @@ impl Folder {
                 return Err(RuntimeError::NotPrivate { path, reason });
             }
         };
-        let found = rustix::fs::fstat(&descriptor)
-            .map_err(|error| RuntimeError::File { path: path.clone(), source: error.into() })?;
+        let found = rustix::fs::fstat(&descriptor).map_err(|error| RuntimeError::file(&path, error))?;
         match fault_of(&found) {
             Some(reason) => Err(RuntimeError::NotPrivate { path, reason }),
             None => Ok(Some(Self { descriptor: Arc::new(descriptor), path })),

@@ -4,10 +4,9 @@
 //! comes. A process that reads its directive sees both as `stop`. Whatever it does then, no actuation that drives leaves
 //! the port of an actuator or comes out of the port of a robot.
 
-use std::any::Any;
 use std::cell::Cell;
 
-use shared_types::{Actuation, ActuationKind, BlockReason, Role, Sample, Topic};
+use shared_types::{Actuation, ActuationKind, BlockReason, Role};
 
 use crate::stop::{StopWord, Wheels};
 
@@ -65,12 +64,7 @@ impl Guard {
     }
 
     /// Makes a block of an actuation that would drive although wheels must not turn.
-    pub(crate) fn hold_back<S: Sample>(&self, sample: &mut S) {
-        if S::TOPIC != Topic::Actuation {
-            return;
-        }
-        let sample: &mut dyn Any = sample;
-        let Some(actuation) = sample.downcast_mut::<Actuation>() else { return };
+    pub(crate) fn hold_back(&self, actuation: &mut Actuation) {
         if drives(actuation) && self.must_stop() {
             actuation.kind = ActuationKind::Block.wire();
             actuation.reason = BlockReason::StopRequested.wire();
@@ -79,13 +73,9 @@ impl Guard {
         self.set_wheels(if drives(actuation) { Wheels::Turning } else { Wheels::Blocked });
     }
 
-    /// Whether a robot must not see a sample: it would drive, and wheels must not turn.
-    pub(crate) fn refuses<S: Sample>(&self, sample: &S) -> bool {
-        if S::TOPIC != Topic::Actuation || self.role != Role::Robot {
-            return false;
-        }
-        let sample: &dyn Any = sample;
-        sample.downcast_ref().is_some_and(drives) && self.must_stop()
+    /// Whether a robot must not see an actuation: it would drive, and wheels must not turn.
+    pub(crate) fn refuses(&self, actuation: &Actuation) -> bool {
+        self.role == Role::Robot && drives(actuation) && self.must_stop()
     }
 }
 

@@ -11,11 +11,10 @@
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::fs::MetadataExt;
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::{Deserialize, Serialize};
 
-use crate::{Domain, INCARNATION_VARIABLE, RUN_ID_VARIABLE};
+use crate::{Domain, INCARNATION_VARIABLE, RUN_ID_VARIABLE, wait_for};
 
 /// Name of the file in the directory of the system that lists its processes.
 pub const PROCESSES_FILE: &str = "processes.toml";
@@ -134,8 +133,7 @@ impl Identified {
 
     /// Whether it has ended, reaped or not.
     pub fn has_ended(&self) -> bool {
-        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-        poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now)).is_ok_and(|ready| ready > 0)
+        wait_for(&[self.pidfd.as_fd()], 0)
     }
 
     /// Sends it a signal; one that has ended gets none, nor does any other process.

@@ -34,6 +34,7 @@ mod counters;
 mod crash;
 mod domain;
 mod ear;
+mod enclosed;
 mod environment;
 mod error;
 mod folder;
@@ -43,25 +44,28 @@ mod identity;
 mod input;
 mod layouts;
 mod logging;
-mod management;
+mod node;
 mod observer;
 mod orphan;
 mod output;
 mod peer;
 mod place;
+mod port;
 mod process;
 mod quality;
 mod realtime;
 mod refusals;
 mod reserve;
+mod sample_type;
 mod settings;
+mod shared;
+mod shared_memory;
 mod shutdown;
 mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
 mod wake;
-mod wire;
 
 pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
@@ -74,7 +78,6 @@ pub use environment::{
     RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
 };
 pub use error::RuntimeError;
-
 pub use folder::Folder;
 pub use handover::{Handover, HandoverData, write as write_handover};
 pub use identity::{
@@ -91,8 +94,9 @@ pub use peer::peer_uid;
 pub use process::Process;
 pub use quality::buffer;
 pub use realtime::{Realtime, Scheduler};
-pub use reserve::{Reserve, Shortage};
+pub use reserve::Reserve;
 pub use settings::{ClockKind, RunSettings, settings_file, settings_table};
+pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
 pub use terminal::{flush_terminal, is_terminal, printable, show_live_line, start_terminal};

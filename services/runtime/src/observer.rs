@@ -1,19 +1,18 @@
 //! Looking at topics, and speaking as the orchestrator, without being a process of the loop.
 
 use std::cell::{Cell, RefCell};
+use std::marker::PhantomData;
 use std::sync::Arc;
 
-use iceoryx2::port::ReceiveError;
-use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::ipc;
-use iceoryx2::sample::Sample as BusSample;
+use bytemuck::{bytes_of, bytes_of_mut};
 use shared_types::{Fault, Sample};
 
 use crate::bell::{Bells, bit};
-use crate::bus::{WirePublisher, WireSubscriber};
 use crate::ear::{Ear, Ringer};
+use crate::enclosed::Enclosed;
+use crate::port::{Publisher, Received, Subscriber};
 use crate::quality::quality;
-use crate::wire::Wire;
+use crate::sample_type::{SampleType, view};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
 /// Most goes at all producers in one look; more than the longest queue of a topic needs.
@@ -23,18 +22,7 @@ const GOES: usize = 32;
 pub type Checked<S> = (S, Result<(), Fault>);
 
 /// Copies samples of one topic; never slows the loop, because the oldest waiting sample is replaced.
-pub struct Observer<S: Sample> {
-    subscriber: WireSubscriber<S>,
-    waking: Option<Waking>,
-    borrowed: RefCell<Vec<BusSample<ipc::Service, Wire<S>, ()>>>,
-}
-
-/// What an observer sleeps on.
-struct Waking {
-    bells: Arc<Bells>,
-    ear: Ear,
-    seen: Cell<u32>,
-}
+pub struct Observer<S: Sample>(Enclosed<Source>, PhantomData<S>);
 
 impl<S: Sample> Observer<S> {
     /// Looks at the topic from now on; call [`Observer::poll`] often enough.
@@ -42,7 +30,7 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Self::with(bus, None)
+        Source::open(bus, SampleType::of::<S>(), false).map(|source| Self(source, PhantomData))
     }
 
     /// Looks at the topic and can be slept on, see [`Observer::wait`].
@@ -50,15 +38,7 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
-        let (bells, ear) = (Arc::clone(bus.bells()), Ear::new(bus, S::TOPIC)?);
-        Self::with(bus, Some(Waking { bells, ear, seen: Cell::new(0) }))
-    }
-
-    fn with(bus: &Bus, waking: Option<Waking>) -> Result<Self, RuntimeError> {
-        let borrowed = RefCell::new(Vec::with_capacity(quality(S::TOPIC).most_borrowed()));
-        let subscriber = bus.subscriber::<S>()?;
-        bus.allocate()?;
-        Ok(Self { subscriber, waking, borrowed })
+        Source::open(bus, SampleType::of::<S>(), true).map(|source| Self(source, PhantomData))
     }
 
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
@@ -66,28 +46,12 @@ impl<S: Sample> Observer<S> {
     ///
     /// What came after the last [`Observer::poll`] or [`Observer::look`] had begun ends the sleep at once.
     pub fn wait(&self, timeout_ns: u64) -> bool {
-        let Some(waking) = &self.waking else { return wait_for(&[], timeout_ns) };
-        let bell = waking.bells.topic(S::TOPIC);
-        let on = waking.ear.is_needed(false);
-        if on && waking.ear.descriptor().is_none() {
-            // What was notified before this is not heard: look first.
-            waking.ear.listen(true);
-            return true;
-        }
-        waking.ear.listen(on);
-        let awake = match waking.ear.descriptor() {
-            Some(descriptor) => bell.look() != waking.seen.get() || wait_for(&[descriptor], timeout_ns),
-            None => bell.sleep(waking.seen.get(), monotonic_ns().saturating_add(timeout_ns), bit(S::TOPIC)),
-        };
-        if !awake {
-            waking.ear.is_needed(true);
-        }
-        awake
+        self.0.wait(timeout_ns)
     }
 
     /// Makes this end of all connections.
     pub fn connect(&self) {
-        let _ = self.subscriber.update_connections();
+        self.0.subscriber.connect();
     }
 
     /// The next sample, whatever its content; `None` when there is none now. Where a producer may flood the topic,
@@ -96,10 +60,8 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn next(&self) -> Result<Option<Checked<S>>, RuntimeError> {
-        self.hear();
-        let error = |reason| RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason);
-        let sample = self.subscriber.receive().map_err(error)?;
-        Ok(sample.map(|sample| (sample.payload().0, sample.payload().0.check())))
+        let sample = self.0.next()?;
+        Ok(sample.map(|sample| (*view::<S>(&sample), view::<S>(&sample).check())))
     }
 
     /// Hands all valid samples that are there to `each`; returns how many were invalid.
@@ -123,22 +85,72 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn look(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
-        self.hear();
+        self.0.look(&mut |sample| {
+            let sample = view::<S>(sample);
+            each(sample, sample.check());
+        })
+    }
+}
+
+/// [`Observer`] of samples of any type.
+struct Source {
+    of: &'static SampleType,
+    subscriber: Subscriber,
+    waking: Option<Waking>,
+    borrowed: RefCell<Vec<Received>>,
+}
+
+/// What an observer sleeps on.
+struct Waking {
+    bells: Arc<Bells>,
+    ear: Ear,
+    seen: Cell<u32>,
+}
+
+impl Source {
+    fn open(bus: &Bus, of: &'static SampleType, waking: bool) -> Result<Enclosed<Self>, RuntimeError> {
+        let ear = if waking { Some(Ear::new(bus, of.topic)?) } else { None };
+        let waking = ear.map(|ear| Waking { bells: Arc::clone(bus.bells()), ear, seen: Cell::new(0) });
+        let borrowed = RefCell::new(Vec::with_capacity(quality(of.topic).most_borrowed()));
+        let subscriber = bus.subscriber(of)?;
+        bus.allocate()?;
+        Ok(Enclosed::new(Self { of, subscriber, waking, borrowed }))
+    }
+
+    fn wait(&self, timeout_ns: u64) -> bool {
+        let Some(waking) = &self.waking else { return wait_for(&[], timeout_ns) };
+        let bell = waking.bells.topic(self.of.topic);
+        let on = waking.ear.is_needed(false);
+        if on && waking.ear.descriptor().is_none() {
+            // What was notified before this is not heard: look first.
+            waking.ear.listen(true);
+            return true;
+        }
+        waking.ear.listen(on);
+        let (seen, bit) = (waking.seen.get(), bit(self.of.topic));
+        let awake = match waking.ear.descriptor() {
+            Some(descriptor) => bell.look() != seen || wait_for(&[descriptor], timeout_ns),
+            None => bell.sleep(seen, monotonic_ns().saturating_add(timeout_ns), bit),
+        };
+        if !awake {
+            waking.ear.is_needed(true);
+        }
+        awake
+    }
+
+    fn next(&self) -> Result<Option<Enclosed<Received>>, RuntimeError> {
+        self.mark_seen();
+        Ok(self.subscriber.receive()?.map(Enclosed::new))
+    }
+
+    fn look(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
+        self.mark_seen();
+        let mut borrowed = self.borrowed.borrow_mut();
         for _ in 0..GOES {
-            let mut borrowed = self.borrowed.borrow_mut();
-            let is_all = loop {
-                match self.subscriber.receive() {
-                    Ok(Some(sample)) => {
-                        each(&sample.payload().0, sample.payload().0.check());
-                        borrowed.push(sample);
-                    }
-                    Ok(None) => break true,
-                    Err(ReceiveError::ExceedsMaxBorrows) => break false,
-                    Err(reason) => {
-                        return Err(RuntimeError::bus(format!("receive from topic {}", S::TOPIC), reason));
-                    }
-                }
-            };
+            let is_all = self.subscriber.receive_all(|sample| {
+                each(&sample);
+                borrowed.push(sample);
+            })?;
             borrowed.clear();
             if is_all {
                 break;
@@ -148,20 +160,16 @@ impl<S: Sample> Observer<S> {
     }
 
     /// What is rung or notified from here on was not seen yet.
-    fn hear(&self) {
+    fn mark_seen(&self) {
         if let Some(waking) = &self.waking {
-            waking.seen.set(waking.bells.topic(S::TOPIC).look());
+            waking.seen.set(waking.bells.topic(self.of.topic).look());
             waking.ear.clear();
         }
     }
 }
 
 /// Publishes samples that belong to no role: the orchestrator's directives and relayed checkpoints.
-pub struct Voice<S: Sample> {
-    publisher: WirePublisher<S>,
-    ringer: Ringer,
-    sequence: u64,
-}
+pub struct Voice<S: Sample>(Enclosed<Sender>, PhantomData<S>);
 
 impl<S: Sample> Voice<S> {
     /// Opens the topic for writing.
@@ -169,19 +177,16 @@ impl<S: Sample> Voice<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        let publisher = bus.publisher::<S>()?.0;
-        bus.allocate()?;
-        Ok(Self { publisher, ringer: Ringer::new(bus, S::TOPIC)?, sequence: 0 })
+        Sender::open(bus, SampleType::of::<S>()).map(|sender| Self(sender, PhantomData))
     }
 
     /// Publishes, and wakes the readers when `wake`. Layout and sequence are filled here.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
+    #[inline(always)]
     pub fn say(&mut self, sample: &mut S, wake: bool) -> Result<(), RuntimeError> {
-        self.sequence += 1;
-        sample.header_mut().layout = S::LAYOUT;
-        sample.header_mut().sequence = self.sequence;
+        self.0.number(bytes_of_mut(sample));
         self.say_as_it_is(sample, wake)
     }
 
@@ -190,10 +195,38 @@ impl<S: Sample> Voice<S> {
     /// # Errors
     /// As [`Voice::say`].
     pub fn say_as_it_is(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
-        let error =
-            |reason: &dyn std::fmt::Debug| RuntimeError::bus(format!("publish topic {}", S::TOPIC), reason);
-        let loaned = self.publisher.loan_uninit().map_err(|reason| error(&reason))?;
-        loaned.write_payload(Wire(*sample)).send().map_err(|reason| error(&reason))?;
+        self.0.send(bytes_of(sample), wake)
+    }
+}
+
+/// [`Voice`] of samples of any type.
+struct Sender {
+    of: &'static SampleType,
+    publisher: Publisher,
+    ringer: Ringer,
+    sequence: Cell<u64>,
+}
+
+impl Sender {
+    fn open(bus: &Bus, of: &'static SampleType) -> Result<Enclosed<Self>, RuntimeError> {
+        let publisher = bus.publisher(of)?;
+        bus.allocate()?;
+        Ok(Enclosed::new(Self { of, publisher, ringer: Ringer::new(bus, of.topic)?, sequence: Cell::new(0) }))
+    }
+
+    fn number(&self, sample: &mut [u8]) {
+        self.sequence.set(self.sequence.get() + 1);
+        let header = (self.of.header_mut)(sample);
+        (header.layout, header.sequence) = (self.of.layout, self.sequence.get());
+    }
+
+    fn send(&self, sample: &[u8], wake: bool) -> Result<(), RuntimeError> {
+        let error = |reason: &dyn std::fmt::Debug| {
+            RuntimeError::bus(format!("publish topic {}", self.of.topic), reason)
+        };
+        let mut place = self.publisher.loan(1).map_err(|reason| error(&reason))?;
+        place.bytes().copy_from_slice(sample);
+        place.send().map_err(|reason| error(&reason))?;
         if wake {
             self.ringer.look_for_listeners();
             self.ringer.ring();

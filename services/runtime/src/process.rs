@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Directive, Header, Heartbeat, Layouts, Phase, ProcessState, Role, Sample,
-    StageStamps, Topic, YOUNG_NS,
+    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
+    Topic,
 };
 
 use self::waiting::Need;
@@ -18,101 +18,29 @@ use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
 use crate::counters::{Counters, add_account};
 use crate::crash::report_crashes;
+use crate::enclosed::Enclosed;
 use crate::guard::Guard;
-use crate::input::{Drain, Input};
+use crate::input::{Input, Reader};
 use crate::orphan::Janitor;
-use crate::output::{Connect, Output, may_write};
+use crate::output::{Connect, Output, Writer, may_write};
 use crate::reserve::require_room;
+use crate::sample_type::SampleType;
 use crate::settings::{self, RunSettings};
+use crate::shared::Shared;
 use crate::{
-    Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, environment, layouts,
-    monotonic_ns,
+    Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns,
 };
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
 /// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
 pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
-/// Inputs older than this many scan periods when they arrive are not used any more, unless they are young at any rate.
-const MAX_AGE_PERIODS: u64 = 3;
 /// The state of a running process is waited for this long, besides two and a half periods [ns].
 const JOIN_NS: u64 = 20_000_000;
 /// A checkpoint that was older than this when its process ended describes another situation [ns].
 const CHECKPOINT_AGE_NS: u64 = 500_000_000;
 /// So does one that has waited for longer than this for a process: twice the longest pause before a restart [ns].
 const HANDOVER_AGE_NS: u64 = 10_000_000_000;
-
-/// What ports of one process share.
-pub(crate) struct Shared {
-    pub(crate) role: Role,
-    pub(crate) incarnation: u32,
-    pub(crate) clock: Clock,
-    pub(crate) counters: Counters,
-    pub(crate) stamps: Cell<StageStamps>,
-    pub(crate) directive: RefCell<Directive>,
-    pub(crate) guard: Guard,
-    /// Of the scans [ns].
-    pub(crate) period_ns: u64,
-    pub(crate) produced: Cell<bool>,
-    /// Something was published since the last sleep.
-    pub(crate) worked: Cell<bool>,
-    pub(crate) taken_ns: Cell<u64>,
-    /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
-    pub(crate) answered_in_ns: Cell<[u64; 2]>,
-}
-
-impl Shared {
-    /// Whether the outputs of this process count, now or from a scan on that was told.
-    pub(crate) fn is_in_charge(&self) -> bool {
-        self.directive.borrow().authority[self.role.index()].incarnation == self.incarnation
-    }
-
-    /// Notes that the process has begun to use a sample.
-    pub(crate) fn taken<S: Sample>(&self, sample: &S) {
-        self.clock.advance_to(sample.header().scan_published_ns());
-        let now = self.clock.now_ns();
-        // Directives come when they do: nothing follows a period after one.
-        if S::TOPIC.writer().is_some() {
-            self.taken_ns.set(now);
-        }
-        let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
-        self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
-        self.counters.take(self.role, sample);
-    }
-
-    /// Notes that the process publishes its answer now, and returns when that is.
-    pub(crate) fn answered(&self) -> u64 {
-        let now = self.clock.now_ns();
-        let taken_ns = self.stamps.get().taken_ns;
-        if taken_ns > 0 {
-            let (answer_ns, [_, last_ns]) = (now.saturating_sub(taken_ns), self.answered_in_ns.get());
-            self.answered_in_ns.set([if last_ns == 0 { answer_ns } else { last_ns }, answer_ns]);
-        }
-        self.produced.set(true);
-        self.worked.set(true);
-        now
-    }
-
-    /// Age above which inputs are not used any more when they arrive [ns].
-    pub(crate) fn max_age_ns(&self) -> u64 {
-        (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
-    }
-
-    /// Whether so many scans can be answered before the newest is old, and none must wait for ever. The quicker of
-    /// the last two answers tells: who was stopped in the middle of one is not slow.
-    pub(crate) fn catches_up(&self, scans: u64) -> bool {
-        let [before_ns, last_ns] = self.answered_in_ns.get();
-        let answer_ns = before_ns.min(last_ns);
-        answer_ns < self.period_ns && MAX_AGE_PERIODS * scans * answer_ns < self.max_age_ns()
-    }
-
-    /// Whether a scan will not be too old when it is answered, by the time that the slower of the last two answers took.
-    pub(crate) fn can_answer(&self, header: &Header) -> bool {
-        let [before_ns, last_ns] = self.answered_in_ns.get();
-        let age_ns = self.clock.now_ns().saturating_sub(header.acquired_ns);
-        age_ns + before_ns.max(last_ns) < self.max_age_ns()
-    }
-}
 
 /// A process of the loop.
 pub struct Process {
@@ -129,7 +57,7 @@ pub struct Process {
     directive: Input<Directive>,
     heartbeat: Output<Heartbeat>,
     checkpoint: Output<Checkpoint>,
-    inputs: Vec<Rc<dyn Drain>>,
+    inputs: Vec<Enclosed<Rc<Reader>>>,
     outputs: Vec<Rc<dyn Connect>>,
     handed_scan: Cell<u64>,
     handed_actuations: RefCell<Vec<Actuation>>,
@@ -156,7 +84,7 @@ impl Process {
     /// against other samples than the system, and errors of the bus.
     pub fn attach(role: Role) -> Result<Self, RuntimeError> {
         report_crashes();
-        let (_, incarnation) = environment::identity()?;
+        let (_, incarnation) = domain::identity()?;
         let domain = Domain::of_this_process()?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
         Self::enrol(role, domain, incarnation)
@@ -283,14 +211,18 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when the role does not read it, and errors of the bus.
     pub fn input<S: Sample>(&mut self) -> Result<Input<S>, RuntimeError> {
+        self.open_input(SampleType::of::<S>()).map(Input::of)
+    }
+
+    fn open_input(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Reader>>, RuntimeError> {
         let role = self.shared.role;
-        if !role.reads().contains(&S::TOPIC) {
-            return Err(RuntimeError::NotYourTopic { role, verb: "read", topic: S::TOPIC });
+        if !role.reads().contains(&of.topic) {
+            return Err(RuntimeError::NotYourTopic { role, verb: "read", topic: of.topic });
         }
-        let input = Input::new(&self.bus, Rc::clone(&self.shared))?;
-        self.inputs.push(Rc::new(input.clone()));
-        self.topics |= bit(S::TOPIC);
-        Ok(input)
+        let reader = Rc::new(Reader::new(&self.bus, Rc::clone(&self.shared), of)?);
+        self.inputs.push(Enclosed::new(Rc::clone(&reader)));
+        self.topics |= bit(of.topic);
+        Ok(Enclosed::new(reader))
     }
 
     /// Opens a topic for writing.
@@ -298,13 +230,17 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when another role writes it, and errors of the bus.
     pub fn output<S: Sample>(&mut self) -> Result<Rc<Output<S>>, RuntimeError> {
+        self.open_output(SampleType::of::<S>()).map(|writer| Rc::new(Output::of(writer)))
+    }
+
+    fn open_output(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Writer>>, RuntimeError> {
         let role = self.shared.role;
-        if !may_write(role, S::TOPIC) {
-            return Err(RuntimeError::NotYourTopic { role, verb: "write", topic: S::TOPIC });
+        if !may_write(role, of.topic) {
+            return Err(RuntimeError::NotYourTopic { role, verb: "write", topic: of.topic });
         }
-        let output = Rc::new(Output::new(&self.bus, Rc::clone(&self.shared))?);
-        self.outputs.push(Rc::clone(&output) as Rc<dyn Connect>);
-        Ok(output)
+        let writer = Rc::new(Writer::new(&self.bus, Rc::clone(&self.shared), of)?);
+        self.outputs.push(Rc::clone(&writer) as Rc<dyn Connect>);
+        Ok(Enclosed::new(writer))
     }
 
     /// The bus of this process.
@@ -334,7 +270,7 @@ impl Process {
             let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);
             if phase >= Phase::Connecting && self.state == ProcessState::Attached {
                 self.outputs.iter().for_each(|output| output.connect());
-                self.checkpoint.connect();
+                self.checkpoint.writer().connect();
                 for input in &self.inputs {
                     input.drain()?;
                 }

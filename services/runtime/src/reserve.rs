@@ -19,8 +19,8 @@ use rustix::fs::{FallocateFlags, Mode, OFlags, fallocate, fstatvfs, open};
 use rustix::io::Errno;
 use shared_types::{Role, TOPICS, Topic};
 
-use crate::domain::SHARED_MEMORY;
 use crate::quality::quality;
+use crate::shared_memory::{self, SHARED_MEMORY, Shortage};
 use crate::{Domain, RuntimeError};
 
 /// Files of a node: its own, its monitor and its marks in the services that it uses, a page each [bytes].
@@ -31,29 +31,6 @@ const SERVICE_BYTES: u64 = 64 << 10;
 const BLOCK: u64 = 512;
 /// A process that lives gives a file that it makes its length within this time.
 const FILE_MADE: Duration = Duration::from_millis(20);
-
-/// Shared memory that is not there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "shared memory is full: {} has {} KiB free, {} KiB are needed: {} KiB are missing",
-    SHARED_MEMORY,
-    free / 1024,
-    needed.div_ceil(1024),
-    self.missing().div_ceil(1024)
-)]
-pub struct Shortage {
-    /// What is needed [bytes].
-    pub needed: u64,
-    /// What is free [bytes].
-    pub free: u64,
-}
-
-impl Shortage {
-    /// What has to be freed [bytes]; at least one byte, as a full file system may have room for what it can't give.
-    pub fn missing(&self) -> u64 {
-        self.needed.saturating_sub(self.free).max(1)
-    }
-}
 
 /// Shared memory that is kept for a process that may have to be started; freed when dropped.
 ///
@@ -131,11 +108,8 @@ pub(crate) fn remove_empty_files(domain: &Domain) {
 
 /// Files of a system in shared memory of one kind.
 fn files(domain: &Domain, is_wanted: fn(&std::fs::Metadata) -> bool) -> Result<Vec<PathBuf>, RuntimeError> {
-    let entries = std::fs::read_dir(SHARED_MEMORY)
-        .map_err(|source| RuntimeError::File { path: SHARED_MEMORY.into(), source })?;
-    let ours = entries.flatten().filter(|entry| {
-        entry.file_name().as_encoded_bytes().starts_with(domain.shared_memory_prefix().as_bytes())
-    });
+    let ours = shared_memory::files(domain.shared_memory_prefix())
+        .map_err(|source| RuntimeError::file(SHARED_MEMORY, source))?;
     let wanted = ours.filter(|entry| entry.metadata().is_ok_and(|file| file.is_file() && is_wanted(&file)));
     Ok(wanted.map(|entry| entry.path()).collect())
 }
@@ -146,7 +120,7 @@ fn is_sparse(file: &std::fs::Metadata) -> bool {
 
 /// A file that its process has removed meanwhile needs nothing.
 fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
-    let error = |source| RuntimeError::File { path: path.to_path_buf(), source };
+    let error = |source| RuntimeError::file(path, source);
     let flags = (OFlags::NOFOLLOW | OFlags::CLOEXEC).bits().cast_signed();
     let file = match OpenOptions::new().write(true).custom_flags(flags).open(path) {
         Err(gone) if gone.kind() == std::io::ErrorKind::NotFound => return Ok(()),
@@ -185,7 +159,7 @@ fn free(file: impl AsFd) -> Result<Option<u64>, RuntimeError> {
 }
 
 fn error(reason: Errno) -> RuntimeError {
-    RuntimeError::File { path: SHARED_MEMORY.into(), source: reason.into() }
+    RuntimeError::file(SHARED_MEMORY, reason)
 }
 
 /// What a process of a role has in shared memory at most, and the orchestrator to watch its output [bytes].

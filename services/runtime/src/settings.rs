@@ -67,9 +67,16 @@ pub(crate) fn table<T: DeserializeOwned>(
     all: &toml::Table,
     name: &str,
 ) -> Result<T, RuntimeError> {
-    let value = all.get(name).cloned().unwrap_or_else(|| toml::Value::Table(toml::Table::new()));
-    value.try_into().map_err(|error: toml::de::Error| RuntimeError::Settings {
+    T::deserialize(value(all, name)).map_err(|error| misfit(domain, role, name, &error))
+}
+
+fn value(all: &toml::Table, name: &str) -> toml::Value {
+    all.get(name).cloned().unwrap_or_else(|| toml::Value::Table(toml::Table::new()))
+}
+
+fn misfit(domain: &Domain, role: Role, name: &str, error: &toml::de::Error) -> RuntimeError {
+    RuntimeError::Settings {
         path: domain.directory().join(settings_file(role)),
         reason: format!("{name}: {error}"),
-    })
+    }
 }

@@ -11,20 +11,19 @@
 //!
 //! Where this fails: a process of the same user can write anything into the page; a robot that neither obeys it nor hears
 //! the actuator is stopped by its own dead man at best.
-#![expect(unsafe_code, reason = "shared memory is mapped and read through a pointer")]
+#![expect(unsafe_code, reason = "a page of shared memory is a promise about a file")]
 
 use std::fs::OpenOptions;
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 use std::path::Path;
-use std::ptr::NonNull;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rustix::fs::{FallocateFlags, MemfdFlags, Mode, SealFlags};
-use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use shared_types::{ROLES, Role};
 
+use crate::shared_memory::Mapped;
 use crate::{RuntimeError, STOP_FD_VARIABLE, monotonic_ns};
 
 /// The only value with which wheels may turn.
@@ -92,18 +91,13 @@ const _: () = assert!(size_of::<Page>() <= LENGTH && size_of::<Head>() == 64 && 
 
 /// The stop word of one run, mapped.
 #[derive(Debug, Clone)]
-pub struct StopWord(Arc<Mapped>);
+pub struct StopWord(Arc<Memory>);
 
 #[derive(Debug)]
-struct Mapped {
-    page: NonNull<Page>,
+struct Memory {
+    page: Mapped<Page>,
     descriptor: OwnedFd,
 }
-
-// SAFETY: the page consists of atomics only, and it stays mapped until the last user is gone.
-unsafe impl Send for Mapped {}
-// SAFETY: as above; every access is atomic.
-unsafe impl Sync for Mapped {}
 
 impl StopWord {
     /// Makes the page of a new run, armed; processes that are started from now on inherit its descriptor.
@@ -240,33 +234,17 @@ impl StopWord {
     }
 
     fn map(descriptor: OwnedFd) -> io::Result<Self> {
-        let protection = ProtFlags::READ | ProtFlags::WRITE;
-        // SAFETY: a new mapping at an address of the kernel's choice; the file has this length, which its seals keep.
-        let page =
-            unsafe { mmap(std::ptr::null_mut(), LENGTH, protection, MapFlags::SHARED, &descriptor, 0) }?;
-        let page = NonNull::new(page.cast()).ok_or_else(|| io::Error::other("mapped at zero"))?;
-        Ok(Self(Arc::new(Mapped { page, descriptor })))
-    }
-
-    fn page(&self) -> &Page {
-        // SAFETY: mapped in `map` with at least this size, aligned to a page of the machine, unmapped only on drop; any
-        // bytes are valid atomics, and other processes use atomics too.
-        unsafe { self.0.page.as_ref() }
+        // SAFETY: atomics only; the file has the length of a page, which its seals keep.
+        let page = unsafe { Mapped::new(&descriptor) }?;
+        Ok(Self(Arc::new(Memory { page, descriptor })))
     }
 
     fn head(&self) -> &Head {
-        &self.page().head
+        &self.0.page.head
     }
 
     fn row(&self, role: Role) -> &Row {
-        &self.page().rows[role.index()]
-    }
-}
-
-impl Drop for Mapped {
-    fn drop(&mut self) {
-        // SAFETY: the mapping was made in `map` with this size, and a value that is dropped is not borrowed.
-        let _ = unsafe { munmap(self.page.as_ptr().cast(), LENGTH) };
+        &self.0.page.rows[role.index()]
     }
 }
 

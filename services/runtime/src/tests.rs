@@ -1,19 +1,22 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
 mod reserve;
+mod typed;
 mod waking;
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use iceoryx2::prelude::PortFactory;
-use shared_types::{Actuation, Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample};
+use shared_types::{
+    Actuation, Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample, Topic,
+};
 
 use crate::counters::Counters;
-use crate::input::{Drain, Input, join};
+use crate::input::{Input, join};
 use crate::output::Output;
-use crate::process::Shared;
+use crate::sample_type::SampleType;
+use crate::shared::Shared;
 use crate::{Bus, Clock, Domain, Observer, Process, Voice};
 
 static NEXT: AtomicU32 = AtomicU32::new(0);
@@ -86,11 +89,11 @@ fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
     let (estimator, controller) = (lab.shared(Role::Estimator, 7), lab.shared(Role::Controller, 9));
     let output = Output::<Pose>::new(lab.bus(), Rc::clone(&estimator)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     estimator.clock.advance_to(42);
     output.publish(&mut pose(3, 1.5)).unwrap();
     assert!(lab.bus().bells().role(Role::Controller).look() != 0);
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     let taken = input.take().unwrap();
     assert_eq!((taken.x_m, taken.header.scan_id, taken.header.sequence), (1.5, 3, 1));
     assert_eq!((taken.header.layout, taken.header.incarnation), (Pose::LAYOUT, 7));
@@ -104,8 +107,8 @@ fn a_process_can_publish_checkpoints_from_the_moment_it_attaches() {
     let lab = Lab::new();
     lab.write_settings();
     let process = Process::enrol(Role::Estimator, lab.domain.clone(), 7).unwrap();
-    let (_publisher, service) = lab.bus().publisher::<Checkpoint>().unwrap();
-    assert_eq!(service.dynamic_config().number_of_publishers(), 2, "its own and this test's");
+    let publisher = lab.bus().publisher(SampleType::of::<Checkpoint>()).unwrap();
+    assert_eq!(publisher.publishers(), 2, "its own and this test's");
     drop(process);
 }
 
@@ -114,9 +117,9 @@ fn a_directive_does_not_move_the_time_at_which_the_next_input_is_expected() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
     controller.clock.advance_to(42);
-    controller.taken(&pose(3, 0.0));
+    controller.taken(Topic::Pose, &pose(3, 0.0).header);
     controller.clock.advance_to(44);
-    controller.taken(&Directive::default());
+    controller.taken(Topic::Directive, &Directive::default().header);
     assert_eq!(controller.taken_ns.get(), 42);
 }
 
@@ -128,12 +131,12 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     // Two voices of one incarnation number their samples alike, as a process that repeats itself does.
     let (mut voice, mut echo) =
         (Voice::<Pose>::new(lab.bus()).unwrap(), Voice::<Pose>::new(lab.bus()).unwrap());
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     let say = |voice: &mut Voice<Pose>, incarnation, x_m| {
         let mut sample = pose(1, x_m);
         sample.header.incarnation = incarnation;
         voice.say(&mut sample, false).unwrap();
-        input.drain().unwrap();
+        input.reader().drain().unwrap();
         input.take().map(|taken| taken.x_m)
     };
     assert_eq!(say(&mut voice, 7, 1.0), Some(1.0));
@@ -143,7 +146,7 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     assert_eq!(say(&mut voice, 7, 4.0), Some(4.0));
     assert_eq!(say(&mut echo, 7, 5.0), None, "its number has come before");
     assert_eq!(say(&mut echo, 7, 6.0), None, "older than what was taken");
-    let account = input.account();
+    let account = input.reader().account();
     assert_eq!((account.duplicate, account.reordered), (2, 1));
     assert_eq!((account.invalid, account.foreign), (1, 1));
     // The voice's third number came under another incarnation; the echo brought it late.
@@ -162,13 +165,13 @@ fn an_actuation_is_too_old_for_the_robot_only() {
     };
     let readers = [Role::Robot, Role::Estimator].map(read_by);
     let mut voice = Voice::<Actuation>::new(lab.bus()).unwrap();
-    readers.iter().for_each(|(input, _)| input.drain().unwrap());
+    readers.iter().for_each(|(input, _)| input.reader().drain().unwrap());
     let mut block = Actuation::default();
     (block.header.incarnation, block.header.scan_id) = (7, 1);
     block.header.acquired_ns = crate::monotonic_ns() - 400_000_000;
     voice.say(&mut block, false).unwrap();
     let taken = readers.each_ref().map(|(input, _)| {
-        input.drain().unwrap();
+        input.reader().drain().unwrap();
         input.take().is_some()
     });
     assert_eq!(taken, [false, true], "it asks nothing of the estimator, but tells it what the wheels did");
@@ -182,8 +185,8 @@ fn joined(lab: &Lab, controller: &Rc<Shared>) -> Joined {
     let described = Output::new(lab.bus(), lab.shared(Role::Obstacles, 8)).unwrap();
     let pose_input = Input::new(lab.bus(), Rc::clone(controller)).unwrap();
     let obstacle_input = Input::new(lab.bus(), Rc::clone(controller)).unwrap();
-    pose_input.drain().unwrap();
-    obstacle_input.drain().unwrap();
+    pose_input.reader().drain().unwrap();
+    obstacle_input.reader().drain().unwrap();
     (poses, described, pose_input, obstacle_input)
 }
 
@@ -199,9 +202,9 @@ fn a_join_gives_pairs_of_one_scan_and_counts_what_it_replaced() {
         let mut obstacles = Obstacles::default();
         obstacles.header.scan_id = scan_id;
         described.publish(&mut obstacles).unwrap();
-        obstacle_input.drain().unwrap();
+        obstacle_input.reader().drain().unwrap();
     };
-    pose_input.drain().unwrap();
+    pose_input.reader().drain().unwrap();
     assert!(join(&pose_input, &obstacle_input).is_none());
     publish(2);
     let (pose, obstacles) = join(&pose_input, &obstacle_input).unwrap();
@@ -209,7 +212,7 @@ fn a_join_gives_pairs_of_one_scan_and_counts_what_it_replaced() {
     drop((pose, obstacles));
     publish(3);
     assert_eq!(join(&pose_input, &obstacle_input).unwrap().0.header.scan_id, 3);
-    assert_eq!(pose_input.account().replaced, 1);
+    assert_eq!(pose_input.reader().account().replaced, 1);
 }
 
 #[test]
@@ -223,8 +226,8 @@ fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
         obstacles.header.scan_id = scan_id;
         described.publish(&mut obstacles).unwrap();
         if scan_id == 3 || scan_id == 6 {
-            pose_input.drain().unwrap();
-            obstacle_input.drain().unwrap();
+            pose_input.reader().drain().unwrap();
+            obstacle_input.reader().drain().unwrap();
             // Three of them take just less than 100 ms, or just not.
             controller.answered_in_ns.set([if scan_id == 3 { 33_333_333 } else { 33_333_334 }; 2]);
             let scans: Vec<u64> = std::iter::from_fn(|| join(&pose_input, &obstacle_input))
@@ -233,7 +236,7 @@ fn a_join_gives_all_pairs_that_a_period_is_enough_for_and_else_the_newest() {
             assert_eq!(scans, if scan_id == 3 { vec![1, 2, 3] } else { vec![6] });
         }
     }
-    assert_eq!((pose_input.account().replaced, obstacle_input.account().replaced), (2, 2));
+    assert_eq!((pose_input.reader().account().replaced, obstacle_input.reader().account().replaced), (2, 2));
 }
 
 #[test]
@@ -250,8 +253,8 @@ fn a_scan_that_would_be_too_old_when_it_is_answered_gives_way_to_the_newest() {
         poses.publish(&mut pose).unwrap();
         described.publish(&mut obstacles).unwrap();
     }
-    pose_input.drain().unwrap();
-    obstacle_input.drain().unwrap();
+    pose_input.reader().drain().unwrap();
+    obstacle_input.reader().drain().unwrap();
     let next = || join(&pose_input, &obstacle_input).map(|(pose, _)| pose.header.scan_id);
     controller.answered_in_ns.set([1_000_000, 15_000_000]);
     assert_eq!(next(), Some(2), "answered 5 ms before it is too old");
@@ -282,7 +285,7 @@ fn a_process_that_was_stopped_in_the_middle_of_one_answer_is_not_slow() {
     let mut now_ns = 1_000_000;
     let mut answer_in = |duration_ns: u64| {
         controller.clock.advance_to(now_ns);
-        controller.taken(&pose(1, 0.0));
+        controller.taken(Topic::Pose, &pose(1, 0.0).header);
         now_ns += duration_ns;
         controller.clock.advance_to(now_ns);
         commands.publish(&mut Command::default()).unwrap();
@@ -314,12 +317,12 @@ fn an_observer_that_never_looks_does_not_stop_the_writer() {
 fn authorise(reader: &Rc<Shared>, input: &Input<Pose>, incarnation: u32, previous: u32, from_scan: u64) {
     reader.directive.borrow_mut().authority[Role::Estimator.index()] =
         Authority { incarnation, previous, from_scan };
-    input.review();
+    input.reader().review();
 }
 
 /// The scans that come out, each with the incarnation that answers it.
 fn taken(input: &Input<Pose>) -> Vec<(u64, u32)> {
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     std::iter::from_fn(|| input.take()).map(|pose| (pose.header.scan_id, pose.header.incarnation)).collect()
 }
 
@@ -330,7 +333,7 @@ fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
     let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     old.publish(&mut pose(8, 0.0)).unwrap();
     new.publish(&mut pose(8, 0.0)).unwrap();
     assert_eq!(taken(&input), [(8, 7)], "a shadow is not heard");
@@ -345,7 +348,7 @@ fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
     assert_eq!(taken(&input), [], "the exchange is over");
     authorise(&controller, &input, 7, 11, 11);
     assert_eq!(taken(&input), [], "what stood by is dropped at its end");
-    let account = input.account();
+    let account = input.reader().account();
     assert_eq!((account.duplicate, account.reordered, account.missing), (0, 0, 0));
     assert_eq!(
         (account.used, account.foreign, account.open),
@@ -361,7 +364,7 @@ fn scans_that_the_new_one_left_open_are_answered_by_the_one_that_stood_by() {
     let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     authorise(&controller, &input, 11, 7, 10);
     for scan_id in 9..=13 {
         old.publish(&mut pose(scan_id, 0.0)).unwrap();
@@ -374,7 +377,7 @@ fn scans_that_the_new_one_left_open_are_answered_by_the_one_that_stood_by() {
     authorise(&controller, &input, 7, 11, 11);
     old.publish(&mut pose(14, 0.0)).unwrap();
     assert_eq!(taken(&input), [(12, 7), (13, 7), (14, 7)], "none is missing and none comes twice");
-    assert_eq!(input.account().foreign, 3, "the old one's 10 and 11, the new one's 9");
+    assert_eq!(input.reader().account().foreign, 3, "the old one's 10 and 11, the new one's 9");
     new.publish(&mut pose(15, 0.0)).unwrap();
     old.publish(&mut pose(15, 0.0)).unwrap();
     assert_eq!(taken(&input), [(15, 7)]);
@@ -387,7 +390,7 @@ fn the_new_one_answers_for_an_old_one_that_died_before_its_time() {
     let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let new = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 11)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     authorise(&controller, &input, 11, 7, 10);
     old.publish(&mut pose(8, 0.0)).unwrap();
     for scan_id in 8..=9 {
@@ -403,7 +406,7 @@ fn a_sample_that_was_numbered_and_never_sent_is_missing_at_the_reader() {
     let lab = Lab::new();
     let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     for scan_id in 1..=5 {
         let mut pose = pose(scan_id, 0.0);
         output.complete(&mut pose);
@@ -412,7 +415,7 @@ fn a_sample_that_was_numbered_and_never_sent_is_missing_at_the_reader() {
         }
     }
     assert_eq!(taken(&input).len(), 4);
-    let account = input.account();
+    let account = input.reader().account();
     assert_eq!((account.missing, account.hole.first, account.hole.last), (1, 3, 3));
 }
 
@@ -421,15 +424,15 @@ fn what_a_full_buffer_overwrites_is_not_missing() {
     let lab = Lab::new();
     let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
     let input = Input::<Pose>::new(lab.bus(), lab.shared(Role::Controller, 9)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     for scan_id in 1..=40 {
         output.publish(&mut pose(scan_id, 0.0)).unwrap();
         if scan_id == 1 {
-            input.drain().unwrap();
+            input.reader().drain().unwrap();
         }
     }
     assert_eq!(taken(&input).last(), Some(&(40, 7)));
-    let account = input.account();
+    let account = input.reader().account();
     assert_eq!((account.overwritten, account.missing), (23, 0), "1 taken, 16 in the buffer");
     assert_eq!((account.replaced, account.used, account.open), (5, 12, 0), "the newest are kept");
 }
@@ -472,23 +475,23 @@ fn a_producer_that_floods_a_topic_keeps_nobody_from_the_samples_that_count() {
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
     let observer = Observer::<Pose>::new(lab.bus()).unwrap();
     let flood = Flood::start(&lab.domain);
-    while input.account().foreign == 0 {
-        input.drain().unwrap();
+    while input.reader().account().foreign == 0 {
+        input.reader().drain().unwrap();
     }
     // The flood was there first, so the bus asks it first.
     let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
-    input.drain().unwrap();
+    input.reader().drain().unwrap();
     observer.poll(|_| {}).unwrap();
     let mut seen = 0;
     for scan_id in 1..=500 {
         output.publish(&mut pose(scan_id, 1.0)).unwrap();
-        input.drain().unwrap();
+        input.reader().drain().unwrap();
         let taken = input.take().map(|taken| taken.header.scan_id);
         assert_eq!(taken, Some(scan_id), "each look ends, and it reaches the one that counts");
         observer.poll(|sample| seen += u64::from(sample.header.incarnation == 7)).unwrap();
     }
     assert_eq!(seen, 500);
-    let account = input.account();
+    let account = input.reader().account();
     assert_eq!((account.missing, account.replaced), (0, 0));
     assert!(flood.stop() > 1000);
 }

@@ -5,7 +5,9 @@ use std::os::fd::{BorrowedFd, RawFd};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::{FileDescriptorBased, ipc};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::event::{PollFd, PollFlags, poll};
+
+use crate::clock::timespec;
 
 /// More descriptors than any process of the loop waits on.
 const MOST: usize = 24;
@@ -15,10 +17,7 @@ const MOST: usize = 24;
 /// There is no wait without a time-out: iceoryx2 0.10 can lose a wake-up for good. A signal also ends the wait.
 /// Descriptors beyond the first 24 are not waited on.
 pub fn wait_for(descriptors: &[BorrowedFd<'_>], timeout_ns: u64) -> bool {
-    let timeout = Timespec {
-        tv_sec: (timeout_ns / 1_000_000_000) as i64,
-        tv_nsec: (timeout_ns % 1_000_000_000) as i64,
-    };
+    let timeout = timespec(timeout_ns);
     let Some(first) = descriptors.first() else {
         return matches!(poll(&mut [], Some(&timeout)), Ok(ready) if ready > 0);
     };

@@ -96,25 +96,33 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn join<T: bytemuck::Pod + Described>(&mut self) -> Result<Option<(u64, T)>, RuntimeError> {
-        let Some(beside) = environment::beside() else { return Ok(None) };
+        let mut newest = None;
+        self.join_checkpoint(&mut |checkpoint| {
+            newest = checkpoint.state().ok().map(|state| (checkpoint.header.scan_id, state));
+            newest.is_some()
+        })?;
+        Ok(newest)
+    }
+
+    /// Hands fresh checkpoints of the running process to `accept`, until the newest of one poll was accepted or the time is
+    /// over.
+    fn join_checkpoint(&mut self, accept: &mut dyn FnMut(&Checkpoint) -> bool) -> Result<(), RuntimeError> {
+        let Some(beside) = environment::beside() else { return Ok(()) };
         if self.shared.clock.is_simulated() {
-            return Ok(None);
+            return Ok(());
         }
         let states = Observer::<Checkpoint>::new(&self.bus)?;
         let begun_ns = monotonic_ns();
         let until_ns = begun_ns + JOIN_NS + self.run.period_ns / 2 * 5;
-        while monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
-            let mut newest = None;
+        let mut is_accepted = false;
+        while !is_accepted && monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
             states.poll(|checkpoint| {
                 let is_fresh = checkpoint.header.incarnation == beside && checkpoint.issued_ns >= begun_ns;
                 if is_fresh && checkpoint.role == self.shared.role.wire() {
-                    newest = checkpoint.state().ok().map(|state| (checkpoint.header.scan_id, state));
+                    is_accepted = accept(checkpoint);
                 }
             })?;
-            if newest.is_some() {
-                return Ok(newest);
-            }
         }
-        Ok(None)
+        Ok(())
     }
 }

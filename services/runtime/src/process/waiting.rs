@@ -11,7 +11,6 @@ use super::{LONGEST_WAIT_NS, Process};
 use crate::bell::bit;
 use crate::counters::count;
 use crate::ear::Ear;
-use crate::input::Drain;
 use crate::wake::wait_for;
 use crate::{RuntimeError, monotonic_ns, orphan};
 
@@ -154,8 +153,8 @@ impl Process {
         self.rung = self.bells.role(self.shared.role).look();
         // A writer may have died between its sample and its ring; and who does not ring is heard otherwise.
         let everywhere = beats || timed_out || self.listens;
-        if everywhere || self.directive.is_rung() {
-            self.directive.drain()?;
+        if everywhere || self.directive.reader().is_rung() {
+            self.directive.reader().drain()?;
             self.look_around(beats);
         }
         if let Some(directive) = self.directive.take_newest() {
@@ -243,7 +242,7 @@ impl Process {
             return true;
         }
         let mut descriptors: [BorrowedFd<'_>; 8] = std::array::from_fn(|_| self.shutdown.descriptor());
-        let ears = self.inputs.iter().map(|input| input.ear()).chain([self.directive.ear()]);
+        let ears = self.inputs.iter().map(|input| input.ear()).chain([self.directive.reader().ear()]);
         let mut used = 1;
         for (slot, descriptor) in descriptors[1..].iter_mut().zip(ears.filter_map(Ear::descriptor)) {
             *slot = descriptor;
@@ -264,7 +263,7 @@ impl Process {
         if needed || self.listens {
             self.listens = needed;
             self.inputs.iter().for_each(|input| input.ear().listen(needed));
-            self.directive.ear().listen(needed);
+            self.directive.reader().ear().listen(needed);
         }
     }
 

@@ -5,14 +5,15 @@ use std::time::Duration;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ipc;
 use signal_hook::consts::SIGUSR1;
 
+use super::typed::{Wire, publisher, subscriber};
 use super::{Lab, pose};
 use crate::bell::bit;
-use crate::bus::{WirePublisher, WireSubscriber};
 use crate::process::LONGEST_WAIT_NS;
-use crate::wire::Wire;
 use crate::*;
 use shared_types::{Authority, Directive, Obstacles, Odometry, Phase, Pose, Role, Sample, Topic};
 
@@ -266,18 +267,18 @@ fn only_readers_of_a_topic_are_rung_and_everyone_for_a_directive() {
 
 /// A process that uses the bus's own events only, as one in another language does.
 struct Plain<W: Sample, R: Sample> {
-    publisher: WirePublisher<W>,
+    publisher: Publisher<ipc::Service, Wire<W>, ()>,
     notifier: Notifier<ipc::Service>,
-    subscriber: WireSubscriber<R>,
+    subscriber: Subscriber<ipc::Service, Wire<R>, ()>,
     listener: Listener<ipc::Service>,
 }
 
 impl<W: Sample, R: Sample> Plain<W, R> {
     fn new(bus: &Bus) -> Self {
         Self {
-            publisher: bus.publisher::<W>().unwrap().0,
+            publisher: publisher(bus),
             notifier: bus.events(W::TOPIC).unwrap().notifier_builder().create().unwrap(),
-            subscriber: bus.subscriber::<R>().unwrap(),
+            subscriber: subscriber(bus),
             listener: bus.events(R::TOPIC).unwrap().listener_builder().create().unwrap(),
         }
     }

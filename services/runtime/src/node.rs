@@ -1,6 +1,6 @@
-//! The one file of the bus that iceoryx2 0.10 makes writable for everyone, made here for its owner alone.
+//! Nodes: what a process joins the bus of a system with.
 //!
-//! Nodes of the bus count themselves in a small segment whose name ends with `.global_mgmt`; iceoryx2 gives it mode 0666
+//! One file of the bus iceoryx2 0.10 makes writable for everyone; it is made here for its owner alone. Nodes of the bus count themselves in a small segment whose name ends with `.global_mgmt`; iceoryx2 gives it mode 0666
 //! whatever the umask. It is made once under another random name, which no process of the run ever uses and which no other
 //! user can take beforehand (the bus waits for ever for a file that is never finished), and its content
 //! is put under the right name with mode 0600; the bus opens what it finds there.
@@ -13,21 +13,56 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-use crate::domain::{SHARED_MEMORY, random_id};
-use crate::{Domain, RuntimeError, bus};
+use iceoryx2::prelude::{
+    Config, FileName, LogLevel, Node, NodeBuilder, NodeName, Path as BusPath, SemanticString,
+    SignalHandlingMode, ipc, set_log_level_from_env_or,
+};
+
+use crate::domain::random_id;
+use crate::shared_memory::{self, SHARED_MEMORY};
+use crate::{Domain, RuntimeError};
 
 /// End of the segment's name.
 const SUFFIX: &str = ".global_mgmt";
 /// Larger than any segment of that kind [bytes].
 const MAX_BYTES: u64 = 4096;
 
+/// Joins the bus of a system as `name`.
+pub(crate) fn join(domain: &Domain, name: &str) -> Result<Node<ipc::Service>, RuntimeError> {
+    join_as(domain, domain.shared_memory_prefix(), name)
+}
+
+/// [`join`] with another beginning of the names of its files.
+fn join_as(domain: &Domain, prefix: &str, name: &str) -> Result<Node<ipc::Service>, RuntimeError> {
+    set_log_level_from_env_or(LogLevel::Fatal);
+    let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
+    let node = NodeBuilder::new()
+        .name(&name)
+        .config(&config(domain, prefix)?)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>();
+    node.map_err(|reason| RuntimeError::bus("join the bus", reason))
+}
+
+/// Settings of the bus; files in the user's or the machine's configuration are not read.
+fn config(domain: &Domain, prefix: &str) -> Result<Config, RuntimeError> {
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(prefix.as_bytes())
+        .map_err(|reason| RuntimeError::bus("set the prefix of the bus", reason))?;
+    let root = domain.bus_directory();
+    let root = BusPath::new(root.as_os_str().as_encoded_bytes())
+        .map_err(|reason| RuntimeError::bus("set the root directory of the bus", reason))?;
+    config.global.set_root_path(&root);
+    Ok(config)
+}
+
 /// Makes the management segment of a new domain, readable and writable by its owner alone.
 ///
 /// # Errors
 /// [`RuntimeError::Bus`] when iceoryx2 refuses, and [`RuntimeError::File`].
-pub(crate) fn create(domain: &Domain) -> Result<(), RuntimeError> {
+pub(crate) fn create_management(domain: &Domain) -> Result<(), RuntimeError> {
     let original = format!("{}seed{}_", domain.shared_memory_prefix(), random_id());
-    let made = bus::node("seed", &domain.config_with(&original)?).and_then(|node| {
+    let made = join_as(domain, &original, "seed").and_then(|node| {
         // While the node lives its segment certainly does.
         let copied = copy(&original, domain.shared_memory_prefix());
         drop(node);
@@ -40,12 +75,11 @@ pub(crate) fn create(domain: &Domain) -> Result<(), RuntimeError> {
 /// Copies the segment whose name begins with `original` to the same name that begins with `prefix`.
 fn copy(original: &str, prefix: &str) -> Result<(), RuntimeError> {
     let shared = Path::new(SHARED_MEMORY);
-    let Some(name) = names().into_iter().find(|name| name.starts_with(original) && name.ends_with(SUFFIX))
-    else {
+    let Some(name) = names(original).into_iter().find(|name| name.ends_with(SUFFIX)) else {
         return Err(RuntimeError::bus("find the management segment", "it is not there"));
     };
     let target = shared.join(name.replacen(original, prefix, 1));
-    let error = |source| RuntimeError::File { path: target.clone(), source };
+    let error = |source| RuntimeError::file(&target, source);
     let mut bytes = Vec::new();
     let read = File::open(shared.join(&name)).and_then(|file| file.take(MAX_BYTES).read_to_end(&mut bytes));
     read.map_err(error)?;
@@ -57,7 +91,7 @@ fn copy(original: &str, prefix: &str) -> Result<(), RuntimeError> {
 }
 
 fn remove_all(prefix: &str) {
-    for name in names().into_iter().filter(|name| name.starts_with(prefix)) {
+    for name in names(prefix) {
         let removed = std::fs::remove_file(Path::new(SHARED_MEMORY).join(&name));
         if let Err(error) = removed
             && error.kind() != ErrorKind::NotFound
@@ -67,9 +101,9 @@ fn remove_all(prefix: &str) {
     }
 }
 
-fn names() -> Vec<String> {
-    let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten();
-    entries.filter_map(|entry| entry.file_name().into_string().ok()).collect()
+fn names(prefix: &str) -> Vec<String> {
+    let files = shared_memory::files(prefix).into_iter().flatten();
+    files.filter_map(|file| file.file_name().into_string().ok()).collect()
 }
 
 #[cfg(test)]
@@ -81,8 +115,7 @@ mod tests {
     fn no_file_of_a_bus_can_be_written_by_another_user() {
         let domain = Domain::create(&format!("mg{}", std::process::id())).unwrap();
         let bus = crate::Bus::create(&domain).unwrap();
-        let mine: Vec<String> =
-            names().into_iter().filter(|name| name.starts_with(domain.shared_memory_prefix())).collect();
+        let mine = names(domain.shared_memory_prefix());
         assert!(mine.iter().any(|name| name.ends_with(SUFFIX)), "{mine:?}");
         for name in &mine {
             let mode = std::fs::metadata(Path::new(SHARED_MEMORY).join(name)).unwrap().mode();

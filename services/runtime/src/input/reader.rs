@@ -1,0 +1,329 @@
+//! The reading end of a topic for samples of any type.
+
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use shared_types::{
+    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, Topic,
+};
+
+use crate::bell::Bells;
+use crate::ear::Ear;
+use crate::enclosed::Enclosed;
+use crate::port::{Received, Subscriber};
+use crate::quality::{Quality, quality};
+use crate::refusals::Refusals;
+use crate::sample_type::SampleType;
+use crate::shared::Shared;
+use crate::{Bus, RuntimeError};
+
+/// Samples that an input keeps until the process takes them, the newest of them; below the number that may be borrowed.
+pub const KEPT: usize = 12;
+/// Samples of the other process of an exchange that are kept in case it has to answer after all: one scan is open
+/// when it takes over at 1.2 periods; two more for an orchestrator that is held up.
+const ASIDE: usize = 3;
+
+/// Reads samples of one type, as bytes.
+pub(crate) struct Reader {
+    of: &'static SampleType,
+    quality: Quality,
+    subscriber: Subscriber,
+    ear: Ear,
+    bells: Arc<Bells>,
+    /// The bell of the topic when it was emptied last.
+    rung: Cell<u32>,
+    shared: Rc<Shared>,
+    kept: RefCell<VecDeque<Received>>,
+    aside: RefCell<VecDeque<Received>>,
+    dropped: RefCell<Vec<Received>>,
+    filter: Cell<AuthorityFilter>,
+    account: RefCell<InputAccount>,
+    refusals: Refusals,
+}
+
+impl Reader {
+    pub(crate) fn new(bus: &Bus, shared: Rc<Shared>, of: &'static SampleType) -> Result<Self, RuntimeError> {
+        let quality = quality(of.topic);
+        Ok(Self {
+            of,
+            quality,
+            subscriber: bus.subscriber(of)?,
+            ear: Ear::new(bus, of.topic)?,
+            // Whatever was rung before is found by the first look.
+            rung: Cell::new(bus.bells().topic(of.topic).look().wrapping_sub(1)),
+            bells: Arc::clone(bus.bells()),
+            shared,
+            kept: RefCell::new(VecDeque::with_capacity(KEPT)),
+            aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
+            dropped: RefCell::new(Vec::with_capacity(quality.most_borrowed())),
+            filter: Cell::default(),
+            account: RefCell::default(),
+            refusals: Refusals::default(),
+        })
+    }
+
+    pub(super) fn take(&self) -> Option<Enclosed<Received>> {
+        loop {
+            let sample = self.kept.borrow_mut().pop_front()?;
+            if !self.is_held_back(&sample) {
+                self.note_taken(&sample);
+                return Some(Enclosed::new(sample));
+            }
+            self.settle(Fate::Foreign, &sample);
+        }
+    }
+
+    pub(super) fn take_newest(&self) -> Option<Enclosed<Received>> {
+        let mut kept = self.kept.borrow_mut();
+        let sample = kept.pop_back()?;
+        kept.drain(..).for_each(|older| self.settle(Fate::Replaced, &older));
+        if self.is_held_back(&sample) {
+            self.settle(Fate::Foreign, &sample);
+            return None;
+        }
+        self.note_taken(&sample);
+        Some(Enclosed::new(sample))
+    }
+
+    pub(super) fn next_scan(&self) -> Option<u64> {
+        self.kept.borrow().front().map(|sample| self.header(sample).scan_id)
+    }
+
+    pub(super) fn skip_to(&self, scan_id: u64) {
+        self.skip(&|sample| self.header(sample).scan_id <= scan_id);
+    }
+
+    pub(super) fn skip(&self, is_old: &dyn Fn(&[u8]) -> bool) {
+        self.kept.borrow_mut().retain(|sample| {
+            let is_old = is_old(sample);
+            if is_old {
+                self.settle(Fate::Replaced, sample);
+            }
+            !is_old
+        });
+    }
+
+    /// Tells of a sample whose content may not be used. Samples that would not count are no news: nothing follows from them.
+    pub(super) fn refuse(&self, header: &Header, fault: &Fault) {
+        let counts = self.shared.directive.borrow().counts(self.of.topic, header);
+        if counts && self.refusals.note(self.of.topic, header, fault) {
+            self.shared.counters.news.set(true);
+        }
+    }
+
+    pub(super) fn dropped(&self) -> u64 {
+        self.refusals.of_content()
+    }
+
+    /// The topic.
+    pub(crate) fn topic(&self) -> Topic {
+        self.of.topic
+    }
+
+    /// The event of the topic, for writers that do not ring.
+    pub(crate) fn ear(&self) -> &Ear {
+        &self.ear
+    }
+
+    /// Whether nothing waits to be taken.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.kept.borrow().is_empty()
+    }
+
+    /// Whether the topic was rung for since it was emptied.
+    pub(crate) fn is_rung(&self) -> bool {
+        self.bells.topic(self.of.topic).look() != self.rung.get()
+    }
+
+    /// Clears notifications, takes all samples from the bus and keeps the good ones.
+    pub(crate) fn drain(&self) -> Result<(), RuntimeError> {
+        // Before anything is taken: what comes later rings again.
+        self.rung.set(self.bells.topic(self.of.topic).look());
+        self.ear.clear();
+        // Samples are overwritten only when as many newer ones have come as the buffer holds.
+        let capacity = self.quality.buffer;
+        let (before, mut received) = (*self.account.borrow(), 0);
+        // What is dropped goes back to its producer at the end of a go only. A producer has so many samples that can be
+        // borrowed and no more, so one that publishes faster than this can hold neither this loop nor, because the bus
+        // asks the connections in a fixed order, the samples of another. So many goes empty the longest queue.
+        for _ in 0..capacity.div_ceil(self.quality.borrowed.saturating_sub(KEPT + ASIDE).max(1)) {
+            let is_all = self.subscriber.receive_all(|sample| {
+                received += 1;
+                self.arrive(sample);
+            })?;
+            self.dropped.borrow_mut().clear();
+            if is_all {
+                break;
+            }
+        }
+        if received >= capacity {
+            self.account.borrow_mut().overflowed_since(&before, capacity as u64);
+        }
+        Ok(())
+    }
+
+    /// Looks again at what was kept aside, now that the directive has changed.
+    pub(crate) fn review(&self) {
+        let waiting = std::mem::take(&mut *self.aside.borrow_mut());
+        waiting.into_iter().for_each(|sample| self.offer(sample, true));
+        self.dropped.borrow_mut().clear();
+    }
+
+    /// What became of all samples so far.
+    pub(crate) fn account(&self) -> InputAccount {
+        let mut account = *self.account.borrow();
+        for sample in self.kept.borrow().iter().chain(self.aside.borrow().iter()) {
+            account.waiting += 1;
+            account.waiting_sum = account.waiting_sum.wrapping_add(self.header(sample).sequence);
+        }
+        account
+    }
+
+    /// Samples that were dropped or refused because of their content.
+    pub(crate) fn refusal(&self) -> Refusal {
+        self.refusals.newest()
+    }
+
+    fn header<'a>(&self, sample: &'a [u8]) -> &'a Header {
+        (self.of.header)(sample)
+    }
+
+    /// An actuation that would drive, for a robot whose wheels must not turn.
+    fn is_held_back(&self, sample: &[u8]) -> bool {
+        self.of.topic == Topic::Actuation
+            && bytemuck::try_from_bytes::<Actuation>(sample)
+                .is_ok_and(|actuation| self.shared.guard.refuses(actuation))
+    }
+
+    /// The sample of one scan, if it is there; older ones are dropped and counted as replaced.
+    fn take_scan(&self, scan_id: u64) -> Option<Received> {
+        let mut kept = self.kept.borrow_mut();
+        while kept.front().is_some_and(|sample| self.header(sample).scan_id < scan_id) {
+            if let Some(sample) = kept.pop_front() {
+                self.settle(Fate::Replaced, &sample);
+            }
+        }
+        if kept.front().is_some_and(|sample| self.header(sample).scan_id == scan_id) {
+            kept.pop_front()
+        } else {
+            None
+        }
+    }
+
+    /// Whether the sample of one scan is there.
+    fn has_scan(&self, scan_id: u64) -> bool {
+        self.kept.borrow().iter().any(|sample| self.header(sample).scan_id == scan_id)
+    }
+
+    /// Notes that a sample came from the bus, and drops it when its number or its content is wrong.
+    fn arrive(&self, sample: Received) {
+        let header = self.header(&sample);
+        let check = (self.of.check)(&sample);
+        if let Err(fault @ Fault::Layout { .. }) = check {
+            self.account.borrow_mut().unreadable += 1;
+            self.refuse(header, &fault);
+            self.dropped.borrow_mut().push(sample);
+            return;
+        }
+        let (fate, news) = {
+            let account = &mut *self.account.borrow_mut();
+            let missing = account.missing;
+            let is_new = account.from(header.incarnation).is_none();
+            let fate = account.arrive(header);
+            (fate, is_new || fate.is_some() || account.missing > missing)
+        };
+        if news && self.of.topic.writer().is_some() {
+            self.shared.counters.news.set(true);
+        }
+        if let Some(fate) = fate {
+            self.discard(fate, sample);
+        } else if let Err(fault) = check {
+            self.refuse(header, &fault);
+            self.discard(Fate::Invalid, sample);
+        } else {
+            self.offer(sample, false);
+        }
+    }
+
+    /// Keeps a sample that counts, keeps one aside that may count later, drops any other.
+    fn offer(&self, sample: Received, was_aside: bool) {
+        let header = self.header(&sample);
+        let mut filter = self.filter.get();
+        let admission = {
+            let directive = self.shared.directive.borrow();
+            filter.admit(directive.authority_over(self.of.topic), header, was_aside)
+        };
+        self.filter.set(filter);
+        match admission {
+            Admission::Counts => {}
+            Admission::Aside => return self.push(&self.aside, sample, ASIDE, Fate::Foreign),
+            Admission::Foreign => return self.discard(Fate::Foreign, sample),
+        }
+        if let Some(age_ns) = self.age_of_stale(header) {
+            self.refuse(header, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
+            return self.discard(Fate::Stale, sample);
+        }
+        self.push(&self.kept, sample, KEPT, Fate::Replaced);
+    }
+
+    /// The age of a sample that is too old [ns].
+    fn age_of_stale(&self, header: &Header) -> Option<u64> {
+        // An actuation asks something of the robot only. Others read in it what the wheels did, which stays true.
+        let (topic, shared) = (self.of.topic, &self.shared);
+        let is_record = topic == Topic::Actuation && shared.role != Role::Robot;
+        if shared.clock.is_simulated() || topic.writer().is_none() || is_record || header.acquired_ns == 0 {
+            return None;
+        }
+        let age_ns = shared.clock.now_ns().saturating_sub(header.acquired_ns);
+        (age_ns > shared.max_age_ns()).then_some(age_ns)
+    }
+
+    fn note_taken(&self, sample: &[u8]) {
+        self.settle(Fate::Used, sample);
+        self.shared.taken(self.of.topic, self.header(sample));
+    }
+
+    fn settle(&self, fate: Fate, sample: &[u8]) {
+        self.account.borrow_mut().settle(fate, self.header(sample));
+    }
+
+    /// Drops a sample, at the end of this look.
+    fn discard(&self, fate: Fate, sample: Received) {
+        self.settle(fate, &sample);
+        self.dropped.borrow_mut().push(sample);
+    }
+
+    /// Puts a sample at the end; when there are `most` already, the oldest is dropped.
+    fn push(&self, queue: &RefCell<VecDeque<Received>>, sample: Received, most: usize, fate: Fate) {
+        let mut queue = queue.borrow_mut();
+        let oldest = (queue.len() == most).then(|| queue.pop_front()).flatten();
+        if let Some(oldest) = oldest {
+            self.discard(fate, oldest);
+        }
+        queue.push_back(sample);
+    }
+}
+
+/// [`crate::join`] of samples of any two types.
+pub(super) fn join(one: &Reader, other: &Reader) -> Option<(Enclosed<Received>, Enclosed<Received>)> {
+    let scan_id = {
+        let (kept, shared) = (one.kept.borrow(), &one.shared);
+        let headers = kept.iter().map(|sample| one.header(sample));
+        let mut pairs = headers.filter(|header| other.has_scan(header.scan_id));
+        let newest = pairs.clone().next_back()?;
+        let catches_up = shared.catches_up(pairs.clone().count() as u64);
+        let oldest = pairs.find(|header| catches_up && shared.can_answer(header));
+        oldest.unwrap_or(newest).scan_id
+    };
+    let first = one.take_scan(scan_id)?;
+    let Some(second) = other.take_scan(scan_id) else {
+        // Its writer does not number scans in order.
+        one.settle(Fate::Replaced, &first);
+        return None;
+    };
+    one.note_taken(&first);
+    other.note_taken(&second);
+    Some((Enclosed::new(first), Enclosed::new(second)))
+}

@@ -1,0 +1,183 @@
+//! The writing end of a topic for samples of any type.
+#![expect(unsafe_code, reason = "places in shared memory are touched without changing them")]
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+use shared_types::{Actuation, Role, Topic};
+
+use crate::bell::LINE;
+use crate::counters::count;
+use crate::ear::Ringer;
+use crate::port::{Loan, Publisher};
+use crate::sample_type::SampleType;
+use crate::shared::Shared;
+use crate::{Bus, RuntimeError};
+
+/// Of a large sample only the beginning is kept in the caches [bytes].
+const WARMED: usize = 16_384;
+
+/// Publishes samples of one type, which it is given as bytes.
+pub(crate) struct Writer {
+    of: &'static SampleType,
+    // Dropped before its publisher.
+    next: RefCell<Option<Loan>>,
+    publisher: Publisher,
+    ringer: Ringer,
+    shared: Rc<Shared>,
+    sequence: Cell<u64>,
+    /// How many readers there were when it was looked up last.
+    readers: Cell<usize>,
+}
+
+impl Writer {
+    pub(crate) fn new(bus: &Bus, shared: Rc<Shared>, of: &'static SampleType) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            of,
+            next: RefCell::new(None),
+            publisher: bus.publisher(of)?,
+            ringer: Ringer::new(bus, of.topic)?,
+            shared,
+            sequence: Cell::new(0),
+            readers: Cell::new(usize::MAX),
+        })
+    }
+
+    pub(super) fn publish(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+        self.publish_silently(sample)?;
+        self.wake();
+        Ok(())
+    }
+
+    pub(super) fn publish_silently(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+        self.complete(sample);
+        self.send(sample)
+    }
+
+    pub(super) fn publish_in_place(&self, fill: &mut dyn FnMut(&mut [u8])) -> Result<(), RuntimeError> {
+        let mut place = self.loan()?;
+        let sample = place.bytes();
+        fill(sample);
+        self.complete(sample);
+        self.stamp(sample);
+        self.send_place(place)?;
+        self.wake();
+        Ok(())
+    }
+
+    pub(super) fn complete(&self, sample: &mut [u8]) {
+        let (of, shared) = (self.of, &*self.shared);
+        if of.topic == Topic::Actuation
+            && let Ok(actuation) = bytemuck::try_from_bytes_mut::<Actuation>(sample)
+        {
+            shared.guard.hold_back(actuation);
+        }
+        let is_answer = (of.is_answer)(sample);
+        let header = (of.header_mut)(sample);
+        self.sequence.set(self.sequence.get() + 1);
+        header.layout = of.layout;
+        header.incarnation = shared.incarnation;
+        header.sequence = self.sequence.get();
+        if of.topic.writer() == Some(shared.role) {
+            let stage = header.stage_mut(shared.role);
+            *stage = shared.stamps.get();
+            stage.computed_ns = shared.clock.now_ns();
+            shared.counters.write(shared.role, of.topic, header, is_answer);
+        }
+    }
+
+    pub(super) fn send(&self, sample: &mut [u8]) -> Result<(), RuntimeError> {
+        let mut place = self.loan()?;
+        self.stamp(sample);
+        place.bytes().copy_from_slice(sample);
+        self.send_place(place)
+    }
+
+    pub(super) fn wake(&self) {
+        self.ringer.ring();
+        let mut next = self.next.borrow_mut();
+        if next.is_none() {
+            *next = self.publisher.loan(1).ok();
+        }
+    }
+
+    fn stamp(&self, sample: &mut [u8]) {
+        let shared = &*self.shared;
+        if self.of.topic.writer() == Some(shared.role) {
+            (self.of.header_mut)(sample).stage_mut(shared.role).published_ns = shared.answered();
+        }
+    }
+
+    fn loan(&self) -> Result<Loan, RuntimeError> {
+        match self.next.borrow_mut().take() {
+            Some(place) => Ok(place),
+            None => self.publisher.loan(1).map_err(|reason| self.error("loan", reason)),
+        }
+    }
+
+    fn send_place(&self, place: Loan) -> Result<(), RuntimeError> {
+        let delivered = place.send().map_err(|reason| self.error("send", reason))?;
+        if self.of.topic == Topic::Actuation && self.shared.is_in_charge() {
+            self.shared.guard.tell();
+        }
+        if delivered != self.readers.get() {
+            // Looked up now only: the list of readers lies in memory that nothing else needs.
+            self.readers.set(self.publisher.subscribers());
+            count(&self.shared.counters.undelivered, u64::from(delivered < self.readers.get()));
+        }
+        Ok(())
+    }
+
+    fn error(&self, action: &str, reason: impl std::fmt::Debug) -> RuntimeError {
+        RuntimeError::bus(format!("{action} a sample of topic {}", self.of.topic), reason)
+    }
+}
+
+/// An output as its process sees it.
+pub(crate) trait Connect {
+    /// Makes this end of all connections.
+    fn connect(&self);
+    /// Notes how many read the topic, and whether anybody listens to its events.
+    fn look_for_listeners(&self) {}
+    /// Touches what the next sample will need.
+    fn rehearse(&self) {
+        self.connect();
+    }
+}
+
+impl Connect for Writer {
+    fn connect(&self) {
+        self.publisher.connect();
+    }
+
+    fn look_for_listeners(&self) {
+        self.readers.set(self.publisher.subscribers());
+        self.ringer.look_for_listeners();
+    }
+
+    fn rehearse(&self) {
+        self.connect();
+        let mut next = self.next.borrow_mut();
+        *next = None;
+        if let Ok(mut place) = self.publisher.loan(1) {
+            warm(place.bytes());
+            *next = Some(place);
+        }
+    }
+}
+
+/// Writes one byte of each cache line, the one that is there, so that the processor has the line and may write it.
+fn warm(place: &mut [u8]) {
+    for byte in place.iter_mut().take(WARMED).step_by(LINE) {
+        // SAFETY: a reference to a byte may be read and written.
+        unsafe {
+            let byte = std::ptr::from_mut(byte);
+            byte.write_volatile(byte.read_volatile());
+        }
+    }
+}
+
+/// Whether a topic belongs to the writes of a role, or is one that every process writes.
+pub(crate) fn may_write(role: Role, topic: Topic) -> bool {
+    topic.writer().is_none() || topic.writer() == Some(role)
+}

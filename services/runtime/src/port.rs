@@ -1,0 +1,203 @@
+//! Ports of iceoryx2 for samples of any type.
+//!
+//! A service describes the type of its samples by name, size, alignment and variant, and iceoryx2 compares nothing else.
+//! Its own bindings for C and Python give that description as a value and move bytes; so do these ports. All generic code
+//! of iceoryx2 is compiled here, for one type, and other processes see the services that typed ports would make.
+#![expect(unsafe_code, reason = "samples lie in shared memory, and the type of their bytes is a promise")]
+
+use std::mem::MaybeUninit;
+use std::ops::Deref;
+use std::ptr::NonNull;
+
+use iceoryx2::port::publisher::{self, PublisherCreateError};
+use iceoryx2::port::subscriber::{self, SubscriberCreateError};
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{LoanError, ReceiveError, SendError};
+use iceoryx2::prelude::{BackpressureStrategy, Node, PortFactory, ServiceName, ipc};
+use iceoryx2::sample::Sample as BusSample;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
+use iceoryx2::service::builder::publish_subscribe::Builder;
+use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
+use iceoryx2::service::port_factory::publish_subscribe;
+use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
+use shared_types::Topic;
+
+use crate::RuntimeError;
+use crate::sample_type::SampleType;
+
+/// A service for samples.
+pub(crate) type Samples =
+    publish_subscribe::PortFactory<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>;
+/// What makes or opens one.
+pub(crate) type SamplesBuilder = Builder<[CustomPayloadMarker], CustomHeaderMarker, ipc::Service>;
+
+/// How a service describes samples of a type: as a port of that type does.
+pub(crate) fn of_samples(of: &SampleType) -> Result<TypeDetail, RuntimeError> {
+    TypeDetail::__internal_new_from_parts(TypeVariant::FixedSize, of.name, of.size, of.alignment)
+        .map_err(|reason| RuntimeError::bus(format!("describe samples of topic {}", of.topic), reason))
+}
+
+/// How a service describes any number of bytes.
+pub(crate) fn of_bytes() -> TypeDetail {
+    TypeDetail::new::<u8>(TypeVariant::Dynamic)
+}
+
+/// What makes or opens the service of a name, for samples without a header of the user.
+pub(crate) fn samples(node: &Node<ipc::Service>, name: &ServiceName, detail: &TypeDetail) -> SamplesBuilder {
+    let builder = node
+        .service_builder(name)
+        .publish_subscribe::<[CustomPayloadMarker]>()
+        .user_header::<CustomHeaderMarker>();
+    // SAFETY: the ports below treat payloads as bytes of this size and alignment, and touch no user header, which is
+    // empty as `()` is.
+    unsafe {
+        builder
+            .__internal_set_payload_type_details(detail)
+            .__internal_set_user_header_type_details(&TypeDetail::new::<()>(TypeVariant::FixedSize))
+    }
+}
+
+/// Lends places in shared memory and sends what was written there.
+#[derive(Debug)]
+pub(crate) struct Publisher {
+    port: publisher::Publisher<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
+    service: Samples,
+}
+
+impl Publisher {
+    /// A port that lends one place at a time, of at most `longest` elements.
+    pub(crate) fn new(service: Samples, longest: usize) -> Result<Self, PublisherCreateError> {
+        let port = service
+            .publisher_builder()
+            .initial_max_slice_len(longest)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()?;
+        Ok(Self { port, service })
+    }
+
+    /// The place of the next sample, which has `elements`: one, or so many bytes.
+    pub(crate) fn loan(&self, elements: usize) -> Result<Loan, LoanError> {
+        // SAFETY: services of samples have one element each; more are asked for where the service carries bytes.
+        unsafe { self.port.loan_custom_payload(elements) }.map(Loan)
+    }
+
+    /// Makes this end of all connections; one that fails is tried again at the next send.
+    pub(crate) fn connect(&self) {
+        let _ = self.port.update_connections();
+    }
+
+    /// How many send on this service.
+    #[cfg(test)]
+    pub(crate) fn publishers(&self) -> usize {
+        self.service.dynamic_config().number_of_publishers()
+    }
+
+    /// How many read what is sent.
+    pub(crate) fn subscribers(&self) -> usize {
+        self.service.dynamic_config().number_of_subscribers()
+    }
+}
+
+/// A place in shared memory for one sample; it holds the bytes of an older one.
+pub(crate) struct Loan(SampleMutUninit<ipc::Service, [MaybeUninit<CustomPayloadMarker>], CustomHeaderMarker>);
+
+impl Loan {
+    /// The place.
+    pub(crate) fn bytes(&mut self) -> &mut [u8] {
+        let place = self.0.payload_mut();
+        // SAFETY: a marker is one byte. These are shared memory, which the kernel hands out zeroed and samples without
+        // padding were written to since: all of them have values.
+        unsafe { std::slice::from_raw_parts_mut(place.as_mut_ptr().cast(), place.len()) }
+    }
+
+    /// Sends what is there; returns how many subscribers got it.
+    pub(crate) fn send(self) -> Result<usize, SendError> {
+        // SAFETY: as in `bytes`; any bytes are a valid payload.
+        unsafe { self.0.assume_init() }.send()
+    }
+}
+
+/// Receives samples.
+#[derive(Debug)]
+pub(crate) struct Subscriber {
+    port: subscriber::Subscriber<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
+    topic: Topic,
+    /// Of each sample, where all have the same [bytes].
+    size: Option<usize>,
+}
+
+impl Subscriber {
+    /// A port that asks for `history` samples of the past.
+    pub(crate) fn new(
+        service: &Samples,
+        history: usize,
+        topic: Topic,
+        size: Option<usize>,
+    ) -> Result<Self, SubscriberCreateError> {
+        let port = service.subscriber_builder().history_request(history).create()?;
+        Ok(Self { port, topic, size })
+    }
+
+    /// The next sample. One that says of itself that it has another size is none: its publisher is damaged.
+    pub(crate) fn receive(&self) -> Result<Option<Received>, RuntimeError> {
+        self.next().map_err(|reason| self.error(reason))
+    }
+
+    /// Hands over the samples that are there; false when it ended because no more of them may be borrowed.
+    pub(crate) fn receive_all(&self, mut each: impl FnMut(Received)) -> Result<bool, RuntimeError> {
+        loop {
+            match self.next() {
+                Ok(Some(sample)) => each(sample),
+                Ok(None) => return Ok(true),
+                Err(ReceiveError::ExceedsMaxBorrows) => return Ok(false),
+                Err(reason) => return Err(self.error(reason)),
+            }
+        }
+    }
+
+    /// Makes this end of all connections; one that fails is tried again when receiving.
+    pub(crate) fn connect(&self) {
+        let _ = self.port.update_connections();
+    }
+
+    fn next(&self) -> Result<Option<Received>, ReceiveError> {
+        while let Some(sample) = self.port.receive()? {
+            let sample = Received::new(sample);
+            if self.size.is_none_or(|size| sample.len() == size) {
+                return Ok(Some(sample));
+            }
+        }
+        Ok(None)
+    }
+
+    fn error(&self, reason: ReceiveError) -> RuntimeError {
+        RuntimeError::bus(format!("receive from topic {}", self.topic), reason)
+    }
+}
+
+/// The bytes of a sample, read in place and returned to their publisher when dropped.
+pub(crate) struct Received {
+    bytes: NonNull<[u8]>,
+    /// Keeps them.
+    _sample: BusSample<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
+}
+
+impl Received {
+    fn new(sample: BusSample<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>) -> Self {
+        let payload = sample.payload();
+        // A marker is one byte.
+        let bytes = NonNull::slice_from_raw_parts(NonNull::from(payload).cast(), payload.len());
+        Self { bytes, _sample: sample }
+    }
+}
+
+impl Deref for Received {
+    type Target = [u8];
+
+    #[inline(always)]
+    fn deref(&self) -> &[u8] {
+        // SAFETY: they lie in shared memory that stays mapped, and are not written to, while the sample is borrowed.
+        unsafe { self.bytes.as_ref() }
+    }
+}

@@ -1,0 +1,84 @@
+//! What the ports of one process share.
+
+use std::cell::{Cell, RefCell};
+
+use shared_types::{Directive, Header, Role, StageStamps, Topic, YOUNG_NS};
+
+use crate::Clock;
+use crate::counters::Counters;
+use crate::guard::Guard;
+
+/// Inputs older than this many scan periods when they arrive are not used any more, unless they are young at any rate.
+const MAX_AGE_PERIODS: u64 = 3;
+
+/// What ports of one process share.
+pub(crate) struct Shared {
+    pub(crate) role: Role,
+    pub(crate) incarnation: u32,
+    pub(crate) clock: Clock,
+    pub(crate) counters: Counters,
+    pub(crate) stamps: Cell<StageStamps>,
+    pub(crate) directive: RefCell<Directive>,
+    pub(crate) guard: Guard,
+    /// Of the scans [ns].
+    pub(crate) period_ns: u64,
+    pub(crate) produced: Cell<bool>,
+    /// Something was published since the last sleep.
+    pub(crate) worked: Cell<bool>,
+    pub(crate) taken_ns: Cell<u64>,
+    /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
+    pub(crate) answered_in_ns: Cell<[u64; 2]>,
+}
+
+impl Shared {
+    /// Whether the outputs of this process count, now or from a scan on that was told.
+    pub(crate) fn is_in_charge(&self) -> bool {
+        self.directive.borrow().authority[self.role.index()].incarnation == self.incarnation
+    }
+
+    /// Notes that the process has begun to use a sample.
+    pub(crate) fn taken(&self, topic: Topic, header: &Header) {
+        self.clock.advance_to(header.scan_published_ns());
+        let now = self.clock.now_ns();
+        // Directives come when they do: nothing follows a period after one.
+        if topic.writer().is_some() {
+            self.taken_ns.set(now);
+        }
+        let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
+        self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
+        self.counters.take(self.role, topic, header);
+    }
+
+    /// Notes that the process publishes its answer now, and returns when that is.
+    pub(crate) fn answered(&self) -> u64 {
+        let now = self.clock.now_ns();
+        let taken_ns = self.stamps.get().taken_ns;
+        if taken_ns > 0 {
+            let (answer_ns, [_, last_ns]) = (now.saturating_sub(taken_ns), self.answered_in_ns.get());
+            self.answered_in_ns.set([if last_ns == 0 { answer_ns } else { last_ns }, answer_ns]);
+        }
+        self.produced.set(true);
+        self.worked.set(true);
+        now
+    }
+
+    /// Age above which inputs are not used any more when they arrive [ns].
+    pub(crate) fn max_age_ns(&self) -> u64 {
+        (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
+    }
+
+    /// Whether so many scans can be answered before the newest is old, and none must wait for ever. The quicker of
+    /// the last two answers tells: who was stopped in the middle of one is not slow.
+    pub(crate) fn catches_up(&self, scans: u64) -> bool {
+        let [before_ns, last_ns] = self.answered_in_ns.get();
+        let answer_ns = before_ns.min(last_ns);
+        answer_ns < self.period_ns && MAX_AGE_PERIODS * scans * answer_ns < self.max_age_ns()
+    }
+
+    /// Whether a scan will not be too old when it is answered, by the time that the slower of the last two answers took.
+    pub(crate) fn can_answer(&self, header: &Header) -> bool {
+        let [before_ns, last_ns] = self.answered_in_ns.get();
+        let age_ns = self.clock.now_ns().saturating_sub(header.acquired_ns);
+        age_ns + before_ns.max(last_ns) < self.max_age_ns()
+    }
+}
