@@ -9,7 +9,7 @@
 //! this fails as a set of cases: all three laps pass the ellipse on the right, and nothing is ever seen late; use a file
 //! of your own for those.
 
-use nmpc::{Budget, Collocation, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Collocation, Solver, SolverSettings, Trajectory};
 use orchestrator::bench::solver::problem::{Case, PERIOD_S, guess, problem};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use nmpc::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
+use ocp::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
 use serde::Serialize;
 use vehicle::{Bounds, Control, Parameters};
 

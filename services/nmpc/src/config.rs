@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use vehicle::{Bounds, Invalid, Parameters, require};
 
 use crate::guide::GuideSettings;
-use crate::problem::Weights;
-use crate::settings::SolverSettings;
+use ocp::SolverSettings;
+use ocp::Weights;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;

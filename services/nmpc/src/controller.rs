@@ -15,15 +15,17 @@ use vehicle::{Control, Invalid, State};
 
 use crate::config::Config;
 use crate::guide::Guide;
+use crate::hazard::{self, Hazard};
 use crate::landing::{Approach, approach};
-use crate::lattice::{Query, Search};
-use crate::planner::{Choice, Planner, Task, scene as scene_of};
-use crate::problem::Budget;
-use crate::scene::{self, Hazard};
+use crate::lattice::Search;
+use crate::planner::{Choice, Planner, Task};
+use crate::query::Query;
+use crate::scene::Scene;
 use crate::side::Sides;
 use crate::state::ControllerState;
 use crate::stop_rule::is_blocked;
 use crate::warm;
+use ocp::Budget;
 
 /// Velocities at which a way past moving bodies is looked for, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
@@ -227,10 +229,10 @@ impl Controller {
             && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
             && (0.0..=LONGEST_LEAD_S).contains(&lead_s)
             && pose.header.scan_id == obstacles.header.scan_id;
-        if !sound || !scene::read(obstacles, lead_s, &mut self.hazards) {
+        if !sound || !hazard::read(obstacles, lead_s, &mut self.hazards) {
             return Err(StopReason::BadInput);
         }
-        let body = scene_of(&self.config, &self.hazards, initial).body_at(&initial);
+        let body = Scene::new(&self.config, &self.hazards, initial).body_at(&initial);
         let reach = body.length + body.width;
         let overlaps = |hazard: &Hazard| {
             let distance = (hazard.body.centre - body.centre).norm();

@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 use vehicle::{Invalid, require};
 
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
 
 /// Largest sine of the course.
 pub(crate) const SINE_MAX: f64 = 0.8;

@@ -1,8 +1,8 @@
 //! What stands in the way of a lattice search, tabulated per layer before the search begins.
 
 use crate::guide::GuideSettings;
-use crate::lattice::Query;
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
+use crate::query::Query;
 
 /// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
 pub(crate) const HARD: f64 = 1e3;

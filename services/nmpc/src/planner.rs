@@ -12,13 +12,13 @@ use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::guide::Guide;
-use crate::problem::{Budget, EllipsePath, Problem, Solution, Trajectory};
+use crate::hazard::Hazard;
 use crate::reference::{self, Pace};
-use crate::scene::Hazard;
-use crate::sqp::Solver;
+use crate::scene::Scene;
 use crate::state::ControllerState;
-use crate::verify::{Driven, Scene, verify};
+use crate::verify::{Driven, verify};
 use crate::warm;
+use ocp::{Budget, EllipsePath, Problem, Solution, Solver, Status, Trajectory};
 
 /// Longest time that the rest of an old plan may be driven [s].
 const LONGEST_REST_S: f64 = 1.0;
@@ -44,7 +44,7 @@ pub(crate) struct Task<'a> {
 impl<'a> Task<'a> {
     /// What plans are held against.
     pub(crate) fn scene(&self) -> Scene<'a> {
-        scene(self.config, self.hazards, self.initial)
+        Scene::new(self.config, self.hazards, self.initial)
     }
 
     fn pace(&self) -> Pace {
@@ -64,23 +64,6 @@ impl<'a> Task<'a> {
             && elapsed_s < LONGEST_REST_S
             && (self.last.plan_interval_s - self.config.interval_s()).abs() < 1e-9;
         usable.then_some(elapsed_s)
-    }
-}
-
-/// What plans from `initial` are held against.
-pub(crate) fn scene<'a>(config: &'a Config, hazards: &'a [Hazard], initial: State) -> Scene<'a> {
-    Scene {
-        parameters: &config.parameters,
-        bounds: &config.bounds,
-        initial,
-        interval_s: config.interval_s(),
-        body: [config.body_length_m, config.body_width_m],
-        clearance: config.clearance_m,
-        x_range: config.track.x_m,
-        y_range: config.y_range(),
-        walls: config.track.walls.then_some(config.track.y_m),
-        goal_x: config.goal.x_m,
-        hazards,
     }
 }
 
@@ -134,7 +117,7 @@ impl Planner {
 
     /// The first rung of the ladder that holds, `None` when none does. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
-        self.pose(task);
+        self.build_problem(task);
         let mut used = 0;
         if let Some(elapsed_s) = task.elapsed()
             && self.start_from_plan(task, elapsed_s)
@@ -162,7 +145,7 @@ impl Planner {
     }
 
     /// Fills the optimal control problem of this scan.
-    fn pose(&mut self, task: &Task) {
+    fn build_problem(&mut self, task: &Task) {
         let Task { config, initial, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
@@ -235,10 +218,8 @@ impl Planner {
         *used = used.saturating_add(solution.iterations.max(1));
         report(solution, *used, command);
         self.controls.clone_from(&solution.trajectory.controls);
-        let usable = matches!(
-            solution.status,
-            SolveStatus::Converged | SolveStatus::MaxIterations | SolveStatus::OutOfTime
-        ) && self.controls.len() == task.config.intervals
+        let usable = solution.status != Status::Failed
+            && self.controls.len() == task.config.intervals
             && self.controls.iter().all(Control::is_finite);
         if !usable {
             return None;
@@ -252,7 +233,7 @@ impl Planner {
         }
         let defect = largest_distance(&solution.trajectory.states, &self.driven.nodes);
         command.largest_violation = command.largest_violation.max(defect);
-        let exact = solution.status == SolveStatus::Converged && defect < LARGEST_DEFECT_M;
+        let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
         Some(Choice { level, intervals: verdict.intervals })
     }
@@ -302,7 +283,7 @@ fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses:
 }
 
 fn report(solution: &Solution, iterations: u32, command: &mut Command) {
-    command.status = solution.status.wire();
+    command.status = wire_status(solution.status);
     command.iterations = iterations;
     command.active_constraints = solution.active_constraints;
     // A failed solve reports infinities, which have no place in a sample.
@@ -311,6 +292,16 @@ fn report(solution: &Solution, iterations: u32, command: &mut Command) {
     command.largest_violation = finite(solution.largest_violation);
     command.slack = finite(solution.slack);
     command.objective = finite(solution.objective);
+}
+
+fn wire_status(status: Status) -> u32 {
+    match status {
+        Status::Converged => SolveStatus::Converged,
+        Status::MaxIterations => SolveStatus::MaxIterations,
+        Status::OutOfTime => SolveStatus::OutOfTime,
+        Status::Failed => SolveStatus::Failed,
+    }
+    .wire()
 }
 
 fn largest_distance(planned: &[State], driven: &[State]) -> f64 {

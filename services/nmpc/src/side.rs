@@ -8,7 +8,7 @@
 use bytemuck::{Pod, Zeroable};
 use shared_types::{Described, Field, Kind};
 
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
 
 /// How many choices are remembered.
 pub(crate) const MAX_SIDES: usize = 16;

@@ -13,7 +13,7 @@
 use vehicle::{Control, State};
 
 use crate::rollout::Sampled;
-use crate::verify::{Baseline, Scene, Violation};
+use crate::scene::{Baseline, Scene, Violation};
 
 /// Semi-axis b of a centred obstacle and the last centre distance at which full lock clears it in a corridor
 /// of 1.5 m to each side [m].
@@ -147,7 +147,7 @@ fn full_lock_curvature(scene: &Scene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Hazard;
+    use crate::hazard::Hazard;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
     use vehicle::{Bounds, Parameters};

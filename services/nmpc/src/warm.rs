@@ -7,10 +7,10 @@
 use vehicle::{Bounds, Control};
 
 use crate::guide::Guide;
+use crate::hazard::Hazard;
 use crate::reference::Pace;
 use crate::rollout::{Sampled, advance};
-use crate::scene::Hazard;
-use crate::verify::Scene;
+use crate::scene::Scene;
 
 /// Steering correction per lateral distance to the guide, as curvature [1/m^2].
 const OFFSET_GAIN: f64 = 0.6;

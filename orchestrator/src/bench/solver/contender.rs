@@ -2,9 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use nmpc::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Status, Trajectory};
 use serde::Serialize;
-use shared_types::SolveStatus;
 
 use crate::figures::{Distribution, Figures};
 
@@ -116,7 +115,7 @@ impl Contender {
         let (solve_ns, allocations) = self.timed(problem, guess, &Budget::Iterations(u32::MAX));
         self.allocations = self.allocations.max(allocations);
         self.measure_feedback(problem, guess);
-        let converged = self.solution.status == SolveStatus::Converged;
+        let converged = self.solution.status == Status::Converged;
         if converged {
             self.converged += 1;
             self.solve.record(solve_ns);
@@ -212,7 +211,7 @@ fn name_of(choice: &impl Serialize) -> String {
 mod tests {
     use super::super::problem::{Case, guess, problem};
     use super::*;
-    use nmpc::Collocation;
+    use ocp::Collocation;
 
     #[test]
     fn a_case_that_converges_is_counted_with_its_iterations_and_times() {

@@ -9,7 +9,7 @@
 //!
 //! The reference moves from the robot to the goal at the velocity limit, so it is never out of reach.
 
-use nmpc::{Collocation, EllipsePath, Problem, Trajectory, Weights, roll_out};
+use ocp::{Collocation, EllipsePath, Problem, Trajectory, Weights, roll_out};
 use vehicle::{Bounds, Control, Parameters, State};
 
 /// Length of the horizon, tf [s].
