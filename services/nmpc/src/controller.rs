@@ -21,8 +21,8 @@ use crate::lattice::Search;
 use crate::planner::{Choice, Planner, Task};
 use crate::query::Query;
 use crate::scene::Scene;
-use crate::side::Sides;
-use crate::state::ControllerState;
+use crate::side::{Passing, Sides};
+use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::is_blocked;
 use crate::warm;
 use ocp::Budget;
@@ -35,14 +35,8 @@ const LONGEST_LEAD_S: f64 = 1.0;
 const FAR_OUTSIDE_M: f64 = 1.0;
 /// How deep the body may overlap a described box [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
-/// `ControllerState::arrival` of a robot that has landed.
-const LANDED: u32 = 1;
-/// `ControllerState::arrival` of a robot that drives on commands which this controller knows nothing of.
-const STATE_LOST: u32 = 3;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
-/// `ControllerState::arrival` of a robot that has passed the goal.
-const PASSED: u32 = 2;
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
@@ -81,11 +75,6 @@ impl Controller {
         &self.config
     }
 
-    /// The path that the last plan followed.
-    pub fn guide(&self) -> &Guide {
-        &self.guide
-    }
-
     /// What a restarted controller goes on from.
     pub fn state(&self) -> ControllerState {
         ControllerState { sides: *self.sides.entries(), ..self.state }
@@ -114,7 +103,7 @@ impl Controller {
     /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
     /// robot lands again.
     pub fn start_in_stop(&mut self) {
-        self.state = ControllerState { arrival: STATE_LOST, ..ControllerState::default() };
+        self.state = ControllerState { arrival: Arrival::StateLost.wire(), ..ControllerState::default() };
         self.sides = Sides::default();
     }
 
@@ -144,14 +133,15 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        if self.state.arrival == LANDED {
-            return Err(StopReason::Landed);
-        }
-        if self.state.arrival == STATE_LOST {
-            if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
-                return Err(StopReason::StateLost);
+        match self.state.arrival() {
+            Arrival::Landed => return Err(StopReason::Landed),
+            Arrival::StateLost => {
+                if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
+                    return Err(StopReason::StateLost);
+                }
+                self.state.arrival = Arrival::OnTheWay.wire();
             }
-            self.state.arrival = 0;
+            Arrival::OnTheWay | Arrival::Passed => {}
         }
         let initial = self.read(pose, obstacles)?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
@@ -187,7 +177,8 @@ impl Controller {
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
-                if self.state.arrival == PASSED && goal.x_m - initial.x < 2.0 * goal.tolerance_m =>
+                if self.state.arrival() == Arrival::Passed
+                    && goal.x_m - initial.x < 2.0 * goal.tolerance_m =>
             {
                 Err(StopReason::GoalPassed)
             }
@@ -290,11 +281,11 @@ impl Controller {
         let in_the_way = |hazard: &&Hazard| {
             hazard.centre[0] > initial.x
                 && (hazard.centre[1] - line).abs() < hazard.b
-                && self.sides.held(hazard) != 0
+                && self.sides.held(hazard).is_some()
         };
         let nearest =
             self.hazards.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-        nearest.map_or(0, |hazard| i32::from(self.sides.held(hazard)))
+        nearest.and_then(|hazard| self.sides.held(hazard)).map_or(0, Passing::wire)
     }
 
     /// After a stop in front of a blocked path: waits until a way was clear for a while.
@@ -334,7 +325,7 @@ impl Controller {
         (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
 
         let state = &mut self.state;
-        (state.arrival, state.blocked_scans, state.clear_scans) = (0, 0, 0);
+        (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);
         state.plan = command.plan;
         state.plan_length = command.plan_length;
@@ -349,8 +340,8 @@ impl Controller {
         command.reason = reason.wire();
         let state = &mut self.state;
         match reason {
-            StopReason::Landed => state.arrival = LANDED,
-            StopReason::GoalPassed => state.arrival = PASSED,
+            StopReason::Landed => state.arrival = Arrival::Landed.wire(),
+            StopReason::GoalPassed => state.arrival = Arrival::Passed.wire(),
             StopReason::Blocked => state.blocked_scans = state.blocked_scans.saturating_add(1),
             _ => {}
         }

@@ -273,7 +273,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::side::Sides;
+    use crate::side::{Passing, Sides};
     use nalgebra::Vector2;
     use vehicle::State;
     use vehicle::geometry::Rectangle;
@@ -311,13 +311,16 @@ mod tests {
             assert!(obstacle.value(0.0, x, y) > 0.99, "{x} {y}");
             assert!(y.abs() <= 1.5 && curvature.abs() <= 0.3241);
         }
-        assert_ne!(guide.side_of(&obstacle), 0);
+        assert_ne!(guide.side_of(&obstacle), None);
     }
 
     #[test]
     fn a_closed_side_is_not_taken() {
         let obstacle = hazard(1, 4.5, 0.7, 0.9);
-        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        assert_eq!(
+            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
+            Some(Passing::Right)
+        );
         let wide = hazard(1, 4.5, 0.0, 1.6);
         assert!(!find(State::default(), &[wide], &Sides::default()).clear);
     }
@@ -333,10 +336,13 @@ mod tests {
     #[test]
     fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
         let obstacle = hazard(1, 4.5, 0.03, 0.8);
-        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        assert_eq!(
+            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
+            Some(Passing::Right)
+        );
         let mut sides = Sides::default();
-        sides.hold(&obstacle, 1);
-        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), 1);
+        sides.hold(&obstacle, Some(Passing::Left));
+        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::hazard::Hazard;
 use crate::reference::Pace;
 use crate::rollout::{Sampled, advance};
 use crate::scene::Scene;
+use crate::side::Passing;
 
 /// Steering correction per lateral distance to the guide, as curvature [1/m^2].
 const OFFSET_GAIN: f64 = 0.6;
@@ -68,22 +69,21 @@ pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
 /// Whether two ways pass every hazard that both come past on the same side.
 pub(crate) fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
     scene.hazards.iter().all(|hazard| {
-        let side = side_of(hazard, way);
-        let planned = guide.side_of(hazard);
-        side == 0 || planned == 0 || side == planned
+        let sides = side_of(hazard, way).zip(guide.side_of(hazard));
+        sides.is_none_or(|(driven, planned)| driven == planned)
     })
 }
 
-/// Side on which a way passes the hazard: 1 left, -1 right, 0 when it does not come past its centre.
-fn side_of(hazard: &Hazard, way: &[Sampled]) -> i8 {
+/// Side on which a way passes the hazard; `None` when it does not come past its centre.
+fn side_of(hazard: &Hazard, way: &[Sampled]) -> Option<Passing> {
     for pair in way.windows(2) {
         let centres = [pair[0].t, pair[1].t].map(|t| hazard.centre_at(t));
         let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
         if from < 0.0 && to >= 0.0 {
-            return if pair[1].state.y > centres[1][1] { 1 } else { -1 };
+            return Some(Passing::of(pair[1].state.y, centres[1][1]));
         }
     }
-    0
+    None
 }
 
 fn finite(value: f64) -> f64 {
