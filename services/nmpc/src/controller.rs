@@ -70,11 +70,6 @@ impl Controller {
         })
     }
 
-    /// The settings.
-    pub fn config(&self) -> &Config {
-        &self.config
-    }
-
     /// What a restarted controller goes on from.
     pub fn state(&self) -> ControllerState {
         ControllerState { sides: *self.sides.entries(), ..self.state }

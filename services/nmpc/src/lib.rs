@@ -27,4 +27,5 @@ pub use config::{Config, Goal, StopSettings, Track, WeightSettings};
 pub use controller::Controller;
 pub use guide::GuideSettings;
 pub use ocp::Budget;
+pub use side::Side;
 pub use state::ControllerState;

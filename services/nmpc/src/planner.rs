@@ -7,6 +7,8 @@
 //!
 //! Each rung counts only when it is verified against the obstacles of this scan.
 
+use std::sync::Arc;
+
 use shared_types::{Command, Level, PlanNode, SolveStatus};
 use vehicle::{Control, State};
 
@@ -93,7 +95,7 @@ impl Planner {
     /// A planner for `config`, which is valid.
     pub(crate) fn new(config: &Config) -> Self {
         let problem = Problem {
-            parameters: config.parameters,
+            model: Arc::new(config.parameters),
             bounds: config.bounds,
             x_range: config.track.x_m,
             y_range: config.y_range(),

@@ -105,7 +105,7 @@ pub(crate) fn add_second_order(
     for node in 1..=count {
         let before = node - 1;
         let frame =
-            Interval { parameters: &problem.parameters, collocation, length: problem.intervals[before] };
+            Interval { model: problem.model.as_ref(), collocation, length: problem.intervals[before] };
         let bend = curvature(
             &frame,
             &iterate.states[before],

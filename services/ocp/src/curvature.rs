@@ -12,7 +12,7 @@
 
 use crate::collocation::MAX_STAGES;
 use crate::interval::{Interval, Linearisation, Stages};
-use crate::lateral::{Lateral, slope_curvature};
+use crate::model::LateralSlope;
 
 /// Symmetric second derivatives by (sideslip, yaw rate, yaw, velocity, steering) of the start and the control.
 pub(crate) type Curvature = [[f64; 5]; 5];
@@ -42,8 +42,9 @@ fn curvature_stages<const S: usize>(
     linearisation: &Linearisation,
     costate: &[f64; 5],
 ) -> Curvature {
-    let Interval { parameters, collocation, length } = *interval;
-    let lateral = Lateral::new(parameters, *control);
+    let Interval { model, collocation, length } = *interval;
+    let mut slopes = [LateralSlope::default(); S];
+    model.slopes(*control, &stages[..S], &mut slopes);
     let mut result = [[0.0; 5]; 5];
     let mut zeta = [[0.0; 2]; S];
 
@@ -85,7 +86,7 @@ fn curvature_stages<const S: usize>(
 
     let mut matrix = [[[[0.0; 2]; 2]; S]; S];
     for stage in 0..S {
-        let slope = lateral.slope(stages[stage]).by_state;
+        let slope = slopes[stage].by_state;
         for row in 0..S {
             let factor = length * collocation.integrals[row][stage];
             // Block (row, stage) of M stands transposed at (stage, row).
@@ -108,7 +109,7 @@ fn curvature_stages<const S: usize>(
             weights[0] += factor * eta[row][0][0];
             weights[1] += factor * eta[row][1][0];
         }
-        let inner = slope_curvature(parameters, stages[stage], *control, weights);
+        let inner = model.curvature(*control, stages[stage], weights);
         // Derivatives of (sideslip, yaw rate, velocity, steering) at the stage by the five variables.
         let mut by = [[0.0; 5]; 4];
         for component in 0..2 {
@@ -166,7 +167,7 @@ mod tests {
                     |column: usize| (0..5).map(|row| costate[row] * run.by_control[row][column]).sum::<f64>();
                 [state(0), state(2), state(1), by_control(0), by_control(1)]
             };
-            let interval = Interval { parameters: &parameters, collocation: &collocation, length: 0.4533 };
+            let interval = Interval { model: &parameters, collocation: &collocation, length: 0.4533 };
             let start = [sideslip, yaw, yaw_rate, 0.0, 0.0];
             let mut stages = [[sideslip, yaw_rate]; MAX_STAGES];
             let mut linearisation = Linearisation::default();

@@ -76,8 +76,7 @@ pub(crate) fn exact(
     let count = problem.intervals.len();
     let ellipses = problem.ellipses.len();
     for node in 0..count {
-        let frame =
-            Interval { parameters: &problem.parameters, collocation, length: problem.intervals[node] };
+        let frame = Interval { model: problem.model.as_ref(), collocation, length: problem.intervals[node] };
         let bend = curvature(
             &frame,
             &iterate.states[node],

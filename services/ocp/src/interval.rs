@@ -11,10 +11,8 @@
 
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 
-use vehicle::Parameters;
-
 use crate::collocation::{Collocation, MAX_STAGES};
-use crate::lateral::{Lateral, LateralSlope};
+use crate::model::{LateralModel, LateralSlope};
 
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
 pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
@@ -52,7 +50,7 @@ impl Default for Linearisation {
 /// What an interval is computed from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Interval<'a> {
-    pub parameters: &'a Parameters,
+    pub model: &'a dyn LateralModel,
     pub collocation: &'a Collocation,
     /// Length [s].
     pub length: f64,
@@ -153,12 +151,9 @@ fn linearise_stages<const S: usize>(
     control: &[f64; 2],
     stages: &Stages,
 ) -> Linearisation {
-    let Interval { parameters, collocation, length } = *interval;
-    let lateral = Lateral::new(parameters, *control);
+    let Interval { model, collocation, length } = *interval;
     let mut slopes = [LateralSlope::default(); S];
-    for stage in 0..S {
-        slopes[stage] = lateral.slope(stages[stage]);
-    }
+    model.slopes(*control, &stages[..S], &mut slopes);
 
     // The system (I - h A x J) change = right, in 2 x 2 blocks with five right-hand sides.
     let mut matrix = [[[[0.0; 2]; 2]; S]; S];

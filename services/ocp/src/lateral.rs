@@ -6,9 +6,91 @@
 
 use vehicle::Parameters;
 
+use crate::model::{LateralModel, LateralSlope};
+
+impl LateralModel for Parameters {
+    fn is_sound(&self) -> bool {
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *self;
+        [mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2]
+            .into_iter()
+            .all(|value| value > 0.0 && value.is_finite())
+    }
+
+    fn slopes(&self, control: [f64; 2], states: &[[f64; 2]], slopes: &mut [LateralSlope]) {
+        let lateral = Lateral::new(self, control);
+        for (slope, state) in slopes.iter_mut().zip(states) {
+            *slope = lateral.slope(*state);
+        }
+    }
+
+    fn curvature(
+        &self,
+        [velocity, steering]: [f64; 2],
+        [sideslip, yaw_rate]: [f64; 2],
+        weights: [f64; 2],
+    ) -> [[f64; 4]; 4] {
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *self;
+        let (sin, cos) = steering.sin_cos();
+        let (sum, difference) = (rear_m + front_m, rear_m - front_m);
+        let square = rear_m * rear_m + front_m * front_m;
+        let inverse = 1.0 / velocity;
+        let inverse2 = inverse * inverse;
+
+        // (7.27) is force * cos(u2) * slip(x1, x3, u1) * secant(x1) - x3 with slip = -2 x1 / u1 + (lh - lv) x3 / u1^2.
+        let secant = 1.0 / sideslip.cos();
+        let tangent = sideslip.tan();
+        let secant1 = secant * tangent;
+        let secant2 = secant * (1.0 + 2.0 * tangent * tangent);
+        let turn = difference * yaw_rate * inverse2;
+        let slip = -2.0 * sideslip * inverse + turn;
+        let slip_sideslip = -2.0 * inverse;
+        let slip_rate = difference * inverse2;
+        let slip_velocity = (2.0 * sideslip * inverse - 2.0 * turn) * inverse;
+        let slip_sideslip_velocity = 2.0 * inverse2;
+        let slip_rate_velocity = -2.0 * slip_rate * inverse;
+        let slip_velocity2 = (6.0 * turn - 4.0 * sideslip * inverse) * inverse2;
+        let force = weights[0] * stiffness_n_per_rad / mass_kg;
+        let (force_cos, force_sin) = (force * cos, -force * sin);
+
+        // (7.29) is torque * cos(u2) * (u2 (lh + lv) + x1 (lh - lv) - x3 (lh^2 + lv^2) / u1).
+        let torque = weights[1] * stiffness_n_per_rad / inertia_kgm2;
+        let spin = square * inverse;
+        let moment = steering * sum + sideslip * difference - yaw_rate * spin;
+
+        let sideslip_velocity = force_cos * (slip_sideslip_velocity * secant + slip_velocity * secant1);
+        let sideslip_rate = force_cos * slip_rate * secant1;
+        let sideslip_steering =
+            force_sin * (slip_sideslip * secant + slip * secant1) - torque * sin * difference;
+        let rate_velocity = force_cos * slip_rate_velocity * secant + torque * cos * spin * inverse;
+        let rate_steering = force_sin * slip_rate * secant + torque * sin * spin;
+        let velocity_steering = force_sin * slip_velocity * secant - torque * sin * yaw_rate * spin * inverse;
+        [
+            [
+                force_cos * (2.0 * slip_sideslip * secant1 + slip * secant2),
+                sideslip_rate,
+                sideslip_velocity,
+                sideslip_steering,
+            ],
+            [sideslip_rate, 0.0, rate_velocity, rate_steering],
+            [
+                sideslip_velocity,
+                rate_velocity,
+                force_cos * slip_velocity2 * secant - 2.0 * torque * cos * yaw_rate * spin * inverse2,
+                velocity_steering,
+            ],
+            [
+                sideslip_steering,
+                rate_steering,
+                velocity_steering,
+                -force_cos * slip * secant - torque * (cos * moment + 2.0 * sin * sum),
+            ],
+        ]
+    }
+}
+
 /// Derivatives of (sideslip, yaw rate) under one control.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Lateral {
+struct Lateral {
     /// c cos(u2) / (m u1).
     damping: f64,
     /// c cos(u2) / J.
@@ -29,20 +111,9 @@ pub(crate) struct Lateral {
     per_velocity: f64,
 }
 
-/// Value and Jacobians at one stage.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct LateralSlope {
-    /// Derivatives of (sideslip, yaw rate).
-    pub value: [f64; 2],
-    /// By (sideslip, yaw rate), row by row.
-    pub by_state: [[f64; 2]; 2],
-    /// By (velocity, steering), row by row.
-    pub by_control: [[f64; 2]; 2],
-}
-
 impl Lateral {
     /// The stiff part under a control (velocity, steering).
-    pub(crate) fn new(parameters: &Parameters, control: [f64; 2]) -> Self {
+    fn new(parameters: &Parameters, control: [f64; 2]) -> Self {
         let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
         let (sin, cos) = control[1].sin_cos();
         let per_velocity = 1.0 / control[0];
@@ -62,7 +133,7 @@ impl Lateral {
     }
 
     /// Derivatives of (sideslip, yaw rate), (7.27) and (7.29), with their Jacobians.
-    pub(crate) fn slope(&self, [sideslip, yaw_rate]: [f64; 2]) -> LateralSlope {
+    fn slope(&self, [sideslip, yaw_rate]: [f64; 2]) -> LateralSlope {
         let (sin, cos) = sideslip.sin_cos();
         let damping = self.damping / cos;
         let turn = self.difference_per_velocity * yaw_rate;
@@ -81,70 +152,6 @@ impl Lateral {
             ],
         }
     }
-}
-
-/// Second derivatives of `weights' (sideslip rate, yaw acceleration)` by (sideslip, yaw rate, velocity, steering).
-pub(crate) fn slope_curvature(
-    parameters: &Parameters,
-    [sideslip, yaw_rate]: [f64; 2],
-    [velocity, steering]: [f64; 2],
-    weights: [f64; 2],
-) -> [[f64; 4]; 4] {
-    let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
-    let (sin, cos) = steering.sin_cos();
-    let (sum, difference) = (rear_m + front_m, rear_m - front_m);
-    let square = rear_m * rear_m + front_m * front_m;
-    let inverse = 1.0 / velocity;
-    let inverse2 = inverse * inverse;
-
-    // (7.27) is force * cos(u2) * slip(x1, x3, u1) * secant(x1) - x3 with slip = -2 x1 / u1 + (lh - lv) x3 / u1^2.
-    let secant = 1.0 / sideslip.cos();
-    let tangent = sideslip.tan();
-    let secant1 = secant * tangent;
-    let secant2 = secant * (1.0 + 2.0 * tangent * tangent);
-    let turn = difference * yaw_rate * inverse2;
-    let slip = -2.0 * sideslip * inverse + turn;
-    let slip_sideslip = -2.0 * inverse;
-    let slip_rate = difference * inverse2;
-    let slip_velocity = (2.0 * sideslip * inverse - 2.0 * turn) * inverse;
-    let slip_sideslip_velocity = 2.0 * inverse2;
-    let slip_rate_velocity = -2.0 * slip_rate * inverse;
-    let slip_velocity2 = (6.0 * turn - 4.0 * sideslip * inverse) * inverse2;
-    let force = weights[0] * stiffness_n_per_rad / mass_kg;
-    let (force_cos, force_sin) = (force * cos, -force * sin);
-
-    // (7.29) is torque * cos(u2) * (u2 (lh + lv) + x1 (lh - lv) - x3 (lh^2 + lv^2) / u1).
-    let torque = weights[1] * stiffness_n_per_rad / inertia_kgm2;
-    let spin = square * inverse;
-    let moment = steering * sum + sideslip * difference - yaw_rate * spin;
-
-    let sideslip_velocity = force_cos * (slip_sideslip_velocity * secant + slip_velocity * secant1);
-    let sideslip_rate = force_cos * slip_rate * secant1;
-    let sideslip_steering = force_sin * (slip_sideslip * secant + slip * secant1) - torque * sin * difference;
-    let rate_velocity = force_cos * slip_rate_velocity * secant + torque * cos * spin * inverse;
-    let rate_steering = force_sin * slip_rate * secant + torque * sin * spin;
-    let velocity_steering = force_sin * slip_velocity * secant - torque * sin * yaw_rate * spin * inverse;
-    [
-        [
-            force_cos * (2.0 * slip_sideslip * secant1 + slip * secant2),
-            sideslip_rate,
-            sideslip_velocity,
-            sideslip_steering,
-        ],
-        [sideslip_rate, 0.0, rate_velocity, rate_steering],
-        [
-            sideslip_velocity,
-            rate_velocity,
-            force_cos * slip_velocity2 * secant - 2.0 * torque * cos * yaw_rate * spin * inverse2,
-            velocity_steering,
-        ],
-        [
-            sideslip_steering,
-            rate_steering,
-            velocity_steering,
-            -force_cos * slip * secant - torque * (cos * moment + 2.0 * sin * sum),
-        ],
-    ]
 }
 
 #[cfg(test)]

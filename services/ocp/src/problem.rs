@@ -1,6 +1,10 @@
 //! The optimal control problem of one scan, and what comes out of solving it.
 
-use vehicle::{Bounds, Control, Parameters, State};
+use std::sync::Arc;
+
+use vehicle::{Bounds, Control, State};
+
+use crate::model::LateralModel;
 
 /// An ellipse that the planned positions stay outside of, (7.34), with its predicted centre at each node.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,10 +35,10 @@ pub struct Weights {
 }
 
 /// Everything that defines the problem of one scan.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Problem {
-    /// Parameters of the model.
-    pub parameters: Parameters,
+    /// The vehicle.
+    pub model: Arc<dyn LateralModel>,
     /// Hard bounds of the controls and soft bounds of sideslip, yaw and yaw rate, (7.41)-(7.44).
     pub bounds: Bounds,
     /// Soft bounds of the position along the track, (7.45) [m].

@@ -1,14 +1,15 @@
 //! Collocation to the end, from nothing but start and control: what a roll-out or a design analysis needs.
 
-use vehicle::{Control, Parameters, State};
+use vehicle::{Control, State};
 
 use crate::collocation::{Collocation, MAX_STAGES};
 use crate::interval::{Interval, Linearisation, Stages, settle};
+use crate::model::LateralModel;
 use crate::problem::Trajectory;
 
 /// States at nodes 0 to N under piecewise constant controls; `None` where the collocation does not converge.
 pub fn roll_out(
-    parameters: &Parameters,
+    model: &dyn LateralModel,
     collocation: &Collocation,
     initial: &State,
     controls: &[Control],
@@ -18,7 +19,7 @@ pub fn roll_out(
     let mut state = *initial;
     states.push(state);
     for (control, &length) in controls.iter().zip(intervals) {
-        state = propagate(parameters, collocation, length, &state, control)?.end;
+        state = propagate(model, collocation, length, &state, control)?.end;
         states.push(state);
     }
     Some(Trajectory { states, controls: controls.to_vec() })
@@ -37,13 +38,13 @@ pub(crate) struct Propagation {
 
 /// Solves the collocation equations of one interval of `length` [s]; `None` when they do not converge.
 pub(crate) fn propagate(
-    parameters: &Parameters,
+    model: &dyn LateralModel,
     collocation: &Collocation,
     length: f64,
     start: &State,
     control: &Control,
 ) -> Option<Propagation> {
-    let interval = Interval { parameters, collocation, length };
+    let interval = Interval { model, collocation, length };
     let (linearisation, _) = converge(&interval, start, control)?;
     Some(Propagation {
         end: State::from_vector(&linearisation.end.into()),
@@ -78,7 +79,7 @@ mod tests {
     use crate::collocation::Scheme;
     use crate::interval::linearise;
     use proptest::prelude::*;
-    use vehicle::integrate;
+    use vehicle::{Parameters, integrate};
 
     fn state(sideslip: f64, yaw: f64, yaw_rate: f64) -> State {
         State { sideslip, yaw, yaw_rate, x: 1.0, y: -0.2 }
@@ -150,7 +151,7 @@ mod tests {
     fn transport_is_multiplication_with_the_derivative() {
         let parameters = Parameters::default();
         let collocation = Collocation::new(Scheme::Radau3);
-        let interval = Interval { parameters: &parameters, collocation: &collocation, length: 0.45 };
+        let interval = Interval { model: &parameters, collocation: &collocation, length: 0.45 };
         let linearisation =
             linearise(&interval, &[0.01, 0.2, 0.1, 0.0, 0.0], &[0.8, 0.03], &[[0.01, 0.1]; MAX_STAGES]);
         let matrix = linearisation.by_state();

@@ -117,7 +117,7 @@ impl Shooting {
         self.defect = 0.0;
         self.last_step = 0.0;
         for (index, &length) in problem.intervals.iter().enumerate() {
-            let interval = Interval { parameters: &problem.parameters, collocation, length };
+            let interval = Interval { model: problem.model.as_ref(), collocation, length };
             let (start, control) = (&iterate.states[index], &iterate.controls[index]);
             let stages = &mut iterate.stages[index];
             let settled = settle(&interval, start, control, stages, NEWTON_STEPS, LAST_STEP);

@@ -1,5 +1,7 @@
 //! Problems for the unit tests of the solver.
 
+use std::sync::Arc;
+
 use vehicle::{Bounds, Control, Parameters, State};
 
 use crate::problem::{EllipsePath, Problem, Trajectory, Weights};
@@ -8,7 +10,7 @@ use crate::problem::{EllipsePath, Problem, Trajectory, Weights};
 pub(crate) fn problem() -> Problem {
     let interval = 2.72 / 6.0;
     Problem {
-        parameters: Parameters::default(),
+        model: Arc::new(Parameters::default()),
         bounds: Bounds::default(),
         x_range: [0.0, 22.0],
         y_range: [-1.5, 1.5],

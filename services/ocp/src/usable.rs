@@ -10,15 +10,13 @@ pub(crate) const MAX_INTERVALS: usize = 200;
 /// Whether everything is finite, of fitting length and in order.
 pub(crate) fn is_usable(problem: &Problem, guess: &Trajectory) -> bool {
     let count = problem.intervals.len();
-    let parameters = &problem.parameters;
     let bounds = &problem.bounds;
     let weights = &problem.weights;
     let positive = |value: f64| value > 0.0 && value.is_finite();
     let natural = |value: f64| value >= 0.0 && value.is_finite();
     (1..=MAX_INTERVALS).contains(&count)
         && problem.intervals.iter().all(|&length| positive(length))
-        && [parameters.mass_kg, parameters.stiffness_n_per_rad, parameters.inertia_kgm2].into_iter().all(positive)
-        && [parameters.rear_m, parameters.front_m].into_iter().all(positive)
+        && problem.model.is_sound()
         && positive(bounds.velocity_min_mps)
         && bounds.velocity_max_mps.is_finite()
         && bounds.velocity_max_mps >= bounds.velocity_min_mps

@@ -2,6 +2,8 @@
 //!
 //! The oracle has its own transcription of the same program and the exact Hessian; both start from the same controls.
 
+use std::sync::Arc;
+
 use ocp::{
     Budget, EllipsePath, Hessian, Problem, QpChoice, Solver, SolverSettings, Status, Trajectory, Weights,
 };
@@ -37,7 +39,7 @@ fn problem(instance: &Value, interval: f64) -> Problem {
     let count = references.len();
     let weights = &instance["weights"];
     Problem {
-        parameters: Parameters::default(),
+        model: Arc::new(Parameters::default()),
         bounds: Bounds::default(),
         x_range: numbers(&instance["x_range_m"]),
         y_range: numbers(&instance["y_range_m"]),

@@ -2,6 +2,8 @@
 
 mod problems;
 
+use std::sync::Arc;
+
 use ocp::{
     Budget, Collocation, EllipsePath, Problem, QpChoice, Scheme, Solution, Solver, SolverSettings, Status,
     Trajectory, roll_out,
@@ -9,7 +11,7 @@ use ocp::{
 use problems::{bench_weights, cold_guess, ellipse, loop_weights, problem, random, rolled};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use vehicle::{Control, State};
+use vehicle::{Control, Parameters, State};
 
 fn solve(solver: &mut Solver, problem: &Problem, guess: &Trajectory) -> Solution {
     solver.solve(problem, guess, &Budget::Iterations(60))
@@ -24,8 +26,9 @@ fn converged(problem: &Problem, guess: &Trajectory) -> Solution {
 /// The objective with its penalties as a function of the controls alone, written down from its definition.
 fn objective(problem: &Problem, controls: &[Control]) -> f64 {
     let collocation = Collocation::new(Scheme::Radau3);
-    let rolled = roll_out(&problem.parameters, &collocation, &problem.initial, controls, &problem.intervals)
-        .expect("the collocation equations have a solution");
+    let rolled =
+        roll_out(problem.model.as_ref(), &collocation, &problem.initial, controls, &problem.intervals)
+            .expect("the collocation equations have a solution");
     let weights = &problem.weights;
     let bounds = &problem.bounds;
     let count = controls.len();
@@ -283,8 +286,8 @@ fn input_that_is_not_finite_or_contradicts_itself_fails_without_panic() {
     let spoils: [Spoil; 17] = [
         |problem, bad| problem.initial.yaw = bad,
         |problem, bad| problem.initial.x = bad,
-        |problem, bad| problem.parameters.mass_kg = bad,
-        |problem, bad| problem.parameters.rear_m = bad,
+        |problem, bad| problem.model = Arc::new(Parameters { mass_kg: bad, ..Parameters::default() }),
+        |problem, bad| problem.model = Arc::new(Parameters { rear_m: bad, ..Parameters::default() }),
         |problem, bad| problem.bounds.velocity_max_mps = bad,
         |problem, bad| problem.bounds.steering_max_rad = bad,
         |problem, bad| problem.intervals[3] = bad,

@@ -96,7 +96,7 @@ impl Runner {
 
     /// The end of an interval, and positions at equal fractions of it on the collocation polynomial.
     fn collocate(&self, start: &State, length: f64, control: &Control) -> Option<(State, [[f64; 2]; DENSE])> {
-        let interval = Interval { parameters: &self.parameters, collocation: &self.collocation, length };
+        let interval = Interval { model: &self.parameters, collocation: &self.collocation, length };
         let (linearisation, stages) = converge(&interval, start, control)?;
         let inside = if self.measure == ErrorMeasure::PositionDense {
             self.inside(length, &start.to_vector().into(), control, &stages)

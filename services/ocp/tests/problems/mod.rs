@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test file uses its part")]
 
+use std::sync::Arc;
+
 use ocp::{Collocation, EllipsePath, Problem, Scheme, Trajectory, Weights, roll_out};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -44,7 +46,7 @@ pub(crate) fn problem(initial: State, goal: f64, weights: Weights, ellipses: Vec
         .map(|node| State { x: goal.min(initial.x + interval * node as f64), ..State::default() })
         .collect();
     Problem {
-        parameters: Parameters::default(),
+        model: Arc::new(Parameters::default()),
         bounds: Bounds::default(),
         x_range: [0.0, 22.0],
         y_range: [-1.5, 1.5],
@@ -71,7 +73,7 @@ pub(crate) fn cold_guess(problem: &Problem) -> Trajectory {
 /// The trajectory under `controls`.
 pub(crate) fn rolled(problem: &Problem, controls: &[Control]) -> Trajectory {
     let collocation = Collocation::new(Scheme::Radau3);
-    roll_out(&problem.parameters, &collocation, &problem.initial, controls, &problem.intervals)
+    roll_out(problem.model.as_ref(), &collocation, &problem.initial, controls, &problem.intervals)
         .expect("rolls out")
 }
 
