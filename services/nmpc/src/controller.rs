@@ -149,9 +149,8 @@ impl Controller {
 
         let Self { config, hazards, guide, state, planner, .. } = self;
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let task =
-            Task { config, hazards, guide, last: state, initial, start_ns: pose.predicted_ns, fastest_mps };
-        let scene = task.scene();
+        let scene = Scene::new(config, hazards, initial);
+        let task = Task { scene, guide, last: state, start_ns: pose.predicted_ns, fastest_mps };
         let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
             let blocked = !guide.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);

@@ -30,32 +30,26 @@ const LARGEST_DEFECT_M: f64 = 0.01;
 /// What is known when a plan is asked for.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task<'a> {
-    pub(crate) config: &'a Config,
-    pub(crate) hazards: &'a [Hazard],
+    /// What plans are held against.
+    pub(crate) scene: Scene<'a>,
+    /// The path that a plan follows.
     pub(crate) guide: &'a Guide,
     /// The state of the controller, with the last plan.
     pub(crate) last: &'a ControllerState,
-    /// State at the start of the plan.
-    pub(crate) initial: State,
     /// Time of the start of the plan [ns].
     pub(crate) start_ns: u64,
     /// Largest velocity to plan with [m/s].
     pub(crate) fastest_mps: f64,
 }
 
-impl<'a> Task<'a> {
-    /// What plans are held against.
-    pub(crate) fn scene(&self) -> Scene<'a> {
-        Scene::new(self.config, self.hazards, self.initial)
-    }
-
+impl Task<'_> {
     fn pace(&self) -> Pace {
-        let speed = if self.guide.clear { self.guide.speed } else { self.config.stop.approach_mps };
+        let speed = if self.guide.clear { self.guide.speed } else { self.scene.config.stop.approach_mps };
         Pace {
-            cruise: speed.min(self.config.cruise_mps).min(self.fastest_mps),
-            slowest: self.config.bounds.velocity_min_mps,
-            goal_x: self.config.goal.x_m,
-            landing_time: self.config.landing_time_s,
+            cruise: speed.min(self.scene.config.cruise_mps).min(self.fastest_mps),
+            slowest: self.scene.config.bounds.velocity_min_mps,
+            goal_x: self.scene.config.goal.x_m,
+            landing_time: self.scene.config.landing_time_s,
         }
     }
 
@@ -64,7 +58,7 @@ impl<'a> Task<'a> {
         let elapsed_s = self.start_ns.checked_sub(self.last.plan_start_ns)? as f64 * 1e-9;
         let usable = self.last.plan_length >= 2
             && elapsed_s < LONGEST_REST_S
-            && (self.last.plan_interval_s - self.config.interval_s()).abs() < 1e-9;
+            && (self.last.plan_interval_s - self.scene.config.interval_s()).abs() < 1e-9;
         usable.then_some(elapsed_s)
     }
 }
@@ -137,7 +131,7 @@ impl Planner {
             return Some(Choice { level: Level::BestIterate, intervals });
         }
         let elapsed_s = task.elapsed()?;
-        let interval_s = task.config.interval_s();
+        let interval_s = task.scene.config.interval_s();
         read_plan(task.last, &mut self.controls);
         warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
@@ -148,7 +142,7 @@ impl Planner {
 
     /// Fills the optimal control problem of this scan.
     fn build_problem(&mut self, task: &Task) {
-        let Task { config, initial, last, .. } = *task;
+        let Task { scene: Scene { config, hazards, initial, .. }, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
@@ -162,7 +156,7 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
-        fill_ellipses(config, task.hazards, &initial, &mut problem.ellipses);
+        fill_ellipses(config, hazards, &initial, &mut problem.ellipses);
     }
 
     /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
@@ -172,28 +166,28 @@ impl Planner {
             return false;
         }
         // A plan that was cut at the goal goes on with its last control.
-        self.controls.resize(task.config.intervals, self.controls[self.controls.len() - 1]);
-        warm::shift(&self.controls, task.config.interval_s(), elapsed_s, &mut self.guess.controls);
+        self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
+        warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene(), task.guide, &self.driven.way)
+        warm::agrees(&task.scene, task.guide, &self.driven.way)
     }
 
     fn start_from_guide(&mut self, task: &Task) {
-        let intervals = task.config.intervals;
-        warm::follow(&task.scene(), task.guide, &task.pace(), intervals, &mut self.guess.controls);
+        let intervals = task.scene.config.intervals;
+        warm::follow(&task.scene, task.guide, &task.pace(), intervals, &mut self.guess.controls);
         self.drive_guess(task);
     }
 
     /// Puts the states that the controls of the guess lead to into it.
     fn drive_guess(&mut self, task: &Task) {
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
-        self.driven.drive(&task.scene(), &self.guess.controls);
+        self.driven.drive(&task.scene, &self.guess.controls);
         self.guess.states.clone_from(&self.driven.nodes);
     }
 
     /// Takes the guess as the plan when it may be driven, with the number of its intervals.
     fn verify_guess(&mut self, task: &Task) -> Option<usize> {
-        let verdict = verify(&task.scene(), &self.guess.controls, &mut self.driven);
+        let verdict = verify(&task.scene, &self.guess.controls, &mut self.driven);
         self.controls.clone_from(&self.guess.controls);
         verdict.holds().then_some(verdict.intervals)
     }
@@ -221,15 +215,15 @@ impl Planner {
         report(solution, *used, command);
         self.controls.clone_from(&solution.trajectory.controls);
         let usable = solution.status != Status::Failed
-            && self.controls.len() == task.config.intervals
+            && self.controls.len() == task.scene.config.intervals
             && self.controls.iter().all(Control::is_finite);
         if !usable {
             return None;
         }
-        warm::clamp(&task.config.bounds, &mut self.controls);
-        let scene = task.scene();
-        let verdict = verify(&scene, &self.controls, &mut self.driven);
-        let agrees = !task.guide.clear || warm::agrees(&scene, task.guide, &self.driven.way);
+        warm::clamp(&task.scene.config.bounds, &mut self.controls);
+        let scene = &task.scene;
+        let verdict = verify(scene, &self.controls, &mut self.driven);
+        let agrees = !task.guide.clear || warm::agrees(scene, task.guide, &self.driven.way);
         if !verdict.holds() || !agrees {
             return None;
         }

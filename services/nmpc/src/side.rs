@@ -5,8 +5,7 @@
 //! contains every side that was chosen before; this module remembers the choices. Ellipses are found again
 //! by their identity, or by their place when tracking has given them a new one.
 
-use bytemuck::{Pod, Zeroable};
-use shared_types::{Described, Field, Kind};
+use shared_types::plain_state;
 
 use crate::hazard::Hazard;
 
@@ -43,30 +42,18 @@ impl Passing {
     }
 }
 
-/// The choice for one ellipse.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct Side {
-    /// Identity of the ellipse; 0 marks an unused entry.
-    pub id: u32,
-    /// 1 passes left of it, -1 right of it.
-    pub side: i32,
-    /// Where its centre was, along the track [m].
-    pub x_m: f64,
-    /// Where its centre was, across the track [m].
-    pub y_m: f64,
-}
-
-impl Described for Side {
-    const KIND: Kind = Kind::Struct(
-        "Side",
-        &[
-            Field { name: "id", doc: "Identity of the ellipse", offset: 0, kind: u32::KIND },
-            Field { name: "side", doc: "1 passes left of it, -1 right of it", offset: 4, kind: i32::KIND },
-            Field { name: "x_m", doc: "Centre along the track [m]", offset: 8, kind: f64::KIND },
-            Field { name: "y_m", doc: "Centre across the track [m]", offset: 16, kind: f64::KIND },
-        ],
-    );
+plain_state! {
+    /// The choice for one ellipse; one with the identity 0 is not used.
+    pub struct Side {
+        /// Identity of the ellipse
+        pub id: u32,
+        /// 1 passes left of it, -1 right of it
+        pub side: i32,
+        /// Centre along the track [m]
+        pub x_m: f64,
+        /// Centre across the track [m]
+        pub y_m: f64,
+    }
 }
 
 /// The choices of the last scan.

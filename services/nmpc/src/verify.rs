@@ -48,8 +48,9 @@ pub(crate) struct Driven {
 impl Driven {
     /// Drives `controls` from the initial state, unchecked.
     pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
-        let Scene { parameters, initial, interval_s, .. } = scene;
-        simulate(parameters, initial, controls, *interval_s, PIECES, &mut self.nodes, &mut self.way);
+        let Scene { config, initial, .. } = scene;
+        let interval_s = config.interval_s();
+        simulate(&config.parameters, initial, controls, interval_s, PIECES, &mut self.nodes, &mut self.way);
     }
 }
 
@@ -60,14 +61,14 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
     if !scene.initial.is_finite() || controls.is_empty() {
         return Verdict { intervals: 0, violation: Some((Violation::NotFinite, 0.0)) };
     }
-    if !controls.iter().all(|control| scene.bounds.contains(*control, CONTROL_TOLERANCE)) {
+    if !controls.iter().all(|control| scene.config.bounds.contains(*control, CONTROL_TOLERANCE)) {
         return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
     }
     driven.drive(scene, controls);
     let baseline = scene.baseline();
     let mut behind_goal = false;
     for (index, sample) in driven.way.iter().enumerate() {
-        behind_goal |= sample.state.x > scene.goal_x + BEHIND_GOAL_M;
+        behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         if let Some(violation) = scene.check(&baseline, sample.t, &sample.state) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
@@ -80,36 +81,27 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Config, Goal, Track};
     use crate::hazard::Hazard;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
-    use vehicle::{Bounds, Parameters};
 
     struct Fixture {
-        parameters: Parameters,
-        bounds: Bounds,
+        config: Config,
         hazards: Vec<Hazard>,
     }
 
     impl Fixture {
         fn new(hazards: Vec<Hazard>) -> Self {
-            Self { parameters: Parameters::default(), bounds: Bounds::default(), hazards }
+            Self { config: Config::default(), hazards }
         }
 
         fn scene(&self) -> Scene<'_> {
-            Scene {
-                parameters: &self.parameters,
-                bounds: &self.bounds,
-                initial: State::default(),
-                interval_s: 2.72 / 6.0,
-                body: [0.56, 0.4],
-                clearance: 0.05,
-                x_range: [0.0, 22.0],
-                y_range: [-1.5, 1.5],
-                walls: None,
-                goal_x: 10.0,
-                hazards: &self.hazards,
-            }
+            self.from(State::default())
+        }
+
+        fn from(&self, initial: State) -> Scene<'_> {
+            Scene::new(&self.config, &self.hazards, initial)
         }
     }
 
@@ -134,7 +126,7 @@ mod tests {
         assert_eq!(verdict(&fixture.scene(), &straight(1.01)).violation, Some((Violation::Control, 0.0)));
         assert_eq!(verdict(&fixture.scene(), &straight(f64::NAN)).violation, Some((Violation::Control, 0.0)));
         assert!(!verdict(&fixture.scene(), &[]).holds());
-        let lost = Scene { initial: State { y: f64::NAN, ..State::default() }, ..fixture.scene() };
+        let lost = fixture.from(State { y: f64::NAN, ..State::default() });
         assert_eq!(verdict(&lost, &straight(1.0)).violation, Some((Violation::NotFinite, 0.0)));
     }
 
@@ -169,17 +161,16 @@ mod tests {
     fn a_robot_outside_of_its_bounds_may_come_back_but_not_go_further() {
         let fixture = Fixture::new(Vec::new());
         let outside = State { y: 1.7, yaw: -0.1, ..State::default() };
-        assert!(verdict(&Scene { initial: outside, ..fixture.scene() }, &straight(0.5)).holds());
+        assert!(verdict(&fixture.from(outside), &straight(0.5)).holds());
         let further = State { yaw: 0.1, ..outside };
-        let scene = Scene { initial: further, ..fixture.scene() };
-        assert_eq!(verdict(&scene, &straight(0.5)).violation.unwrap().0, Violation::Outside);
+        assert_eq!(verdict(&fixture.from(further), &straight(0.5)).violation.unwrap().0, Violation::Outside);
     }
 
     #[test]
     fn behind_the_goal_the_plan_is_cut_and_not_refused() {
-        let fixture = Fixture::new(vec![hazard(2.6, 0.0, 1.0, 0.8)]);
-        let scene = Scene { goal_x: 1.3, ..fixture.scene() };
-        let verdict = verdict(&scene, &straight(1.0));
+        let mut fixture = Fixture::new(vec![hazard(2.6, 0.0, 1.0, 0.8)]);
+        fixture.config.goal = Goal { x_m: 1.3, ..Goal::default() };
+        let verdict = verdict(&fixture.scene(), &straight(1.0));
         assert!(verdict.holds());
         // The ellipse begins at 1.6 m, in the fourth interval of 0.4533 m.
         assert_eq!(verdict.intervals, 3);
@@ -187,9 +178,9 @@ mod tests {
 
     #[test]
     fn walls_are_kept_clear_by_the_corners_of_the_body() {
-        let fixture = Fixture::new(Vec::new());
+        let mut fixture = Fixture::new(Vec::new());
+        fixture.config.track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };
         let initial = State { y: 1.0, yaw: 0.3, ..State::default() };
-        let scene = Scene { initial, walls: Some([-1.9, 1.9]), ..fixture.scene() };
-        assert!(!verdict(&scene, &straight(1.0)).holds());
+        assert!(!verdict(&fixture.from(initial), &straight(1.0)).holds());
     }
 }

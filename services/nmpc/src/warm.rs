@@ -6,6 +6,7 @@
 
 use vehicle::{Bounds, Control};
 
+use crate::config::Config;
 use crate::guide::Guide;
 use crate::hazard::Hazard;
 use crate::reference::Pace;
@@ -45,18 +46,19 @@ pub(crate) fn follow(
     controls: &mut Vec<Control>,
 ) {
     controls.clear();
-    let gain = scene.parameters.yaw_rate_gain();
+    let Config { parameters, bounds, .. } = scene.config;
+    let (gain, interval_s) = (parameters.yaw_rate_gain(), scene.config.interval_s());
     let mut state = scene.initial;
     for _ in 0..intervals {
         let velocity = pace.velocity(state.x);
         // The correction aims at the middle of the interval, where its effect is seen.
-        let middle = state.x + velocity * state.yaw.cos() * scene.interval_s / 2.0;
+        let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
         let (_, _, curvature) = guide.at(middle);
         let (y, course, _) = guide.at(state.x);
         let wanted =
             curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
-        let control = scene.bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
-        state = advance(scene.parameters, &state, &control, scene.interval_s);
+        let control = bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
+        state = advance(parameters, &state, &control, interval_s);
         controls.push(control);
     }
 }
@@ -93,7 +95,8 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vehicle::{Parameters, State};
+    use crate::config::Goal;
+    use vehicle::State;
 
     #[test]
     fn a_plan_moves_on_in_time_and_holds_its_last_control() {
@@ -109,27 +112,15 @@ mod tests {
 
     #[test]
     fn following_a_line_brings_the_robot_onto_it() {
-        let (parameters, bounds) = (Parameters::default(), Bounds::default());
-        let scene = Scene {
-            parameters: &parameters,
-            bounds: &bounds,
-            initial: State { y: 0.2, ..State::default() },
-            interval_s: 2.72 / 6.0,
-            body: [0.56, 0.4],
-            clearance: 0.05,
-            x_range: [0.0, 22.0],
-            y_range: [-1.5, 1.5],
-            walls: None,
-            goal_x: 20.0,
-            hazards: &[],
-        };
+        let config = Config { goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() };
+        let scene = Scene::new(&config, &[], State { y: 0.2, ..State::default() });
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 20.0, landing_time: 0.8 };
         let (mut guide, mut controls) = (Guide::default(), Vec::new());
         guide.set_line(0.0, 0.0, 1.0);
         follow(&scene, &guide, &pace, 12, &mut controls);
         let mut state = scene.initial;
         for control in &controls {
-            state = advance(&parameters, &state, control, scene.interval_s);
+            state = advance(&config.parameters, &state, control, config.interval_s());
         }
         assert!(state.y.abs() < 0.05 && state.yaw.abs() < 0.05, "{state:?}");
     }

@@ -15,7 +15,7 @@ mod newton;
 mod riccati;
 
 use crate::condense::control_damping;
-use crate::dense::refill;
+use crate::dense::{fill, refill};
 use crate::hessian::Block;
 use crate::objective::{
     control_bounds, control_gradient, ellipse_excess, node_weights, reference, state_bounds,
@@ -28,7 +28,7 @@ use crate::shooting::{Iterate, Shooting};
 pub(crate) use riccati::{Path, Riccati};
 
 /// A soft row: `factors[0] * x[places[0]] + factors[1] * x[places[1]]` at a node.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Row {
     node: usize,
     places: [usize; 2],
@@ -130,8 +130,7 @@ impl Chain {
 
         let (low, high) = state_bounds(problem);
         refill(&mut self.slopes, count + 1, [0.0; 7]);
-        let none = Row { node: 0, places: [0; 2], factors: [0.0; 2], lower: 0.0, upper: 0.0 };
-        refill(&mut self.rows, (5 + ellipses) * count, none);
+        refill(&mut self.rows, (5 + ellipses) * count, Row::default());
         for (slope, pair) in self.slopes.iter_mut().zip(gradient.chunks_exact(2)) {
             slope[5..].copy_from_slice(pair);
         }
@@ -175,6 +174,22 @@ impl Chain {
             self.exact = exact;
             true
         }
+    }
+
+    /// Fills the blocks with `blocks` and the damping of the controls.
+    fn damp(&mut self, blocks: &[Block]) {
+        fill(&mut self.blocks, blocks.iter().copied());
+        for block in self.blocks.iter_mut().take(self.lower.len() / 2) {
+            block[5][5] += self.damping[0];
+            block[6][6] += self.damping[1];
+        }
+    }
+
+    /// Writes the controls of `path` into `solution`, inside their bounds: free ones keep them up to a tolerance only.
+    fn write(&self, path: &Path, solution: &mut QpSolution) {
+        let bounds = self.lower.iter().zip(&self.upper);
+        let values = path.controls.iter().flatten().zip(bounds);
+        fill(&mut solution.step, values.map(|(value, (low, high))| value.max(*low).min(*high)));
     }
 
     /// Rows that the last solution holds at a limit.

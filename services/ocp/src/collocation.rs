@@ -80,6 +80,12 @@ pub struct Collocation {
     pub(crate) end: [f64; MAX_STAGES],
 }
 
+impl Default for Collocation {
+    fn default() -> Self {
+        Self::new(Scheme::default())
+    }
+}
+
 impl Collocation {
     /// The coefficients of `scheme`, from the roots of its polynomial.
     pub fn new(scheme: Scheme) -> Self {

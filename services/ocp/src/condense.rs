@@ -9,10 +9,10 @@
 //! Work grows with N^3; that is as fast as a Riccati recursion ([`crate::chain`]) at N = 6 and half as fast at N = 24.
 
 use crate::collocation::Collocation;
-use crate::curvature::{Curvature, curvature};
+use crate::curvature::Curvature;
 use crate::dense::refill;
-use crate::hessian::Block;
-use crate::interval::Interval;
+use crate::hessian::{Block, Point, bend};
+use crate::interval::Linearisation;
 use crate::kkt::Multipliers;
 use crate::objective::{
     control_bounds, control_gradient, ellipse_excess, node_weights, reference, state_bounds,
@@ -103,17 +103,7 @@ pub(crate) fn add_second_order(
     let width = 2 * count;
     let ellipses = problem.ellipses.len();
     for node in 1..=count {
-        let before = node - 1;
-        let frame =
-            Interval { model: problem.model.as_ref(), collocation, length: problem.intervals[before] };
-        let bend = curvature(
-            &frame,
-            &iterate.states[before],
-            &iterate.controls[before],
-            &iterate.stages[before],
-            &shooting.intervals[before],
-            &multipliers.costates[before],
-        );
+        let bend = bend(problem, collocation, Point { iterate, shooting }, multipliers, node - 1);
         add_curvature(&bend, width, node, rows, hessian);
         let mut bend = [0.0; 2];
         for (which, ellipse) in problem.ellipses.iter().enumerate() {
@@ -161,7 +151,7 @@ fn add_square(weight: f64, row: &[f64], width: usize, hessian: &mut [f64]) {
 
 /// Rows of G at `node` from those at the node before.
 #[inline]
-fn predict(rows: &mut [f64], width: usize, node: usize, interval: &crate::interval::Linearisation) {
+fn predict(rows: &mut [f64], width: usize, node: usize, interval: &Linearisation) {
     let used = 2 * (node - 1);
     let (before, here) = rows.split_at_mut(bound_row(node, 0) * width);
     let before = if node > 1 { &before[bound_row(node - 1, 0) * width..] } else { &[] };
@@ -190,44 +180,32 @@ fn predict(rows: &mut [f64], width: usize, node: usize, interval: &crate::interv
 
 /// Adds the curvature of the interval before `node`, in the rows of G at its start and its own controls.
 fn add_curvature(bend: &Curvature, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
-    let used = 2 * (node - 1);
     // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
-    let starts: [&[f64]; 3] = if node > 1 {
-        [0, 2, 1].map(|component| &rows[bound_row(node - 1, component) * width..][..used])
-    } else {
-        [&[]; 3]
-    };
-    for position in 0..used {
-        let mut mixed = [0.0; 5];
-        for (start, line) in starts.iter().zip(bend) {
-            for (mixed, entry) in mixed.iter_mut().zip(line) {
-                *mixed += start[position] * entry;
-            }
-        }
-        for (start, factor) in starts.iter().zip(mixed) {
-            let line = &mut hessian[position * width..=position * width + position];
-            for (target, entry) in line.iter_mut().zip(*start) {
-                *target += factor * entry;
-            }
-        }
-        hessian[used * width + position] += mixed[3];
-        hessian[(used + 1) * width + position] += mixed[4];
-    }
-    hessian[used * width + used] += bend[3][3];
-    hessian[(used + 1) * width + used] += bend[4][3];
-    hessian[(used + 1) * width + used + 1] += bend[4][4];
+    add_product(bend, [0, 2, 1], width, node - 1, rows, hessian);
 }
 
 /// Adds a block of the Hessian, in the rows of G at its node and the controls of its interval, to the lower triangle.
 fn add_block(block: &Block, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
+    add_product(block, [0, 1, 2, 3, 4], width, node, rows, hessian);
+}
+
+/// Adds second derivatives by these components of the state at `node`, then by the controls after it.
+fn add_product<const S: usize, const V: usize>(
+    block: &[[f64; V]; V],
+    components: [usize; S],
+    width: usize,
+    node: usize,
+    rows: &[f64],
+    hessian: &mut [f64],
+) {
     let used = 2 * node;
-    let states: [&[f64]; 5] = if node > 0 {
-        [0, 1, 2, 3, 4].map(|component| &rows[bound_row(node, component) * width..][..used])
+    let states: [&[f64]; S] = if node > 0 {
+        components.map(|component| &rows[bound_row(node, component) * width..][..used])
     } else {
-        [&[]; 5]
+        [&[]; S]
     };
     for position in 0..used {
-        let mut mixed = [0.0; 7];
+        let mut mixed = [0.0; V];
         for (state, line) in states.iter().zip(block) {
             for (mixed, entry) in mixed.iter_mut().zip(line) {
                 *mixed += state[position] * entry;
@@ -240,14 +218,14 @@ fn add_block(block: &Block, width: usize, node: usize, rows: &[f64], hessian: &m
             }
         }
         if used < width {
-            hessian[used * width + position] += mixed[5];
-            hessian[(used + 1) * width + position] += mixed[6];
+            hessian[used * width + position] += mixed[S];
+            hessian[(used + 1) * width + position] += mixed[S + 1];
         }
     }
     if used < width {
-        hessian[used * width + used] += block[5][5];
-        hessian[(used + 1) * width + used] += block[6][5];
-        hessian[(used + 1) * width + used + 1] += block[6][6];
+        hessian[used * width + used] += block[S][S];
+        hessian[(used + 1) * width + used] += block[S + 1][S];
+        hessian[(used + 1) * width + used + 1] += block[S + 1][S + 1];
     }
 }
 

@@ -6,13 +6,18 @@ pub(crate) fn refill<T: Clone>(values: &mut Vec<T>, length: usize, value: T) {
     values.resize(length, value);
 }
 
+/// Makes `values` a list of what comes out of an iterator, without allocating where that fits.
+pub(crate) fn fill<T>(values: &mut Vec<T>, with: impl IntoIterator<Item = T>) {
+    values.clear();
+    values.extend(with);
+}
+
 /// Lower triangular factor of the symmetric `matrix` of `size`, both row by row; false where it is not safely
 /// positive definite.
 pub(crate) fn cholesky(matrix: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
     /// Pivots below this share of the largest diagonal entry are rounding errors or too flat to trust.
     const SMALLEST_PIVOT: f64 = 1e-10;
-    factor.clear();
-    factor.extend_from_slice(&matrix[..size * size]);
+    fill(factor, matrix[..size * size].iter().copied());
     let largest = (0..size).map(|index| matrix[index * size + index]).fold(0.0, f64::max);
     for row in 0..size {
         for column in 0..=row {
@@ -48,6 +53,12 @@ pub(crate) fn backward(factor: &[f64], size: usize, values: &mut [f64]) {
             *target -= value * entry;
         }
     }
+}
+
+/// Solves L L' x = b in place.
+pub(crate) fn solve_factored(factor: &[f64], size: usize, values: &mut [f64]) {
+    forward(factor, size, values);
+    backward(factor, size, values);
 }
 
 /// Scalar product.

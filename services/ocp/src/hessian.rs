@@ -17,8 +17,8 @@ use nalgebra::{SMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
 use crate::collocation::Collocation;
-use crate::curvature::curvature;
-use crate::dense::refill;
+use crate::curvature::{Curvature, curvature};
+use crate::dense::{dot, refill};
 use crate::interval::Interval;
 use crate::kkt::Multipliers;
 use crate::objective::{ellipse_excess, node_weights};
@@ -76,15 +76,7 @@ pub(crate) fn exact(
     let count = problem.intervals.len();
     let ellipses = problem.ellipses.len();
     for node in 0..count {
-        let frame = Interval { model: problem.model.as_ref(), collocation, length: problem.intervals[node] };
-        let bend = curvature(
-            &frame,
-            &iterate.states[node],
-            &iterate.controls[node],
-            &iterate.stages[node],
-            &shooting.intervals[node],
-            &multipliers.costates[node],
-        );
+        let bend = bend(problem, collocation, Point { iterate, shooting }, multipliers, node);
         // The state at node 0 does not move.
         let first = if node == 0 { 3 } else { 0 };
         for row in first..5 {
@@ -100,6 +92,25 @@ pub(crate) fn exact(
             blocks[node][4][4] -= 2.0 * multiplier / (ellipse.b * ellipse.b);
         }
     }
+}
+
+/// Second derivatives of interval `index`, contracted with the costate of its end.
+pub(crate) fn bend(
+    problem: &Problem,
+    collocation: &Collocation,
+    Point { iterate, shooting }: Point,
+    multipliers: Multipliers,
+    index: usize,
+) -> Curvature {
+    let length = problem.intervals[index];
+    curvature(
+        &Interval { model: problem.model.as_ref(), collocation, length },
+        &iterate.states[index],
+        &iterate.controls[index],
+        &iterate.stages[index],
+        &shooting.intervals[index],
+        &multipliers.costates[index],
+    )
 }
 
 /// Cuts off the negative curvature of each block.
@@ -229,10 +240,6 @@ fn update(block: &mut Block, step: &[f64; 7], change: &[f64; 7]) {
                 target[row] * target[column] / curvature - product[row] * product[column] / present;
         }
     }
-}
-
-fn dot(left: &[f64; 7], right: &[f64; 7]) -> f64 {
-    left.iter().zip(right).map(|(left, right)| left * right).sum()
 }
 
 #[cfg(test)]

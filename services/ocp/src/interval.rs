@@ -18,7 +18,7 @@ use crate::model::{LateralModel, LateralSlope};
 pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
 
 /// What can be said about the end of an interval near the present values.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Linearisation {
     /// End state from the present stage values.
     pub end: [f64; 5],
@@ -32,19 +32,6 @@ pub(crate) struct Linearisation {
     pub by_control: [[f64; 2]; 5],
     /// Change of each stage by: the Newton step, the start's (sideslip, yaw rate), and (velocity, steering).
     pub stages: [[[f64; 5]; 2]; MAX_STAGES],
-}
-
-impl Default for Linearisation {
-    fn default() -> Self {
-        Self {
-            end: [0.0; 5],
-            correction: [0.0; 5],
-            by_lateral: [[0.0; 2]; 5],
-            by_yaw: [0.0; 2],
-            by_control: [[0.0; 2]; 5],
-            stages: [[[0.0; 5]; 2]; MAX_STAGES],
-        }
-    }
 }
 
 /// What an interval is computed from.

@@ -6,7 +6,7 @@
 //! exact Hessian gives quadratic convergence, where it is positive definite on what is left; elsewhere there is no step
 //! and the caller uses that of the quadratic program.
 
-use crate::dense::{backward, cholesky, dot, forward, refill};
+use crate::dense::{backward, cholesky, dot, fill, forward, refill, solve_factored};
 use crate::qp::{BoundState, Qp, QpSolution, RowState};
 use crate::walk::{Met, Walk};
 
@@ -97,11 +97,12 @@ impl Newton {
     /// Free variables and rows held at a limit.
     fn select(&mut self, qp: &Qp) {
         let solution = &self.solution;
-        self.free.clear();
-        self.free
-            .extend((0..qp.variables()).filter(|&index| solution.bound_states[index] == BoundState::Free));
-        self.equations.clear();
-        self.equations.extend(
+        fill(
+            &mut self.free,
+            (0..qp.variables()).filter(|&index| solution.bound_states[index] == BoundState::Free),
+        );
+        fill(
+            &mut self.equations,
             (0..qp.row_count())
                 .filter(|&row| matches!(solution.row_states[row], RowState::AtLower | RowState::AtUpper)),
         );
@@ -119,10 +120,8 @@ impl Newton {
     pub(crate) fn correct(&mut self, qp: &Qp, excesses: &[f64]) -> bool {
         let size = self.free.len();
         let equations = self.equations.len();
-        self.multipliers.clear();
-        self.multipliers.extend_from_slice(excesses);
-        forward(&self.schur_factor, equations, &mut self.multipliers);
-        backward(&self.schur_factor, equations, &mut self.multipliers);
+        fill(&mut self.multipliers, excesses.iter().copied());
+        solve_factored(&self.schur_factor, equations, &mut self.multipliers);
         refill(&mut self.right, size, 0.0);
         for (position, multiplier) in self.multipliers.iter().enumerate() {
             let column = &self.columns[position * size..(position + 1) * size];
@@ -157,11 +156,7 @@ impl Newton {
             self.right.push(-qp.gradient[row] - fixed);
         }
         for row in 0..qp.row_count() {
-            let (sign, limit) = match answer.row_states[row] {
-                RowState::BeyondUpper => (1.0, qp.row_upper[row]),
-                RowState::BeyondLower => (-1.0, qp.row_lower[row]),
-                _ => continue,
-            };
+            let Some((sign, limit)) = answer.row_states[row].beyond(qp.limits(row)) else { continue };
             let line = qp.row(row);
             let excess = fixed_part(line, answer) - limit;
             let bend = 2.0 * qp.slack_quadratic;
@@ -235,8 +230,7 @@ impl Newton {
             if !cholesky(&self.schur, equations, &mut self.schur_factor) {
                 return false;
             }
-            forward(&self.schur_factor, equations, &mut self.multipliers);
-            backward(&self.schur_factor, equations, &mut self.multipliers);
+            solve_factored(&self.schur_factor, equations, &mut self.multipliers);
         }
         for (position, multiplier) in self.multipliers.iter().enumerate() {
             let column = &self.columns[position * size..(position + 1) * size];
@@ -266,8 +260,7 @@ impl Newton {
                 .zip(&self.right)
                 .map(|(&index, target)| line[index] * (target - solution.step[index]))
                 .sum();
-            let limits = [qp.row_lower[row], qp.row_upper[row]];
-            walk.consider_row(row, solution.row_states[row], value, change, limits);
+            walk.consider_row(row, solution.row_states[row], value, change, qp.limits(row));
         }
         for (&index, &value) in self.free.iter().zip(&self.right) {
             let step = &mut self.solution.step[index];
@@ -291,15 +284,11 @@ impl Newton {
             self.solution.row_multipliers[row] = value;
         }
         for row in 0..qp.row_count() {
-            let (sign, limit) = match self.solution.row_states[row] {
-                RowState::BeyondUpper => (1.0, qp.row_upper[row]),
-                RowState::BeyondLower => (-1.0, qp.row_lower[row]),
-                RowState::Inside => {
-                    self.solution.row_multipliers[row] = 0.0;
-                    continue;
-                }
-                RowState::AtLower | RowState::AtUpper => continue,
-            };
+            let state = self.solution.row_states[row];
+            if state == RowState::Inside {
+                self.solution.row_multipliers[row] = 0.0;
+            }
+            let Some((sign, limit)) = state.beyond(qp.limits(row)) else { continue };
             let excess = dot(qp.row(row), &self.solution.step) - limit;
             self.solution.row_multipliers[row] = sign * qp.slack_linear + 2.0 * qp.slack_quadratic * excess;
         }

@@ -10,7 +10,7 @@ pub(crate) mod clarabel;
 
 use serde::{Deserialize, Serialize};
 
-use crate::dense::{dot, refill};
+use crate::dense::{dot, fill, refill};
 
 /// Which solver solves the quadratic programs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -82,6 +82,15 @@ pub(crate) enum RowState {
 }
 
 impl RowState {
+    /// Sign and limit of a row beyond one of its limits: the excess is `sign * (value - limit)`.
+    pub(crate) fn beyond(self, [lower, upper]: [f64; 2]) -> Option<(f64, f64)> {
+        match self {
+            Self::BeyondUpper => Some((1.0, upper)),
+            Self::BeyondLower => Some((-1.0, lower)),
+            Self::Inside | Self::AtLower | Self::AtUpper => None,
+        }
+    }
+
     /// At or beyond the upper limit or the lower one.
     pub(crate) fn held(upper: bool, beyond: bool) -> Self {
         match (upper, beyond) {
@@ -125,6 +134,11 @@ impl Qp {
         &self.rows[index * count..(index + 1) * count]
     }
 
+    /// Lower and upper limit of row `index`.
+    pub(crate) fn limits(&self, index: usize) -> [f64; 2] {
+        [self.row_lower[index], self.row_upper[index]]
+    }
+
     /// Largest violation of the optimality conditions by `solution`, from their definition; NaN where it has any.
     ///
     /// `gradient` is a buffer.
@@ -136,8 +150,8 @@ impl Qp {
                 largest = value.abs();
             }
         };
-        gradient.clear();
-        gradient.extend(
+        fill(
+            gradient,
             self.gradient.iter().zip(&solution.bound_multipliers).map(|(entry, bound)| entry + bound),
         );
         for row in 0..self.row_count() {
@@ -147,7 +161,7 @@ impl Qp {
                     *sum += multiplier * entry;
                 }
             }
-            let (low, high) = (self.row_lower[row], self.row_upper[row]);
+            let [low, high] = self.limits(row);
             let value = dot(line, &solution.step);
             worse(soft_residual(value, low, high, multiplier, self.slack_linear, self.slack_quadratic));
         }

@@ -1,6 +1,7 @@
 //! Multiple shooting: the iterate of node states, controls and stage values, and its linearisation.
 
 use crate::collocation::{Collocation, MAX_STAGES};
+use crate::dense::fill;
 use crate::interval::{Interval, Linearisation, Stages, settle};
 use crate::problem::{Problem, Trajectory};
 
@@ -22,12 +23,14 @@ impl Iterate {
     /// The result says whether the node states are the guess's, which satisfy the model or not.
     pub(crate) fn start(&mut self, problem: &Problem, guess: &Trajectory) -> Sweep {
         let count = problem.intervals.len();
-        self.controls.clear();
-        self.controls.extend((0..count).map(|index| {
-            let control = guess.controls.get(index).or(guess.controls.last());
-            let control = problem.bounds.clamp(*control.unwrap_or(&problem.control_reference));
-            [control.velocity, control.steering]
-        }));
+        fill(
+            &mut self.controls,
+            (0..count).map(|index| {
+                let control = guess.controls.get(index).or(guess.controls.last());
+                let control = problem.bounds.clamp(*control.unwrap_or(&problem.control_reference));
+                [control.velocity, control.steering]
+            }),
+        );
         self.states.clear();
         self.states.push(problem.initial.to_vector().into());
         if guess.states.len() == count + 1 {
@@ -45,14 +48,16 @@ impl Iterate {
     pub(crate) fn move_from(&mut self, base: &Self, step: &Self, fraction: f64) {
         copy_moved(&mut self.states, &base.states, &step.states, fraction);
         copy_moved(&mut self.controls, &base.controls, &step.controls, fraction);
-        self.stages.clear();
-        self.stages.extend(base.stages.iter().zip(&step.stages).map(|(base, step)| {
-            let mut moved = *base;
-            for (value, change) in moved.iter_mut().flatten().zip(step.iter().flatten()) {
-                *value += fraction * change;
-            }
-            moved
-        }));
+        fill(
+            &mut self.stages,
+            base.stages.iter().zip(&step.stages).map(|(base, step)| {
+                let mut moved = *base;
+                for (value, change) in moved.iter_mut().flatten().zip(step.iter().flatten()) {
+                    *value += fraction * change;
+                }
+                moved
+            }),
+        );
     }
 }
 
@@ -62,14 +67,16 @@ fn copy_moved<const C: usize>(
     step: &[[f64; C]],
     fraction: f64,
 ) {
-    target.clear();
-    target.extend(base.iter().zip(step).map(|(base, step)| {
-        let mut moved = *base;
-        for (value, change) in moved.iter_mut().zip(step) {
-            *value += fraction * change;
-        }
-        moved
-    }));
+    fill(
+        target,
+        base.iter().zip(step).map(|(base, step)| {
+            let mut moved = *base;
+            for (value, change) in moved.iter_mut().zip(step) {
+                *value += fraction * change;
+            }
+            moved
+        }),
+    );
 }
 
 /// Linearisations of all intervals with the gaps at their ends.

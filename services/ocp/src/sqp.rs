@@ -29,7 +29,7 @@ use vehicle::{Control, State};
 
 use crate::chain::Chain;
 use crate::collocation::Collocation;
-use crate::dense::refill;
+use crate::dense::{fill, refill};
 use crate::hessian::{self, Block, Hessian, Point};
 use crate::kkt::{self, Multipliers};
 use crate::newton::Newton;
@@ -52,7 +52,7 @@ const LARGEST_DAMPING: f64 = 1e10;
 /// Gaps up to this are closed by a sweep without asking: the guess is a roll-out up to rounding or Newton's tolerance.
 const SMALL_GAP: f64 = 1e-6;
 /// A solver with its buffers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Solver {
     settings: SolverSettings,
     collocation: Collocation,
@@ -92,28 +92,7 @@ enum Step {
 impl Solver {
     /// A solver with `settings`.
     pub fn new(settings: SolverSettings) -> Self {
-        Self {
-            settings,
-            collocation: Collocation::new(settings.scheme),
-            iterate: Iterate::default(),
-            trial: Iterate::default(),
-            step: Iterate::default(),
-            shooting: Shooting::default(),
-            trial_shooting: Shooting::default(),
-            qp: Qp::default(),
-            chain: Chain::default(),
-            is_long: false,
-            active_set: ActiveSet::default(),
-            answer: QpSolution::default(),
-            newton: Newton::default(),
-            row_multipliers: Vec::new(),
-            costates: Vec::new(),
-            blocks: Vec::new(),
-            exact: Vec::new(),
-            buffer: Vec::new(),
-            fallbacks: 0,
-            refusals: 0,
-        }
+        Self { settings, collocation: Collocation::new(settings.scheme), ..Self::default() }
     }
 
     /// The settings it was made with.
@@ -336,8 +315,7 @@ impl Solver {
             Step::Program => &self.answer.step,
             Step::Newton => &self.newton.solution.step,
         };
-        self.step.controls.clear();
-        self.step.controls.extend(controls.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
+        fill(&mut self.step.controls, controls.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
         self.shooting.expand(&mut self.step);
     }
 
@@ -395,11 +373,11 @@ impl Solver {
         let bounds = self.answer.bound_states.iter().filter(|state| **state != BoundState::Free);
         let rows = self.answer.row_states.iter().filter(|state| **state != RowState::Inside);
         let Trajectory { states, controls } = &mut solution.trajectory;
-        states.clear();
-        states.extend(self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())));
-        controls.clear();
-        controls
-            .extend(self.iterate.controls.iter().map(|&[velocity, steering]| Control { velocity, steering }));
+        fill(states, self.iterate.states.iter().map(|state| State::from_vector(&(*state).into())));
+        fill(
+            controls,
+            self.iterate.controls.iter().map(|&[velocity, steering]| Control { velocity, steering }),
+        );
         solution.status = status;
         solution.iterations = iterations;
         solution.kkt_residual = kkt_residual;

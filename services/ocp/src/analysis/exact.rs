@@ -54,7 +54,10 @@ impl Exact {
         control: &Control,
         length: f64,
     ) -> Option<Propagation> {
-        let mut whole = Propagation { end: *start, by_state: IDENTITY, by_control: [[0.0; 2]; 5] };
+        let mut whole = Propagation { end: *start, by_state: [[0.0; 5]; 5], by_control: [[0.0; 2]; 5] };
+        for index in 0..5 {
+            whole.by_state[index][index] = 1.0;
+        }
         self.elements(control, 0.0, length, |element| {
             let part = propagate(parameters, &self.collocation, element, &whole.end, control)?;
             whole = chain(&whole, &part);
@@ -90,16 +93,6 @@ impl Exact {
         Some(())
     }
 }
-
-const IDENTITY: [[f64; 5]; 5] = {
-    let mut matrix = [[0.0; 5]; 5];
-    let mut index = 0;
-    while index < 5 {
-        matrix[index][index] = 1.0;
-        index += 1;
-    }
-    matrix
-};
 
 /// Two motions under the same control, one after the other.
 pub(crate) fn chain(first: &Propagation, second: &Propagation) -> Propagation {

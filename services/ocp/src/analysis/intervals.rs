@@ -279,7 +279,7 @@ impl Definition {
             let largest = |lengths: &[f64]| {
                 known.iter().map(|controls| runner.error(lengths, controls)).fold(0.0, f64::max)
             };
-            let (lengths, error) = improve(best.lengths_s.clone(), largest);
+            let (lengths, error) = search::improve(best.lengths_s.clone(), largest);
             let worst = self.worst_on(lengths);
             let news = worst.error > error * (1.0 + 1e-3);
             if news {
@@ -293,39 +293,6 @@ impl Definition {
         }
         best
     }
-}
-
-/// Moves time from one interval to another as long as the error becomes smaller.
-fn improve(mut lengths: Vec<f64>, error: impl Fn(&[f64]) -> f64) -> (Vec<f64>, f64) {
-    /// First and last time moved, as a share of the mean length.
-    const STEPS: (f64, f64) = (0.4, 0.006);
-    /// No interval becomes shorter than this share of the mean length.
-    const SHORTEST: f64 = 0.02;
-    let count = lengths.len();
-    let mean = lengths.iter().sum::<f64>() / count as f64;
-    let mut smallest = error(&lengths);
-    let mut step = STEPS.0;
-    while step > STEPS.1 {
-        let before = smallest;
-        for from in 0..count {
-            for to in (0..count).filter(|to| *to != from) {
-                if lengths[from] - step * mean < SHORTEST * mean {
-                    continue;
-                }
-                let mut moved = lengths.clone();
-                moved[from] -= step * mean;
-                moved[to] += step * mean;
-                let found = error(&moved);
-                if found < smallest {
-                    (lengths, smallest) = (moved, found);
-                }
-            }
-        }
-        if smallest > before * 0.99 {
-            step *= 0.5;
-        }
-    }
-    (lengths, smallest)
 }
 
 #[cfg(test)]

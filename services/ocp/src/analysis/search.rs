@@ -1,4 +1,4 @@
-//! The controls with the largest error, by search.
+//! The controls with the largest error, and lengths of intervals with a small one, by search.
 //!
 //! A grid over the box finds the regions, a pattern search with halving steps the maximum in them. With a control
 //! per interval the grid is walked one interval at a time, again and again until nothing changes, from several
@@ -156,4 +156,37 @@ fn starts(bounds: &Bounds, count: usize) -> Vec<Vec<Control>> {
         (0..count).map(|index| if index % 2 == 0 { slow(true) } else { fast(true) }).collect(),
         (0..count).map(|index| if index % 2 == 0 { fast(true) } else { slow(false) }).collect(),
     ]
+}
+
+/// Moves time from one interval to another as long as the error becomes smaller.
+pub(crate) fn improve(mut lengths: Vec<f64>, error: impl Fn(&[f64]) -> f64) -> (Vec<f64>, f64) {
+    /// First and last time moved, as a share of the mean length.
+    const STEPS: (f64, f64) = (0.4, 0.006);
+    /// No interval becomes shorter than this share of the mean length.
+    const SHORTEST: f64 = 0.02;
+    let count = lengths.len();
+    let mean = lengths.iter().sum::<f64>() / count as f64;
+    let mut smallest = error(&lengths);
+    let mut step = STEPS.0;
+    while step > STEPS.1 {
+        let before = smallest;
+        for from in 0..count {
+            for to in (0..count).filter(|to| *to != from) {
+                if lengths[from] - step * mean < SHORTEST * mean {
+                    continue;
+                }
+                let mut moved = lengths.clone();
+                moved[from] -= step * mean;
+                moved[to] += step * mean;
+                let found = error(&moved);
+                if found < smallest {
+                    (lengths, smallest) = (moved, found);
+                }
+            }
+        }
+        if smallest > before * 0.99 {
+            step *= 0.5;
+        }
+    }
+    (lengths, smallest)
 }

@@ -6,7 +6,7 @@
 //! the answer is exact. There is no proof that the rounds end; the caller limits them.
 
 use super::Chain;
-use crate::dense::{backward, cholesky, forward};
+use crate::dense::{cholesky, fill, solve_factored};
 use crate::hessian::Block;
 use crate::qp::{BoundState, QpSolution, RowState};
 use crate::shooting::Shooting;
@@ -32,7 +32,7 @@ impl Chain {
                 return false;
             }
             if self.correct_set(solution) {
-                self.write(solution);
+                self.write(&self.path, solution);
                 return solution.step.iter().all(|value| value.is_finite());
             }
         }
@@ -74,42 +74,34 @@ impl Chain {
 
     /// Blocks, linear terms, held controls and equations of the present set.
     fn assemble(&mut self, blocks: &[Block], square_weight: f64, solution: &QpSolution) {
-        self.blocks.clear();
-        self.blocks.extend_from_slice(blocks);
+        self.damp(blocks);
         self.sums.clone_from(&self.slopes);
-        for block in self.blocks.iter_mut().take(self.lower.len() / 2) {
-            block[5][5] += self.damping[0];
-            block[6][6] += self.damping[1];
-        }
-        self.held.clear();
-        self.held.extend(solution.bound_states.iter().zip(self.lower.iter().zip(&self.upper)).map(
-            |(state, (lower, upper))| match state {
-                BoundState::Free => 0.0,
-                BoundState::Lower => *lower,
-                BoundState::Upper => *upper,
-            },
-        ));
+        fill(
+            &mut self.held,
+            solution.bound_states.iter().zip(self.lower.iter().zip(&self.upper)).map(
+                |(state, (lower, upper))| match state {
+                    BoundState::Free => 0.0,
+                    BoundState::Lower => *lower,
+                    BoundState::Upper => *upper,
+                },
+            ),
+        );
         self.equations.clear();
         let bend = 2.0 * self.slack_quadratic;
         for (index, (row, state)) in self.rows.iter().zip(&solution.row_states).enumerate() {
-            let (sign, limit) = match state {
-                RowState::Inside => continue,
-                RowState::AtLower | RowState::AtUpper => {
-                    self.equations.push(index);
-                    let block = &self.blocks[row.node];
-                    let size = (0..5).map(|place| block[place][place].abs()).fold(1.0, f64::max);
-                    let square = row.factors.iter().map(|factor| factor * factor).sum::<f64>();
-                    let weight = square_weight * size / square.max(1e-6);
-                    let limit = if *state == RowState::AtLower { row.lower } else { row.upper };
-                    row.add_square(weight, &mut self.blocks);
-                    row.add_to(-weight * limit, &mut self.sums);
-                    continue;
-                }
-                RowState::BeyondLower => (-1.0, row.lower),
-                RowState::BeyondUpper => (1.0, row.upper),
-            };
-            row.add_square(bend, &mut self.blocks);
-            row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums);
+            if let Some((sign, limit)) = state.beyond([row.lower, row.upper]) {
+                row.add_square(bend, &mut self.blocks);
+                row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums);
+            } else if *state != RowState::Inside {
+                self.equations.push(index);
+                let block = &self.blocks[row.node];
+                let size = (0..5).map(|place| block[place][place].abs()).fold(1.0, f64::max);
+                let square = row.factors.iter().map(|factor| factor * factor).sum::<f64>();
+                let weight = square_weight * size / square.max(1e-6);
+                let limit = if *state == RowState::AtLower { row.lower } else { row.upper };
+                row.add_square(weight, &mut self.blocks);
+                row.add_to(-weight * limit, &mut self.sums);
+            }
         }
     }
 
@@ -138,8 +130,7 @@ impl Chain {
         if !cholesky(&self.schur, size, &mut self.schur_factor) {
             return false;
         }
-        forward(&self.schur_factor, size, &mut self.multipliers);
-        backward(&self.schur_factor, size, &mut self.multipliers);
+        solve_factored(&self.schur_factor, size, &mut self.multipliers);
         true
     }
 
@@ -205,14 +196,16 @@ impl Chain {
     /// How far rows inside their limits are in fact outside.
     fn find_violations(&mut self, solution: &QpSolution) {
         let states = &self.path.states;
-        self.violations.clear();
-        self.violations.extend(self.rows.iter().zip(&solution.row_states).map(|(row, state)| match state {
-            RowState::Inside => {
-                let value = row.value(states);
-                (value - row.upper).max(row.lower - value)
-            }
-            _ => 0.0,
-        }));
+        fill(
+            &mut self.violations,
+            self.rows.iter().zip(&solution.row_states).map(|(row, state)| match state {
+                RowState::Inside => {
+                    let value = row.value(states);
+                    (value - row.upper).max(row.lower - value)
+                }
+                _ => 0.0,
+            }),
+        );
     }
 
     /// Whether the same row of the nodes before and after is violated less.
@@ -237,30 +230,10 @@ impl Chain {
         }
         let bend = 2.0 * self.slack_quadratic;
         for (index, row) in self.rows.iter().enumerate() {
-            solution.row_multipliers[index] = match solution.row_states[index] {
-                RowState::BeyondUpper => {
-                    self.slack_linear + bend * (row.value(&self.path.states) - row.upper)
-                }
-                RowState::BeyondLower => {
-                    -self.slack_linear - bend * (row.lower - row.value(&self.path.states))
-                }
-                _ => continue,
-            };
+            if let Some((sign, limit)) = solution.row_states[index].beyond([row.lower, row.upper]) {
+                let excess = row.value(&self.path.states) - limit;
+                solution.row_multipliers[index] = sign * self.slack_linear + bend * excess;
+            }
         }
-    }
-
-    /// Writes the controls of the path into `solution`.
-    fn write(&self, solution: &mut QpSolution) {
-        solution.step.clear();
-        let bounds = self.lower.iter().zip(&self.upper);
-        // Free controls keep their bounds up to the tolerance only.
-        solution.step.extend(
-            self.path
-                .controls
-                .iter()
-                .flatten()
-                .zip(bounds)
-                .map(|(value, (low, high))| value.max(*low).min(*high)),
-        );
     }
 }

@@ -255,12 +255,7 @@ impl Chain {
     /// Adds the weights of the sides to the blocks.
     fn weigh(&mut self, blocks: &[Block]) {
         let bend = 2.0 * self.slack_quadratic;
-        self.blocks.clear();
-        self.blocks.extend_from_slice(blocks);
-        for block in self.blocks.iter_mut().take(self.lower.len() / 2) {
-            block[5][5] += self.damping[0];
-            block[6][6] += self.damping[1];
-        }
+        self.damp(blocks);
         for side in &mut self.sides {
             side.prepare(bend);
             let weight = side.weight();
@@ -341,7 +336,7 @@ impl Chain {
 
     /// Reads solution and active set off the last point: a constraint is active when its multiplier exceeds its distance.
     fn finish_interior(&mut self, solution: &mut QpSolution) {
-        self.write_point(solution);
+        self.write(&self.point, solution);
         for side in &self.sides {
             let active = side.multiplier > side.distance;
             let upper = side.sign > 0.0;

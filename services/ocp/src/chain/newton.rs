@@ -1,7 +1,7 @@
 //! Newton's step on the active set of the chain's program, with the exact Hessian: [`crate::newton`] stage by stage.
 
 use super::Chain;
-use crate::dense::{backward, forward};
+use crate::dense::{fill, solve_factored};
 use crate::hessian::Block;
 use crate::qp::{BoundState, QpSolution};
 use crate::shooting::Shooting;
@@ -43,14 +43,13 @@ impl Chain {
                 Met::Row(row, state) => solution.row_states[row] = state,
             }
         }
-        self.write_point(solution);
+        self.write(&self.point, solution);
         solution.step.iter().all(|value| value.is_finite())
     }
 
     /// The point of the step in `solution`.
     fn start_walk(&mut self, shooting: &Shooting, solution: &QpSolution) {
-        self.point.controls.clear();
-        self.point.controls.extend(solution.step.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
+        fill(&mut self.point.controls, solution.step.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
         self.point.follow(&shooting.intervals, &shooting.gaps);
     }
 
@@ -83,22 +82,12 @@ impl Chain {
         }
     }
 
-    /// Writes the controls of the point into `solution`, inside their bounds.
-    pub(super) fn write_point(&self, solution: &mut QpSolution) {
-        solution.step.clear();
-        let bounds = self.lower.iter().zip(&self.upper);
-        let values = self.point.controls.iter().flatten().zip(bounds);
-        solution.step.extend(values.map(|(value, (low, high))| value.max(*low).min(*high)));
-    }
-
     /// Second-order correction: moves the step of `solution`, the last one found, so that the rows it holds, which the
     /// curvature has left by `excesses`, return to their limits. False where that is not within the bounds.
     pub(crate) fn correct(&mut self, excesses: &[f64], solution: &mut QpSolution) -> bool {
         let size = self.equations.len();
-        self.multipliers.clear();
-        self.multipliers.extend_from_slice(excesses);
-        forward(&self.schur_factor, size, &mut self.multipliers);
-        backward(&self.schur_factor, size, &mut self.multipliers);
+        fill(&mut self.multipliers, excesses.iter().copied());
+        solve_factored(&self.schur_factor, size, &mut self.multipliers);
         let mut inside = true;
         for (place, value) in solution.step.iter_mut().enumerate() {
             if solution.bound_states[place] != BoundState::Free {

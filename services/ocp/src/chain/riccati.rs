@@ -12,7 +12,7 @@ use crate::interval::Linearisation;
 use crate::qp::BoundState;
 
 /// One interval after the factorisation.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Stage {
     /// Second derivatives of the cost to go by the control.
     hessian: [[f64; 2]; 2],
@@ -86,12 +86,7 @@ impl Riccati {
                 mixed[row] = [sums[2] + line[5], sums[3] + line[6]];
             }
 
-            let mut stage = Stage {
-                hessian: [[0.0; 2]; 2],
-                inverse: [[0.0; 2]; 2],
-                cross: [[0.0; 7]; 2],
-                gain: [[0.0; 7]; 2],
-            };
+            let mut stage = Stage::default();
             for row in 0..2 {
                 let column = [mixed[0][row], mixed[1][row], mixed[2][row], mixed[3][row], mixed[4][row]];
                 let back = interval.transport_back(&column);

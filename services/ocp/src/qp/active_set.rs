@@ -15,7 +15,7 @@
 //! Needs a positive definite H and L2 > 0. The caller checks the answer by its optimality conditions.
 
 use super::{BoundState, Qp, QpSolution, RowState};
-use crate::dense::{backward, cholesky, dot, forward, refill};
+use crate::dense::{backward, cholesky, dot, fill, forward, refill};
 
 /// The method with its buffers.
 #[derive(Debug, Clone, Default)]
@@ -75,8 +75,7 @@ impl ActiveSet {
         if qp.slack_quadratic <= 0.0 || !cholesky(&qp.hessian, count, &mut self.factor) {
             return false;
         }
-        self.offset.clear();
-        self.offset.extend_from_slice(&qp.gradient);
+        fill(&mut self.offset, qp.gradient.iter().copied());
         forward(&self.factor, count, &mut self.offset);
         self.start(qp, solution);
         // Usual are as many steps as constraints change; ten times all constraints is a sign of rounding trouble.
@@ -309,8 +308,7 @@ impl ActiveSet {
     /// A direction that leaves v where it is, along which the dual does not fall.
     fn null_direction(&mut self, qp: &Qp, position: usize) {
         let line = &self.gram[position * self.stride..][..position];
-        self.direction.clear();
-        self.direction.extend(line.iter().map(|entry| -entry));
+        fill(&mut self.direction, line.iter().map(|entry| -entry));
         self.back_substitute(position);
         self.direction.push(1.0);
         let slope: f64 =
@@ -337,8 +335,7 @@ impl ActiveSet {
     /// v of the present multipliers.
     fn primal(&mut self, qp: &Qp, solution: &mut QpSolution) {
         let count = qp.variables();
-        solution.step.clear();
-        solution.step.extend(self.offset.iter().map(|value| -value));
+        fill(&mut solution.step, self.offset.iter().map(|value| -value));
         for (position, working) in self.working.iter().enumerate() {
             let normal = &self.normals[position * count..(position + 1) * count];
             for (value, entry) in solution.step.iter_mut().zip(normal) {

@@ -9,7 +9,7 @@ use clarabel::solver::{
 };
 
 use super::{BoundState, Qp, QpSolution, RowState};
-use crate::dense::{dot, refill};
+use crate::dense::{dot, fill, refill};
 
 /// Solves `qp` into `solution`; false where Clarabel finds no solution.
 pub(crate) fn solve(qp: &Qp, solution: &mut QpSolution) -> bool {
@@ -54,8 +54,8 @@ pub(crate) fn solve(qp: &Qp, solution: &mut QpSolution) -> bool {
     // Refinement costs 40 % and is seldom needed; the second try has it, and the scaling of badly scaled data.
     let Some(result) = attempt(&data, false).or_else(|| attempt(&data, true)) else { return false };
 
-    solution.step.clear();
-    solution.step.extend(
+    fill(
+        &mut solution.step,
         result.0[..count].iter().zip(&qp.lower).zip(&qp.upper).map(|((v, low), high)| v.max(*low).min(*high)),
     );
     refill(&mut solution.bound_multipliers, count, 0.0);

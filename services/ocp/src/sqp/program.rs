@@ -2,7 +2,7 @@
 
 use super::Solver;
 use crate::condense::{add_second_order, condense, condense_blocks};
-use crate::dense::cholesky;
+use crate::dense::{cholesky, fill};
 use crate::hessian::{self, Hessian};
 use crate::kkt::{self, Multipliers};
 use crate::problem::Problem;
@@ -91,8 +91,8 @@ impl Solver {
     pub(super) fn correct(&mut self, problem: &Problem) -> bool {
         let (states, trial) = (&self.newton.solution.row_states, &self.trial);
         let held = if self.is_long { self.chain.equations() } else { self.newton.equations() };
-        self.buffer.clear();
-        self.buffer.extend(
+        fill(
+            &mut self.buffer,
             held.iter().map(|&row| row_excess(problem, trial, row, states[row] == RowState::AtUpper)),
         );
         if self.buffer.is_empty() {
