@@ -1,11 +1,10 @@
 //! Settings of the controller, checked once when it is made.
 
+use ocp::{SolverSettings, Weights};
 use serde::{Deserialize, Serialize};
 use vehicle::{Bounds, Invalid, Parameters, require};
 
 use crate::guide::GuideSettings;
-use ocp::SolverSettings;
-use ocp::Weights;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;

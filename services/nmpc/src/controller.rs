@@ -10,6 +10,7 @@
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one whose [`Controller::state`] it got.
 
+use ocp::Budget;
 use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
 use vehicle::{Control, Invalid, State};
 
@@ -25,7 +26,6 @@ use crate::side::{Passing, Sides};
 use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::is_blocked;
 use crate::warm;
-use ocp::Budget;
 
 /// Velocities at which a way past moving bodies is looked for, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];

@@ -9,6 +9,7 @@
 
 use std::sync::Arc;
 
+use ocp::{Budget, EllipsePath, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, SolveStatus};
 use vehicle::{Control, State};
 
@@ -20,7 +21,6 @@ use crate::scene::Scene;
 use crate::state::ControllerState;
 use crate::verify::{Driven, verify};
 use crate::warm;
-use ocp::{Budget, EllipsePath, Problem, Solution, Solver, Status, Trajectory};
 
 /// Longest time that the rest of an old plan may be driven [s].
 const LONGEST_REST_S: f64 = 1.0;
@@ -44,12 +44,13 @@ pub(crate) struct Task<'a> {
 
 impl Task<'_> {
     fn pace(&self) -> Pace {
-        let speed = if self.guide.clear { self.guide.speed } else { self.scene.config.stop.approach_mps };
+        let config = self.scene.config;
+        let speed = if self.guide.clear { self.guide.speed } else { config.stop.approach_mps };
         Pace {
-            cruise: speed.min(self.scene.config.cruise_mps).min(self.fastest_mps),
-            slowest: self.scene.config.bounds.velocity_min_mps,
-            goal_x: self.scene.config.goal.x_m,
-            landing_time: self.scene.config.landing_time_s,
+            cruise: speed.min(config.cruise_mps).min(self.fastest_mps),
+            slowest: config.bounds.velocity_min_mps,
+            goal_x: config.goal.x_m,
+            landing_time: config.landing_time_s,
         }
     }
 

@@ -41,8 +41,8 @@ use crate::settings::SolverSettings;
 use crate::shooting::{Iterate, Shooting, Sweep};
 use crate::usable::is_usable;
 
-/// Share of the predicted decrease that is asked for.
-const SUFFICIENT: f64 = 1e-4;
+/// Share of the predicted decrease that is asked for (Armijo).
+const ARMIJO: f64 = 1e-4;
 /// Step lengths tried before the program is damped: 1, 1/2 and 1/4. Beyond that another direction is better.
 const ATTEMPTS: u32 = 3;
 /// First damping, in units of the objective per square of a control's range; the curvature of the objective is 1 to 100.
@@ -51,6 +51,7 @@ const FIRST_DAMPING: f64 = 0.1;
 const LARGEST_DAMPING: f64 = 1e10;
 /// Gaps up to this are closed by a sweep without asking: the guess is a roll-out up to rounding or Newton's tolerance.
 const SMALL_GAP: f64 = 1e-6;
+
 /// A solver with its buffers.
 #[derive(Debug, Clone, Default)]
 pub struct Solver {
@@ -98,11 +99,6 @@ impl Solver {
     /// The settings it was made with.
     pub fn settings(&self) -> &SolverSettings {
         &self.settings
-    }
-
-    /// The collocation it uses.
-    pub fn collocation(&self) -> &Collocation {
-        &self.collocation
     }
 
     /// How many quadratic programs the active set has left to the interior-point method since the solver was made.
@@ -396,7 +392,7 @@ fn merit(problem: &Problem, iterate: &Iterate) -> f64 {
 fn wanted(present: f64, predicted: f64) -> f64 {
     // Near the solution differences of the merit are rounding errors.
     const ROUNDING: f64 = 1e-13;
-    present + SUFFICIENT * predicted + ROUNDING * (1.0 + present.abs())
+    present + ARMIJO * predicted + ROUNDING * (1.0 + present.abs())
 }
 
 fn raised(damping: f64) -> f64 {

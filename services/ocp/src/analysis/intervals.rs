@@ -62,9 +62,6 @@ pub struct Definition {
     pub tolerance: f64,
 }
 
-/// The horizon of the source [s].
-pub const SOURCE_HORIZON_S: f64 = 2.72;
-
 impl Default for Definition {
     fn default() -> Self {
         Self {
@@ -106,7 +103,7 @@ pub struct Horizons {
     pub longest_s: Option<f64>,
     /// The largest error there.
     pub worst: Option<Worst>,
-    /// Whether the search ended at [`LONGEST_HORIZON_S`].
+    /// Whether the search ended at the longest horizon that is analysed, 60 s.
     pub at_limit: bool,
     /// (horizon [s], largest error) of the horizons tried, in order.
     pub tried: Vec<(f64, f64)>,
@@ -124,11 +121,11 @@ pub struct Other {
 }
 
 /// Longest horizon that is analysed [s].
-pub const LONGEST_HORIZON_S: f64 = 60.0;
+const LONGEST_HORIZON_S: f64 = 60.0;
 /// Most equal intervals that are analysed with a held control.
-pub const MOST_INTERVALS: usize = 40;
+const MAX_HELD: usize = 40;
 /// Most intervals that are analysed where each takes part in a search of its own.
-pub const MOST_SEARCHED: usize = 10;
+const MAX_SEARCHED: usize = 10;
 
 impl Definition {
     /// Passes when the tolerance, the horizon [s] and the number of intervals are allowed.
@@ -144,7 +141,7 @@ impl Definition {
     /// Most intervals that are analysed by this definition.
     pub fn most_intervals(&self) -> usize {
         let searched = self.controls == Family::Piecewise || self.grid == Grid::Free;
-        if searched { MOST_SEARCHED } else { MOST_INTERVALS }
+        if searched { MAX_SEARCHED } else { MAX_HELD }
     }
 
     /// The largest error of `count` intervals over a horizon [s].
@@ -233,10 +230,10 @@ impl Definition {
         found
     }
 
-    /// The largest errors on these intervals by all measures and, up to [`MOST_SEARCHED`] of them, all families.
+    /// The largest errors on these intervals by all measures and, up to ten of them, all families.
     pub fn others(&self, lengths_s: &[f64]) -> Vec<Other> {
         let mut others = Vec::new();
-        let few = lengths_s.len() <= MOST_SEARCHED;
+        let few = lengths_s.len() <= MAX_SEARCHED;
         for controls in Family::ALL.into_iter().filter(|family| few || *family == Family::Constant) {
             for error in ErrorMeasure::ALL {
                 let largest = Self { error, controls, ..*self }.worst_on(lengths_s.to_vec()).error;
@@ -298,6 +295,9 @@ impl Definition {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The horizon of the source [s].
+    const SOURCE_HORIZON_S: f64 = 2.72;
 
     #[test]
     fn six_intervals_are_found_with_the_definition_of_the_source() {
