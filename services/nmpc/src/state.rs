@@ -73,4 +73,14 @@ mod tests {
         let checkpoint = Checkpoint::of(Role::Controller, &state);
         assert_eq!(checkpoint.state::<ControllerState>(), Ok(state));
     }
+
+    #[test]
+    fn an_arrival_is_found_again_and_a_number_without_meaning_is_on_the_way() {
+        for arrival in [Arrival::OnTheWay, Arrival::Landed, Arrival::Passed, Arrival::StateLost] {
+            let state = ControllerState { arrival: arrival.wire(), ..ControllerState::default() };
+            assert_eq!(state.arrival(), arrival);
+        }
+        let state = ControllerState { arrival: 4, ..ControllerState::default() };
+        assert_eq!(state.arrival(), Arrival::OnTheWay);
+    }
 }

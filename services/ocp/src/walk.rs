@@ -58,3 +58,27 @@ impl Walk {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_limit_on_the_way_ends_the_walk() {
+        let mut walk = Walk::whole();
+        // Away from its limit, along it, and short of it.
+        walk.consider_row(0, RowState::AtUpper, 0.0, 1.0, [0.0, 0.5]);
+        walk.consider_bound(1, 0.0, 0.0, [-1.0, 1.0]);
+        walk.consider_bound(2, 0.0, 0.9, [-1.0, 1.0]);
+        assert!(walk.met.is_none() && walk.fraction == 1.0);
+        walk.consider_bound(3, 0.0, -2.0, [-1.0, 1.0]);
+        assert!(matches!(walk.met, Some(Met::Bound(3, BoundState::Lower))) && walk.fraction == 0.5);
+        walk.consider_row(4, RowState::BeyondUpper, 3.0, -4.0, [0.0, 2.0]);
+        assert!(matches!(walk.met, Some(Met::Row(4, RowState::AtUpper))) && walk.fraction == 0.25);
+        // One that is met later changes nothing; one that is passed already ends it at once.
+        walk.consider_row(5, RowState::Inside, 0.0, 1.0, [-1.0, 0.5]);
+        assert_eq!(walk.fraction, 0.25);
+        walk.consider_row(6, RowState::Inside, 1.0, 1.0, [-1.0, 0.5]);
+        assert_eq!(walk.fraction, 0.0);
+    }
+}
