@@ -22,10 +22,12 @@ mod state;
 mod stop_rule;
 mod verify;
 mod warm;
+mod weights;
 
-pub use config::{Config, Goal, StopSettings, Track, WeightSettings};
+pub use config::{Config, Goal, StopSettings, Track};
 pub use controller::Controller;
 pub use guide::GuideSettings;
 pub use ocp::Budget;
 pub use side::Side;
 pub use state::ControllerState;
+pub use weights::WeightSettings;

@@ -99,7 +99,7 @@ impl Planner {
             previous: None,
             references: Vec::with_capacity(config.intervals),
             control_reference: Control::default(),
-            weights: config.problem_weights(),
+            weights: config.weights.over(config.interval_s()),
             ellipses: Vec::with_capacity(config.max_ellipses),
         };
         Self {
