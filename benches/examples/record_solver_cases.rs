@@ -10,11 +10,11 @@
 //! of your own for those.
 
 use commands::bench::solver::problem::{Case, PERIOD_S, guess, problem};
-use nmpc::{Budget, Collocation, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Collocation, Solver, SolverSettings, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use vehicle::State;
 use vehicle::integrate::integrate;
+use vehicle::{Parameters, State};
 
 /// Standard deviations of what is measured.
 const POSITION_M: f64 = 0.01;
@@ -54,7 +54,7 @@ fn drive(lap: u64) -> Vec<State> {
         let problem = problem(&case, 6);
         let guess = guess(&problem, &collocation, before.as_ref());
         let solution = solver.solve(&problem, &guess, &Budget::Iterations(60));
-        truth = integrate(&problem.parameters, &truth, &solution.trajectory.controls[0], PERIOD_S);
+        truth = integrate(&Parameters::default(), &truth, &solution.trajectory.controls[0], PERIOD_S);
         before = Some(solution.trajectory);
     }
     states

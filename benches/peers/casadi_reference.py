@@ -6,7 +6,7 @@ collocation with three stages on each interval, all stage values and node states
 with the penalty L1 s + L2 s^2, hard bounds of the controls, exact Hessian. The Rust test `casadi_reference` solves the
 same instances from the same guesses and compares the controls.
 
-    python3 benches/peers/casadi_reference.py            writes services/nmpc/tests/data/casadi_reference.json
+    python3 benches/peers/casadi_reference.py            writes services/ocp/tests/data/casadi_reference.json
 
 CasADi comes from PyPI into a virtual environment next to this file, which is made on the first run.
 """
@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-OUTPUT = HERE.parents[1] / "services" / "nmpc" / "tests" / "data" / "casadi_reference.json"
+OUTPUT = HERE.parents[1] / "services" / "ocp" / "tests" / "data" / "casadi_reference.json"
 VERSION = "3.8.2"
 
 try:

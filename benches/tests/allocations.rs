@@ -2,13 +2,13 @@
 
 #![expect(unsafe_code, reason = "a global allocator is an unsafe trait")]
 
-#[path = "../../services/nmpc/tests/problems/mod.rs"]
+#[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use nmpc::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use problems::random;
 
 /// The system's allocator with a count of what it is asked for.

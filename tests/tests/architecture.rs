@@ -51,8 +51,17 @@ fn unsafe_code_stays_in_the_runtime_the_c_library_and_the_benches() {
 
 #[test]
 fn algorithms_read_no_clock_and_no_file() {
-    let pure =
-        ["vehicle", "calibration", "emulator", "estimator", "obstacles", "nmpc", "actuation", "pipeline"];
+    let pure = [
+        "vehicle",
+        "calibration",
+        "emulator",
+        "estimator",
+        "obstacles",
+        "ocp",
+        "nmpc",
+        "actuation",
+        "pipeline",
+    ];
     for name in pure {
         for path in sources(&root().join("services").join(name).join("src")) {
             let text = std::fs::read_to_string(&path).unwrap();

@@ -1,11 +1,11 @@
 //! Settings of the controller, checked once when it is made.
 
+use ocp::SolverSettings;
 use serde::{Deserialize, Serialize};
 use vehicle::{Bounds, Invalid, Parameters, require};
 
 use crate::guide::GuideSettings;
-use crate::problem::Weights;
-use crate::settings::SolverSettings;
+use crate::weights::WeightSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
@@ -43,37 +43,6 @@ pub struct Track {
 impl Default for Track {
     fn default() -> Self {
         Self { x_m: [0.0, 22.0], y_m: [-1.5, 1.5], walls: false }
-    }
-}
-
-/// Weights of the objective; integrals are multiplied by the interval when the problem is built.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct WeightSettings {
-    /// Integral weights of (sideslip, yaw, yaw rate, x, y).
-    pub state: [f64; 5],
-    /// Weights of (sideslip, yaw, yaw rate, x, y) at the end of the horizon.
-    pub terminal: [f64; 5],
-    /// Integral weights of (velocity, steering) about their reference.
-    pub control: [f64; 2],
-    /// Weights of the differences of (velocity, steering) from interval to interval.
-    pub change: [f64; 2],
-    /// Linear weight of the slack of an ellipse.
-    pub slack_linear: f64,
-    /// Quadratic weight of the slack of an ellipse.
-    pub slack_quadratic: f64,
-}
-
-impl Default for WeightSettings {
-    fn default() -> Self {
-        Self {
-            state: [0.1, 0.5, 0.1, 1.0, 8.0],
-            terminal: [0.1, 0.5, 0.1, 5.0, 8.0],
-            control: [0.1, 10.0],
-            change: [0.2, 50.0],
-            slack_linear: 500.0,
-            slack_quadratic: 500.0,
-        }
     }
 }
 
@@ -219,7 +188,7 @@ impl Config {
         require("budget_ms", self.budget_ms, 0.1..=1e3)?;
         require("budget_share", self.budget_share, 0.01..=1.0)?;
         require("budget_iterations", f64::from(self.budget_iterations), 1.0..=1e3)?;
-        self.validate_weights().map_err(|error| error.within("weights"))?;
+        self.weights.validate().map_err(|error| error.within("weights"))?;
         self.guide.validate().map_err(|error| error.within("guide"))?;
         self.solver.validate().map_err(|error| error.within("solver"))?;
         let stop = &self.stop;
@@ -243,19 +212,6 @@ impl Config {
         self.horizon_s / self.intervals as f64
     }
 
-    /// Weights as the problem takes them.
-    pub(crate) fn problem_weights(&self) -> Weights {
-        let weights = &self.weights;
-        Weights {
-            node: weights.state.map(|weight| weight * self.interval_s()),
-            terminal: weights.terminal,
-            control: weights.control.map(|weight| weight * self.interval_s()),
-            change: weights.change,
-            slack_linear: weights.slack_linear,
-            slack_quadratic: weights.slack_quadratic,
-        }
-    }
-
     fn validate_bounds(&self) -> Result<(), Invalid> {
         let bounds = &self.bounds;
         require("bounds.velocity_min_mps", bounds.velocity_min_mps, 0.02..=10.0)?;
@@ -273,24 +229,6 @@ impl Config {
             ("parameters.inertia_kgm2", parameters.inertia_kgm2),
         ] {
             require(key, value, 1e-3..=1e6)?;
-        }
-        Ok(())
-    }
-
-    fn validate_weights(&self) -> Result<(), Invalid> {
-        let WeightSettings { state, terminal, control, change, slack_linear, slack_quadratic } = self.weights;
-        let lists: [(&str, &[f64]); 6] = [
-            ("state", &state),
-            ("terminal", &terminal),
-            ("control", &control),
-            ("change", &change),
-            ("slack_linear", &[slack_linear]),
-            ("slack_quadratic", &[slack_quadratic]),
-        ];
-        for (key, values) in lists {
-            for &value in values {
-                require(key, value, 0.0..=1e6)?;
-            }
         }
         Ok(())
     }

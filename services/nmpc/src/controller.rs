@@ -10,18 +10,20 @@
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one whose [`Controller::state`] it got.
 
+use ocp::Budget;
 use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
 use vehicle::{Control, Invalid, State};
 
 use crate::config::Config;
 use crate::guide::Guide;
+use crate::hazard::{self, Hazard};
 use crate::landing::{Approach, approach};
-use crate::lattice::{Query, Search};
-use crate::planner::{Choice, Planner, Task, scene as scene_of};
-use crate::problem::Budget;
-use crate::scene::{self, Hazard};
-use crate::side::Sides;
-use crate::state::ControllerState;
+use crate::lattice::Search;
+use crate::planner::{Choice, Planner, Task};
+use crate::query::Query;
+use crate::scene::Scene;
+use crate::side::{Passing, Sides};
+use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::is_blocked;
 use crate::warm;
 
@@ -33,14 +35,8 @@ const LONGEST_LEAD_S: f64 = 1.0;
 const FAR_OUTSIDE_M: f64 = 1.0;
 /// How deep the body may overlap a described box [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
-/// `ControllerState::arrival` of a robot that has landed.
-const LANDED: u32 = 1;
-/// `ControllerState::arrival` of a robot that drives on commands which this controller knows nothing of.
-const STATE_LOST: u32 = 3;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
-/// `ControllerState::arrival` of a robot that has passed the goal.
-const PASSED: u32 = 2;
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
@@ -74,16 +70,6 @@ impl Controller {
         })
     }
 
-    /// The settings.
-    pub fn config(&self) -> &Config {
-        &self.config
-    }
-
-    /// The path that the last plan followed.
-    pub fn guide(&self) -> &Guide {
-        &self.guide
-    }
-
     /// What a restarted controller goes on from.
     pub fn state(&self) -> ControllerState {
         ControllerState { sides: *self.sides.entries(), ..self.state }
@@ -112,7 +98,7 @@ impl Controller {
     /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
     /// robot lands again.
     pub fn start_in_stop(&mut self) {
-        self.state = ControllerState { arrival: STATE_LOST, ..ControllerState::default() };
+        self.state = ControllerState { arrival: Arrival::StateLost.wire(), ..ControllerState::default() };
         self.sides = Sides::default();
     }
 
@@ -142,14 +128,15 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        if self.state.arrival == LANDED {
-            return Err(StopReason::Landed);
-        }
-        if self.state.arrival == STATE_LOST {
-            if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
-                return Err(StopReason::StateLost);
+        match self.state.arrival() {
+            Arrival::Landed => return Err(StopReason::Landed),
+            Arrival::StateLost => {
+                if !(pose.speed_mps.abs() < REST_MPS && pose.predicted_speed_mps.abs() < REST_MPS) {
+                    return Err(StopReason::StateLost);
+                }
+                self.state.arrival = Arrival::OnTheWay.wire();
             }
-            self.state.arrival = 0;
+            Arrival::OnTheWay | Arrival::Passed => {}
         }
         let initial = self.read(pose, obstacles)?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
@@ -162,9 +149,8 @@ impl Controller {
 
         let Self { config, hazards, guide, state, planner, .. } = self;
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let task =
-            Task { config, hazards, guide, last: state, initial, start_ns: pose.predicted_ns, fastest_mps };
-        let scene = task.scene();
+        let scene = Scene::new(config, hazards, initial);
+        let task = Task { scene, guide, last: state, start_ns: pose.predicted_ns, fastest_mps };
         let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
             let blocked = !guide.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
@@ -185,7 +171,8 @@ impl Controller {
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
-                if self.state.arrival == PASSED && goal.x_m - initial.x < 2.0 * goal.tolerance_m =>
+                if self.state.arrival() == Arrival::Passed
+                    && goal.x_m - initial.x < 2.0 * goal.tolerance_m =>
             {
                 Err(StopReason::GoalPassed)
             }
@@ -227,10 +214,10 @@ impl Controller {
             && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
             && (0.0..=LONGEST_LEAD_S).contains(&lead_s)
             && pose.header.scan_id == obstacles.header.scan_id;
-        if !sound || !scene::read(obstacles, lead_s, &mut self.hazards) {
+        if !sound || !hazard::read(obstacles, lead_s, &mut self.hazards) {
             return Err(StopReason::BadInput);
         }
-        let body = scene_of(&self.config, &self.hazards, initial).body_at(&initial);
+        let body = Scene::new(&self.config, &self.hazards, initial).body_at(&initial);
         let reach = body.length + body.width;
         let overlaps = |hazard: &Hazard| {
             let distance = (hazard.body.centre - body.centre).norm();
@@ -288,11 +275,11 @@ impl Controller {
         let in_the_way = |hazard: &&Hazard| {
             hazard.centre[0] > initial.x
                 && (hazard.centre[1] - line).abs() < hazard.b
-                && self.sides.held(hazard) != 0
+                && self.sides.held(hazard).is_some()
         };
         let nearest =
             self.hazards.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-        nearest.map_or(0, |hazard| i32::from(self.sides.held(hazard)))
+        nearest.and_then(|hazard| self.sides.held(hazard)).map_or(0, Passing::wire)
     }
 
     /// After a stop in front of a blocked path: waits until a way was clear for a while.
@@ -332,7 +319,7 @@ impl Controller {
         (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
 
         let state = &mut self.state;
-        (state.arrival, state.blocked_scans, state.clear_scans) = (0, 0, 0);
+        (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);
         state.plan = command.plan;
         state.plan_length = command.plan_length;
@@ -347,8 +334,8 @@ impl Controller {
         command.reason = reason.wire();
         let state = &mut self.state;
         match reason {
-            StopReason::Landed => state.arrival = LANDED,
-            StopReason::GoalPassed => state.arrival = PASSED,
+            StopReason::Landed => state.arrival = Arrival::Landed.wire(),
+            StopReason::GoalPassed => state.arrival = Arrival::Passed.wire(),
             StopReason::Blocked => state.blocked_scans = state.blocked_scans.saturating_add(1),
             _ => {}
         }

@@ -10,7 +10,8 @@
 use serde::{Deserialize, Serialize};
 use vehicle::{Invalid, require};
 
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
+use crate::side::Passing;
 
 /// Largest sine of the course.
 pub(crate) const SINE_MAX: f64 = 0.8;
@@ -84,15 +85,15 @@ impl GuideSettings {
 
 /// A path y(x) of arcs from the start of the plan.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Guide {
+pub(crate) struct Guide {
     pub(crate) start_x: f64,
     pub(crate) step: f64,
     pub(crate) y: Vec<f64>,
     pub(crate) sine: Vec<f64>,
     /// Velocity that the path was searched for [m/s].
-    pub speed: f64,
+    pub(crate) speed: f64,
     /// Whether the path enters no ellipse (deeper than now) and leaves no bound.
-    pub clear: bool,
+    pub(crate) clear: bool,
 }
 
 impl Guide {
@@ -106,7 +107,7 @@ impl Guide {
     }
 
     /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind the end the path goes on along x.
-    pub fn at(&self, x: f64) -> (f64, f64, f64) {
+    pub(crate) fn at(&self, x: f64) -> (f64, f64, f64) {
         let Some(&end) = self.y.last() else { return (0.0, 0.0, 0.0) };
         let (along, last) = ((x - self.start_x) / self.step, self.y.len() - 1);
         if last == 0 || along >= last as f64 || along.is_nan() {
@@ -124,8 +125,8 @@ impl Guide {
         )
     }
 
-    /// Side on which the path passes the hazard: 1 left of it, -1 right of it, 0 when it does not get there.
-    pub(crate) fn side_of(&self, hazard: &Hazard) -> i8 {
+    /// Side on which the path passes the hazard; `None` when it does not get there.
+    pub(crate) fn side_of(&self, hazard: &Hazard) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
             let t = index as f64 * self.step / self.speed;
@@ -134,12 +135,12 @@ impl Guide {
             if before < 0.0 && after >= 0.0 {
                 let share = -before / (after - before);
                 let crossing = self.y[index - 1] + share * (y - self.y[index - 1]);
-                return if crossing > centre_y { 1 } else { -1 };
+                return Some(Passing::of(crossing, centre_y));
             }
             before = after;
             position += self.step;
         }
-        0
+        None
     }
 }
 

@@ -1,8 +1,9 @@
 //! What stands in the way of a lattice search, tabulated per layer before the search begins.
 
 use crate::guide::GuideSettings;
-use crate::lattice::Query;
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
+use crate::query::Query;
+use crate::side::Passing;
 
 /// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
 pub(crate) const HARD: f64 = 1e3;
@@ -24,7 +25,7 @@ struct Crossing {
     layer: usize,
     share: f64,
     centre: f64,
-    side: i8,
+    side: Passing,
 }
 
 /// Extents of the ellipses at every half layer, and where their centres are crossed.
@@ -64,8 +65,7 @@ impl Hurdles {
         }
         self.offsets.push(self.spans.len());
         for hazard in query.hazards {
-            let side = query.sides.held(hazard);
-            if side != 0
+            if let Some(side) = query.sides.held(hazard)
                 && let Some(crossing) = crossing_of(hazard, side, query, layers, step)
             {
                 self.crossings.push(crossing);
@@ -100,13 +100,13 @@ impl Hurdles {
     pub(crate) fn switches(&self, layer: usize, from: f64, to: f64) -> f64 {
         let switched = |crossing: &&Crossing| {
             let y = from + crossing.share * (to - from);
-            crossing.layer == layer && (y > crossing.centre) != (crossing.side > 0)
+            crossing.layer == layer && (y > crossing.centre) != (crossing.side == Passing::Left)
         };
         self.crossings.iter().filter(switched).count() as f64
     }
 }
 
-fn crossing_of(hazard: &Hazard, side: i8, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
+fn crossing_of(hazard: &Hazard, side: Passing, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
     for layer in 0..layers {
         let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
         let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);

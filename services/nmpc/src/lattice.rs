@@ -10,12 +10,11 @@
 //! represented; a robot that stands across the track gets no clear guide. Obstacles are looked at twice per
 //! arc, every 0.2 m, so a corner of an ellipse may be cut by millimetres: the margin covers that.
 
-use vehicle::State;
-
 use crate::guide::{Guide, GuideSettings, SINE_MAX, rise};
+use crate::hazard::Hazard;
 use crate::hurdles::{HARD, Hurdles};
-use crate::scene::Hazard;
-use crate::side::Sides;
+use crate::query::Query;
+use crate::scene::excess;
 
 /// Cosine of the largest course from which a guide starts: SINE_MAX and a little.
 const LEAST_COSINE: f64 = 0.55;
@@ -27,29 +26,6 @@ const CELL_M: f64 = 0.08;
 const SHORTEST_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
 const OUTSIDE_M: f64 = 0.6;
-
-/// What a guide is searched for.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Query<'a> {
-    /// State at the start of the plan.
-    pub(crate) start: State,
-    /// The line y = `line` that the path keeps to where it can [m].
-    pub(crate) line: f64,
-    /// Position along the track where the path ends at the latest [m].
-    pub(crate) goal_x: f64,
-    /// Bounds of the lateral position, (7.46) [m].
-    pub(crate) y_range: [f64; 2],
-    /// Largest curvature the robot can steer [1/m].
-    pub(crate) curvature: f64,
-    /// Distance that is kept to the ellipses [m].
-    pub(crate) margin: f64,
-    /// Velocity along the path [m/s].
-    pub(crate) speed: f64,
-    /// The obstacles.
-    pub(crate) hazards: &'a [Hazard],
-    /// Sides on which they were passed before.
-    pub(crate) sides: &'a Sides,
-}
 
 /// The cheapest path that ends in one cell of a layer.
 #[derive(Debug, Clone, Copy)]
@@ -294,15 +270,12 @@ impl Grid {
     }
 }
 
-/// How far `y` is outside its bounds [m].
-fn excess(y: f64, range: [f64; 2]) -> f64 {
-    (range[0] - y).max(y - range[1]).max(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::side::{Passing, Sides};
     use nalgebra::Vector2;
+    use vehicle::State;
     use vehicle::geometry::Rectangle;
 
     fn hazard(id: u32, x: f64, y: f64, b: f64) -> Hazard {
@@ -338,13 +311,16 @@ mod tests {
             assert!(obstacle.value(0.0, x, y) > 0.99, "{x} {y}");
             assert!(y.abs() <= 1.5 && curvature.abs() <= 0.3241);
         }
-        assert_ne!(guide.side_of(&obstacle), 0);
+        assert_ne!(guide.side_of(&obstacle), None);
     }
 
     #[test]
     fn a_closed_side_is_not_taken() {
         let obstacle = hazard(1, 4.5, 0.7, 0.9);
-        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        assert_eq!(
+            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
+            Some(Passing::Right)
+        );
         let wide = hazard(1, 4.5, 0.0, 1.6);
         assert!(!find(State::default(), &[wide], &Sides::default()).clear);
     }
@@ -360,10 +336,13 @@ mod tests {
     #[test]
     fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
         let obstacle = hazard(1, 4.5, 0.03, 0.8);
-        assert_eq!(find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle), -1);
+        assert_eq!(
+            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
+            Some(Passing::Right)
+        );
         let mut sides = Sides::default();
-        sides.hold(&obstacle, 1);
-        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), 1);
+        sides.hold(&obstacle, Some(Passing::Left));
+        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
     }
 
     #[test]

@@ -1,53 +1,33 @@
-//! Nonlinear model predictive control of the robot: from pose and obstacles to one verified command per scan.
+//! The controller of the robot: from pose and obstacles to one verified command per scan.
+//!
+//! A lattice search chooses on which side each obstacle is passed, the crate `ocp` solves the optimal control problem
+//! along that path, and every plan is verified before it is driven. [`Controller`] holds the order of these decisions;
+//! [`service`] is the process around it.
 
-pub mod analysis;
-mod chain;
-pub mod collocation;
-mod condense;
 mod config;
 mod controller;
-mod curvature;
-mod dense;
 mod guide;
-mod hessian;
+mod hazard;
 mod hurdles;
-mod interval;
-mod kkt;
 mod landing;
-mod lateral;
 mod lattice;
-mod newton;
-mod objective;
 mod planner;
-mod problem;
-mod qp;
+mod query;
 mod reference;
 mod rollout;
 mod scene;
 pub mod service;
-mod settings;
-mod shooting;
 mod side;
-mod sqp;
 mod state;
 mod stop_rule;
-#[cfg(test)]
-mod testing;
-mod usable;
 mod verify;
 mod warm;
+mod weights;
 
-pub use collocation::{Collocation, Scheme};
-pub use config::{Config, Goal, StopSettings, Track, WeightSettings};
+pub use config::{Config, Goal, StopSettings, Track};
 pub use controller::Controller;
-pub use guide::{Guide, GuideSettings};
-pub use hessian::Hessian;
-pub use interval::{Propagation, propagate};
-pub use problem::{Budget, EllipsePath, Problem, Solution, Trajectory, Weights};
-pub use qp::QpChoice;
-pub use settings::SolverSettings;
-pub use shooting::roll_out;
+pub use guide::GuideSettings;
+pub use ocp::Budget;
 pub use side::Side;
-pub use sqp::Solver;
 pub use state::ControllerState;
-pub use usable::MAX_INTERVALS;
+pub use weights::WeightSettings;

@@ -7,17 +7,19 @@
 //!
 //! Each rung counts only when it is verified against the obstacles of this scan.
 
+use std::sync::Arc;
+
+use ocp::{Budget, EllipsePath, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, SolveStatus};
 use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::guide::Guide;
-use crate::problem::{Budget, EllipsePath, Problem, Solution, Trajectory};
+use crate::hazard::Hazard;
 use crate::reference::{self, Pace};
-use crate::scene::Hazard;
-use crate::sqp::Solver;
+use crate::scene::Scene;
 use crate::state::ControllerState;
-use crate::verify::{Driven, Scene, verify};
+use crate::verify::{Driven, verify};
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
@@ -28,32 +30,27 @@ const LARGEST_DEFECT_M: f64 = 0.01;
 /// What is known when a plan is asked for.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task<'a> {
-    pub(crate) config: &'a Config,
-    pub(crate) hazards: &'a [Hazard],
+    /// What plans are held against.
+    pub(crate) scene: Scene<'a>,
+    /// The path that a plan follows.
     pub(crate) guide: &'a Guide,
     /// The state of the controller, with the last plan.
     pub(crate) last: &'a ControllerState,
-    /// State at the start of the plan.
-    pub(crate) initial: State,
     /// Time of the start of the plan [ns].
     pub(crate) start_ns: u64,
     /// Largest velocity to plan with [m/s].
     pub(crate) fastest_mps: f64,
 }
 
-impl<'a> Task<'a> {
-    /// What plans are held against.
-    pub(crate) fn scene(&self) -> Scene<'a> {
-        scene(self.config, self.hazards, self.initial)
-    }
-
+impl Task<'_> {
     fn pace(&self) -> Pace {
-        let speed = if self.guide.clear { self.guide.speed } else { self.config.stop.approach_mps };
+        let config = self.scene.config;
+        let speed = if self.guide.clear { self.guide.speed } else { config.stop.approach_mps };
         Pace {
-            cruise: speed.min(self.config.cruise_mps).min(self.fastest_mps),
-            slowest: self.config.bounds.velocity_min_mps,
-            goal_x: self.config.goal.x_m,
-            landing_time: self.config.landing_time_s,
+            cruise: speed.min(config.cruise_mps).min(self.fastest_mps),
+            slowest: config.bounds.velocity_min_mps,
+            goal_x: config.goal.x_m,
+            landing_time: config.landing_time_s,
         }
     }
 
@@ -62,25 +59,8 @@ impl<'a> Task<'a> {
         let elapsed_s = self.start_ns.checked_sub(self.last.plan_start_ns)? as f64 * 1e-9;
         let usable = self.last.plan_length >= 2
             && elapsed_s < LONGEST_REST_S
-            && (self.last.plan_interval_s - self.config.interval_s()).abs() < 1e-9;
+            && (self.last.plan_interval_s - self.scene.config.interval_s()).abs() < 1e-9;
         usable.then_some(elapsed_s)
-    }
-}
-
-/// What plans from `initial` are held against.
-pub(crate) fn scene<'a>(config: &'a Config, hazards: &'a [Hazard], initial: State) -> Scene<'a> {
-    Scene {
-        parameters: &config.parameters,
-        bounds: &config.bounds,
-        initial,
-        interval_s: config.interval_s(),
-        body: [config.body_length_m, config.body_width_m],
-        clearance: config.clearance_m,
-        x_range: config.track.x_m,
-        y_range: config.y_range(),
-        walls: config.track.walls.then_some(config.track.y_m),
-        goal_x: config.goal.x_m,
-        hazards,
     }
 }
 
@@ -110,7 +90,7 @@ impl Planner {
     /// A planner for `config`, which is valid.
     pub(crate) fn new(config: &Config) -> Self {
         let problem = Problem {
-            parameters: config.parameters,
+            model: Arc::new(config.parameters),
             bounds: config.bounds,
             x_range: config.track.x_m,
             y_range: config.y_range(),
@@ -119,7 +99,7 @@ impl Planner {
             previous: None,
             references: Vec::with_capacity(config.intervals),
             control_reference: Control::default(),
-            weights: config.problem_weights(),
+            weights: config.weights.over(config.interval_s()),
             ellipses: Vec::with_capacity(config.max_ellipses),
         };
         Self {
@@ -134,7 +114,7 @@ impl Planner {
 
     /// The first rung of the ladder that holds, `None` when none does. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
-        self.pose(task);
+        self.build_problem(task);
         let mut used = 0;
         if let Some(elapsed_s) = task.elapsed()
             && self.start_from_plan(task, elapsed_s)
@@ -152,7 +132,7 @@ impl Planner {
             return Some(Choice { level: Level::BestIterate, intervals });
         }
         let elapsed_s = task.elapsed()?;
-        let interval_s = task.config.interval_s();
+        let interval_s = task.scene.config.interval_s();
         read_plan(task.last, &mut self.controls);
         warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
@@ -162,8 +142,8 @@ impl Planner {
     }
 
     /// Fills the optimal control problem of this scan.
-    fn pose(&mut self, task: &Task) {
-        let Task { config, initial, last, .. } = *task;
+    fn build_problem(&mut self, task: &Task) {
+        let Task { scene: Scene { config, hazards, initial, .. }, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
@@ -177,7 +157,7 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
-        fill_ellipses(config, task.hazards, &initial, &mut problem.ellipses);
+        fill_ellipses(config, hazards, &initial, &mut problem.ellipses);
     }
 
     /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
@@ -187,28 +167,28 @@ impl Planner {
             return false;
         }
         // A plan that was cut at the goal goes on with its last control.
-        self.controls.resize(task.config.intervals, self.controls[self.controls.len() - 1]);
-        warm::shift(&self.controls, task.config.interval_s(), elapsed_s, &mut self.guess.controls);
+        self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
+        warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene(), task.guide, &self.driven.way)
+        warm::agrees(&task.scene, task.guide, &self.driven.way)
     }
 
     fn start_from_guide(&mut self, task: &Task) {
-        let intervals = task.config.intervals;
-        warm::follow(&task.scene(), task.guide, &task.pace(), intervals, &mut self.guess.controls);
+        let intervals = task.scene.config.intervals;
+        warm::follow(&task.scene, task.guide, &task.pace(), intervals, &mut self.guess.controls);
         self.drive_guess(task);
     }
 
     /// Puts the states that the controls of the guess lead to into it.
     fn drive_guess(&mut self, task: &Task) {
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
-        self.driven.drive(&task.scene(), &self.guess.controls);
+        self.driven.drive(&task.scene, &self.guess.controls);
         self.guess.states.clone_from(&self.driven.nodes);
     }
 
     /// Takes the guess as the plan when it may be driven, with the number of its intervals.
     fn verify_guess(&mut self, task: &Task) -> Option<usize> {
-        let verdict = verify(&task.scene(), &self.guess.controls, &mut self.driven);
+        let verdict = verify(&task.scene, &self.guess.controls, &mut self.driven);
         self.controls.clone_from(&self.guess.controls);
         verdict.holds().then_some(verdict.intervals)
     }
@@ -235,24 +215,22 @@ impl Planner {
         *used = used.saturating_add(solution.iterations.max(1));
         report(solution, *used, command);
         self.controls.clone_from(&solution.trajectory.controls);
-        let usable = matches!(
-            solution.status,
-            SolveStatus::Converged | SolveStatus::MaxIterations | SolveStatus::OutOfTime
-        ) && self.controls.len() == task.config.intervals
+        let usable = solution.status != Status::Failed
+            && self.controls.len() == task.scene.config.intervals
             && self.controls.iter().all(Control::is_finite);
         if !usable {
             return None;
         }
-        warm::clamp(&task.config.bounds, &mut self.controls);
-        let scene = task.scene();
-        let verdict = verify(&scene, &self.controls, &mut self.driven);
-        let agrees = !task.guide.clear || warm::agrees(&scene, task.guide, &self.driven.way);
+        warm::clamp(&task.scene.config.bounds, &mut self.controls);
+        let scene = &task.scene;
+        let verdict = verify(scene, &self.controls, &mut self.driven);
+        let agrees = !task.guide.clear || warm::agrees(scene, task.guide, &self.driven.way);
         if !verdict.holds() || !agrees {
             return None;
         }
         let defect = largest_distance(&solution.trajectory.states, &self.driven.nodes);
         command.largest_violation = command.largest_violation.max(defect);
-        let exact = solution.status == SolveStatus::Converged && defect < LARGEST_DEFECT_M;
+        let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
         Some(Choice { level, intervals: verdict.intervals })
     }
@@ -302,7 +280,7 @@ fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses:
 }
 
 fn report(solution: &Solution, iterations: u32, command: &mut Command) {
-    command.status = solution.status.wire();
+    command.status = wire_status(solution.status);
     command.iterations = iterations;
     command.active_constraints = solution.active_constraints;
     // A failed solve reports infinities, which have no place in a sample.
@@ -311,6 +289,16 @@ fn report(solution: &Solution, iterations: u32, command: &mut Command) {
     command.largest_violation = finite(solution.largest_violation);
     command.slack = finite(solution.slack);
     command.objective = finite(solution.objective);
+}
+
+fn wire_status(status: Status) -> u32 {
+    match status {
+        Status::Converged => SolveStatus::Converged,
+        Status::MaxIterations => SolveStatus::MaxIterations,
+        Status::OutOfTime => SolveStatus::OutOfTime,
+        Status::Failed => SolveStatus::Failed,
+    }
+    .wire()
 }
 
 fn largest_distance(planned: &[State], driven: &[State]) -> f64 {

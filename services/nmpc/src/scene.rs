@@ -1,162 +1,136 @@
-//! The obstacles of one scan in the form that planning and verification ask for.
+//! What a plan is held against at each of its places: the obstacles, the walls and the bounds of the position.
 //!
-//! Every ellipse becomes a [`Hazard`] whose time counts from the start of the plan, which is when the command
-//! will act. A body whose velocity is not significant against its own covariance counts as standing:
-//! prediction with a noisy velocity moves the ellipse of a standing body by decimetres over the horizon.
-//! Assumed: bodies keep their velocity over the horizon. Where they do not, the next scan corrects it.
+//! What is violated at the start already is the [`Baseline`]: a plan must not make it worse.
 
 use nalgebra::Vector2;
-use shared_types::{Obstacle, Obstacles};
+use vehicle::State;
 use vehicle::geometry::Rectangle;
 
-/// Speed in standard deviations from which a body counts as moving.
-const SIGNIFICANCE: f64 = 2.0;
-/// Speed below which a body counts as standing, whatever its covariance [m/s].
-const STANDING_MPS: f64 = 0.08;
-/// Largest number that is taken for a position or a size [m].
-const LARGEST_M: f64 = 1e5;
+use crate::config::Config;
+use crate::hazard::Hazard;
 
-/// One ellipse and the box of the body inside it, at the start of the plan.
+/// How much deeper than now an ellipse may be entered, in units of (7.34).
+const DEEPER: f64 = 0.01;
+/// How far a bound of the position may be exceeded [m].
+const OUTSIDE_M: f64 = 0.05;
+/// Numerical tolerance of all comparisons of lengths [m].
+const TOLERANCE_M: f64 = 1e-3;
+
+/// What a plan is held against.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scene<'a> {
+    /// The robot, the track and the goal.
+    pub(crate) config: &'a Config,
+    /// The obstacles.
+    pub(crate) hazards: &'a [Hazard],
+    /// State at the start of the plan.
+    pub(crate) initial: State,
+    /// Bounds across the track, (7.46) [m].
+    y_range: [f64; 2],
+}
+
+/// What is wrong at a place of the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Hazard {
-    /// Identity of the ellipse.
-    pub(crate) id: u32,
-    /// Centre of the ellipse at the start of the plan [m].
-    pub(crate) centre: [f64; 2],
-    /// Velocity of the body, zero when not significant [m/s].
-    pub(crate) velocity: [f64; 2],
-    /// Semi-axis along the track, a of (7.34) [m].
-    pub(crate) a: f64,
-    /// Semi-axis across the track, b of (7.35) [m].
-    pub(crate) b: f64,
-    /// Box of the body at the start of the plan.
-    pub(crate) body: Rectangle,
+pub(crate) enum Violation {
+    /// A number is not finite, or there is no plan.
+    NotFinite,
+    /// A control is outside its hard bounds.
+    Control,
+    /// The body comes too near to an obstacle or a wall.
+    Clearance,
+    /// An ellipse is entered, or deeper than now; its index.
+    Ellipse(usize),
+    /// The position leaves its bounds.
+    Outside,
 }
 
-impl Hazard {
-    /// Centre of the ellipse `t` seconds after the start of the plan [m].
-    pub(crate) fn centre_at(&self, t: f64) -> [f64; 2] {
-        [self.centre[0] + self.velocity[0] * t, self.centre[1] + self.velocity[1] * t]
+impl<'a> Scene<'a> {
+    /// What plans from `initial` are held against.
+    pub(crate) fn new(config: &'a Config, hazards: &'a [Hazard], initial: State) -> Self {
+        Self { config, hazards, initial, y_range: config.y_range() }
     }
 
-    /// Right-hand side of (7.34) for a position `t` seconds after the start of the plan: 1 on the ellipse.
-    pub(crate) fn value(&self, t: f64, x: f64, y: f64) -> f64 {
-        let [centre_x, centre_y] = self.centre_at(t);
-        ((x - centre_x) / self.a).powi(2) + ((y - centre_y) / self.b).powi(2)
-    }
-
-    /// Box of the body `t` seconds after the start of the plan.
-    pub(crate) fn body_at(&self, t: f64) -> Rectangle {
-        let travel = Vector2::new(self.velocity[0] * t, self.velocity[1] * t);
-        Rectangle { centre: self.body.centre + travel, ..self.body }
-    }
-
-    /// Whether the body moves.
-    pub(crate) fn moves(&self) -> bool {
-        self.velocity != [0.0, 0.0]
-    }
-}
-
-/// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
-///
-/// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
-pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, hazards: &mut Vec<Hazard>) -> bool {
-    hazards.clear();
-    for item in obstacles.list() {
-        if !is_sound(item) {
-            return false;
+    /// Limits as they are at the start of the plan.
+    pub(crate) fn baseline(&self) -> Baseline {
+        let mut baseline = Baseline {
+            values: [1.0; shared_types::MAX_OBSTACLES],
+            gaps: [self.config.clearance_m; shared_types::MAX_OBSTACLES],
+            wall_gap: self.config.clearance_m,
+            outside: [OUTSIDE_M; 2],
+        };
+        let State { x, y, .. } = self.initial;
+        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            baseline.values[index] = hazard.value(0.0, x, y).min(1.0) - DEEPER;
+            let gap = self.body_at(&self.initial).distance_to_rectangle(&hazard.body);
+            baseline.gaps[index] = gap.min(self.config.clearance_m) - TOLERANCE_M;
         }
-        let velocity = significant_velocity(item);
-        let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
-        hazards.push(Hazard {
-            id: item.id,
-            centre: [item.x_m + travel[0], item.y_m + travel[1]],
-            velocity,
-            a: item.a_m,
-            b: item.b_m,
-            body: Rectangle {
-                centre: Vector2::new(item.box_x_m + travel[0], item.box_y_m + travel[1]),
-                yaw: item.box_yaw_rad,
-                length: item.box_length_m,
-                width: item.box_width_m,
-            },
-        });
+        baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
+        baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
+            .map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
+        baseline
     }
-    true
-}
 
-fn is_sound(item: &Obstacle) -> bool {
-    let anywhere = [item.x_m, item.y_m, item.box_x_m, item.box_y_m, item.box_yaw_rad];
-    let speeds = [item.velocity_x_mps, item.velocity_y_mps];
-    let sizes = [item.box_length_m, item.box_width_m];
-    anywhere.iter().all(|value| value.abs() < LARGEST_M)
-        && speeds.iter().all(|value| value.abs() < 100.0)
-        && item.velocity_covariance.iter().all(|value| value.is_finite())
-        && sizes.iter().all(|value| (0.0..=100.0).contains(value))
-        && [item.a_m, item.b_m].iter().all(|value| (0.01..=100.0).contains(value))
-}
-
-/// The velocity where its length is significant against its covariance, else zero.
-fn significant_velocity(item: &Obstacle) -> [f64; 2] {
-    let (x, y) = (item.velocity_x_mps, item.velocity_y_mps);
-    let speed = x.hypot(y);
-    if speed < STANDING_MPS {
-        return [0.0, 0.0];
+    /// The first thing wrong with the robot at `state`, `t` seconds after the start of the plan.
+    pub(crate) fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
+        if !state.is_finite() {
+            return Some(Violation::NotFinite);
+        }
+        if excess(state.x, self.config.track.x_m) > baseline.outside[0]
+            || excess(state.y, self.y_range) > baseline.outside[1]
+        {
+            return Some(Violation::Outside);
+        }
+        if self.config.track.walls && self.wall_gap(state) < baseline.wall_gap {
+            return Some(Violation::Clearance);
+        }
+        let reach = self.config.body_length_m.hypot(self.config.body_width_m) / 2.0 + self.config.clearance_m;
+        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            if hazard.value(t, state.x, state.y) < baseline.values[index] {
+                return Some(Violation::Ellipse(index));
+            }
+            let body = hazard.body_at(t);
+            let distance = (body.centre - Vector2::new(state.x, state.y)).norm();
+            if distance < reach + body.length.hypot(body.width) / 2.0
+                && self.body_at(state).distance_to_rectangle(&body) < baseline.gaps[index]
+            {
+                return Some(Violation::Clearance);
+            }
+        }
+        None
     }
-    let [xx, xy, yy] = item.velocity_covariance;
-    let variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / (speed * speed);
-    if speed * speed > SIGNIFICANCE * SIGNIFICANCE * variance { [x, y] } else { [0.0, 0.0] }
-}
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn obstacle() -> Obstacle {
-        Obstacle {
-            id: 1,
-            x_m: 5.0,
-            y_m: 0.5,
-            a_m: 1.2,
-            b_m: 0.8,
-            box_x_m: 5.0,
-            box_y_m: 0.5,
-            ..Obstacle::default()
+    /// The body at a state.
+    pub(crate) fn body_at(&self, state: &State) -> Rectangle {
+        let centre = Vector2::new(state.x, state.y);
+        Rectangle {
+            centre,
+            yaw: state.yaw,
+            length: self.config.body_length_m,
+            width: self.config.body_width_m,
         }
     }
 
-    fn one(item: Obstacle) -> Obstacles {
-        let mut obstacles = Obstacles { count: 1, ..Obstacles::default() };
-        obstacles.items[0] = item;
-        obstacles
+    fn wall_gap(&self, state: &State) -> f64 {
+        if !self.config.track.walls {
+            return f64::INFINITY;
+        }
+        let middle = (self.y_range[0] + self.y_range[1]) / 2.0;
+        let [right, left] = self.config.track.y_m;
+        let body = self.body_at(state);
+        body.distance_to_wall(right, middle).min(body.distance_to_wall(left, middle))
     }
+}
 
-    #[test]
-    fn a_velocity_within_its_noise_does_not_move_the_ellipse() {
-        let mut item =
-            Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
-        let mut hazards = Vec::new();
-        assert!(read(&one(item), 0.1, &mut hazards));
-        assert!(!hazards[0].moves() && hazards[0].centre == [5.0, 0.5]);
-        item.velocity_covariance = [0.01, 0.0, 0.01];
-        assert!(read(&one(item), 0.1, &mut hazards));
-        assert!((hazards[0].centre[0] - 4.97).abs() < 1e-12);
-        assert!((hazards[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
-    }
+/// What is already the case at the start of the plan, and so allowed along it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Baseline {
+    values: [f64; shared_types::MAX_OBSTACLES],
+    gaps: [f64; shared_types::MAX_OBSTACLES],
+    wall_gap: f64,
+    outside: [f64; 2],
+}
 
-    #[test]
-    fn the_value_is_one_on_the_ellipse() {
-        let mut hazards = Vec::new();
-        assert!(read(&one(obstacle()), 0.0, &mut hazards));
-        assert!((hazards[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
-        assert!((hazards[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn numbers_without_meaning_are_refused() {
-        let mut hazards = Vec::new();
-        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut hazards));
-        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut hazards));
-        assert!(!read(&one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }), 0.0, &mut hazards));
-    }
+/// How far `value` is outside of `range` [m].
+pub(crate) fn excess(value: f64, range: [f64; 2]) -> f64 {
+    (range[0] - value).max(value - range[1]).max(0.0)
 }

@@ -1,9 +1,11 @@
 //! The process of the role `controller`: pose and obstacles in, one verified command out.
 
+use ocp::Budget;
 use runtime::{Handover, Process, join, monotonic_ns};
 use shared_types::{Command, Obstacles, Pose, Role};
 
-use crate::{Budget, Config, Controller};
+use crate::config::Config;
+use crate::controller::Controller;
 
 /// Runs until asked to end.
 ///

@@ -5,40 +5,55 @@
 //! contains every side that was chosen before; this module remembers the choices. Ellipses are found again
 //! by their identity, or by their place when tracking has given them a new one.
 
-use bytemuck::{Pod, Zeroable};
-use shared_types::{Described, Field, Kind};
+use shared_types::plain_state;
 
-use crate::scene::Hazard;
+use crate::hazard::Hazard;
 
 /// How many choices are remembered.
 pub(crate) const MAX_SIDES: usize = 16;
 /// Distance within which an ellipse with a new identity is taken for a known one [m].
 const SAME_PLACE_M: f64 = 0.5;
 
-/// The choice for one ellipse.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-pub struct Side {
-    /// Identity of the ellipse; 0 marks an unused entry.
-    pub id: u32,
-    /// 1 passes left of it, -1 right of it.
-    pub side: i32,
-    /// Where its centre was, along the track [m].
-    pub x_m: f64,
-    /// Where its centre was, across the track [m].
-    pub y_m: f64,
+/// On which side of an obstacle the robot passes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Passing {
+    /// Left of its centre.
+    Left,
+    /// Right of its centre.
+    Right,
 }
 
-impl Described for Side {
-    const KIND: Kind = Kind::Struct(
-        "Side",
-        &[
-            Field { name: "id", doc: "Identity of the ellipse", offset: 0, kind: u32::KIND },
-            Field { name: "side", doc: "1 passes left of it, -1 right of it", offset: 4, kind: i32::KIND },
-            Field { name: "x_m", doc: "Centre along the track [m]", offset: 8, kind: f64::KIND },
-            Field { name: "y_m", doc: "Centre across the track [m]", offset: 16, kind: f64::KIND },
-        ],
-    );
+impl Passing {
+    /// The side of a path at lateral position `y` past a centre at `centre_y`.
+    pub(crate) fn of(y: f64, centre_y: f64) -> Self {
+        if y > centre_y { Self::Left } else { Self::Right }
+    }
+
+    /// 1 for left, -1 for right, as samples and checkpoints have it.
+    pub(crate) fn wire(self) -> i32 {
+        match self {
+            Self::Left => 1,
+            Self::Right => -1,
+        }
+    }
+
+    fn from_wire(side: i32) -> Option<Self> {
+        [Self::Left, Self::Right].into_iter().find(|passing| passing.wire() == side)
+    }
+}
+
+plain_state! {
+    /// The choice for one ellipse; one with the identity 0 is not used.
+    pub struct Side {
+        /// Identity of the ellipse
+        pub id: u32,
+        /// 1 passes left of it, -1 right of it
+        pub side: i32,
+        /// Centre along the track [m]
+        pub x_m: f64,
+        /// Centre across the track [m]
+        pub y_m: f64,
+    }
 }
 
 /// The choices of the last scan.
@@ -55,12 +70,14 @@ impl Sides {
 
     /// The choices of a checkpoint; entries without meaning are left out.
     pub(crate) fn from_entries(entries: &[Side; MAX_SIDES]) -> Self {
-        let sound = |entry: &Side| entry.side.abs() == 1 && entry.x_m.is_finite() && entry.y_m.is_finite();
+        let sound = |entry: &Side| {
+            Passing::from_wire(entry.side).is_some() && entry.x_m.is_finite() && entry.y_m.is_finite()
+        };
         Self { entries: entries.map(|entry| if sound(&entry) { entry } else { Side::default() }) }
     }
 
-    /// The side held for the ellipse: 1 left, -1 right, 0 none.
-    pub(crate) fn held(&self, hazard: &Hazard) -> i8 {
+    /// The side held for the ellipse.
+    pub(crate) fn held(&self, hazard: &Hazard) -> Option<Passing> {
         let used = || self.entries.iter().filter(|entry| entry.id != 0);
         let known = used().find(|entry| entry.id == hazard.id).or_else(|| {
             let distance = |entry: &Side| (entry.x_m - hazard.centre[0]).hypot(entry.y_m - hazard.centre[1]);
@@ -68,25 +85,26 @@ impl Sides {
                 .filter(|entry| distance(entry) < SAME_PLACE_M)
                 .min_by(|a, b| distance(a).total_cmp(&distance(b)))
         });
-        known.map_or(0, |entry| entry.side as i8)
+        Passing::from_wire(known?.side)
     }
 
-    /// Holds `side` for the ellipse; 0 lets go.
-    pub(crate) fn hold(&mut self, hazard: &Hazard, side: i8) {
+    /// Holds a side for the ellipse; `None` lets go.
+    pub(crate) fn hold(&mut self, hazard: &Hazard, side: Option<Passing>) {
         let old = self.entries.iter().position(|entry| entry.id == hazard.id);
         let Some(index) = old.or_else(|| self.entries.iter().position(|entry| entry.id == 0)) else { return };
         self.entries[index] = match side {
-            0 => Side::default(),
-            _ => Side { id: hazard.id, side: i32::from(side), x_m: hazard.centre[0], y_m: hazard.centre[1] },
+            None => Side::default(),
+            Some(side) => {
+                Side { id: hazard.id, side: side.wire(), x_m: hazard.centre[0], y_m: hazard.centre[1] }
+            }
         };
     }
 
-    /// Replaces all choices by those that `choose` makes; 0 keeps what was held for the ellipse.
-    pub(crate) fn renew(&mut self, hazards: &[Hazard], choose: impl Fn(&Hazard) -> i8) {
+    /// Replaces all choices by those that `choose` makes; `None` keeps what was held for the ellipse.
+    pub(crate) fn renew(&mut self, hazards: &[Hazard], choose: impl Fn(&Hazard) -> Option<Passing>) {
         let mut renewed = Self::default();
         for hazard in hazards.iter().filter(|hazard| hazard.id != 0) {
-            let chosen = choose(hazard);
-            renewed.hold(hazard, if chosen == 0 { self.held(hazard) } else { chosen });
+            renewed.hold(hazard, choose(hazard).or_else(|| self.held(hazard)));
         }
         *self = renewed;
     }
@@ -106,21 +124,21 @@ mod tests {
     #[test]
     fn a_choice_is_found_again_by_identity_or_by_place() {
         let mut sides = Sides::default();
-        sides.hold(&hazard(7, 5.0, 0.0), -1);
-        assert_eq!(sides.held(&hazard(7, 5.9, 0.3)), -1);
-        assert_eq!(sides.held(&hazard(8, 5.2, 0.1)), -1);
-        assert_eq!(sides.held(&hazard(8, 6.0, 0.0)), 0);
+        sides.hold(&hazard(7, 5.0, 0.0), Some(Passing::Right));
+        assert_eq!(sides.held(&hazard(7, 5.9, 0.3)), Some(Passing::Right));
+        assert_eq!(sides.held(&hazard(8, 5.2, 0.1)), Some(Passing::Right));
+        assert_eq!(sides.held(&hazard(8, 6.0, 0.0)), None);
     }
 
     #[test]
     fn choices_of_ellipses_that_are_gone_are_forgotten() {
         let mut sides = Sides::default();
-        sides.hold(&hazard(7, 5.0, 0.0), -1);
-        sides.renew(&[hazard(9, 9.0, 0.0)], |_| 1);
-        assert_eq!(sides.held(&hazard(7, 5.0, 0.0)), 0);
-        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), 1);
-        sides.renew(&[hazard(9, 9.0, 0.0)], |_| 0);
-        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), 1);
+        sides.hold(&hazard(7, 5.0, 0.0), Some(Passing::Right));
+        sides.renew(&[hazard(9, 9.0, 0.0)], |_| Some(Passing::Left));
+        assert_eq!(sides.held(&hazard(7, 5.0, 0.0)), None);
+        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), Some(Passing::Left));
+        sides.renew(&[hazard(9, 9.0, 0.0)], |_| None);
+        assert_eq!(sides.held(&hazard(9, 9.0, 0.0)), Some(Passing::Left));
     }
 
     #[test]

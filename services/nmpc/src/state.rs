@@ -4,6 +4,35 @@ use shared_types::{PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::{MAX_SIDES, Side};
 
+/// How far the robot has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u32)]
+pub(crate) enum Arrival {
+    /// On its way to the goal.
+    OnTheWay = 0,
+    /// At the goal, for good.
+    Landed = 1,
+    /// Behind the goal, which cannot be reached forwards.
+    Passed = 2,
+    /// Driving on commands of which this controller knows nothing: it has to rest before all else.
+    StateLost = 3,
+}
+
+impl Arrival {
+    /// The number in a checkpoint.
+    pub(crate) fn wire(self) -> u32 {
+        self as u32
+    }
+}
+
+impl ControllerState {
+    /// How far the robot has come; a number without meaning counts as on the way.
+    pub(crate) fn arrival(&self) -> Arrival {
+        let others = [Arrival::Landed, Arrival::Passed, Arrival::StateLost];
+        others.into_iter().find(|arrival| arrival.wire() == self.arrival).unwrap_or(Arrival::OnTheWay)
+    }
+}
+
 plain_state! {
     /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
     pub struct ControllerState {
@@ -43,5 +72,15 @@ mod tests {
         state.plan[4].y_m = 0.5;
         let checkpoint = Checkpoint::of(Role::Controller, &state);
         assert_eq!(checkpoint.state::<ControllerState>(), Ok(state));
+    }
+
+    #[test]
+    fn an_arrival_is_found_again_and_a_number_without_meaning_is_on_the_way() {
+        for arrival in [Arrival::OnTheWay, Arrival::Landed, Arrival::Passed, Arrival::StateLost] {
+            let state = ControllerState { arrival: arrival.wire(), ..ControllerState::default() };
+            assert_eq!(state.arrival(), arrival);
+        }
+        let state = ControllerState { arrival: 4, ..ControllerState::default() };
+        assert_eq!(state.arrival(), Arrival::OnTheWay);
     }
 }

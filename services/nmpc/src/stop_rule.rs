@@ -13,7 +13,7 @@
 use vehicle::{Control, State};
 
 use crate::rollout::Sampled;
-use crate::verify::{Baseline, Scene, Violation};
+use crate::scene::{Baseline, Scene, Violation};
 
 /// Semi-axis b of a centred obstacle and the last centre distance at which full lock clears it in a corridor
 /// of 1.5 m to each side [m].
@@ -43,7 +43,7 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
     let Some(end_x) = scene
         .hazards
         .iter()
-        .filter(|hazard| ahead(hazard.centre[0]) && hazard.centre[0] - hazard.a < scene.goal_x)
+        .filter(|hazard| ahead(hazard.centre[0]) && hazard.centre[0] - hazard.a < scene.config.goal.x_m)
         .map(|hazard| hazard.centre[0] + hazard.a / 2.0)
         .reduce(f64::max)
     else {
@@ -52,9 +52,9 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
     let turns = Turns {
         scene,
         baseline: scene.baseline(),
-        end_x: end_x.min(scene.goal_x),
+        end_x: end_x.min(scene.config.goal.x_m),
         curvature: full_lock_curvature(scene),
-        speed: scene.bounds.velocity_max_mps,
+        speed: scene.config.bounds.velocity_max_mps,
     };
     let mut best = (f64::NEG_INFINITY, None);
     for start in [way.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {
@@ -139,18 +139,20 @@ impl Turns<'_> {
 
 /// Curvature at full lock and the largest velocity [1/m].
 fn full_lock_curvature(scene: &Scene) -> f64 {
-    let control =
-        Control { velocity: scene.bounds.velocity_max_mps, steering: scene.bounds.steering_max_rad };
-    vehicle::model::steady_turn(scene.parameters, &control).1 / control.velocity
+    let control = Control {
+        velocity: scene.config.bounds.velocity_max_mps,
+        steering: scene.config.bounds.steering_max_rad,
+    };
+    vehicle::model::steady_turn(&scene.config.parameters, &control).1 / control.velocity
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Hazard;
+    use crate::config::{Config, Goal, Track};
+    use crate::hazard::Hazard;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
-    use vehicle::{Bounds, Parameters};
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
@@ -162,19 +164,12 @@ mod tests {
             b,
             body,
         }];
-        let scene = Scene {
-            parameters: &Parameters::default(),
-            bounds: &Bounds::default(),
-            initial: State::default(),
-            interval_s: 2.72 / 6.0,
-            body: [0.56, 0.4],
-            clearance: 0.05,
-            x_range: [-10.0, 22.0],
-            y_range: [-1.5, 1.5],
-            walls: None,
-            goal_x: 15.0,
-            hazards: &hazards,
+        let config = Config {
+            goal: Goal { x_m: 15.0, ..Goal::default() },
+            track: Track { x_m: [-10.0, 22.0], ..Track::default() },
+            ..Config::default()
         };
+        let scene = Scene::new(&config, &hazards, State::default());
         is_blocked(&scene, &[], slack, 0.05)
     }
 

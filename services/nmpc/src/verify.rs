@@ -8,67 +8,17 @@
 //! Assumed: the description is right. Obstacles out of sight are not known here; they are seen before the
 //! plan gets to them, because the scanner reaches 2 m further than the horizon.
 
-use nalgebra::Vector2;
-use vehicle::geometry::Rectangle;
-use vehicle::{Bounds, Control, Parameters, State};
+use vehicle::{Control, State};
 
 use crate::rollout::{Sampled, simulate};
-use crate::scene::Hazard;
+use crate::scene::{Scene, Violation};
 
 /// Samples per interval: 5 cm apart at 1 m/s and N = 6.
 const PIECES: usize = 9;
-/// How much deeper than now an ellipse may be entered, in units of (7.34).
-pub(crate) const DEEPER: f64 = 0.01;
-/// How far a bound of the position may be exceeded [m].
-pub(crate) const OUTSIDE_M: f64 = 0.05;
-/// Numerical tolerance of all comparisons of lengths [m].
-const TOLERANCE_M: f64 = 1e-3;
 /// Tolerance of the hard bounds of the controls: solver accuracy, clamped before the command is sent.
 const CONTROL_TOLERANCE: f64 = 1e-6;
 /// How far behind the goal the plan is still checked [m].
 const BEHIND_GOAL_M: f64 = 0.03;
-
-/// What a plan is held against.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Scene<'a> {
-    /// Parameters of the model.
-    pub(crate) parameters: &'a Parameters,
-    /// Hard bounds of the controls.
-    pub(crate) bounds: &'a Bounds,
-    /// State at the start of the plan.
-    pub(crate) initial: State,
-    /// Length of an interval [s].
-    pub(crate) interval_s: f64,
-    /// Length and width of the body [m].
-    pub(crate) body: [f64; 2],
-    /// Smallest distance of the body to an obstacle or a wall [m].
-    pub(crate) clearance: f64,
-    /// Bounds along the track, (7.45) [m].
-    pub(crate) x_range: [f64; 2],
-    /// Bounds across the track, (7.46) [m].
-    pub(crate) y_range: [f64; 2],
-    /// Surfaces of the walls, where there are walls [m].
-    pub(crate) walls: Option<[f64; 2]>,
-    /// Position of the goal along the track [m].
-    pub(crate) goal_x: f64,
-    /// The obstacles.
-    pub(crate) hazards: &'a [Hazard],
-}
-
-/// What is wrong at a place of the plan.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Violation {
-    /// A number is not finite, or there is no plan.
-    NotFinite,
-    /// A control is outside its hard bounds.
-    Control,
-    /// The body comes too near to an obstacle or a wall.
-    Clearance,
-    /// An ellipse is entered, or deeper than now; its index.
-    Ellipse(usize),
-    /// The position leaves its bounds.
-    Outside,
-}
 
 /// The result of a verification.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,80 +36,6 @@ impl Verdict {
     }
 }
 
-impl Scene<'_> {
-    /// Limits as they are at the start of the plan.
-    pub(crate) fn baseline(&self) -> Baseline {
-        let mut baseline = Baseline {
-            values: [1.0; shared_types::MAX_OBSTACLES],
-            gaps: [self.clearance; shared_types::MAX_OBSTACLES],
-            wall_gap: self.clearance,
-            outside: [OUTSIDE_M; 2],
-        };
-        let State { x, y, .. } = self.initial;
-        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
-            baseline.values[index] = hazard.value(0.0, x, y).min(1.0) - DEEPER;
-            let gap = self.body_at(&self.initial).distance_to_rectangle(&hazard.body);
-            baseline.gaps[index] = gap.min(self.clearance) - TOLERANCE_M;
-        }
-        baseline.wall_gap = self.wall_gap(&self.initial).min(self.clearance) - TOLERANCE_M;
-        baseline.outside =
-            [excess(x, self.x_range), excess(y, self.y_range)].map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
-        baseline
-    }
-
-    /// The first thing wrong with the robot at `state`, `t` seconds after the start of the plan.
-    pub(crate) fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
-        if !state.is_finite() {
-            return Some(Violation::NotFinite);
-        }
-        if excess(state.x, self.x_range) > baseline.outside[0]
-            || excess(state.y, self.y_range) > baseline.outside[1]
-        {
-            return Some(Violation::Outside);
-        }
-        if self.walls.is_some() && self.wall_gap(state) < baseline.wall_gap {
-            return Some(Violation::Clearance);
-        }
-        let reach = self.body[0].hypot(self.body[1]) / 2.0 + self.clearance;
-        for (index, hazard) in self.hazards.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
-            if hazard.value(t, state.x, state.y) < baseline.values[index] {
-                return Some(Violation::Ellipse(index));
-            }
-            let body = hazard.body_at(t);
-            let distance = (body.centre - Vector2::new(state.x, state.y)).norm();
-            if distance < reach + body.length.hypot(body.width) / 2.0
-                && self.body_at(state).distance_to_rectangle(&body) < baseline.gaps[index]
-            {
-                return Some(Violation::Clearance);
-            }
-        }
-        None
-    }
-
-    /// The body at a state.
-    pub(crate) fn body_at(&self, state: &State) -> Rectangle {
-        let centre = Vector2::new(state.x, state.y);
-        Rectangle { centre, yaw: state.yaw, length: self.body[0], width: self.body[1] }
-    }
-
-    fn wall_gap(&self, state: &State) -> f64 {
-        let middle = (self.y_range[0] + self.y_range[1]) / 2.0;
-        self.walls.map_or(f64::INFINITY, |walls| {
-            let body = self.body_at(state);
-            body.distance_to_wall(walls[0], middle).min(body.distance_to_wall(walls[1], middle))
-        })
-    }
-}
-
-/// What is already the case at the start of the plan, and so allowed along it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Baseline {
-    values: [f64; shared_types::MAX_OBSTACLES],
-    gaps: [f64; shared_types::MAX_OBSTACLES],
-    wall_gap: f64,
-    outside: [f64; 2],
-}
-
 /// A plan as it would be driven.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Driven {
@@ -172,8 +48,9 @@ pub(crate) struct Driven {
 impl Driven {
     /// Drives `controls` from the initial state, unchecked.
     pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
-        let Scene { parameters, initial, interval_s, .. } = scene;
-        simulate(parameters, initial, controls, *interval_s, PIECES, &mut self.nodes, &mut self.way);
+        let Scene { config, initial, .. } = scene;
+        let interval_s = config.interval_s();
+        simulate(&config.parameters, initial, controls, interval_s, PIECES, &mut self.nodes, &mut self.way);
     }
 }
 
@@ -184,14 +61,14 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
     if !scene.initial.is_finite() || controls.is_empty() {
         return Verdict { intervals: 0, violation: Some((Violation::NotFinite, 0.0)) };
     }
-    if !controls.iter().all(|control| scene.bounds.contains(*control, CONTROL_TOLERANCE)) {
+    if !controls.iter().all(|control| scene.config.bounds.contains(*control, CONTROL_TOLERANCE)) {
         return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
     }
     driven.drive(scene, controls);
     let baseline = scene.baseline();
     let mut behind_goal = false;
     for (index, sample) in driven.way.iter().enumerate() {
-        behind_goal |= sample.state.x > scene.goal_x + BEHIND_GOAL_M;
+        behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         if let Some(violation) = scene.check(&baseline, sample.t, &sample.state) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
@@ -201,40 +78,30 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
     Verdict { intervals: controls.len(), violation: None }
 }
 
-/// How far `value` is outside of `range` [m].
-fn excess(value: f64, range: [f64; 2]) -> f64 {
-    (range[0] - value).max(value - range[1]).max(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Config, Goal, Track};
+    use crate::hazard::Hazard;
+    use nalgebra::Vector2;
+    use vehicle::geometry::Rectangle;
 
     struct Fixture {
-        parameters: Parameters,
-        bounds: Bounds,
+        config: Config,
         hazards: Vec<Hazard>,
     }
 
     impl Fixture {
         fn new(hazards: Vec<Hazard>) -> Self {
-            Self { parameters: Parameters::default(), bounds: Bounds::default(), hazards }
+            Self { config: Config::default(), hazards }
         }
 
         fn scene(&self) -> Scene<'_> {
-            Scene {
-                parameters: &self.parameters,
-                bounds: &self.bounds,
-                initial: State::default(),
-                interval_s: 2.72 / 6.0,
-                body: [0.56, 0.4],
-                clearance: 0.05,
-                x_range: [0.0, 22.0],
-                y_range: [-1.5, 1.5],
-                walls: None,
-                goal_x: 10.0,
-                hazards: &self.hazards,
-            }
+            self.from(State::default())
+        }
+
+        fn from(&self, initial: State) -> Scene<'_> {
+            Scene::new(&self.config, &self.hazards, initial)
         }
     }
 
@@ -259,7 +126,7 @@ mod tests {
         assert_eq!(verdict(&fixture.scene(), &straight(1.01)).violation, Some((Violation::Control, 0.0)));
         assert_eq!(verdict(&fixture.scene(), &straight(f64::NAN)).violation, Some((Violation::Control, 0.0)));
         assert!(!verdict(&fixture.scene(), &[]).holds());
-        let lost = Scene { initial: State { y: f64::NAN, ..State::default() }, ..fixture.scene() };
+        let lost = fixture.from(State { y: f64::NAN, ..State::default() });
         assert_eq!(verdict(&lost, &straight(1.0)).violation, Some((Violation::NotFinite, 0.0)));
     }
 
@@ -294,17 +161,16 @@ mod tests {
     fn a_robot_outside_of_its_bounds_may_come_back_but_not_go_further() {
         let fixture = Fixture::new(Vec::new());
         let outside = State { y: 1.7, yaw: -0.1, ..State::default() };
-        assert!(verdict(&Scene { initial: outside, ..fixture.scene() }, &straight(0.5)).holds());
+        assert!(verdict(&fixture.from(outside), &straight(0.5)).holds());
         let further = State { yaw: 0.1, ..outside };
-        let scene = Scene { initial: further, ..fixture.scene() };
-        assert_eq!(verdict(&scene, &straight(0.5)).violation.unwrap().0, Violation::Outside);
+        assert_eq!(verdict(&fixture.from(further), &straight(0.5)).violation.unwrap().0, Violation::Outside);
     }
 
     #[test]
     fn behind_the_goal_the_plan_is_cut_and_not_refused() {
-        let fixture = Fixture::new(vec![hazard(2.6, 0.0, 1.0, 0.8)]);
-        let scene = Scene { goal_x: 1.3, ..fixture.scene() };
-        let verdict = verdict(&scene, &straight(1.0));
+        let mut fixture = Fixture::new(vec![hazard(2.6, 0.0, 1.0, 0.8)]);
+        fixture.config.goal = Goal { x_m: 1.3, ..Goal::default() };
+        let verdict = verdict(&fixture.scene(), &straight(1.0));
         assert!(verdict.holds());
         // The ellipse begins at 1.6 m, in the fourth interval of 0.4533 m.
         assert_eq!(verdict.intervals, 3);
@@ -312,9 +178,9 @@ mod tests {
 
     #[test]
     fn walls_are_kept_clear_by_the_corners_of_the_body() {
-        let fixture = Fixture::new(Vec::new());
+        let mut fixture = Fixture::new(Vec::new());
+        fixture.config.track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };
         let initial = State { y: 1.0, yaw: 0.3, ..State::default() };
-        let scene = Scene { initial, walls: Some([-1.9, 1.9]), ..fixture.scene() };
-        assert!(!verdict(&scene, &straight(1.0)).holds());
+        assert!(!verdict(&fixture.from(initial), &straight(1.0)).holds());
     }
 }

@@ -6,11 +6,13 @@
 
 use vehicle::{Bounds, Control};
 
+use crate::config::Config;
 use crate::guide::Guide;
+use crate::hazard::Hazard;
 use crate::reference::Pace;
 use crate::rollout::{Sampled, advance};
-use crate::scene::Hazard;
-use crate::verify::Scene;
+use crate::scene::Scene;
+use crate::side::Passing;
 
 /// Steering correction per lateral distance to the guide, as curvature [1/m^2].
 const OFFSET_GAIN: f64 = 0.6;
@@ -44,18 +46,19 @@ pub(crate) fn follow(
     controls: &mut Vec<Control>,
 ) {
     controls.clear();
-    let gain = scene.parameters.yaw_rate_gain();
+    let Config { parameters, bounds, .. } = scene.config;
+    let (gain, interval_s) = (parameters.yaw_rate_gain(), scene.config.interval_s());
     let mut state = scene.initial;
     for _ in 0..intervals {
         let velocity = pace.velocity(state.x);
         // The correction aims at the middle of the interval, where its effect is seen.
-        let middle = state.x + velocity * state.yaw.cos() * scene.interval_s / 2.0;
+        let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
         let (_, _, curvature) = guide.at(middle);
         let (y, course, _) = guide.at(state.x);
         let wanted =
             curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
-        let control = scene.bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
-        state = advance(scene.parameters, &state, &control, scene.interval_s);
+        let control = bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
+        state = advance(parameters, &state, &control, interval_s);
         controls.push(control);
     }
 }
@@ -68,22 +71,21 @@ pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
 /// Whether two ways pass every hazard that both come past on the same side.
 pub(crate) fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
     scene.hazards.iter().all(|hazard| {
-        let side = side_of(hazard, way);
-        let planned = guide.side_of(hazard);
-        side == 0 || planned == 0 || side == planned
+        let sides = side_of(hazard, way).zip(guide.side_of(hazard));
+        sides.is_none_or(|(driven, planned)| driven == planned)
     })
 }
 
-/// Side on which a way passes the hazard: 1 left, -1 right, 0 when it does not come past its centre.
-fn side_of(hazard: &Hazard, way: &[Sampled]) -> i8 {
+/// Side on which a way passes the hazard; `None` when it does not come past its centre.
+fn side_of(hazard: &Hazard, way: &[Sampled]) -> Option<Passing> {
     for pair in way.windows(2) {
         let centres = [pair[0].t, pair[1].t].map(|t| hazard.centre_at(t));
         let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
         if from < 0.0 && to >= 0.0 {
-            return if pair[1].state.y > centres[1][1] { 1 } else { -1 };
+            return Some(Passing::of(pair[1].state.y, centres[1][1]));
         }
     }
-    0
+    None
 }
 
 fn finite(value: f64) -> f64 {
@@ -93,7 +95,8 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vehicle::{Parameters, State};
+    use crate::config::Goal;
+    use vehicle::State;
 
     #[test]
     fn a_plan_moves_on_in_time_and_holds_its_last_control() {
@@ -109,27 +112,15 @@ mod tests {
 
     #[test]
     fn following_a_line_brings_the_robot_onto_it() {
-        let (parameters, bounds) = (Parameters::default(), Bounds::default());
-        let scene = Scene {
-            parameters: &parameters,
-            bounds: &bounds,
-            initial: State { y: 0.2, ..State::default() },
-            interval_s: 2.72 / 6.0,
-            body: [0.56, 0.4],
-            clearance: 0.05,
-            x_range: [0.0, 22.0],
-            y_range: [-1.5, 1.5],
-            walls: None,
-            goal_x: 20.0,
-            hazards: &[],
-        };
+        let config = Config { goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() };
+        let scene = Scene::new(&config, &[], State { y: 0.2, ..State::default() });
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 20.0, landing_time: 0.8 };
         let (mut guide, mut controls) = (Guide::default(), Vec::new());
         guide.set_line(0.0, 0.0, 1.0);
         follow(&scene, &guide, &pace, 12, &mut controls);
         let mut state = scene.initial;
         for control in &controls {
-            state = advance(&parameters, &state, control, scene.interval_s);
+            state = advance(&config.parameters, &state, control, config.interval_s());
         }
         assert!(state.y.abs() < 0.05 && state.yaw.abs() < 0.05, "{state:?}");
     }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use estimator::Measured;
-use nmpc::Scheme;
-use nmpc::analysis::intervals::{ErrorMeasure, Family, Grid};
+use ocp::Scheme;
+use ocp::analysis::intervals::{ErrorMeasure, Family, Grid};
 
 /// The design analyses.
 #[derive(Debug, Subcommand)]

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use console::exit::Exit;
-use nmpc::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
+use ocp::analysis::correlation::{Angles, CORRELATED_BELOW_DEG, Correlation, Settings};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
 use vehicle::{Bounds, Control, Parameters};

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use console::exit::Exit;
-use nmpc::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
+use ocp::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
 use vehicle::{Control, require};
@@ -117,7 +117,7 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
 
 /// All schemes on equal intervals: errors for `count` of them, and the smallest number for a held control.
 fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: usize) -> Vec<OtherScheme> {
-    let of = move |(name, scheme): &(&'static str, nmpc::Scheme)| {
+    let of = move |(name, scheme): &(&'static str, ocp::Scheme)| {
         let equal = Definition { scheme: *scheme, grid: Grid::Uniform, ..*definition };
         // A search over jumps takes too long to be made for all schemes and numbers.
         let held = equal.controls == Family::Constant;

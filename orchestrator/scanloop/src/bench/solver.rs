@@ -21,9 +21,8 @@ use console::note;
 use console::output::data;
 use console::progress::Steps;
 use console::user_file::{self, DATA_BYTES};
-use nmpc::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Status, Trajectory};
 use serde::Serialize;
-use shared_types::SolveStatus;
 
 use self::cases::SHIPPED;
 use self::contender::Contender;
@@ -180,7 +179,7 @@ fn starts(cases: &[Case], intervals: usize) -> Vec<(Case, Problem, Trajectory)> 
             let warm = before.as_ref().filter(|(lap, _)| case.lap == Some(*lap));
             let guess = guess(&problem, &collocation, warm.map(|(_, solution)| solution));
             let solution = solver.solve(&problem, &guess, &Budget::Iterations(u32::MAX));
-            let converged = solution.status == SolveStatus::Converged;
+            let converged = solution.status == Status::Converged;
             before = case.lap.filter(|_| converged).map(|lap| (lap, solution.trajectory));
             (*case, problem, guess)
         })

@@ -2,10 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use nmpc::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Trajectory};
+use ocp::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Status, Trajectory};
 use report::figures::{Distribution, Figures};
 use serde::Serialize;
-use shared_types::SolveStatus;
 
 /// Timed solves per case, whose median counts; one before them warms caches and buffers up and does not count. The
 /// median of three keeps out what the system does to a single one, for us and for the peers alike.
@@ -115,7 +114,7 @@ impl Contender {
         let (solve_ns, allocations) = self.timed(problem, guess, &Budget::Iterations(u32::MAX));
         self.allocations = self.allocations.max(allocations);
         self.measure_feedback(problem, guess);
-        let converged = self.solution.status == SolveStatus::Converged;
+        let converged = self.solution.status == Status::Converged;
         if converged {
             self.converged += 1;
             self.solve.record(solve_ns);
@@ -211,7 +210,7 @@ fn name_of(choice: &impl Serialize) -> String {
 mod tests {
     use super::super::problem::{Case, guess, problem};
     use super::*;
-    use nmpc::Collocation;
+    use ocp::Collocation;
 
     #[test]
     fn a_case_that_converges_is_counted_with_its_iterations_and_times() {

@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use nmpc::{Problem, SolverSettings, Trajectory};
+use ocp::{Problem, SolverSettings, Trajectory};
 use serde::{Deserialize, Serialize};
 
 use super::contender::REPEATS;

@@ -9,7 +9,9 @@
 //!
 //! The reference moves from the robot to the goal at the velocity limit, so it is never out of reach.
 
-use nmpc::{Collocation, EllipsePath, Problem, Trajectory, Weights, roll_out};
+use std::sync::Arc;
+
+use ocp::{Collocation, EllipsePath, Problem, Trajectory, Weights, roll_out};
 use vehicle::{Bounds, Control, Parameters, State};
 
 /// Length of the horizon, tf [s].
@@ -64,7 +66,7 @@ pub fn problem(case: &Case, count: usize) -> Problem {
     let ahead = |node: usize| case.state.x + node as f64 * interval * bounds.velocity_max_mps;
     let Ellipse { x, y, a, b } = case.obstacle;
     Problem {
-        parameters: Parameters::default(),
+        model: Arc::new(Parameters::default()),
         bounds,
         x_range: [0.0, 22.0],
         y_range: [-1.5, 1.5],
@@ -97,7 +99,7 @@ pub fn guess(problem: &Problem, collocation: &Collocation, before: Option<&Traje
         Some(before) => shifted(&before.controls, PERIOD_S / problem.intervals[0]),
         None => vec![CRUISE; count],
     };
-    roll_out(&problem.parameters, collocation, &problem.initial, &controls, &problem.intervals)
+    roll_out(problem.model.as_ref(), collocation, &problem.initial, &controls, &problem.intervals)
         .unwrap_or(Trajectory { states: Vec::new(), controls })
 }
 

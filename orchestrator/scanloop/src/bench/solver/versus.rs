@@ -3,7 +3,7 @@
 //! Two solvers that found the same optimum agree in their controls; where they do not, both may be right, because an
 //! obstacle is passed on either side. Those cases are listed with both objectives and do not count as different answers.
 
-use nmpc::Solution;
+use ocp::Solution;
 use report::figures::{Distribution, Figures};
 use serde::Serialize;
 
@@ -148,7 +148,7 @@ fn difference(ours: &Solution, controls: &[f64]) -> f64 {
 mod tests {
     use super::super::peers::Optimum;
     use super::*;
-    use nmpc::Trajectory;
+    use ocp::Trajectory;
     use vehicle::Control;
 
     fn ours(velocity: f64) -> Solution {

@@ -1,0 +1,162 @@
+//! The obstacles of one scan in the form that planning and verification ask for.
+//!
+//! Every ellipse becomes a [`Hazard`] whose time counts from the start of the plan, which is when the command
+//! will act. A body whose velocity is not significant against its own covariance counts as standing:
+//! prediction with a noisy velocity moves the ellipse of a standing body by decimetres over the horizon.
+//! Assumed: bodies keep their velocity over the horizon. Where they do not, the next scan corrects it.
+
+use nalgebra::Vector2;
+use shared_types::{Obstacle, Obstacles};
+use vehicle::geometry::Rectangle;
+
+/// Speed in standard deviations from which a body counts as moving.
+const SIGNIFICANCE: f64 = 2.0;
+/// Speed below which a body counts as standing, whatever its covariance [m/s].
+const STANDING_MPS: f64 = 0.08;
+/// Largest number that is taken for a position or a size [m].
+const LARGEST_M: f64 = 1e5;
+
+/// One ellipse and the box of the body inside it, at the start of the plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Hazard {
+    /// Identity of the ellipse.
+    pub(crate) id: u32,
+    /// Centre of the ellipse at the start of the plan [m].
+    pub(crate) centre: [f64; 2],
+    /// Velocity of the body, zero when not significant [m/s].
+    pub(crate) velocity: [f64; 2],
+    /// Semi-axis along the track, a of (7.34) [m].
+    pub(crate) a: f64,
+    /// Semi-axis across the track, b of (7.35) [m].
+    pub(crate) b: f64,
+    /// Box of the body at the start of the plan.
+    pub(crate) body: Rectangle,
+}
+
+impl Hazard {
+    /// Centre of the ellipse `t` seconds after the start of the plan [m].
+    pub(crate) fn centre_at(&self, t: f64) -> [f64; 2] {
+        [self.centre[0] + self.velocity[0] * t, self.centre[1] + self.velocity[1] * t]
+    }
+
+    /// Right-hand side of (7.34) for a position `t` seconds after the start of the plan: 1 on the ellipse.
+    pub(crate) fn value(&self, t: f64, x: f64, y: f64) -> f64 {
+        let [centre_x, centre_y] = self.centre_at(t);
+        ((x - centre_x) / self.a).powi(2) + ((y - centre_y) / self.b).powi(2)
+    }
+
+    /// Box of the body `t` seconds after the start of the plan.
+    pub(crate) fn body_at(&self, t: f64) -> Rectangle {
+        let travel = Vector2::new(self.velocity[0] * t, self.velocity[1] * t);
+        Rectangle { centre: self.body.centre + travel, ..self.body }
+    }
+
+    /// Whether the body moves.
+    pub(crate) fn moves(&self) -> bool {
+        self.velocity != [0.0, 0.0]
+    }
+}
+
+/// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
+///
+/// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
+pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, hazards: &mut Vec<Hazard>) -> bool {
+    hazards.clear();
+    for item in obstacles.list() {
+        if !is_sound(item) {
+            return false;
+        }
+        let velocity = significant_velocity(item);
+        let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
+        hazards.push(Hazard {
+            id: item.id,
+            centre: [item.x_m + travel[0], item.y_m + travel[1]],
+            velocity,
+            a: item.a_m,
+            b: item.b_m,
+            body: Rectangle {
+                centre: Vector2::new(item.box_x_m + travel[0], item.box_y_m + travel[1]),
+                yaw: item.box_yaw_rad,
+                length: item.box_length_m,
+                width: item.box_width_m,
+            },
+        });
+    }
+    true
+}
+
+fn is_sound(item: &Obstacle) -> bool {
+    let anywhere = [item.x_m, item.y_m, item.box_x_m, item.box_y_m, item.box_yaw_rad];
+    let speeds = [item.velocity_x_mps, item.velocity_y_mps];
+    let sizes = [item.box_length_m, item.box_width_m];
+    anywhere.iter().all(|value| value.abs() < LARGEST_M)
+        && speeds.iter().all(|value| value.abs() < 100.0)
+        && item.velocity_covariance.iter().all(|value| value.is_finite())
+        && sizes.iter().all(|value| (0.0..=100.0).contains(value))
+        && [item.a_m, item.b_m].iter().all(|value| (0.01..=100.0).contains(value))
+}
+
+/// The velocity where its length is significant against its covariance, else zero.
+fn significant_velocity(item: &Obstacle) -> [f64; 2] {
+    let (x, y) = (item.velocity_x_mps, item.velocity_y_mps);
+    let speed = x.hypot(y);
+    if speed < STANDING_MPS {
+        return [0.0, 0.0];
+    }
+    let [xx, xy, yy] = item.velocity_covariance;
+    let variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / (speed * speed);
+    if speed * speed > SIGNIFICANCE * SIGNIFICANCE * variance { [x, y] } else { [0.0, 0.0] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn obstacle() -> Obstacle {
+        Obstacle {
+            id: 1,
+            x_m: 5.0,
+            y_m: 0.5,
+            a_m: 1.2,
+            b_m: 0.8,
+            box_x_m: 5.0,
+            box_y_m: 0.5,
+            ..Obstacle::default()
+        }
+    }
+
+    fn one(item: Obstacle) -> Obstacles {
+        let mut obstacles = Obstacles { count: 1, ..Obstacles::default() };
+        obstacles.items[0] = item;
+        obstacles
+    }
+
+    #[test]
+    fn a_velocity_within_its_noise_does_not_move_the_ellipse() {
+        let mut item =
+            Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
+        let mut hazards = Vec::new();
+        assert!(read(&one(item), 0.1, &mut hazards));
+        assert!(!hazards[0].moves() && hazards[0].centre == [5.0, 0.5]);
+        item.velocity_covariance = [0.01, 0.0, 0.01];
+        assert!(read(&one(item), 0.1, &mut hazards));
+        assert!((hazards[0].centre[0] - 4.97).abs() < 1e-12);
+        assert!((hazards[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_value_is_one_on_the_ellipse() {
+        let mut hazards = Vec::new();
+        assert!(read(&one(obstacle()), 0.0, &mut hazards));
+        assert!((hazards[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
+        assert!((hazards[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn numbers_without_meaning_are_refused() {
+        let mut hazards = Vec::new();
+        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut hazards));
+        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut hazards));
+        assert!(!read(&one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }), 0.0, &mut hazards));
+    }
+}

@@ -1,0 +1,43 @@
+//! The real-time iteration: what does not need the measured state is done before the state comes.
+//!
+//! [`Solver::prepare`] linearises the problem at a predicted state; [`Solver::feedback`] moves the linearised model to
+//! the measured one, condenses and solves one quadratic program. The answer is exact to first order in what the
+//! prediction was off, so it suits small errors of prediction; nothing is searched, iterated or verified. Initial value
+//! embedding: DOI 10.1137/S0363012902400713.
+
+use vehicle::{Control, State};
+
+use super::{Solver, Step};
+use crate::problem::{Problem, Trajectory};
+use crate::usable::is_usable;
+
+impl Solver {
+    /// Linearises `problem` around `guess` at its predicted initial state; false for input that means nothing.
+    pub fn prepare(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
+        is_usable(problem, guess) && self.start(problem, guess)
+    }
+
+    /// The first control for the measured state, after [`Solver::prepare`] with the same problem.
+    ///
+    /// `None` for a state that is not finite, a program without an answer, or a solver that was not prepared.
+    pub fn feedback(&mut self, problem: &Problem, measured: &State) -> Option<Control> {
+        if !measured.is_finite() {
+            return None;
+        }
+        let interval = self.shooting.intervals.first()?;
+        let (gap, predicted) = (self.shooting.gaps.first_mut()?, self.iterate.states.first_mut()?);
+        let measured: [f64; 5] = measured.to_vector().into();
+        let mut deviation = measured;
+        deviation.iter_mut().zip(&*predicted).for_each(|(value, predicted)| *value -= predicted);
+        gap.iter_mut().zip(interval.transport(&deviation)).for_each(|(gap, moved)| *gap += moved);
+        *predicted = measured;
+        self.build_qp(problem, 0.0);
+        if !self.solve_program(problem, 0.0) {
+            return None;
+        }
+        self.expand(Step::Program);
+        let (control, step) = (self.iterate.controls.first()?, self.step.controls.first()?);
+        let control = Control { velocity: control[0] + step[0], steering: control[1] + step[1] };
+        control.is_finite().then(|| problem.bounds.clamp(control))
+    }
+}
