@@ -87,7 +87,8 @@ impl Graph {
     }
 
     fn related(&self, one: &Path, other: &Path) -> bool {
-        let pair = |child: &Path, parent: &Path| self.parents.contains(&(child.to_owned(), parent.to_owned()));
+        let pair =
+            |child: &Path, parent: &Path| self.parents.contains(&(child.to_owned(), parent.to_owned()));
         pair(one, other) || pair(other, one)
     }
 

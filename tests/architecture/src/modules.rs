@@ -106,7 +106,10 @@ impl Modules {
         items: &[Item],
     ) -> anyhow::Result<usize> {
         let index = self.all.len();
-        let mut reader = Reader { module: Module { file: file.clone(), parent, ..Module::default() }, ..Reader::default() };
+        let mut reader = Reader {
+            module: Module { file: file.clone(), parent, ..Module::default() },
+            ..Reader::default()
+        };
         items.iter().for_each(|item| reader.visit_item(item));
         self.all.push(reader.module);
         self.macros.extend(reader.macros.into_iter().map(|name| (name, index)));
@@ -118,7 +121,8 @@ impl Modules {
                 None => {
                     let candidates = [folder.with_extension("rs"), folder.join("mod.rs")];
                     let found = candidates.into_iter().find(|file| sources.0.contains_key(file));
-                    let found = found.with_context(|| format!("{}: no file of mod {name}", file.display()))?;
+                    let found =
+                        found.with_context(|| format!("{}: no file of mod {name}", file.display()))?;
                     self.add_file(sources, found, Some(index), &folder)?
                 }
             };

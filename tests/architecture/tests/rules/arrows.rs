@@ -1,10 +1,12 @@
 //! The crates of this workspace and their files use each other in one direction only.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use architecture::circles::{Circle, Graph};
 use architecture::modules::Sources;
 use architecture::packages::{Package, packages};
+
+use crate::root;
 
 /// Crates by layer, the lowest first. A crate uses crates of lower layers only.
 const LAYERS: &[&[&str]] = &[
@@ -17,10 +19,6 @@ const LAYERS: &[&[&str]] = &[
     &["hops"],
     &["scanloop-benches", "scanloop-tests", "dead-reckoning", "architecture"],
 ];
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
-}
 
 fn layer(name: &str) -> Option<usize> {
     LAYERS.iter().position(|layer| layer.contains(&name))

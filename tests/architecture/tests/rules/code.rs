@@ -1,11 +1,9 @@
-//! Rules of the code base that no compiler checks.
+//! Words that certain code does not contain.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
-}
+use crate::root;
 
 /// All Rust sources below a folder, without build output.
 fn sources(folder: &Path) -> Vec<PathBuf> {
@@ -43,7 +41,7 @@ fn unsafe_code_stays_in_the_runtime_the_c_library_and_the_benches() {
             let code = line.split("//").next().unwrap_or_default();
             code.contains("unsafe {") || code.contains("unsafe fn") || code.contains("unsafe impl")
         });
-        let allowed = ["services/runtime", "services/c-library", "benches", "tests/tests/architecture.rs"];
+        let allowed = ["services/runtime", "services/c-library", "benches", "tests/architecture/tests"];
         let allowed = within(&path, &allowed);
         assert!(!uses || allowed, "{}", path.display());
     }
@@ -74,7 +72,7 @@ fn the_wall_clock_is_never_read() {
     for path in sources(&root()) {
         let text = std::fs::read_to_string(&path).unwrap();
         let uses = text.contains("SystemTime::now") || text.contains("ClockId::Realtime");
-        assert!(!uses || path.ends_with("architecture.rs"), "{}", path.display());
+        assert!(!uses || path.ends_with("rules/code.rs"), "{}", path.display());
     }
 }
 
@@ -83,7 +81,7 @@ fn process_tests_wait_on_conditions_and_never_sleep() {
     for path in sources(&root().join("tests")) {
         let text = std::fs::read_to_string(&path).unwrap();
         let sleeps = text.contains("thread::sleep");
-        assert!(!sleeps || path.ends_with("architecture.rs"), "{}", path.display());
+        assert!(!sleeps || path.ends_with("rules/code.rs"), "{}", path.display());
     }
 }
 
@@ -96,12 +94,4 @@ fn the_orchestrator_prints_without_panic_and_wait() {
             assert!(!text.contains(word), "{}: {word}", path.display());
         }
     }
-}
-
-#[test]
-fn the_page_of_topics_is_what_the_executable_prints() {
-    let page = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
-    let output =
-        std::process::Command::new(env!("CARGO_BIN_EXE_scanloop-under-test")).arg("types").output().unwrap();
-    assert_eq!(page, String::from_utf8(output.stdout).unwrap(), "run `scanloop types > docs/topics.md`");
 }
