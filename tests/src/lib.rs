@@ -363,5 +363,5 @@ pub fn system_file(rate_hz: u32, odd: &[Role], program: &str, arguments: &[&str]
 
 /// Gives the processor away between two looks at a condition.
 pub fn pause() {
-    std::thread::park_timeout(Duration::from_millis(2));
+    std::thread::park_timeout(Duration::from_millis(5));
 }
