@@ -1,5 +1,4 @@
 //! Processes restarted by command while the robot drives: the old one is ended last.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use emulator::Outcome;
 use scanloop_tests::exchange::{assert_every_scan_answered_once, restart, restart_all, rows};
