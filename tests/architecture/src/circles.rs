@@ -7,12 +7,10 @@ use std::path::{Path, PathBuf};
 use crate::modules::{Module, Modules, Sources};
 use crate::resolve::Target;
 
-/// Which file of a crate uses which, and for which names.
+/// Which file of a crate uses which, and for which names. A module and its parent may use each other: that is left out.
 #[derive(Debug, Default)]
 pub struct Graph {
     uses: BTreeMap<PathBuf, BTreeMap<PathBuf, BTreeSet<String>>>,
-    /// Files of child and parent module.
-    parents: BTreeSet<(PathBuf, PathBuf)>,
 }
 
 /// Files of which each uses the next, with the names that it uses, and the last one the first.
@@ -34,29 +32,25 @@ impl Graph {
     }
 
     fn add(&mut self, modules: &Modules, index: usize, module: &Module) {
-        if let Some(parent) = module.parent {
-            self.parents.insert((module.file.clone(), modules.all[parent].file.clone()));
-        }
         for path in &module.paths {
-            let Some(name) = path.last() else { continue };
-            let target = match modules.resolve(index, path) {
-                Some(Target::Item(target)) => target,
+            let (target, name) = match modules.resolve(index, path) {
+                Some(Target::Item(target, name)) => (target, name),
                 // A module has no definition of its own; what is used of it says where that stands.
                 Some(Target::Module(_)) => continue,
-                None => match modules.macros.get(name) {
-                    Some(target) if path.len() == 1 => *target,
+                None => match (path.as_slice(), path.first().and_then(|name| modules.macros.get(name))) {
+                    ([name], Some(target)) => (*target, name.clone()),
                     _ => continue,
                 },
             };
             let file = &modules.all[target].file;
-            if *file != module.file {
+            if *file != module.file && !modules.are_related(file, &module.file) {
                 let uses = self.uses.entry(module.file.clone()).or_default();
-                uses.entry(file.clone()).or_default().insert(name.clone());
+                uses.entry(file.clone()).or_default().insert(name);
             }
         }
     }
 
-    /// A shortest circle through each use that is part of one; those of a parent and its child alone are allowed.
+    /// A shortest circle through each use that is part of one.
     pub fn circles(&self) -> BTreeSet<Circle> {
         let edges = self.uses.iter().flat_map(|(from, targets)| targets.keys().map(move |to| (from, to)));
         edges.filter_map(|(from, to)| self.way_back(from, to)).map(|files| self.circle(&files)).collect()
@@ -64,32 +58,25 @@ impl Graph {
 
     /// The files of the shortest way that starts with a use and ends where it began.
     fn way_back<'a>(&'a self, from: &'a Path, to: &'a Path) -> Option<Vec<&'a Path>> {
-        let related = self.related(from, to);
         let mut before = BTreeMap::from([(to, from)]);
         let mut queue = VecDeque::from([to]);
         while let Some(file) = queue.pop_front() {
-            for next in self.uses.get(file).into_iter().flat_map(BTreeMap::keys) {
-                if next == from && !(related && file == to) {
-                    let mut files = vec![file];
-                    while files[files.len() - 1] != from {
-                        files.push(before[files[files.len() - 1]]);
-                    }
-                    files.reverse();
-                    return Some(files);
+            if file == from {
+                let mut files = vec![before[from]];
+                while files[files.len() - 1] != from {
+                    files.push(before[files[files.len() - 1]]);
                 }
-                if next != from && !before.contains_key(next.as_path()) {
+                files.reverse();
+                return Some(files);
+            }
+            for next in self.uses.get(file).into_iter().flat_map(BTreeMap::keys) {
+                if !before.contains_key(next.as_path()) {
                     before.insert(next, file);
                     queue.push_back(next);
                 }
             }
         }
         None
-    }
-
-    fn related(&self, one: &Path, other: &Path) -> bool {
-        let pair =
-            |child: &Path, parent: &Path| self.parents.contains(&(child.to_owned(), parent.to_owned()));
-        pair(one, other) || pair(other, one)
     }
 
     /// A circle, starting with its first file by name.
@@ -192,13 +179,10 @@ mod tests {
     fn a_parent_and_its_child_may_use_each_other() {
         let files = [("lib.rs", "mod a;"), ("a.rs", "mod b; pub struct A(b::B);")];
         assert!(circles([files[0], files[1], ("a/b.rs", "pub struct B(Box<super::A>);")]).is_empty());
-        let found = circles([
-            ("lib.rs", "mod a; mod c;"),
-            files[1],
-            ("a/b.rs", "pub struct B(Box<crate::c::C>);"),
-            ("c.rs", "pub struct C(crate::a::A);"),
-        ]);
-        assert_eq!(found, ["a.rs -[B]-> a/b.rs -[C]-> c.rs -[A]-> a.rs"]);
+        let grandchild = ("a/b/d.rs", "pub struct D(Box<crate::a::A>);");
+        let b = ("a/b.rs", "mod d; pub struct B;");
+        let found = circles([files[0], ("a.rs", "mod b; pub struct A(b::d::D);"), b, grandchild]);
+        assert_eq!(found, ["a/b/d.rs -[A]-> a.rs -[D]-> a/b/d.rs"]);
     }
 
     #[test]

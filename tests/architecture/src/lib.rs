@@ -2,7 +2,7 @@
 //!
 //! A crate is read with `syn` as text; it need not compile. Each path in code is resolved to the file that defines its
 //! last name, through imports, globs and re-exports. Not seen are methods, whose types only a compiler knows, and names
-//! that a macro makes. Code behind `#[cfg(test)]` does not count.
+//! that a macro makes. Code behind `#[cfg(test)]` does not count, nor what a module and its parent use of each other.
 
 pub mod circles;
 pub mod modules;

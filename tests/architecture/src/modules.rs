@@ -85,6 +85,15 @@ impl Modules {
         Ok(modules)
     }
 
+    /// Whether one of two files has a module that is the parent of one in the other.
+    pub fn are_related(&self, one: &FilePath, other: &FilePath) -> bool {
+        self.all.iter().any(|module| {
+            let parent = module.parent.map(|parent| self.all[parent].file.as_path());
+            let file = module.file.as_path();
+            file == one && parent == Some(other) || file == other && parent == Some(one)
+        })
+    }
+
     /// Adds the module of a file and all below it; its child modules have their files in `folder`.
     fn add_file(
         &mut self,

@@ -5,12 +5,12 @@ use std::collections::BTreeSet;
 use crate::modules::Modules;
 
 /// What a path leads to within its crate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
     /// A module.
     Module(usize),
-    /// An item of this module.
-    Item(usize),
+    /// The item with this name of a module.
+    Item(usize, String),
 }
 
 /// Which of two things of one name is meant: `a` is a module in `a::b`, and anything at the end of a path.
@@ -49,7 +49,7 @@ impl Modules {
             return None;
         }
         let this = &self.all[module];
-        let item = this.items.contains(name).then_some(Target::Item(module));
+        let item = this.items.contains(name).then(|| Target::Item(module, name.to_owned()));
         let child = this.children.get(name).map(|child| Target::Module(*child));
         let own = if wanted == Wanted::Module { child.or(item) } else { item.or(child) };
         let by_name = || {
@@ -61,7 +61,7 @@ impl Modules {
             let mut globs = this.globs.iter().filter_map(|path| {
                 match self.follow(module, path, Wanted::Module, &mut seen.clone())? {
                     Target::Module(from) => self.look_up(from, name, wanted, &mut seen.clone()),
-                    Target::Item(_) => None,
+                    Target::Item(..) => None,
                 }
             });
             globs.next()
