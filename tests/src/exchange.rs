@@ -7,7 +7,7 @@ use handover::shadow::ShadowReport;
 use handover::swap::{Certificate, SwapOutcome};
 use shared_types::Role;
 
-use crate::System;
+use crate::{STAGES, System};
 
 /// Built-in implementations of the roles.
 pub const BUILT_IN: [(Role, &str); 5] = [
@@ -116,6 +116,29 @@ pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, 
     // It is not only named but has answered.
     more_scans(system, 4);
     (child, rows[0].0, rows[1].0)
+}
+
+/// Restarts a role; exit code, and what was said.
+pub fn restart(system: &System, role: Role) -> (Option<i32>, String) {
+    let output = system.run(&["restart", role.name()]);
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+/// Restarts each stage while the robot drives; none may miss a scan.
+pub fn restart_all(system: &System) {
+    for role in STAGES {
+        let before = system.pid(role);
+        let (code, said) = restart(system, role);
+        assert_eq!(code, Some(0), "{said}");
+        let is_seamless =
+            said.contains(&format!("{role} was restarted")) && said.contains("; 0 scans missed");
+        assert!(is_seamless, "{said}");
+        let [(now, state)] = rows(system, role).try_into().expect("one process");
+        assert!(now != before && state == "ready", "{role} is {state}");
+    }
+    let status = system.status().expect("a running system");
+    let restarts: Vec<u32> = status.processes.iter().map(|process| process.restarts).collect();
+    assert_eq!(restarts, [0, 1, 1, 1, 1]);
 }
 
 fn spawn(system: &System, verb: &str, arguments: &[&str]) -> Child {

@@ -24,6 +24,9 @@ use shared_types::{Role, Truth};
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
+/// Time between two checks of a condition of a system: each asks several processes, and many tests wait at the same time.
+const CHECK_INTERVAL: Duration = Duration::from_millis(10);
+
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
 /// A system under test with an id and a folder of its own; dropping it ends what is left of it.
@@ -150,8 +153,7 @@ impl System {
                 let _ = child.wait();
                 panic!("the run does not end: {}", self.stderr());
             }
-            std::thread::yield_now();
-            pause();
+            std::thread::park_timeout(CHECK_INTERVAL);
         }
     }
 
@@ -200,7 +202,7 @@ impl System {
         let started = Instant::now();
         while !condition(self) {
             assert!(started.elapsed() < DEADLINE, "{what}: not within {DEADLINE:?}: {}", self.stderr());
-            pause();
+            std::thread::park_timeout(CHECK_INTERVAL);
         }
     }
 
@@ -210,7 +212,7 @@ impl System {
     pub fn assert_nothing_left(&self) {
         let started = Instant::now();
         while self.left().is_some() && started.elapsed() < DEADLINE {
-            pause();
+            std::thread::park_timeout(CHECK_INTERVAL);
         }
         assert_eq!(self.left(), None, "{}", self.stderr());
     }

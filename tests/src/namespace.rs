@@ -1,15 +1,17 @@
 //! Tests with file systems of their own: they start themselves again in a mount namespace.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// Says to a test that it runs in its namespace.
 const INSIDE: &str = "SCANLOOP_TEST_INSIDE";
 /// Where the test and the executable are in a namespace of [`is_among_users`].
 const PROGRAMS: &str = "/mnt";
 
-/// Whether this is `test` in a mount namespace of its own. If not, it is started there, after the commands of `script`, each
-/// ending with `&&`; its result is that of this test. Says so where mounting is not permitted.
+/// Whether this is `test`, as `module_path!()::name`, in a mount namespace of its own. If not, it is started there, after
+/// the commands of `script`, each ending with `&&`; its result is that of this test. Says so where mounting is not permitted.
 pub fn is_inside(test: &str, script: &str, configure: impl FnOnce(&mut Command)) -> bool {
+    // The test harness leaves out the name of the crate.
+    let test = test.split_once("::").map_or(test, |(_, name)| name);
     if std::env::var(INSIDE).is_ok_and(|inside| inside == test) {
         return true;
     }
@@ -22,8 +24,10 @@ pub fn is_inside(test: &str, script: &str, configure: impl FnOnce(&mut Command))
     command.arg(std::env::current_exe().expect("this test")).args(["--exact", test, "--nocapture"]);
     command.env(INSIDE, test);
     configure(&mut command);
-    let status = command.status().expect("unshare runs");
-    assert!(status.success(), "{test}: {status}");
+    let output = command.stderr(Stdio::inherit()).output().expect("unshare runs");
+    let said = String::from_utf8_lossy(&output.stdout);
+    // A name that no test has is no error of the harness.
+    assert!(output.status.success() && said.contains("1 passed"), "{test}: {}: {said}", output.status);
     false
 }
 
@@ -55,7 +59,10 @@ pub fn executable_for_all() -> String {
 #[macro_export]
 macro_rules! among_users {
     ($test:expr) => {
-        if !$crate::namespace::is_among_users($test, env!("CARGO_BIN_EXE_scanloop-under-test")) {
+        if !$crate::namespace::is_among_users(
+            concat!(module_path!(), "::", $test),
+            env!("CARGO_BIN_EXE_scanloop-under-test"),
+        ) {
             return;
         }
     };

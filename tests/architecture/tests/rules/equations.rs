@@ -1,6 +1,6 @@
 //! Every equation of the source has a home in the code that names it.
 
-use std::path::Path;
+use crate::root;
 
 /// Numbers of the equations `(7.A)` or `(7.A)-(7.B)` at the beginning of a text, and what follows.
 fn equations(text: &str) -> Option<(std::ops::RangeInclusive<u32>, &str)> {
@@ -21,14 +21,13 @@ fn names(text: &str, number: u32) -> bool {
 
 #[test]
 fn every_equation_has_a_home_that_names_it() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let page = std::fs::read_to_string(root.join("docs/equations.md")).unwrap();
+    let page = std::fs::read_to_string(root().join("docs/equations.md")).unwrap();
     let mut missing: Vec<u32> = (1..=46).collect();
     for row in page.lines().filter(|line| line.starts_with("| (7.")) {
         let cells: Vec<&str> = row.split('|').map(str::trim).collect();
         let (range, _) = equations(cells[1]).unwrap();
         let text =
-            std::fs::read_to_string(root.join(cells[3])).unwrap_or_else(|error| panic!("{row}: {error}"));
+            std::fs::read_to_string(root().join(cells[3])).unwrap_or_else(|error| panic!("{row}: {error}"));
         assert!(text.contains(cells[4].trim_matches('`')), "{}: no {}", cells[3], cells[4]);
         for number in range {
             assert!(names(&text, number), "{} does not name (7.{number})", cells[3]);

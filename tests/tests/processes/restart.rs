@@ -1,72 +1,22 @@
 //! Processes restarted by command while the robot drives: the old one is ended last.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use emulator::Outcome;
-use scanloop_tests::exchange::{assert_every_scan_answered_once, rows};
+use scanloop_tests::exchange::{assert_every_scan_answered_once, restart, restart_all, rows};
 use scanloop_tests::{STAGES, System, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-/// Restarts a role; exit code, and what was said.
-fn restart(system: &System, role: Role) -> (Option<i32>, String) {
-    let output = system.run(&["restart", role.name()]);
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
-
-/// Restarts each stage while the robot drives, then ends the run; no scan may be lost.
-fn restart_all(system: &mut System) {
-    for role in STAGES {
-        let before = system.pid(role);
-        let (code, said) = restart(system, role);
-        assert_eq!(code, Some(0), "{said}");
-        assert!(
-            said.contains(&format!("{role} was restarted")) && said.contains("; 0 scans missed"),
-            "{said}"
-        );
-        let [(now, state)] = rows(system, role).try_into().unwrap();
-        assert!(now != before && state == "ready", "{role} is {state}");
-    }
-    let status = system.status().unwrap();
-    let restarts: Vec<u32> = status.processes.iter().map(|process| process.restarts).collect();
-    assert_eq!(restarts, [0, 1, 1, 1, 1]);
-}
-
 #[test]
 fn a_restart_loses_no_scan_and_is_no_swap() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["long"]);
-    restart_all(&mut system);
+    restart_all(&system);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!((report.outcome, report.swaps.len()), (Outcome::Reached, 0));
     let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
     assert_eq!(restarts, [0, 1, 1, 1, 1]);
-    assert_every_scan_answered_once(&system);
-    system.assert_nothing_left();
-}
-
-#[test]
-fn a_restart_under_load_loses_no_scan() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["endless", "--set", "timeout_s=600"]);
-    let is_over = AtomicBool::new(false);
-    std::thread::scope(|scope| {
-        for _ in 0..std::thread::available_parallelism().map_or(2, usize::from) {
-            scope.spawn(|| {
-                while !is_over.load(Ordering::Relaxed) {
-                    std::hint::spin_loop();
-                }
-            });
-        }
-        let restarted = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| restart_all(&mut system)));
-        is_over.store(true, Ordering::Relaxed);
-        restarted.unwrap();
-    });
-    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
-    system.wait();
     assert_every_scan_answered_once(&system);
     system.assert_nothing_left();
 }

@@ -25,7 +25,7 @@ fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
         format!("mkdir -p '{place}' && mount -t tmpfs -o mode=0700,size={size} tmpfs '{place}' &&")
     };
     let script = mounts.iter().map(mount).collect::<String>();
-    namespace::is_inside(test, &script, |command| {
+    namespace::is_inside(&format!("{}::{test}", module_path!()), &script, |command| {
         command.envs(mounts.iter().filter(|(_, place)| *place != Path::new(SHARED_MEMORY)).map(runtime_dir));
     })
 }

@@ -1,0 +1,9 @@
+//! Commands that end by themselves: drives in lock-step, analyses, calibrations and benches, and what they refuse.
+
+mod analyse;
+mod bad_input;
+mod bench_latency;
+mod bench_solver;
+mod bench_transport;
+mod calibrate;
+mod scenarios;

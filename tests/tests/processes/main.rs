@@ -1,0 +1,24 @@
+//! Systems of real processes that drive, are disturbed, exchanged, stopped and left alone.
+//!
+//! One program, so that it is linked once and the tests of all files wait for their robots side by side. Tests that load the
+//! machine on purpose stand elsewhere.
+
+mod adoption;
+mod blame;
+mod control_socket;
+mod hang;
+mod languages;
+mod ledger;
+mod live;
+mod operator;
+mod other_user;
+mod output;
+mod private_place;
+mod restart;
+mod service_manager;
+mod shadow;
+mod shared_memory;
+mod soak;
+mod stop;
+mod swap;
+mod swap_robot;
