@@ -19,8 +19,8 @@
 
 use shared_types::{Header, Role, StageStamps};
 
-use crate::figures::Distribution;
 use crate::report::{LatencyReport, PerStage, Stages};
+use figures::Distribution;
 
 /// The stages that answer a scan, in the order of the critical path.
 pub const STAGES: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];

@@ -15,15 +15,14 @@ pub mod control;
 pub mod digest;
 mod driverless;
 pub mod exit;
-pub mod figures;
 mod fleet;
 mod halt;
 pub mod latency;
 pub mod ledger;
-mod limits;
+pub mod limits;
 mod live_latency;
 mod lock;
-mod output;
+pub mod output;
 pub mod picture;
 pub mod progress;
 mod realtime;
@@ -66,8 +65,13 @@ const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
+    program(parse_and_run)
+}
+
+/// Runs the command of an executable, prints its error, and returns its exit code.
+pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
     limits::keep_own_rights();
-    let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
+    let exit = limits::require_stack().and_then(|()| command()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });

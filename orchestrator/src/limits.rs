@@ -39,7 +39,7 @@ pub(crate) fn require_stack() -> anyhow::Result<()> {
 ///
 /// # Errors
 /// As [`require_stack`].
-pub(crate) fn require_open_files() -> anyhow::Result<()> {
+pub fn require_open_files() -> anyhow::Result<()> {
     let files = raise(Resource::Nofile, OPEN_FILES);
     if files >= MIN_OPEN_FILES {
         return Ok(());

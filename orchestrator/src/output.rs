@@ -15,7 +15,7 @@ pub(crate) use note;
 ///
 /// # Errors
 /// Data that can't be written, to a full disk for example: a command that was asked for it has failed.
-pub(crate) fn data(text: &str) -> anyhow::Result<bool> {
+pub fn data(text: &str) -> anyhow::Result<bool> {
     let end = if text.is_empty() || text.ends_with('\n') { "" } else { "\n" };
     let mut output = io::stdout().lock();
     let written = output

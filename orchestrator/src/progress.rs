@@ -131,7 +131,7 @@ impl Progress {
 
 /// A live line that counts steps of known number, on a terminal only: `12/500 courses, 3 s`.
 #[derive(Debug)]
-pub(crate) struct Steps {
+pub struct Steps {
     what: &'static str,
     total: u64,
     done: u64,
@@ -141,7 +141,7 @@ pub(crate) struct Steps {
 
 impl Steps {
     /// Nothing is done yet.
-    pub(crate) fn new(total: u64, what: &'static str) -> Self {
+    pub fn new(total: u64, what: &'static str) -> Self {
         if runtime::is_terminal() {
             start_terminal();
         }
@@ -149,7 +149,7 @@ impl Steps {
     }
 
     /// One step more; `note` stands at the end of the line.
-    pub(crate) fn step(&mut self, note: &str) {
+    pub fn step(&mut self, note: &str) {
         self.done += 1;
         let now = Instant::now();
         if runtime::is_terminal() && self.pace.is_due(now) {

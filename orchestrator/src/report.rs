@@ -15,9 +15,9 @@ pub use emulator::Outcome;
 use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
-use crate::figures::Figures;
 use crate::ledger::{Fault, RefusedRow};
 use crate::swap::Certificate;
+use figures::Figures;
 
 pub use self::write::write_atomically;
 

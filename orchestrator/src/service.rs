@@ -1,6 +1,7 @@
 //! `scanloop service NAME`: the built-in implementations.
 
-use crate::bench::latency;
+use crate::bench::latency::noise;
+use crate::bench::measuring_service;
 use crate::exit::{Exit, Failure};
 use crate::system::IMPLEMENTATIONS;
 
@@ -10,8 +11,11 @@ use crate::system::IMPLEMENTATIONS;
 /// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.
 pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     runtime::start_logging();
-    if let Some(ended) = latency::echo::run(name).or_else(|| latency::noise::run(name)) {
+    if let Some(ended) = noise::run(name) {
         return ended.map(|()| Exit::Done);
+    }
+    if let Some(failed) = measuring_service(name) {
+        return Err(failed);
     }
     match name {
         "emulator" => emulator::service::run()?,
@@ -19,11 +23,6 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "ellipses" => obstacles::service::run()?,
         "nmpc" => nmpc::service::run()?,
         "actuation" => actuation::service::run()?,
-        // No role of the loop: a process of `scanloop bench transport`.
-        "hop" => hops::hop().map_err(|error| match error {
-            hops::HopError::NotInAChain => Failure::bad_input(error),
-            other => other.into(),
-        })?,
         _ => {
             let known: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
             return Err(Failure::bad_input(format!(

@@ -30,8 +30,6 @@ mod floor;
 #[cfg(feature = "chains")]
 mod listener;
 #[cfg(feature = "chains")]
-mod load;
-#[cfg(feature = "chains")]
 mod peers;
 #[cfg(feature = "chains")]
 mod ring;
@@ -52,7 +50,6 @@ pub use stage::{Stage, run};
 pub use {
     contender::Contender,
     driver::{Block, Plan, measure},
-    load::Load,
     setup::{BLOCK_BYTES, Payload},
     spawn::{PRIORITY, Scheduling, processors},
 };
@@ -115,9 +112,6 @@ impl HopError {
 #[cfg(feature = "chains")]
 pub fn hop() -> Result<(), HopError> {
     let mut setup = Setup::from_environment()?;
-    if setup.contender == load::SPIN {
-        load::spin();
-    }
     let mut stage = contender::stage(&mut setup)?;
     run(stage.as_mut(), &setup)
 }

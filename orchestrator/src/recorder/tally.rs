@@ -6,8 +6,8 @@ use shared_types::{
     Actuation, ActuationKind, Alarm, BlockReason, Command, Level, Pose, SolveStatus, StopReason, Suspect,
 };
 
-use crate::figures::Distribution;
 use crate::report::{ControllerReport, SelfCheckReport};
+use figures::Distribution;
 
 /// Figures of the solver, and why the wheels were blocked.
 #[derive(Debug, Clone)]

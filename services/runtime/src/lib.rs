@@ -25,7 +25,6 @@
 //! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
 
 mod alarm;
-mod allocations;
 mod bell;
 mod blob;
 mod bus;
@@ -63,7 +62,6 @@ mod tests;
 mod wake;
 mod wire;
 
-pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use figures::difference::{Difference, stretches};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::statistics::stretches;
 use super::verdict::Verdict;
 use crate::bench::latency::intervals;
 use crate::exit::Failure;
@@ -62,7 +62,7 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
             note!("{metric}: left out, too few scans; run longer");
             continue;
         };
-        let us = |mut difference: super::statistics::Difference| {
+        let us = |mut difference: Difference| {
             difference.value *= 1e-3;
             difference.interval = difference.interval.map(|bound| bound * 1e-3);
             difference.smallest_visible *= 1e-3;

@@ -2,10 +2,10 @@
 
 use std::process::{Command, Stdio};
 
+use figures::difference::{median, rounds};
 use runtime::monotonic_ns;
 use serde_json::Value;
 
-use super::statistics::{median, rounds};
 use super::verdict::Verdict;
 use crate::exit::Failure;
 use crate::output::note;

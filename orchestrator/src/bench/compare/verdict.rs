@@ -1,8 +1,7 @@
 //! What a comparison says, in words and as JSON.
 
+use figures::difference::{CONFIDENCE, Difference};
 use serde::Serialize;
-
-use super::statistics::{CONFIDENCE, Difference};
 
 /// The comparison of one figure; numbers have the unit that the name of the metric ends with.
 #[derive(Debug, Clone, PartialEq, Serialize)]

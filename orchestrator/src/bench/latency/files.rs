@@ -9,9 +9,9 @@ use hdrhistogram::Histogram;
 use super::collector::Collector;
 use super::results::Results;
 use super::{pictures, trace};
-use crate::figures::Distribution;
 use crate::picture::chart;
 use crate::report::write_atomically;
+use figures::Distribution;
 
 /// Writes all files into a folder.
 ///

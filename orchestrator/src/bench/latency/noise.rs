@@ -14,8 +14,9 @@ use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack}
 use rustix::time::Timespec;
 use shared_types::StageStamps;
 
-use crate::figures::Distribution;
+use crate::child::this_program;
 use crate::output::data;
+use figures::Distribution;
 
 /// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
 /// colon.
@@ -41,7 +42,7 @@ pub(crate) fn measure(
     let seconds = (SHARE * duration_s).clamp(SHORTEST_S, LONGEST_S);
     let count = ((seconds * 1e9 / period_ns as f64) as u64).max(5);
     let service = format!("{PREFIX}{period_ns}:{count}:{}", realtime.timer_slack_ns);
-    let mut child = Command::new(std::env::current_exe().context("path of this executable")?)
+    let mut child = Command::new(this_program())
         .args(["service", &service])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

@@ -4,9 +4,9 @@ use hdrhistogram::Histogram;
 
 use super::collector::Collector;
 use super::results::Results;
-use crate::figures::Distribution;
 use crate::latency::STAGES;
 use crate::picture::chart::{Chart, Curve};
+use figures::Distribution;
 
 /// Bins of the histogram.
 const BINS: usize = 160;

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::machine::Machine;
-use crate::figures::Figures;
 use crate::report::PerStage;
+use figures::Figures;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
 pub(crate) const SCHEMA: u32 = 1;
@@ -16,6 +16,8 @@ pub(crate) const SCHEMA: u32 = 1;
 pub(crate) struct Results {
     /// [`SCHEMA`].
     pub schema: u32,
+    /// The Cargo profile that the executable was built with.
+    pub profile: &'static str,
     /// Scans per second by the schedule [Hz].
     pub rate_hz: f64,
     /// Driven time [s].

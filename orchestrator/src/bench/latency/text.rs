@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::results::Results;
-use crate::figures::Figures;
+use figures::Figures;
 
 /// Shortest run whose 99.9 % mean something [scans].
 const ENOUGH: u64 = 1000;
@@ -83,6 +83,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
         })
         .collect();
     vec![
+        ("profile", results.profile.to_owned()),
         ("rate", format!("{} Hz for {:.1} s, compute {compute}", results.rate_hz, results.duration_s)),
         (
             "scans",

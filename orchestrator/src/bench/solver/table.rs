@@ -4,13 +4,14 @@ use std::fmt::Write as _;
 
 use super::Results;
 use super::versus::SAME;
-use crate::figures::Figures;
+use crate::bench::instrument::build_command;
+use figures::Figures;
 
 /// Listed cases with another optimum at most; JSON has all.
 const LISTED: usize = 10;
 
 pub(super) fn text(results: &Results) -> String {
-    let mut text = format!("cases      {}", results.cases);
+    let mut text = format!("profile    {}\ncases      {}", results.profile, results.cases);
     let _ = match results.start {
         "warm" => writeln!(
             text,
@@ -41,8 +42,11 @@ pub(super) fn text(results: &Results) -> String {
             times(&row.feedback_us),
             times(&row.solve_us),
             format!("{} / {} / {}", row.iterations.p50, row.iterations.p99, row.iterations.max),
-            row.allocations.map_or("not counted".to_owned(), |count| count.to_string()),
+            row.allocations.map_or("-".to_owned(), |count| count.to_string()),
         );
+    }
+    if results.solvers.iter().any(|row| row.allocations.is_none()) {
+        let _ = writeln!(text, "allocations are counted by scanloop-bench: `{}` builds it", build_command());
     }
     if results.solvers.iter().any(|row| !row.refine) {
         text += "* without refinement by Newton's method on the active set (`refine = false`)\n";

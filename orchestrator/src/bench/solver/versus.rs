@@ -7,7 +7,7 @@ use nmpc::Solution;
 use serde::Serialize;
 
 use super::peers::Answer;
-use crate::figures::{Distribution, Figures};
+use figures::{Distribution, Figures};
 
 /// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum: both sides stop at a gradient
 /// of about 1e-6, and the flattest curvature is the control weight, of order one.

@@ -14,8 +14,8 @@ pub(super) fn text(results: &Results) -> String {
     let load = if results.load { ", every processor busy" } else { "" };
     let _ = writeln!(
         text,
-        "{} hops at {} Hz, {bytes} bytes, scheduling {}, processors {:?}{load}, {} rounds",
-        results.hops, results.rate_hz, results.scheduling, results.cpus, results.rounds
+        "{} hops at {} Hz, {bytes} bytes, scheduling {}, processors {:?}{load}, {} rounds, profile {}",
+        results.hops, results.rate_hz, results.scheduling, results.cpus, results.rounds, results.profile
     );
     for rows in [&results.transports, &results.polling] {
         if let Some(first) = rows.first() {

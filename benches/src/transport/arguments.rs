@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use hops::{BLOCK_BYTES, Contender, Payload, Policy};
 
-use crate::bench::bytes;
-use crate::bench::scheduling::SchedulingArguments;
+use orchestrator::bench::bytes;
+use orchestrator::bench::scheduling::SchedulingArguments;
 
 /// Arguments of `bench transport`.
 #[derive(Debug, Args)]
-pub struct TransportArguments {
+pub(crate) struct TransportArguments {
     /// Whom to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm, zeromq,
     /// dora. Without it all.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
@@ -49,7 +49,7 @@ pub struct TransportArguments {
 
 /// How processes wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Waiting {
+pub(crate) enum Waiting {
     /// Asleep until a message wakes them.
     Block,
     /// Awake for a fifth of a millisecond before and after a message is due, else asleep.
