@@ -70,8 +70,10 @@ pub fn main() -> ExitCode {
 }
 
 fn run() -> anyhow::Result<Exit> {
+    let cli = Cli::parse();
+    runtime::check_log_filter()?;
     runtime::start_logging();
-    match Cli::parse().command {
+    match cli.command {
         Command::Service { name } => service(&name).map(|()| Exit::Done),
         Command::Bench(command) => {
             limits::require_open_files()?;

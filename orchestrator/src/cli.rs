@@ -149,7 +149,7 @@ pub struct RunArguments {
     #[command(flatten)]
     pub choice: Choice,
     /// Where `report.json`, the picture and the logs are written; default `out/SCENARIO`.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = crate::output::folder())]
     pub out: Option<PathBuf>,
     /// Stop after that many driven seconds.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -172,7 +172,7 @@ pub struct RunArguments {
 #[derive(Debug, Args, Clone)]
 pub struct AdoptArguments {
     /// Where the results are written; default: where the run was to write them.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = crate::output::folder())]
     pub out: Option<PathBuf>,
     /// Stop after that many driven seconds since the start of the run.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -250,7 +250,7 @@ pub struct CampaignArguments {
     #[arg(long)]
     pub json: bool,
     /// Where the scenario files of bad courses are written.
-    #[arg(long, value_name = "DIR", default_value = "out/campaign")]
+    #[arg(long, value_name = "DIR", default_value = "out/campaign", value_parser = crate::output::folder())]
     pub out: PathBuf,
 }
 

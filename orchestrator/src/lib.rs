@@ -83,6 +83,7 @@ pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
 #[inline(never)]
 fn parse_and_run() -> anyhow::Result<Exit> {
     let cli = Cli::parse();
+    runtime::check_log_filter()?;
     if matches!(
         cli.command,
         Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)

@@ -20,6 +20,7 @@ use crate::exit::{Exit, Failure};
 use crate::fleet::Fleet;
 use crate::ledger::Books;
 use crate::lock::{Claim, SystemLock, clear};
+use crate::output::require_writable;
 use crate::picture;
 use crate::progress::Progress;
 use crate::realtime;
@@ -185,6 +186,9 @@ pub(crate) fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
         return Err(Failure::bad_input(format!(
             "--out {out}: the path of the folder is not UTF-8; name another one"
         )));
+    }
+    if let Err(reason) = require_writable(&out) {
+        return Err(Failure::bad_input(format!("--out {}: {reason}", out.display())));
     }
     let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
     made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))

@@ -7,6 +7,7 @@ use hops::{BLOCK_BYTES, Contender, Payload, Policy};
 
 use orchestrator::bench::bytes;
 use orchestrator::bench::scheduling::SchedulingArguments;
+use orchestrator::output::folder;
 
 /// Arguments of `bench transport`.
 #[derive(Debug, Args)]
@@ -43,7 +44,7 @@ pub(crate) struct TransportArguments {
     #[arg(long)]
     pub json: bool,
     /// Write `transport.json` and `transport.csv` (figures of every round) into this directory.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = folder())]
     pub out: Option<PathBuf>,
 }
 

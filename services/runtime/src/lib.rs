@@ -81,7 +81,7 @@ pub use identity::{
 };
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
-pub use logging::{Priority, print, start_logging, writes_to_journal};
+pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Voice};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;

@@ -6,10 +6,12 @@
 use std::io;
 
 use rustix::fs::fstat;
+use tracing::level_filters::LevelFilter;
 use tracing::{Level, Metadata};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
+use crate::RuntimeError;
 use crate::terminal::{self, LogLine, is_terminal, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
@@ -30,9 +32,36 @@ pub enum Priority {
     Debug = 7,
 }
 
+/// Chooses what is logged, for users.
+const LOG_VARIABLE: &str = "SCANLOOP_LOG";
+
+/// Checks `SCANLOOP_LOG`.
+///
+/// # Errors
+/// [`RuntimeError::LogFilter`] with its value and what is allowed.
+pub fn check_log_filter() -> Result<(), RuntimeError> {
+    filter().map(|_| ())
+}
+
+/// The filter that `SCANLOOP_LOG` asks for.
+fn filter() -> Result<EnvFilter, RuntimeError> {
+    let value = std::env::var_os(LOG_VARIABLE).unwrap_or_default();
+    let text = value.to_string_lossy();
+    let directives = || text.split(',').map(str::trim).filter(|directive| !directive.is_empty());
+    // A name without a level would be a target, of which everything is logged: it is a level that is misspelt.
+    let has_level = |directive: &str| {
+        directive.rsplit('=').next().is_some_and(|level| level.parse::<LevelFilter>().is_ok())
+    };
+    if directives().next().is_none() {
+        return Ok(EnvFilter::new("info"));
+    }
+    let filter = EnvFilter::try_new(&text).ok().filter(|_| directives().all(has_level));
+    filter.ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
+}
+
 /// Starts logging; `SCANLOOP_LOG` takes levels and targets (`debug`, `nmpc=debug`), the default is `info`.
 pub fn start_logging() {
-    let filter = EnvFilter::try_from_env("SCANLOOP_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = filter().unwrap_or_else(|_| EnvFilter::new("info"));
     let is_journal = writes_to_journal();
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
