@@ -50,13 +50,22 @@ impl Difference {
         Self { value, interval, smallest_visible: NINE_IN_TEN * 0.5 * (interval[1] - interval[0]) }
     }
 
+    /// The same in another unit.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self {
+            value: factor * self.value,
+            interval: self.interval.map(|bound| factor * bound),
+            smallest_visible: factor * self.smallest_visible,
+        }
+    }
+
     /// Rounds in turns after which a true difference as large as this estimate is seen nine times in ten, when this one
     /// came of so many `rounds`: the width of the interval falls with the square root of their number. `None` for an
     /// estimate of zero, and when it takes more than [`MAX_ROUNDS`]. Two files count as one round: their interval is
     /// that of one run of each, because the part of the machine is not divided by the number of stretches.
     pub fn rounds_to_settle(&self, rounds: usize) -> Option<usize> {
         let needed = (rounds as f64 * (self.smallest_visible / self.value).powi(2)).ceil();
-        (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(FEWEST_ROUNDS))
+        (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(FEWEST_ROUNDS).max(rounds + 1))
     }
 
     /// Whether zero is outside the interval.

@@ -201,6 +201,6 @@ fn with_the_rounds_that_settle_it_a_difference_is_seen_nine_times_in_ten() {
 #[test]
 fn an_estimate_of_zero_is_settled_by_no_number_of_rounds() {
     let of = |value: f64| Difference { value, interval: [-2.0, 2.0], smallest_visible: 3.0 };
-    assert_eq!([of(0.0), of(0.1), of(30.0)].map(|one| one.rounds_to_settle(12)), [None, None, Some(8)]);
+    assert_eq!([of(0.0), of(0.1), of(30.0)].map(|one| one.rounds_to_settle(12)), [None, None, Some(13)]);
     assert_eq!(of(1.5).rounds_to_settle(12), Some(48));
 }

@@ -50,7 +50,7 @@ pub(super) fn compare(commands: &[String], count: usize, metrics: &[String]) -> 
                 median(&values)
             });
             let name = if metric == WALL { "wall_s" } else { metric };
-            rounds(&differences).map(|difference| Verdict::new(name, middle, &difference))
+            rounds(&differences).map(|difference| Verdict::new(name, middle, &difference, count))
         })
         .collect();
     Ok(Turns { verdicts, figures: figures.swap_remove(0) })
