@@ -1,13 +1,15 @@
 //! Figures of what was measured, and what they are worth: distributions, intervals by resampling, differences of two
-//! runs with their confidence, and the profile of the build that was measured.
+//! runs with their confidence, the profile of the build that was measured, and tables of it all as text.
 
 pub mod bootstrap;
 pub mod difference;
 mod distribution;
 mod student;
+mod table;
 
 pub use distribution::{Distribution, Figures};
 pub use student::student;
+pub use table::{Align, Table};
 
 /// The Cargo profile that this executable was built with, from the path of the build: `dev`, `release`, `dist`, ...
 pub const PROFILE: &str = env!("SCANLOOP_PROFILE");
