@@ -8,6 +8,7 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
+use std::time::Duration;
 
 use anyhow::Context;
 use figures::{MEASURED_PROFILE, PROFILE};
@@ -17,6 +18,9 @@ use crate::output::note;
 
 /// What the name of an executable gets to make that of its instrument.
 const SUFFIX: &str = "-bench";
+
+/// A terminal that is read takes what was written within microseconds.
+const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// The instrument of this executable.
 ///
@@ -41,11 +45,12 @@ pub(crate) fn build_command() -> String {
 
 /// Becomes the instrument, with the arguments of this process; returns when that fails.
 pub(crate) fn hand_over() -> anyhow::Error {
-    let instrument = match find() {
+    let instrument = match find_current() {
         Ok(instrument) => instrument,
         Err(missing) => return missing,
     };
-    warn_of_another_build(&instrument);
+    // What is still in the queue would be lost with this program.
+    runtime::flush_terminal(FLUSH_LIMIT);
     let error = Command::new(&instrument).args(std::env::args_os().skip(1)).exec();
     Failure::process(format!("{}: {error}", instrument.display()))
 }
@@ -61,13 +66,25 @@ fn candidates(own: &Path) -> Vec<PathBuf> {
     std::iter::once(folder.to_owned()).chain(profiles).map(|folder| folder.join(&name)).collect()
 }
 
-/// An instrument that is older than this executable may measure an older state of the same code.
-fn warn_of_another_build(instrument: &Path) {
+/// [`find`]; says so when sources of the instrument have changed since it was built: it measures what they were then.
+///
+/// # Errors
+/// As [`find`].
+pub(crate) fn find_current() -> anyhow::Result<PathBuf> {
+    let instrument = find()?;
     let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
-    let own = std::env::current_exe().ok().and_then(|own| changed(&own));
-    if changed(instrument) < own {
-        note!("{} is older than this executable: `{}` renews it", instrument.display(), build_command());
+    let sources = sources(&std::fs::read_to_string(instrument.with_extension("d")).unwrap_or_default());
+    if sources.iter().any(|source| changed(source) > changed(&instrument)) {
+        let (file, build) = (instrument.display(), build_command());
+        note!("{file} is older than its sources, and measures what they were: `{build}` renews it");
     }
+    Ok(instrument)
+}
+
+/// The source files that Cargo lists beside an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
+fn sources(list: &str) -> Vec<PathBuf> {
+    let files = list.split_once(": ").map_or("", |(_, files)| files).replace("\\ ", "\0");
+    files.split_whitespace().map(|file| PathBuf::from(file.replace('\0', " "))).collect()
 }
 
 /// Busy loops on every processor, in a process of the instrument; dropping it ends them.
@@ -123,6 +140,13 @@ mod tests {
         let expected = ["release", "dist", "release", "debug"]
             .map(|profile| PathBuf::from(format!("/src/target/{profile}/scanloop-bench")));
         assert_eq!(places, expected);
+    }
+
+    #[test]
+    fn the_sources_of_an_executable_are_those_that_cargo_lists() {
+        let files = sources("/t/scanloop-bench: /a/one.rs /a/my\\ file.rs\n");
+        assert_eq!(files, ["/a/one.rs", "/a/my file.rs"].map(PathBuf::from));
+        assert!(sources("").is_empty());
     }
 
     #[test]

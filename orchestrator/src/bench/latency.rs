@@ -140,7 +140,7 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     if arguments.compute == Compute::Real {
         return Ok(plan);
     }
-    let program = instrument::find()?.to_string_lossy().into_owned();
+    let program = instrument::find_current()?.to_string_lossy().into_owned();
     for entry in &mut plan.system.processes {
         let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
         entry.implementation = None;
