@@ -1,6 +1,6 @@
 //! The instrument: what measures and is no part of the product, behind the executable `scanloop-bench`.
 //!
-//! `scanloop bench ...` finds it and hands its own arguments over, so nobody has to call it. It has the benches that need
+//! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the benches that need
 //! more than the product is made of: other transports, an allocator that counts, stages that compute nothing, load. The
 //! benches of Criterion share recorded laps and a bus with two ends.
 

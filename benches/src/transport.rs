@@ -67,7 +67,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
 /// Who can be measured, and who can't and why.
 fn contenders(arguments: &TransportArguments) -> (Vec<Contender>, Vec<Skipped>) {
     let mut skipped = Vec::new();
-    let present = |contender: &Contender| match contender.missing() {
+    let present = |contender: &Contender| match hops::missing(*contender) {
         Some(reason) => {
             skipped.push(Skipped { name: contender.name(), reason });
             false

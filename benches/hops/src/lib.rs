@@ -32,6 +32,8 @@ mod listener;
 #[cfg(feature = "chains")]
 mod peers;
 #[cfg(feature = "chains")]
+mod plan;
+#[cfg(feature = "chains")]
 mod ring;
 #[cfg(feature = "chains")]
 mod spawn;
@@ -49,7 +51,9 @@ pub use stage::{Stage, run};
 #[cfg(feature = "chains")]
 pub use {
     contender::Contender,
-    driver::{Block, Plan, measure},
+    driver::{Block, measure},
+    peers::missing,
+    plan::Plan,
     setup::{BLOCK_BYTES, Payload},
     spawn::{PRIORITY, Scheduling, processors},
 };

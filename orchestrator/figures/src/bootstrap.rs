@@ -3,10 +3,10 @@
 //! Idea: scans that follow each other are alike, so whole blocks of them are drawn with replacement, each about as
 //! long as the square root of all, round the end. What varies from one such drawing to the next is what would vary
 //! from run to run. Assumption: the blocks are longer than what happens on a course; a difference that comes once per
-//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below [`FEWEST`] there are none.
+//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below [`MIN_VALUES`] there are none.
 
 /// Fewer values say nothing of how much they vary.
-const FEWEST: usize = 20;
+const MIN_VALUES: usize = 20;
 /// Drawings per interval; ends of 95 % intervals then rest on 25 of them each.
 const DRAWINGS: usize = 1000;
 /// Most values that are drawn from; more are thinned out evenly.
@@ -65,7 +65,7 @@ pub fn resample<T: Copy, R>(values: &[T], block: usize, mut statistic: impl FnMu
 
 /// The ends of the 95 % interval of a statistic of values in order; none for too few values.
 fn ends<T: Copy>(values: &[T], statistic: impl Fn(&[T]) -> f64) -> Option<[f64; 2]> {
-    if values.len() < FEWEST {
+    if values.len() < MIN_VALUES {
         return None;
     }
     let block = (values.len() as f64).sqrt().ceil() as usize;

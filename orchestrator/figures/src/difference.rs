@@ -23,12 +23,12 @@ use crate::student;
 /// Share of intervals that are to hold the true difference.
 pub const CONFIDENCE: f64 = 0.99;
 /// Fewest rounds that can be that sure.
-pub const FEWEST_ROUNDS: usize = 8;
+pub const MIN_ROUNDS: usize = 8;
 /// Most rounds.
 pub const MAX_ROUNDS: usize = 1000;
 /// Groups that the stretches of a run are put into, at most and at least.
 const GROUPS: usize = 12;
-const FEWEST_GROUPS: usize = 6;
+const MIN_GROUPS: usize = 6;
 /// A group has this many scans beyond the percentile in question.
 const BEYOND: f64 = 2.0;
 /// Half the width of an interval, times this, is seen nine times in ten: (2.576 + 1.282) / 2.576.
@@ -65,7 +65,7 @@ impl Difference {
     /// that of one run of each, because the part of the machine is not divided by the number of stretches.
     pub fn rounds_to_settle(&self, rounds: usize) -> Option<usize> {
         let needed = (rounds as f64 * (self.smallest_visible / self.value).powi(2)).ceil();
-        (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(FEWEST_ROUNDS).max(rounds + 1))
+        (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(MIN_ROUNDS).max(rounds + 1))
     }
 
     /// Whether zero is outside the interval.
@@ -77,7 +77,7 @@ impl Difference {
 /// The difference of runs in turns, from one difference per round; `None` for too few rounds.
 pub fn rounds(differences: &[f64]) -> Option<Difference> {
     let count = differences.len();
-    if count < FEWEST_ROUNDS || differences.iter().any(|value| !value.is_finite()) {
+    if count < MIN_ROUNDS || differences.iter().any(|value| !value.is_finite()) {
         return None;
     }
     let mut sorted = differences.to_vec();
@@ -151,7 +151,7 @@ fn half_width(variance: f64, sampling: f64, groups: usize) -> f64 {
 /// Neighbouring stretches of both runs put together, into as many groups as have enough scans for the quantile.
 fn groups(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<[Vec<Histogram<u64>>; 2]> {
     let needed = BEYOND / (1.0 - quantile).min(quantile);
-    (FEWEST_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {
+    (MIN_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {
         let (a, b) = (grouped(a, count), grouped(b, count));
         let enough = |groups: &[Histogram<u64>]| groups.iter().all(|group| group.len() as f64 >= needed);
         (enough(&a) && enough(&b)).then_some([a, b])

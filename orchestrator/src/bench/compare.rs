@@ -11,7 +11,7 @@ mod verdict;
 use std::path::PathBuf;
 
 use clap::Args;
-use figures::difference::{FEWEST_ROUNDS, MAX_ROUNDS};
+use figures::difference::{MAX_ROUNDS, MIN_ROUNDS};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -67,9 +67,9 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
     let (verdicts, rounds) = match (arguments.files.as_slice(), arguments.ab.as_slice()) {
         ([a, b], _) => (files::compare([a, b], &metrics)?, Vec::new()),
         (_, commands @ [_, _]) => {
-            if !(FEWEST_ROUNDS..=MAX_ROUNDS).contains(&arguments.rounds) {
+            if !(MIN_ROUNDS..=MAX_ROUNDS).contains(&arguments.rounds) {
                 return Err(Failure::bad_input(format!(
-                    "--rounds {} is not allowed: {FEWEST_ROUNDS} to {MAX_ROUNDS}; fewer can't be 99 % sure of anything",
+                    "--rounds {} is not allowed: {MIN_ROUNDS} to {MAX_ROUNDS}; fewer can't be 99 % sure of anything",
                     arguments.rounds
                 )));
             }

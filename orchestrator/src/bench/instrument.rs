@@ -1,6 +1,6 @@
 //! The executable `scanloop-bench`: what only measures, and so is no part of this one.
 //!
-//! It is looked for beside this executable, under its name with `-bench`, and in the folders of the other profiles of
+//! It is looked for next to this executable, under its name with `-bench`, and in the folders of the other profiles of
 //! the same target folder. `bench transport` is all its own; `bench solver` is handed over where it is there, because it
 //! counts heap allocations; `bench latency` takes from it the stages that compute nothing and the load.
 
@@ -30,7 +30,7 @@ pub(crate) fn find() -> anyhow::Result<PathBuf> {
     let own = std::env::current_exe().context("path of this executable")?;
     candidates(&own).into_iter().find(|path| path.is_file()).ok_or_else(|| {
         Failure::process(format!(
-            "this needs the executable scanloop{SUFFIX}, which is not beside {}: in the source tree \
+            "this needs the executable scanloop{SUFFIX}, which is not next to {}: in the source tree \
              `{}` builds it",
             own.display(),
             build_command()
@@ -81,7 +81,7 @@ pub(crate) fn find_current() -> anyhow::Result<PathBuf> {
     Ok(instrument)
 }
 
-/// The source files that Cargo lists beside an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
+/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
 fn sources(list: &str) -> Vec<PathBuf> {
     let files = list.split_once(": ").map_or("", |(_, files)| files).replace("\\ ", "\0");
     files.split_whitespace().map(|file| PathBuf::from(file.replace('\0', " "))).collect()
@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_instrument_is_looked_for_beside_the_executable_and_then_in_the_folders_of_other_profiles() {
+    fn the_instrument_is_looked_for_next_to_the_executable_and_then_in_the_folders_of_other_profiles() {
         let places = candidates(Path::new("/src/target/release/scanloop (deleted)"));
         let expected = ["release", "dist", "release", "debug"]
             .map(|profile| PathBuf::from(format!("/src/target/{profile}/scanloop-bench")));
