@@ -17,10 +17,10 @@
 //! computer: only complete chains are counted then. An answer whose chain has a hole (a controller that acted without
 //! obstacles) counts in reaction time and data age, not in the stages, so a slow case never hides.
 
+use figures::Distribution;
 use shared_types::{Header, Role, StageStamps};
 
 use crate::report::{LatencyReport, PerStage, Stages};
-use figures::Distribution;
 
 /// The stages that answer a scan, in the order of the critical path.
 pub const STAGES: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];

@@ -12,12 +12,12 @@ use std::io;
 use std::path::Path;
 
 pub use emulator::Outcome;
+use figures::Figures;
 use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
 use crate::ledger::{Fault, RefusedRow};
 use crate::swap::Certificate;
-use figures::Figures;
 
 pub use self::write::write_atomically;
 

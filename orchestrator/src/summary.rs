@@ -3,8 +3,9 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
 use figures::Figures;
+
+use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {

@@ -1,11 +1,11 @@
 //! What a comparison has found, as it goes into JSON.
 
+use figures::{Distribution, Figures};
 use hops::{Block, Contender, HOPS, Payload, Plan, Policy};
 use serde::Serialize;
 
 use super::TransportArguments;
 use super::ratio::{CONFIDENCE, Ratio, Rounds, ratio};
-use figures::{Distribution, Figures};
 
 /// Everything at one rate.
 #[derive(Debug, Serialize)]

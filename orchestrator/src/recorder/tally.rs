@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use figures::Distribution;
 use shared_types::{
     Actuation, ActuationKind, Alarm, BlockReason, Command, Level, Pose, SolveStatus, StopReason, Suspect,
 };
 
 use crate::report::{ControllerReport, SelfCheckReport};
-use figures::Distribution;
 
 /// Figures of the solver, and why the wheels were blocked.
 #[derive(Debug, Clone)]

@@ -16,6 +16,7 @@ use crate::user_file::{self, DATA_BYTES};
 /// What of a result is needed.
 #[derive(Debug, Deserialize)]
 struct Run {
+    profile: Option<String>,
     rate_hz: f64,
     compute: String,
     payload_bytes: Option<u64>,
@@ -41,6 +42,11 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
             "{} and {} can't be compared: {key} is {one} and {other}; make both with the same arguments",
             names[0], names[1]
         )));
+    }
+    if let (Some(of_a), Some(of_b)) = (&a.profile, &b.profile)
+        && of_a != of_b
+    {
+        note!("A was built with the profile `{of_a}`, B with `{of_b}`: that is in the difference");
     }
     let mut verdicts = Vec::new();
     for metric in metrics {

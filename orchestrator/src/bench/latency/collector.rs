@@ -9,11 +9,11 @@
 
 use std::collections::BTreeMap;
 
+use figures::Distribution;
 use shared_types::{Actuation, Header, Role, Truth};
 
 use super::intervals::{Intervals, Series};
 use crate::latency::{Attribution, attribute};
-use figures::Distribution;
 
 /// Scans from the start of the run that are kept one by one.
 const FIRST: usize = 1000;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::Context;
+use figures::Distribution;
 use hdrhistogram::Histogram;
 
 use super::collector::Collector;
@@ -11,7 +12,6 @@ use super::results::Results;
 use super::{pictures, trace};
 use crate::picture::chart;
 use crate::report::write_atomically;
-use figures::Distribution;
 
 /// Writes all files into a folder.
 ///

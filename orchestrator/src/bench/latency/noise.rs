@@ -9,6 +9,7 @@ use std::num::NonZeroU64;
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
+use figures::Distribution;
 use runtime::{Realtime, monotonic_ns};
 use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack};
 use rustix::time::Timespec;
@@ -16,7 +17,6 @@ use shared_types::StageStamps;
 
 use crate::child::this_program;
 use crate::output::data;
-use figures::Distribution;
 
 /// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
 /// colon.

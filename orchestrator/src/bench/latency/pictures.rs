@@ -1,12 +1,12 @@
 //! Two pictures of a run: how often each time was seen (the plot of `cyclictest`), and how often it was exceeded.
 
+use figures::Distribution;
 use hdrhistogram::Histogram;
 
 use super::collector::Collector;
 use super::results::Results;
 use crate::latency::STAGES;
 use crate::picture::chart::{Chart, Curve};
-use figures::Distribution;
 
 /// Bins of the histogram.
 const BINS: usize = 160;

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use figures::Figures;
 use serde::Serialize;
 
 use super::machine::Machine;
 use crate::report::PerStage;
-use figures::Figures;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
 pub(crate) const SCHEMA: u32 = 1;

@@ -2,8 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::results::Results;
 use figures::{Figures, Table};
+
+use super::results::Results;
 
 /// Shortest run whose 99.9 % mean something [scans].
 const ENOUGH: u64 = 1000;

@@ -2,10 +2,11 @@
 
 use std::fmt::Write as _;
 
+use figures::{Align, Figures, Table};
+
 use super::Results;
 use super::versus::SAME;
 use crate::bench::instrument::build_command;
-use figures::{Align, Figures, Table};
 
 /// Listed cases with another optimum at most; JSON has all.
 const LISTED: usize = 10;

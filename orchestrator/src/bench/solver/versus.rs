@@ -3,11 +3,11 @@
 //! Two solvers that found the same optimum agree in their controls; where they do not, both may be right, because an
 //! obstacle is passed on either side. Those cases are listed with both objectives and do not count as different answers.
 
+use figures::{Distribution, Figures};
 use nmpc::Solution;
 use serde::Serialize;
 
 use super::peers::Answer;
-use figures::{Distribution, Figures};
 
 /// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum: both sides stop at a gradient
 /// of about 1e-6, and the flattest curvature is the control weight, of order one.
