@@ -26,7 +26,7 @@ use transport::TransportArguments;
 
 /// The part of `scanloop` that is in this executable.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop", version, max_term_width = 100)]
+#[command(name = "scanloop", bin_name = "scanloop", version, max_term_width = 100)]
 struct Cli {
     /// Which system on this machine is meant; these benches have systems of their own.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, hide = true)]

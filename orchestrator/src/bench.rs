@@ -51,7 +51,8 @@ pub enum BenchCommand {
     /// Either two files of `bench latency --json`, or two commands that are run in turns. Commands print JSON with
     /// the figure that `--metric` names; with `--metric wall` their run time counts. JSON keys: `metric`, `a`, `b`,
     /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
-    /// figures that are no times `higher`, `lower`), `smallest_visible`, `text`, `others`.
+    /// figures that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
+    /// `no difference`: what would show it, or null), `text`, `others`.
     Compare(CompareArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.
     ///

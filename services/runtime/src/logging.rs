@@ -8,8 +8,9 @@ use std::io;
 use rustix::fs::fstat;
 use tracing::level_filters::LevelFilter;
 use tracing::{Level, Metadata};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::prelude::*;
 
 use crate::RuntimeError;
 use crate::terminal::{self, LogLine, is_terminal, printable};
@@ -44,35 +45,39 @@ pub fn check_log_filter() -> Result<(), RuntimeError> {
 }
 
 /// The filter that `SCANLOOP_LOG` asks for.
-fn filter() -> Result<EnvFilter, RuntimeError> {
+fn filter() -> Result<Targets, RuntimeError> {
     let value = std::env::var_os(LOG_VARIABLE).unwrap_or_default();
     let text = value.to_string_lossy();
-    let directives = || text.split(',').map(str::trim).filter(|directive| !directive.is_empty());
+    let directives: Vec<&str> = text.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
     // A name without a level would be a target, of which everything is logged: it is a level that is misspelt.
-    let has_level = |directive: &str| {
+    let has_level = |directive: &&str| {
         directive.rsplit('=').next().is_some_and(|level| level.parse::<LevelFilter>().is_ok())
     };
-    if directives().next().is_none() {
-        return Ok(EnvFilter::new("info"));
+    if directives.is_empty() {
+        return Ok(default_filter());
     }
-    let filter = EnvFilter::try_new(&text).ok().filter(|_| directives().all(has_level));
-    filter.ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
+    let filter = directives.iter().all(has_level).then(|| directives.join(",").parse().ok());
+    filter.flatten().ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
+}
+
+fn default_filter() -> Targets {
+    Targets::new().with_default(LevelFilter::INFO)
 }
 
 /// Starts logging; `SCANLOOP_LOG` takes levels and targets (`debug`, `nmpc=debug`), the default is `info`.
 pub fn start_logging() {
-    let filter = filter().unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = filter().unwrap_or_else(|_| default_filter());
     let is_journal = writes_to_journal();
-    let lines = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_ansi(is_terminal())
         // A log that can't be written is no reason to panic.
         .log_internal_errors(false)
         .without_time()
         .with_level(!is_journal)
-        .with_writer(Lines { is_journal });
+        .with_writer(Lines { is_journal })
+        .with_filter(filter);
     // A second start, as in tests, keeps the first subscriber.
-    let _ = lines.try_init();
+    let _ = tracing_subscriber::registry().with(lines).try_init();
 }
 
 /// Whether standard error is the journal.

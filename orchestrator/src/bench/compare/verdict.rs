@@ -57,7 +57,7 @@ impl Verdict {
                 number(low),
                 number(high),
                 number(difference.smallest_visible),
-                settlement(difference, rounds)
+                settlement(difference, rounds, &format!("{space}{unit}"))
             )
         };
         let rounds_to_settle = if difference.is_seen() { None } else { difference.rounds_to_settle(rounds) };
@@ -86,11 +86,11 @@ impl Verdict {
 }
 
 /// What would show whether the difference that was estimated is one.
-fn settlement(difference: &Difference, rounds: usize) -> String {
+fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
     if difference.value == 0.0 {
         return "the two are equal as far as was seen".to_owned();
     }
-    let size = number(difference.value.abs());
+    let size = number(difference.value.abs()) + unit;
     let turns = if rounds == 1 { "of `--ab` " } else { "" };
     match difference.rounds_to_settle(rounds) {
         Some(needed) => format!("{needed} rounds {turns}(--rounds {needed}) would settle one of {size}"),
@@ -156,7 +156,7 @@ mod tests {
         let mut verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 100.0], &none, 1);
         assert_eq!(verdict.rounds_to_settle, None);
         assert!(
-            verdict.text.contains("1000 rounds of `--ab` would not settle one of 0.0100"),
+            verdict.text.contains("1000 rounds of `--ab` would not settle one of 0.0100 us"),
             "{}",
             verdict.text
         );
