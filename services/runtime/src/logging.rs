@@ -49,15 +49,23 @@ fn filter() -> Result<Targets, RuntimeError> {
     let value = std::env::var_os(LOG_VARIABLE).unwrap_or_default();
     let text = value.to_string_lossy();
     let directives: Vec<&str> = text.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
-    // A name without a level would be a target, of which everything is logged: it is a level that is misspelt.
-    let has_level = |directive: &&str| {
-        directive.rsplit('=').next().is_some_and(|level| level.parse::<LevelFilter>().is_ok())
-    };
     if directives.is_empty() {
         return Ok(default_filter());
     }
-    let filter = directives.iter().all(has_level).then(|| directives.join(",").parse().ok());
+    let filter =
+        directives.iter().all(|directive| is_allowed(directive)).then(|| directives.join(",").parse().ok());
     filter.flatten().ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
+}
+
+/// A level, or a target with a level. A name without a level would be a target of which everything is logged: it is a
+/// level that is misspelt.
+fn is_allowed(directive: &str) -> bool {
+    let is_level = |text: &str| text.parse::<LevelFilter>().is_ok();
+    let is_part = |letter: char| letter.is_alphanumeric() || matches!(letter, '_' | ':' | '-');
+    match directive.split_once('=') {
+        Some((target, level)) => !target.is_empty() && target.chars().all(is_part) && is_level(level),
+        None => is_level(directive),
+    }
 }
 
 fn default_filter() -> Targets {
@@ -118,5 +126,20 @@ impl MakeWriter<'_> for Lines {
             _ => Priority::Debug,
         };
         LogLine { prefix: if self.is_journal { format!("<{}>", priority as u8) } else { String::new() } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_and_targets_with_levels_are_allowed_and_nothing_else() {
+        for allowed in ["debug", "OFF", "nmpc=debug", "runtime::bus=trace"] {
+            assert!(is_allowed(allowed), "{allowed}");
+        }
+        for refused in ["garbage", "nmpc=loud", "=", "=info", "nmpc=", "[a=info", "a=b=info"] {
+            assert!(!is_allowed(refused), "{refused}");
+        }
     }
 }
