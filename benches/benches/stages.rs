@@ -10,7 +10,7 @@ use estimator::Estimator;
 use nmpc::{Budget, Controller};
 use obstacles::Describer;
 use pipeline::{Pipeline, Step};
-use scanloop_benches::Lap;
+use scanloop_bench::Lap;
 use shared_types::{CommandKind, Odometry, Scan, Truth};
 
 type Group<'a> = BenchmarkGroup<'a, WallTime>;

@@ -1,7 +1,7 @@
 //! Records the initial states of `scanloop bench solver`: three laps of a closed loop with the problem of the benchmark.
 //!
 //! ```sh
-//! cargo run -p scanloop-benches --example record_solver_cases > benches/cases/solver.csv
+//! cargo run -p scanloop-bench --example record_solver_cases > benches/cases/solver.csv
 //! ```
 //!
 //! The plant is the model itself; the first control of the converged solution acts for a period. The first lap is clean;

@@ -1,7 +1,101 @@
-//! What the benches share: recorded laps, the time per scan of a stage, a bus of one's own.
+//! The instrument: what measures and is no part of the product, behind the executable `scanloop-bench`.
+//!
+//! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the benches that need
+//! more than the product is made of: other transports, an allocator that counts, stages that compute nothing, load. The
+//! benches of Criterion share recorded laps and a bus with two ends.
 
-mod echo;
+mod allocations;
+mod empty_stages;
 mod lap;
+mod load;
+mod round_trips;
+mod transport;
 
-pub use echo::{Echo, Peer, echo_until_told};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use commands::bench::{SolverArguments, solver};
+use console::exit::{Exit, Failure};
+use console::limits;
+
+pub use allocations::{CountingAllocator, allocations};
 pub use lap::Lap;
+pub use round_trips::{Echo, Peer, echo_until_told};
+
+use transport::TransportArguments;
+
+/// The part of `scanloop` that is in this executable.
+#[derive(Debug, Parser)]
+#[command(name = "scanloop", bin_name = "scanloop", version, max_term_width = 100)]
+struct Cli {
+    /// Which system on this machine is meant; these benches have systems of their own.
+    #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, hide = true)]
+    system_id: Option<String>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Measure parts of the loop.
+    #[command(subcommand)]
+    Bench(BenchCommand),
+    /// Run a process of a bench; the benches start these.
+    Service {
+        /// hop, load or echo-ROLE.
+        name: String,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+enum BenchCommand {
+    /// What one solve of the optimal control problem costs, with its heap allocations.
+    Solver(SolverArguments),
+    /// What four hops between five processes cost over other transports, as ratios to ours.
+    ///
+    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold with
+    /// 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command that
+    /// builds them.
+    ///
+    /// JSON: one object for one `--rate`, a list of them for several. Keys: `profile`, `rate_hz`, `hops`, `payload_bytes` (a
+    /// number, or one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`, `confidence`, `transports`
+    /// with `name`, `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`, `ratio_p50_interval`, `verdict_p50`, the same for
+    /// p99; `polling`, the same for processes that poll when both policies are measured; `skipped` with `name`, `reason`.
+    Transport(TransportArguments),
+}
+
+/// Runs the command line and returns its exit code.
+pub fn main() -> ExitCode {
+    commands::program(run)
+}
+
+fn run() -> anyhow::Result<Exit> {
+    let cli = Cli::parse();
+    runtime::check_log_filter()?;
+    runtime::start_logging();
+    match cli.command {
+        Command::Service { name } => service(&name).map(|()| Exit::Done),
+        Command::Bench(command) => {
+            limits::require_open_files()?;
+            runtime::start_terminal();
+            match command {
+                BenchCommand::Solver(arguments) => solver::solver(&arguments, Some(allocations)),
+                BenchCommand::Transport(arguments) => transport::transport(&arguments),
+            }
+        }
+    }
+}
+
+fn service(name: &str) -> anyhow::Result<()> {
+    if let Some(ended) = empty_stages::run(name) {
+        return ended;
+    }
+    match name {
+        load::SERVICE => load::run(),
+        "hop" => hops::hop().map_err(|error| match error {
+            hops::HopError::NotInAChain => Failure::bad_input(error),
+            other => other.into(),
+        }),
+        _ => Err(Failure::bad_input(format!("unknown service `{name}`: expected hop, load or echo-ROLE"))),
+    }
+}

@@ -9,10 +9,6 @@ use clap::{Args, Parser, Subcommand};
 use scanloop_tests::operator::{place, quantile, trial};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
-/// As in the executable that is shipped.
-#[global_allocator]
-static ALLOCATOR: runtime::CountingAllocator = runtime::CountingAllocator;
-
 /// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
 #[derive(Debug, Parser)]
 struct Arguments {

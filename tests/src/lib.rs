@@ -21,6 +21,9 @@ use rustix::fs::{Mode, OFlags, open};
 use session::control::{Reply, Request, Status, ask};
 use shared_types::{Role, Truth};
 
+/// The Cargo profile of the tests and of the executables under test.
+pub use figures::PROFILE;
+
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
@@ -47,6 +50,18 @@ impl System {
         let folder = std::env::temp_dir().join(format!("scanloop-test-{id}"));
         std::fs::create_dir_all(&folder).expect("a folder for the test");
         Self { id, runs: RefCell::default(), folder, executable: executable.into(), running: None }
+    }
+
+    /// The executable in a folder of its own, under this name.
+    pub fn executable_alone(&self, name: &str) -> PathBuf {
+        let folder = self.folder.join("alone");
+        std::fs::create_dir_all(&folder).expect("a folder for the executable");
+        let path = folder.join(name);
+        // Another file system has no second name of a file.
+        std::fs::hard_link(&self.executable, &path)
+            .or_else(|_| std::fs::copy(&self.executable, &path).map(|_| ()))
+            .expect("a copy of the executable");
+        path
     }
 
     /// A command of the executable for this system.

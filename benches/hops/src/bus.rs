@@ -104,8 +104,7 @@ impl<I: Sample, O: Sample> BusStage<I, O> {
         // As the orchestrator does for every process of a run; other schedulers stay as they are.
         runtime::Realtime::default().apply_to(std::process::id());
         let input = if setup.is_first() { None } else { Some(process.input::<I>()?) };
-        let output =
-            if setup.is_last() { None } else { Some((process.output::<O>()?, bytemuck::zeroed_box())) };
+        let output = if setup.is_last() { None } else { Some((process.output::<O>()?, zeroed_box())) };
         process.start()?;
         Ok(Box::new(Self { process, input, output, header: Header::default() }))
     }
@@ -162,6 +161,12 @@ impl<I: Sample, O: Sample> BusStage<I, O> {
         // It ends by the word of the driver, not by a signal: nothing to do when asked to.
         let _ = self.process.wait(deadline);
     }
+}
+
+/// A sample of zeros that never was on a stack: the largest has 4 MB.
+fn zeroed_box<S: Sample>() -> Box<S> {
+    // SAFETY: samples are plain data, for which zero is a value.
+    unsafe { Box::new_zeroed().assume_init() }
 }
 
 /// Writes what belongs to a message into a sample of the bus: the header, and the number at the end of chosen sizes.

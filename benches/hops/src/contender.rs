@@ -1,7 +1,7 @@
 //! What a chain can go through.
 
 use crate::stage::Stage;
-use crate::{HopError, Policy, Setup, bus, floor, listener, peers, unix_socket};
+use crate::{HopError, Policy, Setup, bus, floor, listener, unix_socket};
 
 /// A transport under comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -60,11 +60,6 @@ impl Contender {
         matches!(policy, Policy::Block)
             || matches!(self, Self::Iceoryx2 | Self::Floor | Self::FloorFutex | Self::UnixSocket)
     }
-
-    /// Why it can't be run on this machine, with the command that changes that.
-    pub fn missing(self) -> Option<String> {
-        peers::missing(self)
-    }
 }
 
 impl std::str::FromStr for Contender {
@@ -105,12 +100,5 @@ mod tests {
         }
         let message = "dds".parse::<Contender>().unwrap_err();
         assert!(message.contains("`dds`") && message.contains("zenoh-shm"), "{message}");
-    }
-
-    #[test]
-    fn everything_in_this_crate_can_always_be_run() {
-        for contender in &Contender::ALL[..5] {
-            assert_eq!(contender.missing(), None);
-        }
     }
 }

@@ -14,7 +14,7 @@ use crate::peers;
 use crate::setup::PROCESSES;
 use crate::spawn::prepare;
 use crate::wiring::{Files, Wiring};
-use crate::{Contender, HopError, Payload, Policy, Scheduling, Setup};
+use crate::{Contender, HopError, Plan, Setup};
 
 /// How long a chain may take until its first message has come through.
 const START: Duration = Duration::from_secs(30);
@@ -24,31 +24,6 @@ const LATE: Duration = Duration::from_secs(1);
 const END: Duration = Duration::from_secs(3);
 /// Time between two looks at processes that start or end.
 const LOOK: Duration = Duration::from_millis(2);
-
-/// What is to be measured.
-#[derive(Debug, Clone)]
-pub struct Plan {
-    /// The transport.
-    pub contender: Contender,
-    /// How large messages are.
-    pub payload: Payload,
-    /// Messages per second.
-    pub rate_hz: f64,
-    /// Messages at that rate before those that count.
-    pub warm_up: u64,
-    /// Messages that count.
-    pub samples: u64,
-    /// How processes wait.
-    pub policy: Policy,
-    /// Scheduler of all processes and threads of the chain.
-    pub scheduling: Scheduling,
-    /// Processors they may run on; empty: all.
-    pub cpus: Vec<usize>,
-    /// The program that calls [`crate::hop`].
-    pub program: PathBuf,
-    /// Its arguments.
-    pub arguments: Vec<String>,
-}
 
 /// One chain's latencies, in the order of sending.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,13 +41,6 @@ impl Block {
     /// Latencies of those that did [ns].
     pub fn arrived_ns(&self) -> impl Iterator<Item = u64> {
         self.latencies_ns.iter().copied().filter(|latency| *latency > 0)
-    }
-}
-
-impl Plan {
-    /// Time between two messages [ns].
-    pub fn period_ns(&self) -> u64 {
-        (1e9 / self.rate_hz) as u64
     }
 }
 

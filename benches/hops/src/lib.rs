@@ -30,9 +30,9 @@ mod floor;
 #[cfg(feature = "chains")]
 mod listener;
 #[cfg(feature = "chains")]
-mod load;
-#[cfg(feature = "chains")]
 mod peers;
+#[cfg(feature = "chains")]
+mod plan;
 #[cfg(feature = "chains")]
 mod ring;
 #[cfg(feature = "chains")]
@@ -51,8 +51,9 @@ pub use stage::{Stage, run};
 #[cfg(feature = "chains")]
 pub use {
     contender::Contender,
-    driver::{Block, Plan, measure},
-    load::Load,
+    driver::{Block, measure},
+    peers::missing,
+    plan::Plan,
     setup::{BLOCK_BYTES, Payload},
     spawn::{PRIORITY, Scheduling, processors},
 };
@@ -115,9 +116,6 @@ impl HopError {
 #[cfg(feature = "chains")]
 pub fn hop() -> Result<(), HopError> {
     let mut setup = Setup::from_environment()?;
-    if setup.contender == load::SPIN {
-        load::spin();
-    }
     let mut stage = contender::stage(&mut setup)?;
     run(stage.as_mut(), &setup)
 }

@@ -9,7 +9,7 @@ use crate::{Contender, TIDY};
 const FOLDER: &str = "benches/peers";
 
 /// Why a contender can't be run on this machine, with the command that changes that.
-pub(crate) fn missing(contender: Contender) -> Option<String> {
+pub fn missing(contender: Contender) -> Option<String> {
     let name = setup_name(contender)?;
     let built = program(contender).is_some() && (contender != Contender::Dora || dora().is_some());
     (!built).then(|| format!("not built: run {FOLDER}/setup.sh {name}"))
@@ -58,4 +58,16 @@ fn folder() -> Option<PathBuf> {
     starts.into_iter().flatten().find_map(|start| {
         start.ancestors().map(|folder| folder.join(FOLDER)).find(|folder| folder.join("setup.sh").exists())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_in_this_crate_can_always_be_run() {
+        for contender in &Contender::ALL[..5] {
+            assert_eq!(missing(*contender), None);
+        }
+    }
 }

@@ -2,9 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::monotonic_ns;
-use crate::stage::Stage;
-
 /// Longest sleep: how late a process notices at most that the chain is closed. No multiple of a usual period, so that
 /// time-outs and messages do not meet.
 pub(crate) const LONGEST_WAIT_NS: u64 = 230_000_000;
@@ -29,21 +26,6 @@ impl Policy {
         match self {
             Self::Block => "block",
             Self::Poll => "poll",
-        }
-    }
-
-    /// Waits once, for a message that is due at `due_ns`; the caller looks whether there is one.
-    pub(crate) fn wait(self, stage: &mut dyn Stage, due_ns: u64) {
-        let now = monotonic_ns();
-        if self == Self::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {
-            return stage.block(None);
-        }
-        let early = due_ns.saturating_sub(1000 * POLL_US);
-        if now < early {
-            return stage.block(Some(early - now));
-        }
-        while !stage.look() && monotonic_ns() < due_ns + 1000 * POLL_US {
-            std::thread::yield_now();
         }
     }
 }

@@ -6,8 +6,8 @@ use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
 use crate::control::{Control, Word};
 use crate::message::{Arrival, Stamp, monotonic_ns};
-use crate::policy::LONGEST_WAIT_NS;
-use crate::{HopError, Setup};
+use crate::policy::{LONGEST_WAIT_NS, POLL_US};
+use crate::{HopError, Policy, Setup};
 
 /// Time between two messages while the chain connects.
 const CONNECTING: Duration = Duration::from_millis(20);
@@ -124,6 +124,21 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
 /// Waits as the setup says; true when that took so long that the driver may be listened to if nothing has come.
 fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
     let before = monotonic_ns();
-    setup.policy.wait(stage, due_ns);
+    wait(stage, setup.policy, due_ns);
     monotonic_ns() - before > LONGEST_WAIT_NS / 3
+}
+
+/// Waits once, for a message that is due at `due_ns`; the caller looks whether there is one.
+fn wait(stage: &mut dyn Stage, policy: Policy, due_ns: u64) {
+    let now = monotonic_ns();
+    if policy == Policy::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {
+        return stage.block(None);
+    }
+    let early = due_ns.saturating_sub(1000 * POLL_US);
+    if now < early {
+        return stage.block(Some(early - now));
+    }
+    while !stage.look() && monotonic_ns() < due_ns + 1000 * POLL_US {
+        std::thread::yield_now();
+    }
 }

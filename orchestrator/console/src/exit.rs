@@ -53,6 +53,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     match error.downcast_ref::<runtime::RuntimeError>() {
         Some(
             runtime::RuntimeError::SystemId(_)
+            | runtime::RuntimeError::LogFilter(_)
             | runtime::RuntimeError::AlreadyRunning { .. }
             | runtime::RuntimeError::NotRunning(_)
             | runtime::RuntimeError::NotPrivate { .. }

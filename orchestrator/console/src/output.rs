@@ -1,8 +1,12 @@
 //! What commands print: text for people to standard error, data to standard output.
 
+use std::ffi::OsString;
+use std::fs::File;
 use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 
 /// Writes text for people; what can't be written is dropped, as the command has done its work in any case.
 #[macro_export]
@@ -24,5 +28,47 @@ pub fn data(text: &str) -> anyhow::Result<bool> {
     match written {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
         written => written.map(|()| true).context("standard output"),
+    }
+}
+
+/// Reads the folder of an option `--out`; refuses one that can't be written to, so that nothing is started in vain.
+pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().try_map(|text: OsString| {
+        let folder = PathBuf::from(text);
+        require_writable(&folder).map(|()| folder)
+    })
+}
+
+/// Passes when files can be made in a folder, or in the nearest one above it that is there.
+///
+/// # Errors
+/// The folder that refuses a file, the reason, and what is allowed.
+pub fn require_writable(folder: &Path) -> Result<(), String> {
+    let missing = |path: &&Path| matches!(path.metadata(), Err(error) if error.kind() == ErrorKind::NotFound);
+    let folder = std::path::absolute(folder).map_err(|error| error.to_string())?;
+    let there = folder.ancestors().find(|path| !missing(path)).unwrap_or(&folder);
+    let probe = there.join(format!(".scanloop-{}", std::process::id()));
+    let made = File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
+    made.map_err(|error| {
+        format!("no file can be made in {}: {error}; name a folder that you may write to", there.display())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_can_be_written_to_when_the_nearest_one_that_is_there_can() {
+        let here = std::env::temp_dir().join(format!("scanloop-output-{}", std::process::id()));
+        std::fs::create_dir_all(&here).unwrap();
+        assert_eq!(require_writable(&here.join("some/where")), Ok(()));
+        assert_eq!(std::fs::read_dir(&here).unwrap().count(), 0, "nothing is left behind");
+        std::fs::write(here.join("file"), "").unwrap();
+        for refused in [here.join("file"), here.join("file/below"), PathBuf::from("/proc/none")] {
+            let message = require_writable(&refused).unwrap_err();
+            assert!(message.contains("name a folder that you may write to"), "{message}");
+        }
+        std::fs::remove_dir_all(&here).unwrap();
     }
 }

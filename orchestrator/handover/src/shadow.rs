@@ -5,11 +5,11 @@
 //!
 //! Scans count from the first output of the shadow on; when it never has one, from its start.
 
-mod interval;
 mod table;
 
 use std::collections::BTreeMap;
 
+use figures::bootstrap;
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 
@@ -253,7 +253,7 @@ impl Study {
             kind_differs,
             differences: differences
                 .map(|((quantity, unit), (values, max_abs))| {
-                    let (mean, mean_interval) = interval::mean(values);
+                    let (mean, mean_interval) = bootstrap::mean(values);
                     Difference {
                         quantity: (*quantity).to_owned(),
                         unit: (*unit).to_owned(),
@@ -309,10 +309,10 @@ impl Study {
 fn timing(pairs_ns: &[[f64; 2]]) -> Timing {
     let quantile_ms = |index: usize, quantile: f64| {
         let mut values: Vec<f64> = pairs_ns.iter().map(|pair| pair[index] * 1e-6).collect();
-        interval::quantile_of(&mut values, quantile)
+        bootstrap::quantile_of(&mut values, quantile)
     };
-    let (ratio_p50, ratio_p50_interval) = interval::ratio(pairs_ns, 0.5);
-    let (ratio_p99, ratio_p99_interval) = interval::ratio(pairs_ns, 0.99);
+    let (ratio_p50, ratio_p50_interval) = bootstrap::ratio(pairs_ns, 0.5);
+    let (ratio_p99, ratio_p99_interval) = bootstrap::ratio(pairs_ns, 0.99);
     Timing {
         live_p50: quantile_ms(0, 0.5),
         live_p99: quantile_ms(0, 0.99),

@@ -17,9 +17,9 @@
 //! computer: only complete chains are counted then. An answer whose chain has a hole (a controller that acted without
 //! obstacles) counts in reaction time and data age, not in the stages, so a slow case never hides.
 
+use figures::Distribution;
 use shared_types::{Header, Role, StageStamps};
 
-use crate::figures::Distribution;
 use crate::report::{LatencyReport, PerStage, Stages};
 
 /// The stages that answer a scan, in the order of the critical path.

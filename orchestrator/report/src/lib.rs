@@ -1,6 +1,5 @@
 //! What a run is told by: the report, where the time went, the summary, the picture.
 
-pub mod figures;
 pub mod latency;
 pub mod picture;
 pub mod recorder;

@@ -11,13 +11,13 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
+pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
 pub use emulator::Outcome;
+use figures::Figures;
+use handover::swap::Certificate;
 use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
-use crate::figures::Figures;
-pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
-use handover::swap::Certificate;
 
 pub use self::write::write_atomically;
 

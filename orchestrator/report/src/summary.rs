@@ -3,7 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::figures::Figures;
+use figures::Figures;
+
 use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
 
 /// The summary of a run; `folder` is where its files are, if any were written.

@@ -1,15 +1,20 @@
 //! `scanloop bench`: figures of the parts, each on inputs that are shipped or named, to be repeated by anybody.
+//!
+//! What only measures is in an executable of its own, see `instrument`.
 
 pub mod compare;
+mod instrument;
 pub mod latency;
-pub(crate) mod scheduling;
+pub mod scheduling;
 pub mod solver;
-pub mod transport;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use console::exit::Exit;
+use console::note;
+use figures::{MEASURED_PROFILE, PROFILE};
 
 use self::compare::CompareArguments;
 use self::latency::LatencyArguments;
@@ -25,40 +30,40 @@ pub enum BenchCommand {
     /// measured state is there: moving the linearised model to it, condensing, one quadratic program.
     ///
     /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
-    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null where they are not
-    /// counted); `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
+    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null
+    /// without the executable `scanloop-bench`, which counts them and runs this bench where it is there); `profile`; `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
     /// `ratio_p99`, `same`, `others`; `skipped`.
     Solver(SolverArguments),
     /// Where the time from scan to actuation goes, under a rate, a scheduling and a load of your choice.
     ///
     /// Drives the scenario `endless` in real time, or with `--compute none` sends the same samples through five
-    /// processes that compute nothing. Measures the machine's own wake-ups first. All times are corrected and not
+    /// processes of the executable `scanloop-bench` that compute nothing. Measures the machine's own wake-ups first. All times are corrected and not
     /// corrected for coordinated omission (docs/latency.md). Files of `--out`: `report.json`, `latency.hlog`,
     /// `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`, `trace.json` for ui.perfetto.dev.
     ///
     /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`, `residual`, `faults`,
     /// `complete_chains`, `scan_to_actuation_us`, `scan_to_actuation_corrected_us`, `data_age_us`, `transport_us`,
     /// `stages_us`, `hops_us`, `publications_us`, `robot_lateness_us`, `wake_up_noise_us`, `stamps_us_per_stage`,
-    /// `smallest_visible_us`, `machine`, `intervals` (lines of a HdrHistogram log), and what was asked for.
+    /// `smallest_visible_us`, `machine`, `profile`, `intervals` (lines of a HdrHistogram log), and what was asked for.
     Latency(LatencyArguments),
     /// Whether one of two builds is slower, with a confidence interval and the smallest difference that would show.
     ///
     /// Either two files of `bench latency --json`, or two commands that are run in turns. Commands print JSON with
     /// the figure that `--metric` names; with `--metric wall` their run time counts. JSON keys: `metric`, `a`, `b`,
     /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
-    /// figures that are no times `higher`, `lower`), `smallest_visible`, `text`, `others`.
+    /// figures that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
+    /// `no difference`: what would show it, or null), `text`, `others`.
     Compare(CompareArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.
     ///
-    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold with
-    /// 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command that
-    /// builds them.
-    ///
-    /// JSON: one object for one `--rate`, a list of them for several. Keys: `rate_hz`, `hops`, `payload_bytes` (a number, or
-    /// one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`, `confidence`, `transports` with `name`,
-    /// `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`, `ratio_p50_interval`, `verdict_p50`, the same for p99; `polling`,
-    /// the same for processes that poll when both policies are measured; `skipped` with `name`, `reason`.
-    Transport(transport::TransportArguments),
+    /// Run by the executable `scanloop-bench`, with the same arguments; `scanloop bench transport --help` shows them once
+    /// it is built.
+    #[command(disable_help_flag = true)]
+    Transport {
+        /// Arguments of the bench.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
+        arguments: Vec<OsString>,
+    },
 }
 
 /// Arguments of `bench solver`.
@@ -90,15 +95,34 @@ pub struct SolverArguments {
 /// Bad files and options, and what the benchmark itself could not do.
 pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<Exit> {
     match command {
-        BenchCommand::Solver(arguments) => solver::solver(arguments),
+        BenchCommand::Solver(arguments) => match instrument::find() {
+            Ok(_) => Err(instrument::hand_over()),
+            Err(_) => solver::solver(arguments, None),
+        },
         BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
         BenchCommand::Compare(arguments) => compare::compare(arguments),
-        BenchCommand::Transport(arguments) => transport::transport(arguments),
+        BenchCommand::Transport { .. } => Err(instrument::hand_over()),
+    }
+}
+
+/// Becomes the executable that measures, where a service of it was asked for; returns when that fails.
+pub(crate) fn measuring_service(name: &str) -> Option<anyhow::Error> {
+    let is_one = name == "hop" || name == "load" || name.starts_with(latency::echo::PREFIX);
+    is_one.then(instrument::hand_over)
+}
+
+/// Says so when this executable was not built as one that is installed.
+pub fn warn_of_profile() {
+    if PROFILE != MEASURED_PROFILE {
+        note!(
+            "built with the profile `{PROFILE}`: times of an installed executable are those of \
+             `cargo build --profile {MEASURED_PROFILE}`"
+        );
     }
 }
 
 /// A number of bytes like `4096`, `4k` or `1M`.
-fn bytes(text: &str) -> Option<usize> {
+pub fn bytes(text: &str) -> Option<usize> {
     let (digits, unit) = match text.strip_suffix(['k', 'K']) {
         Some(digits) => (digits, 1 << 10),
         None => text.strip_suffix(['m', 'M']).map_or((text, 1), |digits| (digits, 1 << 20)),

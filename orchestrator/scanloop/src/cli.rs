@@ -163,7 +163,7 @@ pub struct CampaignArguments {
     #[arg(long)]
     pub json: bool,
     /// Where the scenario files of bad courses are written.
-    #[arg(long, value_name = "DIR", default_value = "out/campaign")]
+    #[arg(long, value_name = "DIR", default_value = "out/campaign", value_parser = console::output::folder())]
     pub out: PathBuf,
 }
 

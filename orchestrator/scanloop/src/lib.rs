@@ -32,8 +32,13 @@ const FLUSH_LIMIT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
+    program(parse_and_run)
+}
+
+/// Runs the command of an executable, prints its error, and returns its exit code.
+pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
     limits::keep_own_rights();
-    let exit = limits::require_stack().and_then(|()| parse_and_run()).unwrap_or_else(|error| {
+    let exit = limits::require_stack().and_then(|()| command()).unwrap_or_else(|error| {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
@@ -45,6 +50,7 @@ pub fn main() -> ExitCode {
 #[inline(never)]
 fn parse_and_run() -> anyhow::Result<Exit> {
     let cli = Cli::parse();
+    runtime::check_log_filter()?;
     if matches!(
         cli.command,
         Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_)

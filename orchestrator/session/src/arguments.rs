@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use console::exit::Failure;
+use console::output::require_writable;
 use plan::Choice;
 
 /// Arguments of `run`.
@@ -16,7 +17,7 @@ pub struct RunArguments {
     #[command(flatten)]
     pub choice: Choice,
     /// Where `report.json`, the picture and the logs are written; default `out/SCENARIO`.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
     /// Stop after that many driven seconds.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -39,7 +40,7 @@ pub struct RunArguments {
 #[derive(Debug, Args, Clone)]
 pub struct AdoptArguments {
     /// Where the results are written; default: where the run was to write them.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
     /// Stop after that many driven seconds since the start of the run.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
@@ -72,6 +73,9 @@ pub fn out_folder(out: PathBuf) -> anyhow::Result<PathBuf> {
         return Err(Failure::bad_input(format!(
             "--out {out}: the path of the folder is not UTF-8; name another one"
         )));
+    }
+    if let Err(reason) = require_writable(&out) {
+        return Err(Failure::bad_input(format!("--out {}: {reason}", out.display())));
     }
     let made = std::fs::create_dir_all(&out).and_then(|()| std::path::absolute(&out));
     made.map_err(|error| Failure::bad_input(format!("--out {}: {error}", out.display())))

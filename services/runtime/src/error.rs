@@ -23,6 +23,12 @@ pub enum RuntimeError {
         /// Its value.
         value: String,
     },
+    /// A choice of log lines that can't be read.
+    #[error(
+        "SCANLOOP_LOG = `{0}` is not allowed: off, error, warn, info, debug or trace, also for single targets \
+         (`warn,nmpc=debug`)"
+    )]
+    LogFilter(String),
     /// Another orchestrator runs a system of this id.
     #[error("system `{system_id}` is already running (process {pid}); choose another with --system-id")]
     AlreadyRunning {

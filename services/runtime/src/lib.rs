@@ -25,7 +25,6 @@
 //! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
 
 mod alarm;
-mod allocations;
 mod bell;
 mod blob;
 mod bus;
@@ -67,7 +66,6 @@ mod terminal;
 mod tests;
 mod wake;
 
-pub use allocations::{CountingAllocator, allocations, counts_allocations};
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
@@ -86,7 +84,7 @@ pub use identity::{
 };
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
-pub use logging::{Priority, print, start_logging, writes_to_journal};
+pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Voice};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;

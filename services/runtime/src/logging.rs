@@ -6,10 +6,13 @@
 use std::io;
 
 use rustix::fs::fstat;
+use tracing::level_filters::LevelFilter;
 use tracing::{Level, Metadata};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::prelude::*;
 
+use crate::RuntimeError;
 use crate::terminal::{self, LogLine, is_terminal, printable};
 
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
@@ -30,20 +33,59 @@ pub enum Priority {
     Debug = 7,
 }
 
+/// Chooses what is logged, for users.
+const LOG_VARIABLE: &str = "SCANLOOP_LOG";
+
+/// Checks `SCANLOOP_LOG`.
+///
+/// # Errors
+/// [`RuntimeError::LogFilter`] with its value and what is allowed.
+pub fn check_log_filter() -> Result<(), RuntimeError> {
+    filter().map(|_| ())
+}
+
+/// The filter that `SCANLOOP_LOG` asks for.
+fn filter() -> Result<Targets, RuntimeError> {
+    let value = std::env::var_os(LOG_VARIABLE).unwrap_or_default();
+    let text = value.to_string_lossy();
+    let directives: Vec<&str> = text.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
+    if directives.is_empty() {
+        return Ok(default_filter());
+    }
+    let filter =
+        directives.iter().all(|directive| is_allowed(directive)).then(|| directives.join(",").parse().ok());
+    filter.flatten().ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
+}
+
+/// A level, or a target with a level. A name without a level would be a target of which everything is logged: it is a
+/// level that is misspelt.
+fn is_allowed(directive: &str) -> bool {
+    let is_level = |text: &str| text.parse::<LevelFilter>().is_ok();
+    let is_part = |letter: char| letter.is_alphanumeric() || matches!(letter, '_' | ':' | '-');
+    match directive.split_once('=') {
+        Some((target, level)) => !target.is_empty() && target.chars().all(is_part) && is_level(level),
+        None => is_level(directive),
+    }
+}
+
+fn default_filter() -> Targets {
+    Targets::new().with_default(LevelFilter::INFO)
+}
+
 /// Starts logging; `SCANLOOP_LOG` takes levels and targets (`debug`, `nmpc=debug`), the default is `info`.
 pub fn start_logging() {
-    let filter = EnvFilter::try_from_env("SCANLOOP_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = filter().unwrap_or_else(|_| default_filter());
     let is_journal = writes_to_journal();
-    let lines = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_ansi(is_terminal())
         // A log that can't be written is no reason to panic.
         .log_internal_errors(false)
         .without_time()
         .with_level(!is_journal)
-        .with_writer(Lines { is_journal });
+        .with_writer(Lines { is_journal })
+        .with_filter(filter);
     // A second start, as in tests, keeps the first subscriber.
-    let _ = lines.try_init();
+    let _ = tracing_subscriber::registry().with(lines).try_init();
 }
 
 /// Whether standard error is the journal.
@@ -84,5 +126,20 @@ impl MakeWriter<'_> for Lines {
             _ => Priority::Debug,
         };
         LogLine { prefix: if self.is_journal { format!("<{}>", priority as u8) } else { String::new() } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_and_targets_with_levels_are_allowed_and_nothing_else() {
+        for allowed in ["debug", "OFF", "nmpc=debug", "runtime::bus=trace"] {
+            assert!(is_allowed(allowed), "{allowed}");
+        }
+        for refused in ["garbage", "nmpc=loud", "=", "=info", "nmpc=", "[a=info", "a=b=info"] {
+            assert!(!is_allowed(refused), "{refused}");
+        }
     }
 }

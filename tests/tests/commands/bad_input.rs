@@ -214,3 +214,43 @@ fn failing(system: &System, controller: &str, words: &str) {
     assert!(message.contains(words), "{message}");
     system.assert_nothing_left();
 }
+
+#[test]
+fn a_folder_that_cannot_be_written_to_is_refused_before_anything_is_started() {
+    let system = System::new(EXECUTABLE);
+    std::fs::write(system.folder().join("file"), "").unwrap();
+    let commands = [
+        &["run"][..],
+        &["adopt"],
+        &["campaign", "--runs", "1"],
+        &["calibrate", "velocity", "--drive"],
+        &["analyse", "observability"],
+        &["bench", "latency"],
+        &["bench", "transport"],
+    ];
+    for command in commands {
+        for out in ["file", "file/below", "/proc/none"] {
+            let names = ["--out", out, "name a folder that you may write to"];
+            refused(&system, &[command, &["--out", out]].concat(), &names);
+        }
+    }
+}
+
+#[test]
+fn a_choice_of_log_lines_that_cannot_be_read_is_refused_before_anything_is_started() {
+    let system = System::new(EXECUTABLE);
+    for value in ["garbage", "nmpc=loud", "debug,garbage", "=", "[a=info"] {
+        for command in [&["run"][..], &["status"], &["service", "nmpc"], &["bench", "transport"]] {
+            let output = system.command(command).env("SCANLOOP_LOG", value).output().unwrap();
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{value} {command:?}: {message}");
+            assert!(message.contains(&format!("SCANLOOP_LOG = `{value}`")), "{message}");
+            assert!(message.contains("debug"), "{message}");
+        }
+    }
+    for value in ["", "debug", "warn,nmpc=debug", "OFF"] {
+        let output = system.command(&["check"]).env("SCANLOOP_LOG", value).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{value}");
+    }
+    system.assert_nothing_left();
+}

@@ -3,10 +3,12 @@
 
 use std::process::Output;
 
-use scanloop_tests::System;
+use scanloop_tests::{System, system_file};
 use serde_json::Value;
+use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const ODD: &str = env!("CARGO_BIN_EXE_odd-role");
 
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
@@ -50,7 +52,9 @@ fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
     }
     assert_eq!((&results["rate_hz"], &results["outcome"]), (&Value::from(50.0), &Value::from("timeout")));
     assert!(results["stamps_us_per_stage"].as_f64().unwrap() > 0.0);
-    for words in ["scan to actuation", "corrected", "wake-up noise", "smallest visible"] {
+    assert_eq!(results["profile"], scanloop_tests::PROFILE);
+    assert!(text.contains(&format!("built with the profile `{}`", scanloop_tests::PROFILE)), "{text}");
+    for words in ["scan to actuation", "corrected", "wake-up noise", "smallest visible", "profile"] {
         assert!(text.contains(words), "{words}: {text}");
     }
 
@@ -123,6 +127,20 @@ fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
 }
 
 #[test]
+fn a_sample_that_nothing_explains_makes_no_measurement() {
+    let system = System::new(EXECUTABLE);
+    let file = system.folder().join("system.toml");
+    std::fs::write(&file, system_file(100, &[Role::Estimator], ODD, &["drop", "pose", "20"])).unwrap();
+    let arguments = ["bench", "latency", "--rate", "100", "--duration", "1", "--quiet", "--json", "--system"];
+    let output = system.run(&[&arguments[..], &[file.to_str().unwrap()]].concat());
+    system.assert_nothing_left();
+    let results: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(results["residual"].as_u64().unwrap() > 0, "{results}");
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("unaccounted for"), "{}", stderr(&output));
+}
+
+#[test]
 fn what_is_not_allowed_is_named() {
     let system = System::new(EXECUTABLE);
     for (arguments, words) in [
@@ -161,6 +179,15 @@ fn commands_in_turns_are_told_apart_by_what_they_print() {
     };
     let same = compare(&command("a", 100), &command("b", 100));
     assert_eq!((&same["verdict"], &same["metric"]), (&Value::from("no difference"), &Value::from("t_us")));
+    assert!(same["rounds_to_settle"].is_null() && same["text"].as_str().unwrap().contains("equal"), "{same}");
+    // 100 to 102 against 101 to 107, four rounds in seven in favour of B.
+    let wide = "echo x >> e; n=$(wc -l < e); echo \"{\\\"t_us\\\": $((n * 5 % 7 + 98))}\"";
+    let unsettled = compare(&command("f", 100), wide);
+    assert_eq!(unsettled["verdict"], "no difference", "{unsettled}");
+    if unsettled["difference"] != 0.0 {
+        let rounds = unsettled["rounds_to_settle"].as_u64().unwrap();
+        assert!(unsettled["text"].as_str().unwrap().contains(&format!("--rounds {rounds}")), "{unsettled}");
+    }
     let slower = compare(&command("c", 100), &command("d", 150));
     assert_eq!((&slower["verdict"], &slower["difference"]), (&Value::from("slower"), &Value::from(50.0)));
     assert_eq!(slower["rounds"].as_array().unwrap().len(), 12);

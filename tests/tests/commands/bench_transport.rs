@@ -52,7 +52,7 @@ fn every_contender_of_ours_carries_the_pipelines_samples_under_both_policies() {
     assert_eq!(names(&results["polling"]), ["iceoryx2", "floor", "floor-futex", "unix-socket"]);
     assert_accounted(&results["transports"], 30);
     assert_accounted(&results["polling"], 30);
-    assert_eq!(results["rate_hz"], 100.0);
+    assert_eq!((&results["rate_hz"], &results["profile"]), (&100.0.into(), &scanloop_tests::PROFILE.into()));
     assert_eq!(results["hops"], 4);
     assert_eq!(results["scheduling"], "other");
     let sizes = ["odometry", "pose", "obstacles", "command"]
@@ -137,6 +137,9 @@ fn wrong_options_are_refused_with_what_is_allowed() {
         assert_eq!(output.status.code(), Some(2), "{message}");
         assert!(words.iter().all(|word| message.contains(word)), "{words:?}: {message}");
     }
+    let output = system.run(&["bench", "transport", "--help"]);
+    assert_eq!(output.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("Usage: scanloop bench transport"));
     let output = system.run(&["service", "hop"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("bench transport"));

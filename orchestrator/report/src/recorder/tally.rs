@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use figures::Distribution;
 use shared_types::{
     Actuation, ActuationKind, Alarm, BlockReason, Command, Level, Pose, SolveStatus, StopReason, Suspect,
 };
 
-use crate::figures::Distribution;
 use crate::report::{ControllerReport, SelfCheckReport};
 
 /// Figures of the solver, and why the wheels were blocked.

@@ -39,7 +39,7 @@ pub struct OutputArguments {
     #[arg(long)]
     pub json: bool,
     /// Where the picture is written.
-    #[arg(long, value_name = "DIR", default_value = "out/analyse")]
+    #[arg(long, value_name = "DIR", default_value = "out/analyse", value_parser = console::output::folder())]
     pub out: PathBuf,
 }
 

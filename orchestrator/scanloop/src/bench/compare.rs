@@ -2,10 +2,9 @@
 //!
 //! Two files were made one after the other, so what changed on the machine in between is in their difference.
 //! Two commands are run in turns, which is how two builds should be compared. How sure either is:
-//! `statistics`.
+//! `figures::difference`.
 
 mod files;
-pub(crate) mod statistics;
 mod turns;
 mod verdict;
 
@@ -15,16 +14,14 @@ use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
 use console::output::data;
+use figures::difference::{MAX_ROUNDS, MIN_ROUNDS};
 use serde::Serialize;
 use serde_json::Value;
 
-use self::statistics::FEWEST_ROUNDS;
 use self::verdict::Verdict;
 
 /// What is compared without `--metric`; the first is the one that counts.
 const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p99"];
-/// Most rounds.
-const MOST_ROUNDS: usize = 1000;
 
 /// Arguments of `bench compare`.
 #[derive(Debug, Clone, Args)]
@@ -71,9 +68,9 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
     let (verdicts, rounds) = match (arguments.files.as_slice(), arguments.ab.as_slice()) {
         ([a, b], _) => (files::compare([a, b], &metrics)?, Vec::new()),
         (_, commands @ [_, _]) => {
-            if !(FEWEST_ROUNDS..=MOST_ROUNDS).contains(&arguments.rounds) {
+            if !(MIN_ROUNDS..=MAX_ROUNDS).contains(&arguments.rounds) {
                 return Err(Failure::bad_input(format!(
-                    "--rounds {} is not allowed: {FEWEST_ROUNDS} to {MOST_ROUNDS}; fewer can't be 99 % sure of anything",
+                    "--rounds {} is not allowed: {MIN_ROUNDS} to {MAX_ROUNDS}; fewer can't be 99 % sure of anything",
                     arguments.rounds
                 )));
             }

@@ -7,10 +7,9 @@
 
 mod arguments;
 mod collector;
-pub(crate) mod echo;
+pub mod echo;
 mod files;
 pub(crate) mod intervals;
-mod load;
 mod machine;
 pub(crate) mod noise;
 mod pictures;
@@ -21,7 +20,8 @@ mod trace;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use anyhow::Context;
+use figures::PROFILE;
+use figures::difference::smallest_visible;
 use runtime::Shutdown;
 use shared_types::Role;
 
@@ -39,11 +39,11 @@ use supervision::lock::Claim;
 use supervision::realtime;
 
 use self::collector::Collector;
-use self::load::Load;
 use self::machine::{Machine, Ticks};
 use self::results::{Results, SCHEMA, Smallest};
-use crate::bench::compare::statistics::smallest_visible;
-use crate::bench::scheduling::Scheduling;
+use super::instrument::{self, Load};
+use super::scheduling::Scheduling;
+use super::warn_of_profile;
 
 /// What is driven: 10 km, nearly three hours.
 const SCENARIO: &str = "endless";
@@ -55,6 +55,8 @@ const SCENARIO: &str = "endless";
 pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::Result<Exit> {
     arguments.check()?;
     let plan = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
+    warn_of_profile();
+    let load = if arguments.load { Some(Load::start()?) } else { None };
     let (domain, lock) = Claim::take_new(system_id)?;
     // Without --out logs live as long as the system.
     let logs = match &arguments.out {
@@ -70,7 +72,6 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
             session.create_blobs(topic)?;
         }
     }
-    let load = if arguments.load { Some(Load::start()?) } else { None };
     let stamps_us_per_stage = noise::stamp_cost_us();
     let (noise, granted) =
         noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
@@ -99,6 +100,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         wake_up_noise_us: noise.figures(),
         stamps_us_per_stage,
         smallest_visible_us: smallest(&intervals),
+        profile: PROFILE,
         machine,
         interval_scans,
         intervals,
@@ -112,17 +114,24 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
     if arguments.json {
         data(&serde_json::to_string_pretty(&results)?)?;
     }
-    Ok(match report.outcome {
-        Outcome::Timeout => Exit::Done,
-        outcome => {
-            note!("the drive ended early: {outcome}: {}", report.reason);
-            match outcome.exit_code() {
-                3 => Exit::Collision,
-                4 => Exit::ProcessFailed,
-                _ => Exit::NotReached,
-            }
-        }
-    })
+    Ok(exit(&report))
+}
+
+/// How the command ends: a drive that ended early, or samples that nothing explains, make no measurement.
+fn exit(report: &Report) -> Exit {
+    if report.outcome != Outcome::Timeout {
+        note!("the drive ended early: {}: {}", report.outcome, report.reason);
+    }
+    let Report { ledger, scans, .. } = report;
+    if ledger.residual + scans.unaccounted > 0 {
+        note!("{} samples and {} scans are unaccounted for", ledger.residual, scans.unaccounted);
+    }
+    match (report.outcome, report.outcome.exit_code()) {
+        (Outcome::Timeout, _) if ledger.residual + scans.unaccounted == 0 => Exit::Done,
+        (_, 3) => Exit::Collision,
+        (_, 4) => Exit::ProcessFailed,
+        _ => Exit::NotReached,
+    }
 }
 
 /// The system to be measured: that of `run`, or its echo, run as the scheduling asks.
@@ -133,15 +142,15 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     scheduling.apply(&mut plan.system.realtime);
     realtime::validate(&plan.system.realtime)
         .map_err(|invalid| Failure::bad_input(format!("realtime.{invalid}")))?;
-    let this = std::env::current_exe().context("path of this executable")?;
-    let this = this.to_string_lossy().into_owned();
+    if arguments.compute == Compute::Real {
+        return Ok(plan);
+    }
+    let program = instrument::find_current()?.to_string_lossy().into_owned();
     for entry in &mut plan.system.processes {
         let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
-        if arguments.compute == Compute::None {
-            entry.implementation = None;
-            entry.command =
-                Some([vec![this.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
-        }
+        entry.implementation = None;
+        entry.command =
+            Some([vec![program.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
     }
     Ok(plan)
 }

@@ -7,7 +7,7 @@
 use clap::{Args, ValueEnum};
 use console::exit::Failure;
 use runtime::{Realtime, Scheduler};
-use rustix::thread::CpuSet;
+use rustix::thread::{CpuSet, sched_getaffinity};
 
 /// Scheduling policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -32,11 +32,11 @@ pub struct SchedulingArguments {
 
 /// Checked arguments.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(crate) struct Scheduling {
+pub struct Scheduling {
     /// The policy, if one is asked for.
-    policy: Option<Policy>,
+    pub policy: Option<Policy>,
     /// The processors; empty for all.
-    pub(crate) cpus: Vec<usize>,
+    pub cpus: Vec<usize>,
 }
 
 impl Scheduling {
@@ -44,7 +44,7 @@ impl Scheduling {
     ///
     /// # Errors
     /// A list that is none, or a processor that is not there (exit code 2); what the kernel refuses (exit code 4).
-    pub(crate) fn read(arguments: &SchedulingArguments) -> anyhow::Result<Self> {
+    pub fn read(arguments: &SchedulingArguments) -> anyhow::Result<Self> {
         let mut scheduling = Self { policy: arguments.sched, cpus: Vec::new() };
         if let Some(list) = &arguments.cpu {
             let bad = |why: String| Failure::bad_input(format!("--cpu {list} is not allowed: {why}"));
@@ -62,7 +62,7 @@ impl Scheduling {
     }
 
     /// Has the processes of a system run so, where this says something.
-    pub(crate) fn apply(&self, realtime: &mut Realtime) {
+    pub fn apply(&self, realtime: &mut Realtime) {
         match self.policy {
             Some(Policy::Fifo) => realtime.scheduler = Scheduler::Fifo,
             Some(Policy::Other) => realtime.scheduler = Scheduler::Other,
@@ -73,33 +73,42 @@ impl Scheduling {
         }
     }
 
-    /// The policy of processes that belong to no system.
-    pub(crate) fn class(&self) -> hops::Scheduling {
-        match self.policy {
-            Some(Policy::Fifo) => hops::Scheduling::Fifo,
-            Some(Policy::Other) | None => hops::Scheduling::Other,
-        }
-    }
-
     fn try_out(&self) -> anyhow::Result<()> {
-        if hops::Scheduling::Other.is_allowed(&self.cpus)? {
-            if self.class().is_allowed(&self.cpus)? {
-                return Ok(());
-            }
+        if !is_granted(Realtime { cpu: self.cpus.clone(), ..Realtime::default() }) {
             return Err(Failure::process(format!(
-                "the kernel refuses `--sched fifo`: run as root, or allow priority {0}: `ulimit -r {0}`, or a line \
-                 `USER - rtprio {0}` in /etc/security/limits.conf and log in anew",
-                hops::PRIORITY
+                "the kernel refuses processors {:?} to this process",
+                self.cpus
             )));
         }
-        Err(Failure::process(format!("the kernel refuses processors {:?} to this process", self.cpus)))
+        let fifo = Realtime { scheduler: Scheduler::Fifo, ..Realtime::default() };
+        let priority = fifo.priority;
+        if self.policy == Some(Policy::Fifo) && !is_granted(fifo) {
+            return Err(Failure::process(format!(
+                "the kernel refuses `--sched fifo`: run as root, or allow priority {priority}: `ulimit -r {priority}`, \
+                 or a line `USER - rtprio {priority}` in /etc/security/limits.conf and log in anew"
+            )));
+        }
+        Ok(())
     }
+}
+
+/// Whether the kernel grants this to a thread that does nothing else.
+fn is_granted(realtime: Realtime) -> bool {
+    let try_out = move || {
+        // The kernel takes the number of a thread for that of a process.
+        let thread = rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned();
+        Realtime { slice_us: 0, ..realtime }.apply_to(thread).is_empty()
+    };
+    std::thread::spawn(try_out).join().unwrap_or(false)
 }
 
 /// The processors of this machine that are switched on.
 fn processors() -> Vec<usize> {
     let online = std::fs::read_to_string("/sys/devices/system/cpu/online").ok();
-    online.and_then(|list| parse(list.trim())).unwrap_or_else(hops::processors)
+    online.and_then(|list| parse(list.trim())).unwrap_or_else(|| {
+        let own = sched_getaffinity(None).unwrap_or_default();
+        (0..CpuSet::MAX_CPU).filter(|cpu| own.is_set(*cpu)).collect()
+    })
 }
 
 /// The processors of a list like `0,2-3`, in order.
@@ -141,11 +150,6 @@ mod tests {
         };
         assert_eq!(applied(None, &[]), (Scheduler::Fifo, vec![0]));
         assert_eq!(applied(Some(Policy::Other), &[1]), (Scheduler::Other, vec![1]));
-    }
-
-    #[test]
-    fn real_time_processes_of_both_benches_have_one_priority() {
-        assert_eq!(hops::PRIORITY.cast_unsigned(), Realtime::default().priority);
     }
 
     #[test]

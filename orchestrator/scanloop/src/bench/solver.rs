@@ -21,6 +21,7 @@ use console::note;
 use console::output::data;
 use console::progress::Steps;
 use console::user_file::{self, DATA_BYTES};
+use figures::PROFILE;
 use ocp::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Status, Trajectory};
 use serde::Serialize;
 
@@ -30,7 +31,7 @@ use self::fit::{Fit, fit};
 use self::peers::{About, Peers};
 use self::problem::{Case, guess, problem};
 use self::versus::Versus;
-use crate::bench::SolverArguments;
+use super::{SolverArguments, warn_of_profile};
 
 /// The number of intervals that peers are compared with.
 const PEER_INTERVALS: usize = 6;
@@ -40,6 +41,7 @@ const FIT_FROM: usize = 24;
 /// Everything that was measured.
 #[derive(Debug, Serialize)]
 struct Results {
+    profile: &'static str,
     cases: usize,
     laps: usize,
     start: &'static str,
@@ -67,17 +69,22 @@ struct Skipped {
     reason: String,
 }
 
-/// Measures all configurations and prints what they took.
+/// Blocks that the calling thread has allocated or grown since it started.
+pub type AllocationCount = fn() -> u64;
+
+/// Measures all configurations and prints what they took; heap allocations where they are counted.
 ///
 /// # Errors
 /// A bad file of cases, or peers that have stopped answering.
-pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
+pub fn solver(arguments: &SolverArguments, allocations: Option<AllocationCount>) -> anyhow::Result<Exit> {
+    warn_of_profile();
     let cases = read(arguments.cases.as_deref())?;
     let mut lists: Vec<usize> = arguments.intervals.iter().map(|&count| usize::from(count)).collect();
     lists.sort_unstable();
     lists.dedup();
     let has_laps = cases.iter().any(|case| case.lap.is_some());
     let mut results = Results {
+        profile: PROFILE,
         cases: cases.len(),
         laps: laps(&cases),
         start: if has_laps { "warm" } else { "cold" },
@@ -96,7 +103,7 @@ pub(crate) fn solver(arguments: &SolverArguments) -> anyhow::Result<Exit> {
                 Err(reason) => results.skipped.push(Skipped { name: "casadi", reason }),
             }
         }
-        measure(&cases, intervals, peers.as_mut(), &mut steps, &mut results)?;
+        measure(&cases, Contender::all(intervals, allocations), peers.as_mut(), &mut steps, &mut results)?;
     }
     drop(steps);
     if arguments.peer && results.peers.is_empty() && results.skipped.is_empty() {
@@ -128,12 +135,12 @@ fn laps(cases: &[Case]) -> usize {
 /// All configurations with one number of intervals on all cases, and the peers between them.
 fn measure(
     cases: &[Case],
-    intervals: usize,
+    mut contenders: Vec<Contender>,
     mut peers: Option<&mut Peers>,
     steps: &mut Steps,
     results: &mut Results,
 ) -> anyhow::Result<()> {
-    let mut contenders = Contender::all(intervals);
+    let intervals = contenders.first().map_or(PEER_INTERVALS, Contender::intervals);
     let names = peers.as_ref().map(|peers| peers.about.peers.clone()).unwrap_or_default();
     let mut others: Vec<Versus> = names.iter().map(|name| Versus::new(name)).collect();
     for (index, (case, problem, guess)) in starts(cases, intervals).into_iter().enumerate() {

@@ -49,7 +49,7 @@ pub struct CalibrateArguments {
     #[arg(long = "set", value_name = "KEY=VALUE", requires = "drive")]
     pub overrides: Vec<String>,
     /// Where the picture of the residuals and the table of driven runs are written.
-    #[arg(long, value_name = "DIR", default_value = "out/calibration")]
+    #[arg(long, value_name = "DIR", default_value = "out/calibration", value_parser = console::output::folder())]
     pub out: PathBuf,
     /// The calibration file that takes the result; the other parts in it stay. Default: DIR/calibration.toml.
     #[arg(long, value_name = "FILE")]

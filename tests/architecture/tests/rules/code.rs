@@ -7,13 +7,17 @@ use crate::root;
 
 /// All Rust sources below a folder, without build output.
 fn sources(folder: &Path) -> Vec<PathBuf> {
+    files(folder, ".rs")
+}
+
+fn files(folder: &Path, end: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap().flatten() {
         let path = entry.path();
         let name = entry.file_name().to_string_lossy().into_owned();
         if path.is_dir() && name != "target" && !name.starts_with('.') {
-            found.extend(sources(&path));
-        } else if name.ends_with(".rs") {
+            found.extend(files(&path, end));
+        } else if name.ends_with(end) {
             found.push(path);
         }
     }
@@ -80,6 +84,23 @@ fn process_tests_wait_on_conditions_and_never_sleep() {
         let text = std::fs::read_to_string(&path).unwrap();
         let sleeps = text.contains("thread::sleep");
         assert!(!sleeps || path.ends_with("rules/code.rs"), "{}", path.display());
+    }
+}
+
+#[test]
+fn the_product_knows_nothing_of_what_only_measures() {
+    let manifests =
+        ["shared-types", "services", "orchestrator"].map(|folder| files(&root().join(folder), "Cargo.toml"));
+    for path in manifests.into_iter().flatten() {
+        let text = std::fs::read_to_string(&path).unwrap();
+        for name in ["hops", "scanloop-bench", "criterion"] {
+            assert!(!text.lines().any(|line| line.starts_with(name)), "{}: {name}", path.display());
+        }
+    }
+    for path in sources(&root()) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let allocates = text.lines().any(|line| line.trim_start().starts_with("#[global_allocator]"));
+        assert!(!allocates || within(&path, &["benches"]), "{}", path.display());
     }
 }
 

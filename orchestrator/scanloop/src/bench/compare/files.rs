@@ -5,16 +5,18 @@ use std::path::Path;
 use console::exit::Failure;
 use console::note;
 use console::user_file::{self, DATA_BYTES};
+use figures::difference::{Difference, stretches};
+use report::latency::STAGES;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::statistics::stretches;
 use super::verdict::Verdict;
 use crate::bench::latency::intervals;
 
 /// What of a result is needed.
 #[derive(Debug, Deserialize)]
 struct Run {
+    profile: Option<String>,
     rate_hz: f64,
     compute: String,
     payload_bytes: Option<u64>,
@@ -41,6 +43,11 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
             names[0], names[1]
         )));
     }
+    if let (Some(of_a), Some(of_b)) = (&a.profile, &b.profile)
+        && of_a != of_b
+    {
+        note!("A was built with the profile `{of_a}`, B with `{of_b}`: that is in the difference");
+    }
     let mut verdicts = Vec::new();
     for metric in metrics {
         let (series, quantile) = series_of(metric).ok_or_else(|| {
@@ -49,27 +56,18 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
                  transport_us or stages_us.ROLE, with .p50, .p90 or .p99"
             ))
         })?;
-        let histograms = |run: &Run, file: &Path| {
-            intervals::read(&run.intervals, series).ok_or_else(|| {
-                Failure::bad_input(format!(
-                    "{}: intervals: not the lines of a HdrHistogram log",
-                    file.display()
-                ))
-            })
-        };
-        let (of_a, of_b) = (histograms(&a, files[0])?, histograms(&b, files[1])?);
-        let Some(difference) = stretches(&of_a, &of_b, quantile) else {
+        let Some(difference) = difference(&a, &b, files, series, quantile)? else {
             note!("{metric}: left out, too few scans; run longer");
             continue;
         };
-        let us = |mut difference: super::statistics::Difference| {
-            difference.value *= 1e-3;
-            difference.interval = difference.interval.map(|bound| bound * 1e-3);
-            difference.smallest_visible *= 1e-3;
-            difference
-        };
         let whole = [&a_json, &b_json].map(|json| super::figure(json, metric).unwrap_or(f64::NAN));
-        verdicts.push(Verdict::new(metric, whole, &us(difference)));
+        let mut verdict = Verdict::new(metric, whole, &difference, 1);
+        if !difference.is_seen()
+            && let Some((part, found)) = steadier_part(&a, &b, files, metric, &difference)?
+        {
+            verdict.settle_with(&part, &found);
+        }
+        verdicts.push(verdict);
     }
     if verdicts.is_empty() {
         return Err(Failure::bad_input(format!(
@@ -80,6 +78,49 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
         )));
     }
     Ok(verdicts)
+}
+
+/// The difference of a quantile of a series [us]; `None` for too few scans.
+fn difference(
+    a: &Run,
+    b: &Run,
+    files: [&Path; 2],
+    series: &str,
+    quantile: f64,
+) -> anyhow::Result<Option<Difference>> {
+    let histograms = |run: &Run, file: &Path| {
+        intervals::read(&run.intervals, series).ok_or_else(|| {
+            Failure::bad_input(format!("{}: intervals: not the lines of a HdrHistogram log", file.display()))
+        })
+    };
+    let found = stretches(&histograms(a, files[0])?, &histograms(b, files[1])?, quantile);
+    Ok(found.map(|difference| difference.scaled(1e-3)))
+}
+
+/// The part of a figure of the whole chain in which a difference is seen, or else that in which the smallest one would
+/// be; `None` when no part varies less than the whole, or the figure is a part itself.
+fn steadier_part(
+    a: &Run,
+    b: &Run,
+    files: [&Path; 2],
+    metric: &str,
+    whole: &Difference,
+) -> anyhow::Result<Option<(String, Difference)>> {
+    let Some((_, figure)) = metric.rsplit_once('.').filter(|(key, _)| key.starts_with("scan_to_")) else {
+        return Ok(None);
+    };
+    let stages = STAGES.map(|stage| format!("stages_us.{stage}.{figure}"));
+    let mut best: Option<(String, Difference)> = None;
+    for part in stages.into_iter().chain([format!("transport_us.{figure}")]) {
+        let Some((series, quantile)) = series_of(&part) else { continue };
+        let Some(found) = difference(a, b, files, series, quantile)? else { continue };
+        let rank = |one: &Difference| (!one.is_seen(), one.smallest_visible);
+        let varies_less = found.smallest_visible < whole.smallest_visible;
+        if varies_less && best.as_ref().is_none_or(|(_, best)| rank(&found) < rank(best)) {
+            best = Some((part, found));
+        }
+    }
+    Ok(best)
 }
 
 fn read(file: &Path) -> anyhow::Result<(Run, Value)> {

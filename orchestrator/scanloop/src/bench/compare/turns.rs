@@ -4,10 +4,10 @@ use std::process::{Command, Stdio};
 
 use console::exit::Failure;
 use console::note;
+use figures::difference::{median, rounds};
 use runtime::monotonic_ns;
 use serde_json::Value;
 
-use super::statistics::{median, rounds};
 use super::verdict::Verdict;
 
 /// The metric that is no key but the run time of the command.
@@ -50,7 +50,7 @@ pub(super) fn compare(commands: &[String], count: usize, metrics: &[String]) -> 
                 median(&values)
             });
             let name = if metric == WALL { "wall_s" } else { metric };
-            rounds(&differences).map(|difference| Verdict::new(name, middle, &difference))
+            rounds(&differences).map(|difference| Verdict::new(name, middle, &difference, count))
         })
         .collect();
     Ok(Turns { verdicts, figures: figures.swap_remove(0) })

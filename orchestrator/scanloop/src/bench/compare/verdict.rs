@@ -1,8 +1,7 @@
 //! What a comparison says, in words and as JSON.
 
+use figures::difference::{CONFIDENCE, Difference, MAX_ROUNDS};
 use serde::Serialize;
-
-use super::statistics::{CONFIDENCE, Difference};
 
 /// The comparison of one figure; numbers have the unit that the name of the metric ends with.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -23,13 +22,18 @@ pub(crate) struct Verdict {
     pub verdict: &'static str,
     /// A difference this large would have been seen nine times in ten.
     pub smallest_visible: f64,
+    /// For `no difference`: how many rounds in turns would show a difference as large as the one estimated here; null
+    /// when it takes more than a thousand.
+    pub rounds_to_settle: Option<usize>,
+    /// For `no difference` between files: a figure that is part of this one and varies less.
+    pub metric_to_settle: Option<String>,
     /// All of it as a sentence.
     pub text: String,
 }
 
 impl Verdict {
-    /// The verdict on a figure.
-    pub(crate) fn new(metric: &str, [a, b]: [f64; 2], difference: &Difference) -> Self {
+    /// The verdict on a figure after so many rounds; two files count as one.
+    pub(crate) fn new(metric: &str, [a, b]: [f64; 2], difference: &Difference, rounds: usize) -> Self {
         let unit = unit(metric);
         let words = if unit.is_empty() { ["higher", "lower"] } else { ["slower", "faster"] };
         let verdict = match difference.is_seen() {
@@ -49,12 +53,14 @@ impl Verdict {
             )
         } else {
             format!(
-                "no difference seen ({percent} % interval {} to {}); one below {}{space}{unit} could have stayed unseen",
+                "no difference seen ({percent} % interval {} to {}); one below {}{space}{unit} could have stayed unseen; {}",
                 number(low),
                 number(high),
-                number(difference.smallest_visible)
+                number(difference.smallest_visible),
+                settlement(difference, rounds, &format!("{space}{unit}"))
             )
         };
+        let rounds_to_settle = if difference.is_seen() { None } else { difference.rounds_to_settle(rounds) };
         Self {
             metric: metric.to_owned(),
             a,
@@ -64,8 +70,33 @@ impl Verdict {
             confidence: CONFIDENCE,
             verdict,
             smallest_visible: difference.smallest_visible,
+            rounds_to_settle,
+            metric_to_settle: None,
             text,
         }
+    }
+
+    /// Names a part of this figure that varies less: what was changed may show there.
+    pub(crate) fn settle_with(&mut self, metric: &str, difference: &Difference) {
+        let what = if difference.is_seen() { "shows one" } else { "would show a smaller one" };
+        let (smallest, unit) = (number(difference.smallest_visible), unit(metric));
+        self.text += &format!("; --metric {metric} {what}, from {smallest} {unit} on");
+        self.metric_to_settle = Some(metric.to_owned());
+    }
+}
+
+/// What would show whether the difference that was estimated is one.
+fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
+    if difference.value == 0.0 {
+        return "the two are equal as far as was seen".to_owned();
+    }
+    let size = number(difference.value.abs()) + unit;
+    let turns = if rounds == 1 { "of `--ab` " } else { "" };
+    match difference.rounds_to_settle(rounds) {
+        Some(needed) => format!("{needed} rounds {turns}(--rounds {needed}) would settle one of {size}"),
+        None => format!(
+            "{MAX_ROUNDS} rounds {turns}would not settle one of {size}: take a figure that varies less"
+        ),
     }
 }
 
@@ -103,18 +134,40 @@ mod tests {
     #[test]
     fn a_difference_is_told_with_its_interval_and_none_with_what_could_be_hidden() {
         let seen = Difference { value: 12.34, interval: [8.1, 16.44], smallest_visible: 6.2 };
-        let verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 112.34], &seen);
+        let verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 112.34], &seen, 12);
         assert_eq!(verdict.text, "B is 12.3 us slower (99 % interval 8.10 to 16.4)");
         let faster = Difference { value: -0.5, interval: [-0.75, -0.25], smallest_visible: 0.4 };
-        let verdict = Verdict::new("wall_s", [1.5, 1.0], &faster);
+        let verdict = Verdict::new("wall_s", [1.5, 1.0], &faster, 12);
         assert_eq!(
             (verdict.verdict, verdict.text.as_str()),
             ("faster", "B is 0.500 s faster (99 % interval -0.750 to -0.250)")
         );
         let none = Difference { value: 1.0, interval: [-3.0, 5.0], smallest_visible: 5.99 };
-        let verdict = Verdict::new("late", [0.0, 1.0], &none);
-        assert_eq!(verdict.verdict, "no difference");
-        assert!(verdict.text.ends_with("one below 5.99 could have stayed unseen"), "{}", verdict.text);
+        let verdict = Verdict::new("late", [0.0, 1.0], &none, 12);
+        assert_eq!((verdict.verdict, verdict.rounds_to_settle), ("no difference", Some(431)));
+        let words =
+            "one below 5.99 could have stayed unseen; 431 rounds (--rounds 431) would settle one of 1.00";
+        assert!(verdict.text.ends_with(words), "{}", verdict.text);
+    }
+
+    #[test]
+    fn a_part_that_varies_less_is_named_where_rounds_would_not_do() {
+        let none = Difference { value: 0.01, interval: [-3.0, 5.0], smallest_visible: 5.99 };
+        let mut verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 100.0], &none, 1);
+        assert_eq!(verdict.rounds_to_settle, None);
+        assert!(
+            verdict.text.contains("1000 rounds of `--ab` would not settle one of 0.0100 us"),
+            "{}",
+            verdict.text
+        );
+        let part = Difference { value: 1.0, interval: [0.5, 1.5], smallest_visible: 0.75 };
+        verdict.settle_with("transport_us.p50", &part);
+        assert!(
+            verdict.text.ends_with("--metric transport_us.p50 shows one, from 0.750 us on"),
+            "{}",
+            verdict.text
+        );
+        assert_eq!(verdict.metric_to_settle.as_deref(), Some("transport_us.p50"));
     }
 
     #[test]

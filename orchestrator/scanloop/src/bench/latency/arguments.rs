@@ -58,7 +58,7 @@ pub struct LatencyArguments {
     #[arg(long)]
     pub json: bool,
     /// Write histograms, pictures, a trace and `report.json` there.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
     /// No progress.
     #[arg(long)]

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use report::figures::Distribution;
+use figures::Distribution;
 use report::latency::{Attribution, attribute};
 use shared_types::{Actuation, Header, Role, Truth};
 

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::Context;
+use figures::Distribution;
 use hdrhistogram::Histogram;
-use report::figures::Distribution;
 use report::picture::chart;
 use report::write_atomically;
 

@@ -10,12 +10,12 @@ use std::process::{Command, Stdio};
 
 use anyhow::Context;
 use console::output::data;
-use report::figures::Distribution;
+use figures::Distribution;
 use runtime::{Realtime, monotonic_ns};
 use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack};
 use rustix::time::Timespec;
 use shared_types::StageStamps;
-
+use supervision::child::this_program;
 /// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
 /// colon.
 pub(crate) const PREFIX: &str = "wake-up-noise:";
@@ -40,7 +40,7 @@ pub(crate) fn measure(
     let seconds = (SHARE * duration_s).clamp(SHORTEST_S, LONGEST_S);
     let count = ((seconds * 1e9 / period_ns as f64) as u64).max(5);
     let service = format!("{PREFIX}{period_ns}:{count}:{}", realtime.timer_slack_ns);
-    let mut child = Command::new(std::env::current_exe().context("path of this executable")?)
+    let mut child = Command::new(this_program())
         .args(["service", &service])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

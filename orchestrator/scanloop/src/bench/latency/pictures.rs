@@ -1,7 +1,7 @@
 //! Two pictures of a run: how often each time was seen (the plot of `cyclictest`), and how often it was exceeded.
 
+use figures::Distribution;
 use hdrhistogram::Histogram;
-use report::figures::Distribution;
 use report::latency::STAGES;
 use report::picture::chart::{Chart, Curve};
 

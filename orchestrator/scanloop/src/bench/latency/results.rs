@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use figures::Figures;
 use report::PerStage;
-use report::figures::Figures;
 use serde::Serialize;
 
 use super::machine::Machine;
@@ -16,6 +16,8 @@ pub(crate) const SCHEMA: u32 = 1;
 pub(crate) struct Results {
     /// [`SCHEMA`].
     pub schema: u32,
+    /// The Cargo profile that the executable was built with.
+    pub profile: &'static str,
     /// Scans per second by the schedule [Hz].
     pub rate_hz: f64,
     /// Driven time [s].

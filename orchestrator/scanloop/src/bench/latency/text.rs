@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use report::figures::Figures;
+use figures::{Figures, Table};
 
 use super::results::Results;
 
@@ -15,11 +15,7 @@ pub(crate) fn text(results: &Results) -> String {
     for (name, value) in head(results) {
         let _ = writeln!(text, "{name:<18} {value}");
     }
-    let _ = writeln!(
-        text,
-        "\n{:<20} {:>10} {:>10} {:>10} {:>10} {:>10}",
-        "latency [us]", "p50", "p90", "p99", "p99.9", "max"
-    );
+    let mut table = Table::of_numbers("latency [us]", &["p50", "p90", "p99", "p99.9", "max"]);
     let hops = &results.hops_us;
     let stages = &results.stages_us;
     let rows: [(&str, &Figures); 14] = [
@@ -39,15 +35,11 @@ pub(crate) fn text(results: &Results) -> String {
         ("wake-up noise", &results.wake_up_noise_us),
     ];
     for (name, figures) in rows {
-        let _ = write!(text, "{name:<20}");
-        for value in [figures.p50, figures.p90, figures.p99, figures.p999, figures.max] {
-            let _ = match figures.count {
-                0 => write!(text, " {:>10}", "-"),
-                _ => write!(text, " {value:>10.1}"),
-            };
-        }
-        text.push('\n');
+        let values = [figures.p50, figures.p90, figures.p99, figures.p999, figures.max];
+        let shown = |value| if figures.count == 0 { "-".to_owned() } else { format!("{value:.1}") };
+        table.row(std::iter::once(name.to_owned()).chain(values.map(shown)));
     }
+    let _ = write!(text, "\n{table}");
     if results.scan_to_actuation_us.count < ENOUGH {
         let _ = writeln!(
             text,
@@ -84,6 +76,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
         })
         .collect();
     vec![
+        ("profile", results.profile.to_owned()),
         ("rate", format!("{} Hz for {:.1} s, compute {compute}", results.rate_hz, results.duration_s)),
         (
             "scans",

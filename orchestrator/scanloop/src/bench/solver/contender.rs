@@ -2,9 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use figures::{Distribution, Figures};
 use ocp::{Budget, Hessian, Problem, QpChoice, Solution, Solver, SolverSettings, Status, Trajectory};
-use report::figures::{Distribution, Figures};
 use serde::Serialize;
+
+use super::AllocationCount;
 
 /// Timed solves per case, whose median counts; one before them warms caches and buffers up and does not count. The
 /// median of three keeps out what the system does to a single one, for us and for the peers alike.
@@ -18,6 +20,7 @@ const BUDGET: Duration = Duration::from_secs(8);
 /// A solver with its tallies.
 pub(super) struct Contender {
     solver: Solver,
+    count: Option<AllocationCount>,
     solution: Solution,
     intervals: usize,
     cases: u64,
@@ -62,9 +65,10 @@ pub(super) struct Row {
 }
 
 impl Contender {
-    pub(super) fn new(settings: SolverSettings, intervals: usize) -> Self {
+    pub(super) fn new(settings: SolverSettings, intervals: usize, count: Option<AllocationCount>) -> Self {
         Self {
             solver: Solver::new(settings),
+            count,
             solution: Solution::default(),
             intervals,
             cases: 0,
@@ -80,19 +84,24 @@ impl Contender {
 
     /// All configurations that are compared with `intervals` intervals: each Hessian with each QP solver, and with the
     /// published number of intervals the classic methods without refinement as well.
-    pub(super) fn all(intervals: usize) -> Vec<Self> {
+    pub(super) fn all(intervals: usize, count: Option<AllocationCount>) -> Vec<Self> {
         let mut all = Vec::new();
         for refine in [true, false] {
             for qp in [QpChoice::ActiveSet, QpChoice::Clarabel] {
                 for hessian in [Hessian::GaussNewton, Hessian::Bfgs, Hessian::Exact] {
                     if refine || (intervals == 6 && qp == QpChoice::ActiveSet) {
                         let settings = SolverSettings { hessian, qp, refine, ..SolverSettings::default() };
-                        all.push(Self::new(settings, intervals));
+                        all.push(Self::new(settings, intervals, count));
                     }
                 }
             }
         }
         all
+    }
+
+    /// Its number of intervals.
+    pub(super) fn intervals(&self) -> usize {
+        self.intervals
     }
 
     /// Whether it has the settings of the controller.
@@ -165,12 +174,16 @@ impl Contender {
     }
 
     fn once(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (Duration, u64) {
-        let before = runtime::allocations();
+        let before = self.allocated();
         let started = Instant::now();
         self.solver.solve_into(problem, guess, budget, &mut self.solution);
         let elapsed = started.elapsed();
         std::hint::black_box(&self.solution);
-        (elapsed, runtime::allocations() - before)
+        (elapsed, self.allocated() - before)
+    }
+
+    fn allocated(&self) -> u64 {
+        self.count.map_or(0, |count| count())
     }
 
     pub(super) fn row(&self) -> Row {
@@ -192,7 +205,7 @@ impl Contender {
             feedback_us: self.feedback.figures(),
             solve_us: self.solve.figures(),
             iterations: self.iterations.figures(),
-            allocations: runtime::counts_allocations().then_some(self.allocations),
+            allocations: self.count.map(|_| self.allocations),
         }
     }
 }
@@ -215,25 +228,27 @@ mod tests {
     #[test]
     fn a_case_that_converges_is_counted_with_its_iterations_and_times() {
         let problem = problem(&Case::default(), 6);
-        let mut contender = Contender::new(SolverSettings::default(), 6);
+        let mut contender = Contender::new(SolverSettings::default(), 6, None);
         assert!(contender.is_default());
         let start = guess(&problem, &Collocation::new(SolverSettings::default().scheme), None);
         assert!(contender.measure(&problem, &start).is_some());
         let row = contender.row();
         assert_eq!((row.name.as_str(), row.n, row.converged, row.failed), ("active-set", 6, 1, 0));
         assert!(row.solve_us.count == 1 && row.step_us.count == 1 && row.iterations.max >= 1.0);
-        // The tests run with the plain allocator.
         assert_eq!(row.allocations, None);
+        let mut counted = Contender::new(SolverSettings::default(), 6, Some(|| 7));
+        counted.measure(&problem, &start);
+        assert_eq!(counted.row().allocations, Some(0));
     }
 
     #[test]
     fn a_slow_configuration_leaves_cases_out_and_the_default_one_never() {
         let mut slow =
-            Contender::new(SolverSettings { qp: QpChoice::Clarabel, ..SolverSettings::default() }, 6);
+            Contender::new(SolverSettings { qp: QpChoice::Clarabel, ..SolverSettings::default() }, 6, None);
         assert!(!slow.leaves_out(0.0), "the first case is never left out");
         (slow.cases, slow.spent) = (1, BUDGET / 2);
         assert!(slow.leaves_out(0.4) && !slow.leaves_out(0.6));
-        let mut default = Contender::new(SolverSettings::default(), 6);
+        let mut default = Contender::new(SolverSettings::default(), 6, None);
         (default.cases, default.spent) = (1, 2 * BUDGET);
         assert!(!default.leaves_out(0.5));
     }
@@ -242,7 +257,7 @@ mod tests {
     fn a_case_that_means_nothing_is_a_failure() {
         let mut problem = problem(&Case::default(), 6);
         problem.initial.y = f64::NAN;
-        let mut contender = Contender::new(SolverSettings::default(), 6);
+        let mut contender = Contender::new(SolverSettings::default(), 6, None);
         assert!(contender.measure(&problem, &Trajectory::default()).is_none());
         assert_eq!((contender.row().converged, contender.row().failed), (0, 1));
     }

@@ -2,16 +2,17 @@
 
 use std::fmt::Write as _;
 
-use report::figures::Figures;
+use figures::{Align, Figures, Table};
 
 use super::Results;
 use super::versus::SAME;
+use crate::bench::instrument::build_command;
 
 /// Listed cases with another optimum at most; JSON has all.
 const LISTED: usize = 10;
 
 pub(super) fn text(results: &Results) -> String {
-    let mut text = format!("cases      {}", results.cases);
+    let mut text = format!("profile    {}\ncases      {}", results.profile, results.cases);
     let _ = match results.start {
         "warm" => writeln!(
             text,
@@ -21,29 +22,33 @@ pub(super) fn text(results: &Results) -> String {
         _ => writeln!(text, ", no column `lap`; start: straight on at 0.9 m/s for every case"),
     };
     text += "times      microseconds, median / 99 % / largest; per case the median of 3 after one that does not count\n\n";
-    let _ = writeln!(
-        text,
-        "{:<26} {:>3} {:>9}   {:<22} {:<22} {:<24} {:<14} allocations",
-        "QP solver, Hessian", "N", "converged", "SQP step", "feedback", "converged solve", "iterations"
-    );
+    let mut table = Table::new(&[
+        ("QP solver, Hessian", Align::Left),
+        ("N", Align::Right),
+        ("converged", Align::Right),
+        ("SQP step", Align::Left),
+        ("feedback", Align::Left),
+        ("converged solve", Align::Left),
+        ("iterations", Align::Left),
+        ("allocations", Align::Right),
+    ]);
     for row in &results.solvers {
-        let marks = format!(
-            "{}{}",
-            if row.layout == "stages" { " +" } else { "" },
-            if row.refine { "" } else { " *" }
-        );
-        let name = format!("{}, {}{marks}", row.name, row.hessian);
-        let _ = writeln!(
-            text,
-            "{name:<26} {:>3} {:>9}   {:<22} {:<22} {:<24} {:<14} {}",
-            row.n,
+        let layout = if row.layout == "stages" { " +" } else { "" };
+        let refined = if row.refine { "" } else { " *" };
+        table.row([
+            format!("{}, {}{layout}{refined}", row.name, row.hessian),
+            row.n.to_string(),
             format!("{}/{}", row.converged, row.cases),
             times(&row.step_us),
             times(&row.feedback_us),
             times(&row.solve_us),
             format!("{} / {} / {}", row.iterations.p50, row.iterations.p99, row.iterations.max),
-            row.allocations.map_or("not counted".to_owned(), |count| count.to_string()),
-        );
+            row.allocations.map_or("-".to_owned(), |count| count.to_string()),
+        ]);
+    }
+    let _ = write!(text, "{table}");
+    if results.solvers.iter().any(|row| row.allocations.is_none()) {
+        let _ = writeln!(text, "allocations are counted by scanloop-bench: `{}` builds it", build_command());
     }
     if results.solvers.iter().any(|row| !row.refine) {
         text += "* without refinement by Newton's method on the active set (`refine = false`)\n";

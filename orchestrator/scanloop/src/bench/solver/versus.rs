@@ -3,8 +3,8 @@
 //! Two solvers that found the same optimum agree in their controls; where they do not, both may be right, because an
 //! obstacle is passed on either side. Those cases are listed with both objectives and do not count as different answers.
 
+use figures::{Distribution, Figures};
 use ocp::Solution;
-use report::figures::{Distribution, Figures};
 use serde::Serialize;
 
 use super::peers::Answer;

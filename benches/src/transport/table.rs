@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use figures::{Align, Table};
+
 use super::results::{Bytes, Results, Row};
 
 /// The tables of one rate.
@@ -14,37 +16,33 @@ pub(super) fn text(results: &Results) -> String {
     let load = if results.load { ", every processor busy" } else { "" };
     let _ = writeln!(
         text,
-        "{} hops at {} Hz, {bytes} bytes, scheduling {}, processors {:?}{load}, {} rounds",
-        results.hops, results.rate_hz, results.scheduling, results.cpus, results.rounds
+        "{} hops at {} Hz, {bytes} bytes, scheduling {}, processors {:?}{load}, {} rounds, profile {}",
+        results.hops, results.rate_hz, results.scheduling, results.cpus, results.rounds, results.profile
     );
     for rows in [&results.transports, &results.polling] {
-        if let Some(first) = rows.first() {
-            let _ = writeln!(
-                text,
-                "\n{:<18} {:>9} {:>9} {:>9} {:>7} {:>7}   ratio to iceoryx2 with its {:.0} % interval",
-                if first.policy == "poll" { "polling [us]" } else { "blocking [us]" },
-                "p50",
-                "p99",
-                "max",
-                "sent",
-                "lost",
-                100.0 * results.confidence,
-            );
+        let Some(first) = rows.first() else { continue };
+        let name = if first.policy == "poll" { "polling [us]" } else { "blocking [us]" };
+        let ratio = format!("ratio to iceoryx2 with its {:.0} % interval", 100.0 * results.confidence);
+        let numbers = ["p50", "p99", "max", "sent", "lost"].map(|heading| (heading, Align::Right));
+        let columns = [&[(name, Align::Left)], &numbers[..], &[(ratio.as_str(), Align::Left)]].concat();
+        let mut table = Table::new(&columns);
+        for row in rows {
+            let [p50, p99, max] =
+                [row.latency_us.p50, row.latency_us.p99, row.latency_us.max].map(|us| format!("{us:.1}"));
+            let of_p50 = said(row.verdict_p50, row.ratio_p50, row.ratio_p50_interval);
+            let of_p99 = said(row.verdict_p99, row.ratio_p99, row.ratio_p99_interval);
+            let [sent, lost] = [row.sent, row.lost].map(|count| count.to_string());
+            table.row([
+                row.name.to_owned(),
+                p50,
+                p99,
+                max,
+                sent,
+                lost,
+                format!("p50 {of_p50}, p99 {of_p99}"),
+            ]);
         }
-        for row in rows.iter() {
-            let _ = writeln!(
-                text,
-                "{:<18} {:>9.1} {:>9.1} {:>9.1} {:>7} {:>7}   p50 {}, p99 {}",
-                row.name,
-                row.latency_us.p50,
-                row.latency_us.p99,
-                row.latency_us.max,
-                row.sent,
-                row.lost,
-                said(row.verdict_p50, row.ratio_p50, row.ratio_p50_interval),
-                said(row.verdict_p99, row.ratio_p99, row.ratio_p99_interval),
-            );
-        }
+        let _ = write!(text, "\n{table}");
     }
     for skipped in &results.skipped {
         let _ = writeln!(text, "{:<18} skipped: {}", skipped.name, skipped.reason);

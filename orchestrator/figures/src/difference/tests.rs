@@ -183,3 +183,24 @@ fn the_interval_leaves_out_as_many_rounds_as_the_binomial_allows() {
     let difference = rounds(&[3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 8.0, 7.0]).unwrap();
     assert_eq!((difference.value, difference.interval), (4.5, [1.0, 8.0]));
 }
+
+#[test]
+fn with_the_rounds_that_settle_it_a_difference_is_seen_nine_times_in_ten() {
+    let seen = |seed: u64, count: usize, more: f64| {
+        let mut random = Generator::new(seed);
+        rounds(&(0..count).map(|_| more + 40.0 * random.normal()).collect::<Vec<_>>()).unwrap()
+    };
+    let smallest = (0..200).map(|seed| seen(seed, 12, 0.0).smallest_visible).sum::<f64>() / 200.0;
+    let estimate = Difference { value: 15.0, interval: [-30.0, 60.0], smallest_visible: smallest };
+    let needed = estimate.rounds_to_settle(12).unwrap();
+    assert!((60..300).contains(&needed), "{needed}");
+    let found = (0..200).filter(|seed| seen(1000 + seed, needed, 15.0).is_seen()).count();
+    assert!((160..=199).contains(&found), "{found} of 200 with {needed} rounds");
+}
+
+#[test]
+fn an_estimate_of_zero_is_settled_by_no_number_of_rounds() {
+    let of = |value: f64| Difference { value, interval: [-2.0, 2.0], smallest_visible: 3.0 };
+    assert_eq!([of(0.0), of(0.1), of(30.0)].map(|one| one.rounds_to_settle(12)), [None, None, Some(13)]);
+    assert_eq!(of(1.5).rounds_to_settle(12), Some(48));
+}

@@ -3,10 +3,10 @@
 //! Idea: scans that follow each other are alike, so whole blocks of them are drawn with replacement, each about as
 //! long as the square root of all, round the end. What varies from one such drawing to the next is what would vary
 //! from run to run. Assumption: the blocks are longer than what happens on a course; a difference that comes once per
-//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below [`FEWEST`] there are none.
+//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below [`MIN_VALUES`] there are none.
 
 /// Fewer values say nothing of how much they vary.
-const FEWEST: usize = 20;
+const MIN_VALUES: usize = 20;
 /// Drawings per interval; ends of 95 % intervals then rest on 25 of them each.
 const DRAWINGS: usize = 1000;
 /// Most values that are drawn from; more are thinned out evenly.
@@ -15,15 +15,14 @@ const MOST: usize = 5000;
 const TAIL: f64 = 0.025;
 
 /// The mean of `values` with the ends of its 95 % interval; no ends when there are too few values.
-pub(super) fn mean(values: &[f64]) -> (f64, Option<[f64; 2]>) {
+pub fn mean(values: &[f64]) -> (f64, Option<[f64; 2]>) {
     let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let ends = resample(values, |drawn| mean_of(drawn));
-    (mean_of(values), ends)
+    (mean_of(values), ends(values, mean_of))
 }
 
 /// The ratio of a quantile of the second to that of the first of each pair, with the ends of its 95 % interval;
 /// 0 where the first took no time.
-pub(super) fn ratio(pairs: &[[f64; 2]], quantile: f64) -> (f64, Option<[f64; 2]>) {
+pub fn ratio(pairs: &[[f64; 2]], quantile: f64) -> (f64, Option<[f64; 2]>) {
     let ratio_of = |pairs: &[[f64; 2]]| {
         let [first, second] = [0, 1].map(|index| {
             let mut values: Vec<f64> = pairs.iter().map(|pair| pair[index]).collect();
@@ -33,11 +32,11 @@ pub(super) fn ratio(pairs: &[[f64; 2]], quantile: f64) -> (f64, Option<[f64; 2]>
     };
     let thin = pairs.len().div_ceil(MOST).max(1);
     let thinned: Vec<[f64; 2]> = pairs.iter().step_by(thin).copied().collect();
-    (ratio_of(pairs), resample(&thinned, ratio_of))
+    (ratio_of(pairs), ends(&thinned, ratio_of))
 }
 
 /// A quantile of values, the nearest rank; 0 without values.
-pub(super) fn quantile_of(values: &mut [f64], quantile: f64) -> f64 {
+pub fn quantile_of(values: &mut [f64], quantile: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
     }
@@ -45,34 +44,53 @@ pub(super) fn quantile_of(values: &mut [f64], quantile: f64) -> f64 {
     *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
-fn resample<T: Copy>(values: &[T], statistic: impl Fn(&[T]) -> f64) -> Option<[f64; 2]> {
-    if values.len() < FEWEST {
-        return None;
-    }
-    let count = values.len();
-    let block = (count as f64).sqrt().ceil() as usize;
-    let mut random = 1;
+/// A statistic of 1000 drawings with replacement from `values`, each as long as they are; drawn are whole blocks of
+/// neighbours, round the end. The drawings are the same for the same number of values.
+pub fn resample<T: Copy, R>(values: &[T], block: usize, mut statistic: impl FnMut(&[T]) -> R) -> Vec<R> {
+    let (count, block) = (values.len(), block.max(1));
+    let mut random = SplitMix64(1);
     let mut drawn = Vec::with_capacity(count + block);
-    let mut results: Vec<f64> = (0..DRAWINGS)
+    (0..DRAWINGS)
         .map(|_| {
             drawn.clear();
             while drawn.len() < count {
-                let start = (next(&mut random) % count as u64) as usize;
+                let start = (random.next() % count as u64) as usize;
                 drawn.extend((start..start + block).map(|index| values[index % count]));
             }
             drawn.truncate(count);
             statistic(&drawn)
         })
-        .collect();
+        .collect()
+}
+
+/// The ends of the 95 % interval of a statistic of values in order; none for too few values.
+fn ends<T: Copy>(values: &[T], statistic: impl Fn(&[T]) -> f64) -> Option<[f64; 2]> {
+    if values.len() < MIN_VALUES {
+        return None;
+    }
+    let block = (values.len() as f64).sqrt().ceil() as usize;
+    let mut results = resample(values, block, statistic);
     Some([TAIL, 1.0 - TAIL].map(|quantile| quantile_of(&mut results, quantile)))
 }
 
-/// The next number of SplitMix64.
-fn next(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    mixed ^ (mixed >> 31)
+/// The generator SplitMix64: numbers that look random and are the same every time.
+#[derive(Debug, Clone)]
+pub struct SplitMix64(pub u64);
+
+impl SplitMix64 {
+    /// The next number.
+    #[expect(clippy::should_implement_trait, reason = "a generator without end is no iterator of use here")]
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ (mixed >> 31)
+    }
+
+    /// The next number in [0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
 }
 
 #[cfg(test)]
@@ -80,13 +98,13 @@ mod tests {
     use super::*;
 
     /// Normal numbers, near enough: the sum of twelve uniform ones less six.
-    fn normal(state: &mut u64) -> f64 {
-        (0..12).map(|_| (next(state) >> 11) as f64 / (1_u64 << 53) as f64).sum::<f64>() - 6.0
+    fn normal(state: &mut SplitMix64) -> f64 {
+        (0..12).map(|_| state.uniform()).sum::<f64>() - 6.0
     }
 
     #[test]
     fn the_interval_of_a_mean_covers_it_as_often_as_it_says() {
-        let mut state = 7;
+        let mut state = SplitMix64(7);
         let covered = (0..200).filter(|_| {
             let values: Vec<f64> = (0..300).map(|_| 0.5 + normal(&mut state)).collect();
             let [low, high] = mean(&values).1.unwrap();
@@ -98,7 +116,7 @@ mod tests {
 
     #[test]
     fn neighbours_that_are_alike_widen_the_interval() {
-        let mut state = 7;
+        let mut state = SplitMix64(7);
         let white: Vec<f64> = (0..1000).map(|_| normal(&mut state)).collect();
         let slow: Vec<f64> = (0..1000).map(|index| white[index / 20 * 20]).collect();
         let width = |values: &[f64]| mean(values).1.map(|[low, high]| high - low).unwrap();
@@ -107,7 +125,7 @@ mod tests {
 
     #[test]
     fn a_ratio_of_quantiles_is_found_with_its_interval_and_always_the_same() {
-        let mut state = 3;
+        let mut state = SplitMix64(3);
         let pairs: Vec<[f64; 2]> =
             (0..400).map(|_| [10.0 + normal(&mut state), 15.0 + 1.5 * normal(&mut state)]).collect();
         let (value, ends) = ratio(&pairs, 0.5);

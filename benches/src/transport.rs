@@ -12,17 +12,16 @@ mod table;
 use std::path::Path;
 
 use anyhow::Context;
-use hops::{Contender, HopError, Load, Plan, Policy};
-use runtime::Shutdown;
-
-pub use self::arguments::{TransportArguments, Waiting};
+use commands::bench::scheduling::{self, Scheduling};
 use console::exit::{Exit, Failure};
-use console::note;
 use console::output::data;
 use console::progress::Steps;
+use hops::{Contender, HopError, Plan, Policy};
+use runtime::Shutdown;
 
+pub(crate) use self::arguments::TransportArguments;
 use self::results::{Measured, Results, Skipped, figures};
-use super::scheduling::Scheduling;
+use crate::load::Load;
 
 /// Measures all contenders at all rates and prints the comparison.
 ///
@@ -32,7 +31,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
     let base = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
     let shutdown = Shutdown::on_signals()?;
     let (contenders, skipped) = contenders(arguments);
-    let load = if arguments.load { Some(Load::start(&base)?) } else { None };
+    let load = if arguments.load { Some(Load::start()?) } else { None };
     let mut all = Vec::new();
     let mut csv = String::from("rate_hz,policy,name,round,sent,lost,p50_us,p99_us,max_us\n");
     for &rate_hz in &arguments.rate {
@@ -40,14 +39,14 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
         let stop = || shutdown.requested();
         let measured = match rounds(arguments, &base, rate_hz, &mut contenders, &mut skipped, &stop) {
             Err(error) if matches!(error.downcast_ref(), Some(HopError::Interrupted)) => {
-                note!("interrupted");
+                note("interrupted");
                 return Ok(Exit::NotReached);
             }
             measured => measured?,
         };
         add_rows(&mut csv, rate_hz, &measured);
         let results = Results::of(arguments, &base, rate_hz, &measured, skipped);
-        note!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results));
+        note(&format!("{}{}", if all.is_empty() { "" } else { "\n" }, table::text(&results)));
         all.push(results);
     }
     drop(load);
@@ -68,7 +67,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
 /// Who can be measured, and who can't and why.
 fn contenders(arguments: &TransportArguments) -> (Vec<Contender>, Vec<Skipped>) {
     let mut skipped = Vec::new();
-    let present = |contender: &Contender| match contender.missing() {
+    let present = |contender: &Contender| match hops::missing(*contender) {
         Some(reason) => {
             skipped.push(Skipped { name: contender.name(), reason });
             false
@@ -141,11 +140,23 @@ fn plan(arguments: &TransportArguments, scheduling: &Scheduling) -> anyhow::Resu
         warm_up: 0,
         samples: 0,
         policy: Policy::Block,
-        scheduling: scheduling.class(),
+        scheduling: class(scheduling),
         cpus: scheduling.cpus.clone(),
         program: std::env::current_exe().context("the path of this program")?,
         arguments: vec!["service".to_owned(), "hop".to_owned()],
     })
+}
+
+/// The policy of processes that belong to no system.
+fn class(scheduling: &Scheduling) -> hops::Scheduling {
+    match scheduling.policy {
+        Some(scheduling::Policy::Fifo) => hops::Scheduling::Fifo,
+        Some(scheduling::Policy::Other) | None => hops::Scheduling::Other,
+    }
+}
+
+fn note(text: &str) {
+    runtime::print(runtime::Priority::Notice, text);
 }
 
 fn add_rows(csv: &mut String, rate_hz: f64, measured: &[Measured]) {
@@ -172,4 +183,12 @@ fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .and_then(|()| std::fs::write(&path, text))
         .map_err(|error| Failure::bad_input(format!("--out {}: {error}", path.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn real_time_processes_of_both_benches_have_one_priority() {
+        assert_eq!(hops::PRIORITY.cast_unsigned(), runtime::Realtime::default().priority);
+    }
 }

@@ -18,23 +18,25 @@
 
 use hdrhistogram::Histogram;
 
+use crate::student;
+
 /// Share of intervals that are to hold the true difference.
-pub(crate) const CONFIDENCE: f64 = 0.99;
+pub const CONFIDENCE: f64 = 0.99;
 /// Fewest rounds that can be that sure.
-pub(crate) const FEWEST_ROUNDS: usize = 8;
+pub const MIN_ROUNDS: usize = 8;
+/// Most rounds.
+pub const MAX_ROUNDS: usize = 1000;
 /// Groups that the stretches of a run are put into, at most and at least.
 const GROUPS: usize = 12;
-const FEWEST_GROUPS: usize = 6;
+const MIN_GROUPS: usize = 6;
 /// A group has this many scans beyond the percentile in question.
 const BEYOND: f64 = 2.0;
 /// Half the width of an interval, times this, is seen nine times in ten: (2.576 + 1.282) / 2.576.
 const NINE_IN_TEN: f64 = 1.498;
-/// 99.5 % of Student's distribution for one degree of freedom less than 6, 7, ... 12 groups.
-const STUDENT: [f64; 7] = [4.032, 3.707, 3.499, 3.355, 3.250, 3.169, 3.106];
 
 /// A difference and how sure it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Difference {
+pub struct Difference {
     /// Best estimate.
     pub value: f64,
     /// The interval that holds the true difference in 99 of 100 cases.
@@ -48,16 +50,34 @@ impl Difference {
         Self { value, interval, smallest_visible: NINE_IN_TEN * 0.5 * (interval[1] - interval[0]) }
     }
 
+    /// The same in another unit.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self {
+            value: factor * self.value,
+            interval: self.interval.map(|bound| factor * bound),
+            smallest_visible: factor * self.smallest_visible,
+        }
+    }
+
+    /// Rounds in turns after which a true difference as large as this estimate is seen nine times in ten, when this one
+    /// came of so many `rounds`: the width of the interval falls with the square root of their number. `None` for an
+    /// estimate of zero, and when it takes more than [`MAX_ROUNDS`]. Two files count as one round: their interval is
+    /// that of one run of each, because the part of the machine is not divided by the number of stretches.
+    pub fn rounds_to_settle(&self, rounds: usize) -> Option<usize> {
+        let needed = (rounds as f64 * (self.smallest_visible / self.value).powi(2)).ceil();
+        (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(MIN_ROUNDS).max(rounds + 1))
+    }
+
     /// Whether zero is outside the interval.
-    pub(crate) fn is_seen(&self) -> bool {
+    pub fn is_seen(&self) -> bool {
         self.interval[0] > 0.0 || self.interval[1] < 0.0
     }
 }
 
 /// The difference of runs in turns, from one difference per round; `None` for too few rounds.
-pub(crate) fn rounds(differences: &[f64]) -> Option<Difference> {
+pub fn rounds(differences: &[f64]) -> Option<Difference> {
     let count = differences.len();
-    if count < FEWEST_ROUNDS || differences.iter().any(|value| !value.is_finite()) {
+    if count < MIN_ROUNDS || differences.iter().any(|value| !value.is_finite()) {
         return None;
     }
     let mut sorted = differences.to_vec();
@@ -84,13 +104,13 @@ fn outside(count: usize) -> usize {
 }
 
 /// The median of sorted values.
-pub(crate) fn median(sorted: &[f64]) -> f64 {
+pub fn median(sorted: &[f64]) -> f64 {
     0.5 * (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2])
 }
 
 /// The difference of a quantile between two runs, from the histograms of their stretches in order; in the unit of the
 /// histograms. `None` when there are too few scans to say.
-pub(crate) fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<Difference> {
+pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<Difference> {
     let count = a.len().min(b.len());
     let [a, b] = groups(&a[..count], &b[..count], quantile)?;
     let mut differences: Vec<f64> = a
@@ -110,11 +130,7 @@ pub(crate) fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f6
 ///
 /// `steady` is a series of the same run that does not depend on the place of the drive, as transport: how it changes
 /// from stretch to stretch stands for the machine. `None` when there are too few scans.
-pub(crate) fn smallest_visible(
-    series: &[Histogram<u64>],
-    steady: &[Histogram<u64>],
-    quantile: f64,
-) -> Option<f64> {
+pub fn smallest_visible(series: &[Histogram<u64>], steady: &[Histogram<u64>], quantile: f64) -> Option<f64> {
     let [series, steady] = groups(series, steady, quantile)?;
     let machine: Vec<f64> = steady.iter().map(|group| group.value_at_quantile(quantile) as f64).collect();
     let explained = mean(steady.iter().map(|group| variance_of(group, quantile)));
@@ -129,13 +145,13 @@ pub(crate) fn smallest_visible(
 fn half_width(variance: f64, sampling: f64, groups: usize) -> f64 {
     let machine = (variance - sampling).max(0.0);
     let squared = (machine + sampling / groups as f64).max(variance / groups as f64);
-    STUDENT[groups - FEWEST_GROUPS] * squared.sqrt()
+    student(groups - 1) * squared.sqrt()
 }
 
 /// Neighbouring stretches of both runs put together, into as many groups as have enough scans for the quantile.
 fn groups(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<[Vec<Histogram<u64>>; 2]> {
     let needed = BEYOND / (1.0 - quantile).min(quantile);
-    (FEWEST_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {
+    (MIN_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {
         let (a, b) = (grouped(a, count), grouped(b, count));
         let enough = |groups: &[Histogram<u64>]| groups.iter().all(|group| group.len() as f64 >= needed);
         (enough(&a) && enough(&b)).then_some([a, b])

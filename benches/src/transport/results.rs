@@ -1,15 +1,16 @@
 //! What a comparison has found, as it goes into JSON.
 
+use figures::{Distribution, Figures};
 use hops::{Block, Contender, HOPS, Payload, Plan, Policy};
-use report::figures::{Distribution, Figures};
 use serde::Serialize;
 
+use super::TransportArguments;
 use super::ratio::{CONFIDENCE, Ratio, Rounds, ratio};
-use crate::bench::transport::TransportArguments;
 
 /// Everything at one rate.
 #[derive(Debug, Serialize)]
 pub(super) struct Results {
+    pub(super) profile: &'static str,
     pub(super) rate_hz: f64,
     pub(super) hops: usize,
     pub(super) payload_bytes: Bytes,
@@ -112,6 +113,7 @@ impl Results {
             of_policy.iter().map(|measured| measured.row(&ours)).collect()
         };
         Self {
+            profile: figures::PROFILE,
             rate_hz,
             hops: HOPS,
             payload_bytes: match arguments.payload {

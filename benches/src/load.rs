@@ -8,7 +8,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
+use console::output::data;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// The name of the service that is load until its standard input ends.
+pub(crate) const SERVICE: &str = "load";
 
 /// Busy loops; dropping it ends them.
 pub(crate) struct Load {
@@ -53,6 +57,17 @@ impl Drop for Load {
             let _ = thread.join();
         }
     }
+}
+
+/// The service: says how many loops there are, and runs them until its standard input ends.
+///
+/// # Errors
+/// As [`Load::start`].
+pub(crate) fn run() -> anyhow::Result<()> {
+    let load = Load::start()?;
+    data(&load.count().to_string())?;
+    std::io::copy(&mut std::io::stdin(), &mut std::io::sink())?;
+    Ok(())
 }
 
 #[cfg(test)]

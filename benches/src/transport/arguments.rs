@@ -3,14 +3,14 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use commands::bench::bytes;
+use commands::bench::scheduling::SchedulingArguments;
+use console::output::folder;
 use hops::{BLOCK_BYTES, Contender, Payload, Policy};
-
-use crate::bench::bytes;
-use crate::bench::scheduling::SchedulingArguments;
 
 /// Arguments of `bench transport`.
 #[derive(Debug, Args)]
-pub struct TransportArguments {
+pub(crate) struct TransportArguments {
     /// Whom to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm, zeromq,
     /// dora. Without it all.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
@@ -43,13 +43,13 @@ pub struct TransportArguments {
     #[arg(long)]
     pub json: bool,
     /// Write `transport.json` and `transport.csv` (figures of every round) into this directory.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = folder())]
     pub out: Option<PathBuf>,
 }
 
 /// How processes wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Waiting {
+pub(crate) enum Waiting {
     /// Asleep until a message wakes them.
     Block,
     /// Awake for a fifth of a millisecond before and after a message is due, else asleep.

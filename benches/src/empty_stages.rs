@@ -1,0 +1,221 @@
+//! The five processes of the pure transport chain: the topics and the topology of the pipeline, nothing computed.
+//!
+//! Each stage waits for the same inputs as the real one and answers at once with an empty sample, so what is left of
+//! the time from scan to actuation is the bus, the wake-ups and the scheduler. With a payload, as many bytes travel
+//! beside the samples of the four hops of the critical path: copied into shared memory by the sender, read in place
+//! by the receiver. Both then count as compute of the stage, and as part of scan to actuation.
+//! What the real stages do beside the critical path, checkpoints after each scan, is left out.
+
+use std::rc::Rc;
+
+use commands::bench::latency::echo::PREFIX;
+use emulator::service::next_due;
+use runtime::{BlobInput, BlobOutput, Process, join};
+use shared_types::{
+    Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
+    Truth,
+};
+
+/// Runs the echo that `name` asks for until it is told to end; `None` when it asks for none.
+///
+/// # Errors
+/// Errors of the bus, and of a process that was started by hand.
+pub(crate) fn run(name: &str) -> Option<anyhow::Result<()>> {
+    let asked = name.strip_prefix(PREFIX)?;
+    let (role, payload) = match asked.split_once(':') {
+        Some((role, bytes)) => (role, Some(bytes.parse::<usize>().ok()?)),
+        None => (asked, None),
+    };
+    Some(match role.parse().ok()? {
+        Role::Robot => robot(payload),
+        Role::Estimator => estimator(payload),
+        Role::Obstacles => obstacles(payload),
+        Role::Controller => controller(payload),
+        Role::Actuator => actuator(payload),
+    })
+}
+
+/// Publishes scans by the schedule of the emulated robot: the sweep ends a third of a period after the front beam.
+fn robot(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Robot)?;
+    let actuations = process.input::<Actuation>()?;
+    let scans = process.output::<Scan>()?;
+    let odometries = process.output::<Odometry>()?;
+    let truths = process.output::<Truth>()?;
+    let sent = Sent::open(&mut process, Topic::Odometry, payload)?;
+    if !process.start()? {
+        return Ok(());
+    }
+    let period_ns = process.period_ns();
+    let origin_ns = process.clock().now_ns();
+    let due_ns = |scan_id: u64| origin_ns + scan_id * period_ns + period_ns / 3;
+    let mut scan_id = 1;
+    let mut stopping = false;
+    loop {
+        let goes_on = if stopping { process.wait(None)? } else { process.wait_for_time(due_ns(scan_id))? };
+        if !goes_on {
+            return Ok(());
+        }
+        while actuations.take().is_some() {}
+        let now_ns = process.clock().now_ns();
+        stopping = process.directive().phase == Phase::Stopping.wire();
+        if now_ns < due_ns(scan_id) || stopping {
+            continue;
+        }
+        let newest = scan_id + (now_ns - due_ns(scan_id)) / period_ns;
+        let max_age_ns = process.max_age_ns() - period_ns;
+        scan_id = next_due(scan_id, newest, |scan_id| now_ns - origin_ns - scan_id * period_ns < max_age_ns);
+        process.begin();
+        let acquired_ns = scan_id * period_ns;
+        let mut truth = Truth {
+            time_s: acquired_ns as f64 * 1e-9,
+            goal_distance_m: 1e3,
+            // It stands at any time, so that the end of a run waits for nothing.
+            blocked: process.directive().stop,
+            ..Truth::default()
+        };
+        let mut scan = Scan { period_ns, sweep_ns: period_ns / 3 * 2, ..Scan::default() };
+        let mut odometry = Odometry::default();
+        for header in [&mut truth.header, &mut scan.header, &mut odometry.header] {
+            header.scan_id = scan_id;
+            header.acquired_ns = origin_ns + acquired_ns;
+        }
+        sent.publish(scan_id)?;
+        truths.publish_silently(&mut truth)?;
+        scans.publish(&mut scan)?;
+        odometries.publish(&mut odometry)?;
+        scan_id += 1;
+    }
+}
+
+fn estimator(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Estimator)?;
+    let odometry = process.input::<Odometry>()?;
+    let actuation = process.input::<Actuation>()?;
+    let poses = process.output::<Pose>()?;
+    let taken = Received::open(&mut process, Topic::Odometry, payload)?;
+    let sent = Sent::open(&mut process, Topic::Pose, payload)?;
+    if !process.start()? {
+        return Ok(());
+    }
+    while process.wait(None)? {
+        while actuation.take().is_some() {}
+        while let Some(measured) = odometry.take() {
+            let header = measured.header.answer();
+            if taken.take(header.scan_id)? {
+                sent.publish(header.scan_id)?;
+                poses.publish(&mut Pose { header, ..Pose::default() })?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn obstacles(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Obstacles)?;
+    let scans = process.input::<Scan>()?;
+    let poses = process.input::<Pose>()?;
+    let obstacles = process.output::<Obstacles>()?;
+    let taken = Received::open(&mut process, Topic::Pose, payload)?;
+    let sent = Sent::open(&mut process, Topic::Obstacles, payload)?;
+    if !process.start()? {
+        return Ok(());
+    }
+    while process.wait(None)? {
+        while let Some((scan, pose)) = join(&scans, &poses) {
+            let header = scan.header.answer_both(&pose.header);
+            if taken.take(header.scan_id)? {
+                sent.publish(header.scan_id)?;
+                obstacles.publish(&mut Obstacles { header, ..Obstacles::default() })?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn controller(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Controller)?;
+    let poses = process.input::<Pose>()?;
+    let obstacles = process.input::<Obstacles>()?;
+    let commands = process.output::<Command>()?;
+    let taken = Received::open(&mut process, Topic::Obstacles, payload)?;
+    let sent = Sent::open(&mut process, Topic::Command, payload)?;
+    if !process.start()? {
+        return Ok(());
+    }
+    while process.wait(None)? {
+        while let Some((pose, described)) = join(&poses, &obstacles) {
+            let header = described.header.answer_both(&pose.header);
+            if taken.take(header.scan_id)? {
+                sent.publish(header.scan_id)?;
+                let kind = CommandKind::Drive.wire();
+                commands.publish(&mut Command { header, kind, verified: 1, ..Command::default() })?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
+    let mut process = Process::attach(Role::Actuator)?;
+    let commands = process.input::<Command>()?;
+    let actuations = process.output::<Actuation>()?;
+    let taken = Received::open(&mut process, Topic::Command, payload)?;
+    if !process.start()? {
+        return Ok(());
+    }
+    // As the real one, which looks at its watch ten times a period.
+    let look_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+        while let Some(command) = commands.take() {
+            let header = command.header.answer();
+            if taken.take(header.scan_id)? {
+                let kind = ActuationKind::Drive.wire();
+                actuations.publish(&mut Actuation { header, kind, answers: 1, ..Actuation::default() })?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The payload that a stage sends, if there is one.
+struct Sent(Option<Rc<BlobOutput>>);
+
+/// The payload that a stage takes, if there is one.
+struct Received(Option<Rc<BlobInput>>);
+
+impl Sent {
+    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
+        Ok(Self(payload.map(|bytes| process.blob_output(topic, bytes)).transpose()?))
+    }
+
+    fn publish(&self, scan_id: u64) -> anyhow::Result<()> {
+        Ok(self.0.as_ref().map_or(Ok(()), |output| output.publish(scan_id))?)
+    }
+}
+
+impl Received {
+    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
+        Ok(Self(payload.map(|_| process.blob_input(topic)).transpose()?))
+    }
+
+    /// Whether the stage may answer: a scan whose payload is missing stays without an answer, and counts as lost.
+    fn take(&self, scan_id: u64) -> anyhow::Result<bool> {
+        Ok(self.0.as_ref().map_or(Ok(true), |input| input.take(scan_id))?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use commands::bench::latency::echo::arguments;
+
+    #[test]
+    fn only_names_of_a_role_are_run() {
+        assert_eq!(arguments(Role::Robot, None), ["service", "echo-robot"]);
+        assert_eq!(arguments(Role::Actuator, Some(4096)), ["service", "echo-actuator:4096"]);
+        for name in ["ekf", "echo-", "echo-pilot", "echo-robot:", "echo-robot:many"] {
+            assert!(run(name).is_none(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! Figures of what was measured, and what they are worth: distributions, intervals by resampling, differences of two
+//! runs with their confidence, the profile of the build that was measured, and tables of it all as text.
+
+pub mod bootstrap;
+pub mod difference;
+mod distribution;
+mod student;
+mod table;
+
+pub use distribution::{Distribution, Figures};
+pub use student::student;
+pub use table::{Align, Table};
+
+/// The Cargo profile that this executable was built with, from the path of the build: `dev`, `release`, `dist`, ...
+pub const PROFILE: &str = env!("SCANLOOP_PROFILE");
+/// The profile that is installed, and that times are to be measured with.
+pub const MEASURED_PROFILE: &str = "dist";
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn tests_are_built_with_a_profile_that_has_a_name() {
+        assert!(!["", "unknown", "debug"].contains(&super::PROFILE), "{}", super::PROFILE);
+    }
+}

@@ -1,0 +1,158 @@
+//! The executable `scanloop-bench`: what only measures, and so is no part of this one.
+//!
+//! It is looked for next to this executable, under its name with `-bench`, and in the folders of the other profiles of
+//! the same target folder. `bench transport` is all its own; `bench solver` is handed over where it is there, because it
+//! counts heap allocations; `bench latency` takes from it the stages that compute nothing and the load.
+
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::Context;
+use console::exit::Failure;
+use console::note;
+use figures::{MEASURED_PROFILE, PROFILE};
+
+/// What the name of an executable gets to make that of its instrument.
+const SUFFIX: &str = "-bench";
+
+/// A terminal that is read takes what was written within microseconds.
+const FLUSH_LIMIT: Duration = Duration::from_millis(300);
+
+/// The instrument of this executable.
+///
+/// # Errors
+/// The command that builds it when it is not there; exit code 4.
+pub(crate) fn find() -> anyhow::Result<PathBuf> {
+    let own = std::env::current_exe().context("path of this executable")?;
+    candidates(&own).into_iter().find(|path| path.is_file()).ok_or_else(|| {
+        Failure::process(format!(
+            "this needs the executable scanloop{SUFFIX}, which is not next to {}: in the source tree \
+             `{}` builds it",
+            own.display(),
+            build_command()
+        ))
+    })
+}
+
+/// The command that builds the instrument with the profile of this executable.
+pub(crate) fn build_command() -> String {
+    format!("cargo build --profile {PROFILE} -p scanloop-bench")
+}
+
+/// Becomes the instrument, with the arguments of this process; returns when that fails.
+pub(crate) fn hand_over() -> anyhow::Error {
+    let instrument = match find_current() {
+        Ok(instrument) => instrument,
+        Err(missing) => return missing,
+    };
+    // What is still in the queue would be lost with this program.
+    runtime::flush_terminal(FLUSH_LIMIT);
+    let error = Command::new(&instrument).args(std::env::args_os().skip(1)).exec();
+    Failure::process(format!("{}: {error}", instrument.display()))
+}
+
+/// Where the instrument of an executable may be, the likeliest first.
+fn candidates(own: &Path) -> Vec<PathBuf> {
+    let name = own.file_name().unwrap_or_default().to_string_lossy();
+    // The kernel says so of a file that was replaced.
+    let name = name.strip_suffix(" (deleted)").unwrap_or(&name);
+    let name = format!("{name}{SUFFIX}");
+    let Some(folder) = own.parent() else { return Vec::new() };
+    let profiles = [MEASURED_PROFILE, "release", "debug"].map(|profile| folder.with_file_name(profile));
+    std::iter::once(folder.to_owned()).chain(profiles).map(|folder| folder.join(&name)).collect()
+}
+
+/// [`find`]; says so when sources of the instrument have changed since it was built: it measures what they were then.
+///
+/// # Errors
+/// As [`find`].
+pub(crate) fn find_current() -> anyhow::Result<PathBuf> {
+    let instrument = find()?;
+    let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
+    let sources = sources(&std::fs::read_to_string(instrument.with_extension("d")).unwrap_or_default());
+    if sources.iter().any(|source| changed(source) > changed(&instrument)) {
+        let (file, build) = (instrument.display(), build_command());
+        note!("{file} is older than its sources, and measures what they were: `{build}` renews it");
+    }
+    Ok(instrument)
+}
+
+/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
+fn sources(list: &str) -> Vec<PathBuf> {
+    let files = list.split_once(": ").map_or("", |(_, files)| files).replace("\\ ", "\0");
+    files.split_whitespace().map(|file| PathBuf::from(file.replace('\0', " "))).collect()
+}
+
+/// Busy loops on every processor, in a process of the instrument; dropping it ends them.
+pub(crate) struct Load {
+    process: Child,
+    loops: usize,
+    _keeps_it_alive: Option<ChildStdin>,
+}
+
+impl Load {
+    /// Starts the loops.
+    ///
+    /// # Errors
+    /// No instrument, or one that does not start; exit code 4.
+    pub(crate) fn start() -> anyhow::Result<Self> {
+        let instrument = find()?;
+        let failed = |why: &str| Failure::process(format!("{} service load: {why}", instrument.display()));
+        let mut process = Command::new(&instrument)
+            .args(["service", "load"])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|error| failed(&error.to_string()))?;
+        let alive = process.stdin.take();
+        let mut line = String::new();
+        if let Some(output) = process.stdout.take() {
+            let _ = BufReader::new(output).read_line(&mut line);
+        }
+        let load = Self { loops: line.trim().parse().unwrap_or(0), process, _keeps_it_alive: alive };
+        if load.loops == 0 { Err(failed("it starts no loop")) } else { Ok(load) }
+    }
+
+    /// How many loops there are.
+    pub(crate) fn count(&self) -> usize {
+        self.loops
+    }
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_instrument_is_looked_for_next_to_the_executable_and_then_in_the_folders_of_other_profiles() {
+        let places = candidates(Path::new("/src/target/release/scanloop (deleted)"));
+        let expected = ["release", "dist", "release", "debug"]
+            .map(|profile| PathBuf::from(format!("/src/target/{profile}/scanloop-bench")));
+        assert_eq!(places, expected);
+    }
+
+    #[test]
+    fn the_sources_of_an_executable_are_those_that_cargo_lists() {
+        let files = sources("/t/scanloop-bench: /a/one.rs /a/my\\ file.rs\n");
+        assert_eq!(files, ["/a/one.rs", "/a/my file.rs"].map(PathBuf::from));
+        assert!(sources("").is_empty());
+    }
+
+    #[test]
+    fn an_executable_without_an_instrument_names_the_command_that_builds_it() {
+        // No executable of unit tests has one.
+        let missing = find().unwrap_err().to_string();
+        assert!(missing.contains("cargo build --profile dev -p scanloop-bench"), "{missing}");
+        assert_eq!(console::exit::exit_of(&find().unwrap_err()), console::exit::Exit::ProcessFailed);
+    }
+}
