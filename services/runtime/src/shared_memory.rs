@@ -54,7 +54,7 @@ impl<P> Mapped<P> {
     ///
     /// # Safety
     /// `P` consists of atomics only, which any bytes are valid values of. Its alignment is at most that of a page of the
-    /// machine. The file is as large as the page of memory that holds `P`, and never made smaller.
+    /// machine. The file is at least as large as `P`, and never made smaller.
     pub(crate) unsafe fn new(file: impl AsFd) -> io::Result<Self> {
         let protection = ProtFlags::READ | ProtFlags::WRITE;
         // SAFETY: a new mapping at an address of the kernel's choice.
