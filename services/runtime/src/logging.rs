@@ -60,7 +60,7 @@ fn filter() -> Result<Targets, RuntimeError> {
 /// A level, or a target with a level. A name without a level would be a target of which everything is logged: it is a
 /// level that is misspelt.
 fn is_allowed(directive: &str) -> bool {
-    let is_level = |text: &str| text.parse::<LevelFilter>().is_ok();
+    let is_level = |text: &str| !text.is_empty() && text.parse::<LevelFilter>().is_ok();
     let is_part = |letter: char| letter.is_alphanumeric() || matches!(letter, '_' | ':' | '-');
     match directive.split_once('=') {
         Some((target, level)) => !target.is_empty() && target.chars().all(is_part) && is_level(level),
