@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use commands::bench::bytes;
+use commands::bench::latency::arguments::bytes;
 use commands::bench::scheduling::SchedulingArguments;
 use console::output::folder;
 use hops::{BLOCK_BYTES, Contender, Payload, Policy};

@@ -120,12 +120,3 @@ pub fn warn_of_profile() {
         );
     }
 }
-
-/// A number of bytes like `4096`, `4k` or `1M`.
-pub fn bytes(text: &str) -> Option<usize> {
-    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
-        Some(digits) => (digits, 1 << 10),
-        None => text.strip_suffix(['m', 'M']).map_or((text, 1), |digits| (digits, 1 << 20)),
-    };
-    digits.parse::<usize>().ok()?.checked_mul(unit)
-}

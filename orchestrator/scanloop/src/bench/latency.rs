@@ -5,7 +5,7 @@
 //! the orchestrator records them as `run` does. What the figures are not: times of another machine, or of this one
 //! on another day. To compare two builds use `bench compare`.
 
-mod arguments;
+pub mod arguments;
 mod collector;
 pub mod echo;
 mod files;

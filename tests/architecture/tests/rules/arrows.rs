@@ -10,14 +10,16 @@ use crate::root;
 
 /// Crates by layer, the lowest first. A crate uses crates of lower layers only.
 const LAYERS: &[&[&str]] = &[
-    &["shared-types"],
+    &["shared-types", "figures"],
     &["runtime", "vehicle"],
-    &["emulator", "estimator", "obstacles"],
-    &["nmpc", "actuation"],
+    &["emulator", "estimator", "obstacles", "ocp", "console"],
+    &["nmpc", "actuation", "supervision", "handover", "audit"],
     &["pipeline", "calibration", "c-library"],
-    &["orchestrator"],
-    &["hops"],
-    &["scanloop-benches", "scanloop-tests", "dead-reckoning", "architecture"],
+    &["plan", "report"],
+    &["session", "conformance"],
+    &["scanloop", "hops"],
+    &["scanloop-bench"],
+    &["scanloop-tests", "dead-reckoning", "architecture"],
 ];
 
 fn layer(name: &str) -> Option<usize> {
