@@ -3,7 +3,7 @@
 //! Idea: scans that follow each other are alike, so whole blocks of them are drawn with replacement, each about as
 //! long as the square root of all, round the end. What varies from one such drawing to the next is what would vary
 //! from run to run. Assumption: the blocks are longer than what happens on a course; a difference that comes once per
-//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below [`MIN_VALUES`] there are none.
+//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below `MIN_VALUES` there are none.
 
 /// Fewer values say nothing of how much they vary.
 const MIN_VALUES: usize = 20;

@@ -4,7 +4,7 @@
 //! that finds an old one, and an orchestrator that ends for an error.
 //!
 //! 1. [`block`]: the stop word is latched; actuator and robot are woken (CONT), asked to end (TERM) when they do not
-//!    acknowledge, and the actuator is killed after [`KILL_AFTER_NS`], so that at last the dead man of the robot blocks.
+//!    acknowledge, and the actuator is killed after `KILL_AFTER_NS`, so that at last the dead man of the robot blocks.
 //! 2. [`finish`]: the orchestrator is given time to end its run itself. Then controller, obstacles and estimator end, then
 //!    the actuator, then the robot, at last an orchestrator that does not respond. A robot is killed only when it is
 //!    known to rest; otherwise it is left and named.
