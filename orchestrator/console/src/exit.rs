@@ -67,9 +67,9 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     }
 }
 
-/// Whether the machine, or a limit of this process, has no more of what was asked for: files, memory, room.
+/// Whether the machine, or a limit of this process, has no more files or memory to give.
 fn is_shortage(error: &std::io::Error) -> bool {
-    const SHORTAGES: [Errno; 4] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM, Errno::NOSPC];
+    const SHORTAGES: [Errno; 3] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM];
     Errno::from_io_error(error).is_some_and(|errno| SHORTAGES.contains(&errno))
 }
 
