@@ -378,6 +378,14 @@ pub fn system_file(rate_hz: u32, odd: &[Role], program: &str, arguments: &[&str]
     text
 }
 
+/// Whether this process, and so who is started by it, was started deaf to a signal.
+pub fn is_ignored(signal: rustix::process::Signal) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask & (1 << (signal.as_raw() - 1)) != 0
+}
+
 /// Gives the processor away between two looks at a condition.
 pub fn pause() {
     std::thread::park_timeout(Duration::from_millis(2));

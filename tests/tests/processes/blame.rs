@@ -4,7 +4,8 @@
 use audit::ledger::RefusedRow;
 use emulator::Outcome;
 use report::Report;
-use scanloop_tests::{System, system_file};
+use rustix::process::Signal;
+use scanloop_tests::{System, is_ignored, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -166,7 +167,9 @@ fn an_interrupt_at_any_moment_of_the_start_leaves_nothing() {
         while started.elapsed().as_micros() < delay_us {
             std::hint::spin_loop();
         }
-        system.signal(system.orchestrator(), rustix::process::Signal::INT);
+        // Who is started in the background of a script is started deaf to INT, until its handlers are there.
+        let signal = if is_ignored(Signal::INT) { Signal::TERM } else { Signal::INT };
+        system.signal(system.orchestrator(), signal);
         let status = system.wait();
         // Before the handlers are there the signal ends the process, which has made nothing yet.
         assert!(status.code() == Some(1) || status.code().is_none(), "{status}: {}", system.stderr());
