@@ -8,15 +8,12 @@ pub mod correction;
 pub mod frame;
 pub mod geometry;
 pub mod integrate;
-mod invalid;
 pub mod model;
 pub mod network;
 mod parameters;
-mod settings;
 mod state;
 
 pub use bounds::Bounds;
-pub use invalid::{Invalid, require};
+pub use key_table::{Ascending, Invalid, Setting, require, settings};
 pub use parameters::Parameters;
-pub use settings::Numeric;
 pub use state::{Control, State};
