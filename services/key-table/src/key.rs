@@ -1,8 +1,8 @@
 //! The keys of a table as data, for documentation and for checks.
 
+use serde::Serialize;
 use serde::de::value::Error;
 use serde::de::{DeserializeOwned, IntoDeserializer};
-use serde::Serialize;
 use toml::Value;
 
 use crate::rule::number;

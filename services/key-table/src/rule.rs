@@ -94,6 +94,16 @@ impl<T> Rule<T> for &'static str {
     }
 }
 
+impl<T> Rule<T> for String {
+    fn text(&self) -> String {
+        self.clone()
+    }
+
+    fn require(&self, _: &str, _: &T) -> Result<(), Invalid> {
+        Ok(())
+    }
+}
+
 /// Zero, or a number within the range.
 pub struct OrZero(pub RangeInclusive<f64>);
 

@@ -7,7 +7,7 @@
 
 use vehicle::State;
 
-use crate::config::Goal;
+use vehicle::Goal;
 
 /// What the position relative to the goal asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

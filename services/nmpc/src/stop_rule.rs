@@ -156,10 +156,11 @@ fn full_lock_curvature(scene: &Scene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, Goal, Track};
+    use crate::config::Config;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
+    use vehicle::{Goal, Track};
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };

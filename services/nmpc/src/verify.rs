@@ -81,10 +81,11 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, Goal, Track};
+    use crate::config::Config;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
+    use vehicle::{Goal, Track};
 
     struct Fixture {
         config: Config,

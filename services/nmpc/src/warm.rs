@@ -95,7 +95,7 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Goal;
+    use vehicle::Goal;
     use vehicle::State;
 
     #[test]

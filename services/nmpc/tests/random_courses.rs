@@ -9,10 +9,11 @@
 mod common;
 
 use common::{Body, Noise, body, print, print_head, run};
-use nmpc::{Config, Goal, Track};
+use nmpc::Config;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use vehicle::State;
+use vehicle::{Goal, Track};
 
 /// What a campaign varies.
 #[derive(Debug, Clone, Copy)]

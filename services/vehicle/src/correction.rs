@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::network::SteeringNetwork;
-use crate::{Control, Invalid, require};
+use crate::{Control, Invalid, Setting, require};
 
 /// Largest velocity that may be sent [m/s].
 pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
@@ -81,6 +81,16 @@ pub enum Calibration {
     Custom(CommandCorrection),
 }
 
+impl Setting for Calibration {
+    fn require_all(&self, name: &str) -> Result<(), Invalid> {
+        self.correction().validate().map_err(|error| error.within(name))
+    }
+
+    fn allowed() -> String {
+        "`\"default\"`, `\"identity\"`, `{ custom = { ... } }` from `scanloop calibrate`".to_owned()
+    }
+}
+
 impl Calibration {
     /// The correction behind the name.
     pub fn correction(&self) -> CommandCorrection {
@@ -97,14 +107,6 @@ impl Calibration {
             },
             Self::Custom(correction) => *correction,
         }
-    }
-
-    /// Passes when the correction can be used.
-    ///
-    /// # Errors
-    /// [`Invalid`] with the key, the value and what is allowed.
-    pub fn validate(&self) -> Result<(), Invalid> {
-        self.correction().validate()
     }
 }
 

@@ -12,8 +12,10 @@ pub mod model;
 pub mod network;
 mod parameters;
 mod state;
+mod track;
 
 pub use bounds::Bounds;
 pub use key_table::{Ascending, Invalid, Setting, require, settings};
 pub use parameters::Parameters;
 pub use state::{Control, State};
+pub use track::{Goal, Track};
