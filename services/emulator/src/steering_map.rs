@@ -21,6 +21,8 @@ pub enum SteeringMap {
     Identity,
 }
 
+impl vehicle::Setting for SteeringMap {}
+
 impl SteeringMap {
     /// Angle of the shaft that the angle `sent` gives [rad].
     pub fn realised(self, sent: f64) -> f64 {
