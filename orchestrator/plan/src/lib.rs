@@ -14,6 +14,7 @@ use emulator::Scenario;
 use runtime::{ClockKind, Domain, RunSettings};
 use supervision::realtime;
 use toml::{Table, Value};
+use vehicle::Setting;
 
 pub use system::System;
 
@@ -39,21 +40,6 @@ pub struct Choice {
 
 /// Scenario of a run without one.
 const DEFAULT_SCENARIO: &str = "corridor";
-
-/// Tables and keys that belong to the scenario; all others belong to the system.
-const SCENARIO_KEYS: [&str; 11] = [
-    "name",
-    "seed",
-    "timeout_s",
-    "stop_final_s",
-    "track",
-    "start",
-    "goal",
-    "obstacle",
-    "robot",
-    "noise",
-    "endless",
-];
 
 /// What is to be driven, checked.
 #[derive(Debug, Clone)]
@@ -81,7 +67,7 @@ impl Plan {
         for text in &choice.overrides {
             let (key, value) = overrides::parse_override(text)?;
             let first = key.split('.').next().unwrap_or_default();
-            let target = if SCENARIO_KEYS.contains(&first) { &mut scenario } else { &mut system };
+            let target = if is_of_scenario(first) { &mut scenario } else { &mut system };
             overrides::set(target, &key, value)?;
         }
         if let Some(seed) = choice.seed {
@@ -112,6 +98,11 @@ impl Plan {
         };
         settings::write(domain, &run, &system.realtime, scenario, &system.tuning().for_scenario(scenario))
     }
+}
+
+/// Whether a key or table belongs to the scenario; all others belong to the system.
+fn is_of_scenario(name: &str) -> bool {
+    Scenario::keys().iter().any(|key| key.name == name)
 }
 
 /// The table of a scenario file, or of a shipped scenario, and its name in messages.

@@ -5,47 +5,39 @@ use std::path::Path;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use pipeline::Tuning;
-use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, Setting, require, settings};
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
 
-/// A checked system file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct System {
-    /// Scans per second, 0.5 to 1000 [Hz].
-    #[serde(default = "default_rate")]
-    pub rate_hz: f64,
-    /// How long processes go on when no orchestrator speaks to them, 1 to 3600 [s].
-    #[serde(default = "default_orphan_timeout")]
-    pub orphan_timeout_s: f64,
-    /// How long the wheels may turn without a directive, 0.5 to `orphan_timeout_s` [s].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub orphan_stop_s: Option<f64>,
-    /// What is asked of the machine.
-    #[serde(default)]
-    pub realtime: runtime::Realtime,
-    /// One entry per role.
-    #[serde(rename = "process", default)]
-    pub processes: Vec<ProcessEntry>,
-    /// Settings of the estimator.
-    #[serde(default)]
-    pub estimator: estimator::Config,
-    /// Settings of the obstacle description.
-    #[serde(default)]
-    pub obstacles: obstacles::Config,
-    /// Settings of the controller.
-    #[serde(default)]
-    pub controller: nmpc::Config,
-    /// Settings of the actuator.
-    #[serde(default)]
-    pub actuator: actuation::Config,
+settings! {
+    /// A checked system file.
+    pub struct System {
+        /// Scans per second [Hz].
+        pub rate_hz: f64 = 10.0, 0.5..=1000.0;
+        /// All processes end when no directive of an orchestrator has come for this long [s].
+        pub orphan_timeout_s: f64 = 30.0, 1.0..=3600.0;
+        /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
+        /// `orphan_timeout_s` if that is less [s].
+        pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
+        /// Processors, scheduling, idle states and memory; the defaults need no privilege.
+        pub realtime: runtime::Realtime = runtime::Realtime::default();
+        /// One table for each role.
+        #[serde(rename = "process")]
+        pub processes: Vec<ProcessEntry> = Vec::new();
+        /// The estimator.
+        pub estimator: estimator::Config = estimator::Config::default();
+        /// The obstacle detector.
+        pub obstacles: obstacles::Config = obstacles::Config::default();
+        /// The controller.
+        pub controller: nmpc::Config = nmpc::Config::default();
+        /// The actuator.
+        pub actuator: actuation::Config = actuation::Config::default();
+    }
 }
 
 impl System {
@@ -54,21 +46,11 @@ impl System {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
-        let known = [
-            "rate_hz",
-            "orphan_timeout_s",
-            "orphan_stop_s",
-            "realtime",
-            "process",
-            "estimator",
-            "obstacles",
-            "controller",
-            "actuator",
-        ];
+        let known: Vec<&str> = Self::keys().iter().map(|key| key.name).collect();
         if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
-            let known = known.map(|key| format!("`{key}`")).join(", ");
             return Err(Failure::bad_input(format!(
-                "{file}: {key}: the key is unknown, expected one of {known}"
+                "{file}: {key}: the key is unknown, expected one of `{}`",
+                known.join("`, `")
             )));
         }
         let shown = table.clone();
@@ -131,8 +113,7 @@ impl System {
     }
 
     fn validate(&self) -> Result<(), Invalid> {
-        require("rate_hz", self.rate_hz, 0.5..=1000.0)?;
-        require("orphan_timeout_s", self.orphan_timeout_s, 1.0..=3600.0)?;
+        self.require_ranges()?;
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
@@ -174,18 +155,10 @@ fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
     (!value.is_table() && !value.is_array()).then_some(value)
 }
 
-fn default_rate() -> f64 {
-    10.0
-}
-
 /// Directives come ten times a second, and a busy machine may hold them up.
 const MIN_ORPHAN_STOP_S: f64 = 0.5;
 /// A robot without supervision drives on for this time at most [s].
 const ORPHAN_STOP_S: f64 = 5.0;
-
-fn default_orphan_timeout() -> f64 {
-    30.0
-}
 
 #[cfg(test)]
 mod tests {
