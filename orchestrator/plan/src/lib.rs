@@ -2,6 +2,7 @@
 
 pub mod calibration_file;
 pub mod overrides;
+pub mod reference;
 pub mod settings;
 pub mod system;
 
@@ -21,19 +22,22 @@ pub use system::System;
 /// Arguments that choose and change a scenario and a system.
 #[derive(Debug, Args, Clone, Default)]
 pub struct Choice {
-    /// The process table, a TOML file; without it the built-in one.
+    /// System file; without it the built-in one.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
-    /// A calibration file from `scanloop calibrate`; what it has replaces the system's calibration.
+    /// Calibration file from `scanloop calibrate`; its values replace the calibration of the system.
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Add the real-time profile to the system: one processor, SCHED_FIFO, no idle states, locked memory.
+    /// Add the real-time profile to the system: one processor, SCHED_FIFO, no idle states, locked memory (docs/tuning.md).
     #[arg(long)]
     pub realtime: bool,
     /// Seed of all random numbers of the scenario.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Override a value of the scenario or the system, for example `robot.velocity_factor=1.3`.
+    /// Override a key of the scenario or the system, for example `robot.velocity_factor=1.3`; may be repeated.
+    ///
+    /// `scanloop reference` lists the keys. Elements of a list are named by index or role: `obstacle.0.x_m=6`,
+    /// `process.controller.grace_ms=500`.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
 }

@@ -17,7 +17,7 @@ pub struct Key {
     pub doc: &'static str,
     /// Its default as TOML; empty where there is none.
     pub default: String,
-    /// What is allowed, in words; empty where the type alone says it.
+    /// What is allowed, in words; empty where the type alone says it, or a rule for the table around it.
     pub allowed: String,
     /// Keys of the table that it names; none for a value.
     pub keys: Vec<Self>,
@@ -33,8 +33,11 @@ impl Key {
     ) -> Self {
         let texts = std::iter::once(T::allowed()).chain(rules.iter().map(|rule| rule.text()));
         let allowed: Vec<String> = texts.filter(|text| !text.is_empty()).collect();
-        let default = Value::try_from(default).map_or_else(|_| String::new(), |value| value_text(&value));
-        Self { name, doc: doc.trim(), default, allowed: allowed.join("; "), keys: T::keys() }
+        let mut keys = T::keys();
+        if !rules.is_empty() {
+            keys.iter_mut().for_each(|key| key.allowed.clear());
+        }
+        Self { name, doc: doc.trim(), default: toml_text(default), allowed: allowed.join("; "), keys }
     }
 
     /// Whether it is a list of tables, `[[name]]`.
@@ -128,6 +131,11 @@ impl<T: Setting> Setting for Option<T> {
 fn names(message: &str) -> String {
     let names = message.split('`').skip(3).step_by(2);
     names.map(|name| format!("`\"{name}\"`")).collect::<Vec<_>>().join(", ")
+}
+
+/// A value as short as TOML allows; empty for none.
+pub fn toml_text(value: &impl Serialize) -> String {
+    Value::try_from(value).map_or_else(|_| String::new(), |value| value_text(&value))
 }
 
 fn value_text(value: &Value) -> String {

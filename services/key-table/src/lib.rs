@@ -9,5 +9,5 @@ mod rule;
 mod settings;
 
 pub use invalid::{Invalid, require};
-pub use key::{Key, Setting, require_key};
+pub use key::{Key, Setting, require_key, toml_text};
 pub use rule::{Ascending, Numeric, OrZero, Rule};

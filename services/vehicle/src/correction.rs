@@ -234,17 +234,17 @@ mod tests {
     fn unusable_corrections_are_refused() {
         let mut correction = Calibration::Default.correction();
         correction.velocity_factor = f64::NAN;
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "velocity_factor");
+        assert_eq!(correction.validate().unwrap_err().key, "velocity_factor");
         let network = SteeringNetwork { output_bias: f64::INFINITY, ..SHIPPED_NETWORK };
         let correction = CommandCorrection {
             velocity_factor: 1.0,
             steering: SteeringCorrection::Network(network),
             play_rad: 0.0,
         };
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "steering");
+        assert_eq!(correction.validate().unwrap_err().key, "steering");
         let correction = CommandCorrection { play_rad: 0.06, ..Calibration::Default.correction() };
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "play_rad");
-        assert_eq!(Calibration::Default.validate(), Ok(()));
+        assert_eq!(correction.validate().unwrap_err().key, "play_rad");
+        assert_eq!(Calibration::Default.correction().validate(), Ok(()));
     }
 
     proptest! {
