@@ -7,6 +7,7 @@ mod campaign;
 mod check;
 pub mod cli;
 mod live_latency;
+mod reference;
 mod service;
 pub mod shadow;
 mod status;
@@ -99,6 +100,10 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
+        }
+        Command::Reference(arguments) => {
+            data(&reference::print(arguments)?)?;
+            Ok(Exit::Done)
         }
         Command::Types(arguments) => {
             data(&types::print(arguments))?;
