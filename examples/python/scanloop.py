@@ -374,7 +374,7 @@ class Process:
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
     def settings(self, name=None):
-        """The settings of the role, docs/settings.md, as a dict with all keys; the robot's are the scenario."""
+        """The settings of the role, docs/system-file.md, as a dict with all keys; the robot's are the scenario."""
         own = "scenario" if self.role == Role.ROBOT else self.role.name.lower()
         return self._settings.get(name or own, {})
 

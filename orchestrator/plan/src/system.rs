@@ -29,13 +29,13 @@ settings! {
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();
-        /// The estimator.
+        /// Settings of the estimator: measured states, noise, odometry correction and prediction.
         pub estimator: estimator::Config = estimator::Config::default();
-        /// The obstacle detector.
+        /// Settings of the obstacle detector: walls, ellipses, noise and memory.
         pub obstacles: obstacles::Config = obstacles::Config::default();
-        /// The controller.
+        /// Settings of the controller: body, horizon, velocities and time limits.
         pub controller: nmpc::Config = nmpc::Config::default();
-        /// The actuator.
+        /// Settings of the actuator: calibration, limits and timeouts.
         pub actuator: actuation::Config = actuation::Config::default();
     }
 }

@@ -19,7 +19,7 @@ use crate::types::TypesArguments;
 pub(crate) const EXIT_CODES: &str = "\
 Exit codes:
   0  the command did what it was asked to do; for `run`: the goal was reached
-  1  the run ended without reaching the goal (missed, timeout, stopped, interrupted), or the answer is no
+  1  the run ended without reaching the goal (missed, timeout, stopped, interrupted), or a check failed
   2  wrong usage or a bad file; the message names file, key, value and what is allowed
   3  collision
   4  a process could not be started or kept running, or shared memory does not suffice
@@ -80,6 +80,7 @@ pub enum Command {
     /// takes over again if the new one fails. Exit code 1 if the swap was refused or rolled back. JSON keys: `role`,
     /// `from`, `to`, `shadow_scans`, `last_scan_old`, `first_scan_new`, `missed_scans`, `duplicate_scans`,
     /// `command_jump_rad`, `command_jump_mps`, `outcome` (`swapped`, `refused`, `rolled_back`), `reason`.
+    #[command(override_usage = "scanloop swap [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Swap(SwapArguments),
     /// Test whether a program, in any language, can fill a role.
     ///
@@ -96,6 +97,7 @@ pub enum Command {
     /// `outcome` (`completed`, `interrupted`, `run_ended`, `died`, `silent`), `reason`, `scans`, `answered`,
     /// `answered_share`, `late`, `invalid`, `repeated`, `compared`, `kind_differs`, `differences`, `reaction_ms`,
     /// `compute_ms`.
+    #[command(override_usage = "scanloop shadow [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
@@ -136,7 +138,7 @@ pub enum Command {
     /// List the keys of scenario and system files with default, allowed values and meaning.
     ///
     /// `scanloop reference steering` lists the keys with `steering` in their name or meaning, named as `--set` takes them.
-    /// `0` counts the tables of a list, as in `obstacle.0.x_m`.
+    /// `0` is the first table of a list, as in `obstacle.0.x_m`.
     Reference(ReferenceArguments),
 }
 

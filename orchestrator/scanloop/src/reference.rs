@@ -69,7 +69,7 @@ fn sections(text: &mut String, parent: &Command) {
             sections(text, command);
             continue;
         }
-        let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
+        let about = command.get_long_about().or(command.get_about()).map(|about| sentence(about.to_string()));
         let usage = command.clone().render_usage().to_string().replace("Usage: ", "");
         let _ = writeln!(
             text,
@@ -99,18 +99,20 @@ fn name(arg: &Arg) -> String {
     let aliases = arg.get_visible_aliases().unwrap_or_default();
     let others = arg.get_short().map(|short| format!("-{short}")).into_iter();
     let others = others.chain(aliases.iter().map(|alias| format!("--{alias}")));
-    others.fold(arg.to_string(), |names, other| format!("{names}, {other}"))
+    let dashes = if arg.is_last_set() { "-- " } else { "" };
+    others.fold(format!("{dashes}{arg}"), |names, other| format!("{names}, {other}"))
 }
 
 fn default(arg: &Arg) -> String {
-    let values = arg.get_default_values().iter().map(|value| format!("`{}`", value.to_string_lossy()));
+    let values = arg.get_default_values().iter().filter(|value| !value.is_empty());
+    let values = values.map(|value| format!("`{}`", value.to_string_lossy()));
     if arg.get_action().takes_values() { values.collect::<Vec<_>>().join(", ") } else { String::new() }
 }
 
 /// Its help in one cell, with the values that it takes.
 fn meaning(arg: &Arg) -> String {
     let help = arg.get_long_help().or(arg.get_help()).map(ToString::to_string).unwrap_or_default();
-    let mut text = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut text = sentence(help.split_whitespace().collect::<Vec<_>>().join(" "));
     let values = arg.get_possible_values();
     let values: Vec<&PossibleValue> = values.iter().filter(|_| arg.get_action().takes_values()).collect();
     for (index, value) in values.iter().enumerate() {
@@ -121,6 +123,11 @@ fn meaning(arg: &Arg) -> String {
         }
     }
     text.replace('|', "\\|")
+}
+
+/// The text with the full stop that clap takes away.
+fn sentence(text: String) -> String {
+    if text.ends_with('.') { text } else { text + "." }
 }
 
 #[cfg(test)]

@@ -16,7 +16,8 @@ settings! {
         pub implementation: Option<String> = None, implementations();
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
-        /// When a process that ended is started again; the robot never is.
+        /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
+        /// never started again.
         pub restart: Restart = Restart::OnFailure;
         /// The run ends when the process ends this often before its first output.
         pub start_limit: u32 = 3, 1.0..=100.0;

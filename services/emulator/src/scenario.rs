@@ -38,16 +38,16 @@ settings! {
         pub timeout_s: f64 = 60.0, 0.1..=1e6;
         /// The run ends as `stopped` after the wheels were blocked continuously for this long [s].
         pub stop_final_s: f64 = 5.0, 0.1..=1e6;
-        /// The track.
+        /// Bounds of the track, and whether it has walls.
         pub track: Track = Track::default();
-        /// Pose at the start.
+        /// Pose of the robot at the start.
         pub start: Start = Start::default();
         /// Where to land.
         pub goal: Goal = Goal::default();
         /// One table for each obstacle.
         #[serde(rename = "obstacle")]
         pub obstacles: Vec<Obstacle> = Vec::new();
-        /// With this table the seed places boxes along the whole track.
+        /// With this table the seed places boxes along the whole track, in addition to the obstacles above.
         pub endless: Option<Endless> = None;
         /// Body and imperfections of the emulated robot.
         pub robot: Robot = Robot::default();

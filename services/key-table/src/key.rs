@@ -133,7 +133,7 @@ fn names(message: &str) -> String {
     names.map(|name| format!("`\"{name}\"`")).collect::<Vec<_>>().join(", ")
 }
 
-/// A value as short as TOML allows; empty for none.
+/// A value as short as TOML allows; empty for none and for an empty text.
 pub fn toml_text(value: &impl Serialize) -> String {
     Value::try_from(value).map_or_else(|_| String::new(), |value| value_text(&value))
 }
@@ -143,6 +143,7 @@ fn value_text(value: &Value) -> String {
         Value::Float(value) if value.fract() == 0.0 && value.abs() < 1e5 => format!("{value:.1}"),
         Value::Float(value) => number(*value),
         Value::Array(values) => format!("[{}]", values.iter().map(value_text).collect::<Vec<_>>().join(", ")),
+        Value::String(text) if text.is_empty() => String::new(),
         value => value.to_string(),
     }
 }
