@@ -126,11 +126,11 @@ impl ReferencePath {
     }
 
     /// Side on which the path passes the hazard; `None` when it does not get there.
-    pub(crate) fn side_of(&self, predicted_obstacle: &PredictedObstacle) -> Option<Passing> {
+    pub(crate) fn side_of(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
             let t = index as f64 * self.step / self.speed;
-            let [centre_x, centre_y] = predicted_obstacle.centre_at(t);
+            let [centre_x, centre_y] = obstacle.centre_at(t);
             let after = position - centre_x;
             if before < 0.0 && after >= 0.0 {
                 let share = -before / (after - before);
