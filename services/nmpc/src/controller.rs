@@ -70,7 +70,7 @@ impl Controller {
         })
     }
 
-    /// What a restarted controller goes on from.
+    /// State that a successor continues from.
     pub fn state(&self) -> ControllerState {
         ControllerState { sides: *self.sides.entries(), ..self.state }
     }

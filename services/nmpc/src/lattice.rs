@@ -341,9 +341,9 @@ mod tests {
 
     #[test]
     fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
-        let pair = [obstacle_at(1, 4.5, 0.75, 0.7), obstacle(2, 4.5, -0.75, 0.7)];
+        let pair = [obstacle_at(1, 4.5, 0.75, 0.7), obstacle_at(2, 4.5, -0.75, 0.7)];
         assert!(find(State::default(), &pair, &Sides::default()).clear);
-        let closed = [obstacle_at(1, 4.5, 0.7, 0.85), obstacle(2, 4.5, -0.7, 0.85)];
+        let closed = [obstacle_at(1, 4.5, 0.7, 0.85), obstacle_at(2, 4.5, -0.7, 0.85)];
         assert!(!find(State::default(), &closed, &Sides::default()).clear);
     }
 

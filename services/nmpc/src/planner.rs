@@ -167,7 +167,7 @@ impl Planner {
         if self.controls.is_empty() {
             return false;
         }
-        // A plan that was cut at the goal goes on with its last control.
+        // A plan that was cut at the goal continues with its last control.
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);

@@ -106,7 +106,7 @@ impl ReferencePath {
         (self.start_x, self.step, self.speed, self.clear) = (start_x, 1.0, speed, true);
     }
 
-    /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind the end the path goes on along x.
+    /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind its end the path continues along x.
     pub(crate) fn at(&self, x: f64) -> (f64, f64, f64) {
         let Some(&end) = self.y.last() else { return (0.0, 0.0, 0.0) };
         let (along, last) = ((x - self.start_x) / self.step, self.y.len() - 1);
