@@ -122,9 +122,6 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
             (text, name.to_owned())
         }
     };
-    let table = text.parse::<Table>().map_err(|error| {
-        let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        Failure::bad_input(format!("{file}: line {line}: {}", error.message().replace('\n', ", ")))
-    })?;
+    let table = vehicle::parse(&text).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
     Ok((table, file))
 }

@@ -7,13 +7,16 @@ use vehicle::{Invalid, settings};
 
 use crate::supervisor::{ProcessPolicy, Restart};
 
+/// What the key `role` may be.
+const ROLES: &str = "one of robot, estimator, obstacles, controller, actuator";
+
 settings! {
     /// One process of the system.
     pub struct ProcessEntry {
         /// Role that the process fills.
-        pub role: String = String::new(), format!("{}; must be given", names(Role::ALL.iter().map(|role| role.name())));
+        pub role: String = String::new(), (ROLES, "must be given");
         /// Built-in implementation that fills the role; it needs this or `command`.
-        pub implementation: Option<String> = None, implementations();
+        pub implementation: Option<String> = None, "emulator, ekf, ellipses, nmpc or actuation, in the order of the roles";
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
         /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
@@ -89,7 +92,7 @@ impl ProcessEntry {
     pub fn validate(&self) -> Result<(), Invalid> {
         let role: Role = self.role.parse().map_err(|_| {
             let given = if self.role.is_empty() { "(missing)" } else { &self.role };
-            Invalid::new("role", given, "one of robot, estimator, obstacles, controller, actuator")
+            Invalid::new("role", given, ROLES)
         })?;
         match (&self.implementation, &self.command) {
             (Some(name), None) => {
@@ -115,13 +118,4 @@ impl ProcessEntry {
         }
         self.require_ranges()
     }
-}
-
-/// Names in code style, with commas.
-fn names<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    names.map(|name| format!("`\"{name}\"`")).collect::<Vec<_>>().join(", ")
-}
-
-fn implementations() -> String {
-    format!("{}, in the order of the roles", names(IMPLEMENTATIONS.iter().map(|(name, _)| *name)))
 }

@@ -79,6 +79,9 @@ pub fn add_profile(system: &mut Table) {
 /// The first value that is not allowed, with what is.
 pub fn validate(realtime: &Realtime) -> Result<(), Invalid> {
     realtime.require_ranges()?;
+    if realtime.slice_us > 0 {
+        require("slice_us", realtime.slice_us as f64, 100.0..=100_000.0)?;
+    }
     if realtime.poll_us > 0 && realtime.cpu.len() == 1 {
         let allowed =
             "0 with one processor in `cpu`: who looks there keeps the one it waits for from running";

@@ -83,11 +83,8 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
-        let table = toml::from_str::<toml::Table>(text).map_err(|error| {
-            let line = error.span().map_or(1, |span| read::line_of(text, span.start));
-            let message = format!("line {line}: {}", error.message().replace('\n', ", "));
-            ScenarioError::Syntax { file: file.to_owned(), message }
-        })?;
+        let table = vehicle::parse(text)
+            .map_err(|message| ScenarioError::Syntax { file: file.to_owned(), message })?;
         Self::from_table(table, file)
     }
 

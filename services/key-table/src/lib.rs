@@ -5,9 +5,11 @@
 
 mod invalid;
 mod key;
+mod read;
 mod rule;
 mod settings;
 
 pub use invalid::{Invalid, require};
 pub use key::{Key, Setting, require_key, toml_text};
-pub use rule::{Ascending, Numeric, OrZero, Rule};
+pub use read::{parse, read};
+pub use rule::{Ascending, Numeric, Rule};

@@ -25,28 +25,21 @@ macro_rules! numeric {
 }
 numeric!(f64, u32, u64, usize);
 
-impl<T: Numeric, const N: usize> Numeric for [T; N] {
-    const EACH: &'static str = " each";
+macro_rules! several {
+    ($($type:ty, $each:expr, ($($generics:tt)*);)*) => {
+        $(impl<$($generics)*> Numeric for $type {
+            const EACH: &'static str = $each;
 
-    fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.iter().flat_map(Numeric::numbers)
-    }
+            fn numbers(&self) -> impl Iterator<Item = f64> {
+                self.iter().flat_map(Numeric::numbers)
+            }
+        })*
+    };
 }
-
-impl<T: Numeric> Numeric for Vec<T> {
-    const EACH: &'static str = " each";
-
-    fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.iter().flat_map(Numeric::numbers)
-    }
-}
-
-impl<T: Numeric> Numeric for Option<T> {
-    const EACH: &'static str = T::EACH;
-
-    fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.iter().flat_map(Numeric::numbers)
-    }
+several! {
+    [T; N], " each", (T: Numeric, const N: usize);
+    Vec<T>, " each", (T: Numeric);
+    Option<T>, T::EACH, (T: Numeric);
 }
 
 /// What is allowed for a key with values of type `T`.
@@ -104,22 +97,6 @@ impl<T> Rule<T> for String {
     }
 }
 
-/// Zero, or a number within the range.
-pub struct OrZero(pub RangeInclusive<f64>);
-
-impl<T: Numeric> Rule<T> for OrZero {
-    fn text(&self) -> String {
-        format!("0, or {}", Rule::<T>::text(&self.0))
-    }
-
-    fn require(&self, key: &str, value: &T) -> Result<(), Invalid> {
-        value
-            .numbers()
-            .filter(|number| *number != 0.0)
-            .try_for_each(|number| require(key, number, self.0.clone()))
-    }
-}
-
 /// Two different numbers within the range, in ascending order.
 pub struct Ascending(pub RangeInclusive<f64>);
 
@@ -155,14 +132,6 @@ mod tests {
 
     fn refusal<T>(rule: &impl Rule<T>, value: T) -> String {
         rule.require("key", &value).map_or_else(|error| error.to_string(), |()| String::new())
-    }
-
-    #[test]
-    fn zero_may_stand_outside_of_a_range() {
-        let rule = OrZero(100.0..=1e6);
-        assert_eq!(Rule::<u64>::text(&rule), "0, or 100 to 1e6");
-        assert_eq!((refusal(&rule, 0_u64), refusal(&rule, 100_u64)), (String::new(), String::new()));
-        assert_eq!(refusal(&rule, 99_u64), "key = 99 is not allowed: 100 to 1000000");
     }
 
     #[test]

@@ -9,7 +9,7 @@
 
 use std::num::NonZeroU64;
 
-use key_table::{OrZero, Setting, settings};
+use key_table::{Setting, settings};
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity, set_current_timer_slack};
@@ -52,7 +52,7 @@ settings! {
         /// Time slice that a process with `other` requests; 0 for the kernel's default [us]. The kernel lets a process with
         /// a short slice run first when it wakes.
         // 100 us is the smallest that the kernel grants.
-        pub slice_us: u64 = 100, OrZero(100.0..=100_000.0);
+        pub slice_us: u64 = 100, (0.0..=100_000.0, "0 or at least 100");
     }
 }
 

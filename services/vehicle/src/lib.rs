@@ -15,7 +15,7 @@ mod state;
 mod track;
 
 pub use bounds::Bounds;
-pub use key_table::{Ascending, Invalid, Key, Setting, require, settings, toml_text};
+pub use key_table::{Ascending, Invalid, Key, Setting, parse, read, require, settings, toml_text};
 pub use parameters::Parameters;
 pub use state::{Control, State};
 pub use track::{Goal, Track};
