@@ -122,6 +122,5 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
             (text, name.to_owned())
         }
     };
-    let table = vehicle::parse(&text).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
-    Ok((table, file))
+    system::table_of(&text, file)
 }

@@ -57,19 +57,10 @@ impl System {
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
     pub fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
-        let (text, name) = match file {
-            None => (BUILT_IN.to_owned(), "built-in system".to_owned()),
-            Some(path) => {
-                let name = path.display().to_string();
-                (
-                    user_file::read(path, TEXT_BYTES)
-                        .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?,
-                    name,
-                )
-            }
-        };
-        let table = parse(&text).map_err(|error| Failure::bad_input(format!("{name}: {error}")))?;
-        Ok((table, name))
+        let Some(path) = file else { return table_of(BUILT_IN, "built-in system".to_owned()) };
+        let name = path.display().to_string();
+        let text = user_file::read(path, TEXT_BYTES);
+        table_of(&text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?, name)
     }
 
     /// How long the wheels may turn without a directive [s].
@@ -123,6 +114,17 @@ impl System {
             }
         }
         self.tuning().validate()
+    }
+}
+
+/// The table in the text of a file, with the name of the file.
+///
+/// # Errors
+/// A message with the file, and the line where the text is no TOML; exit code 2.
+pub(crate) fn table_of(text: &str, file: String) -> anyhow::Result<(Table, String)> {
+    match parse(text) {
+        Ok(table) => Ok((table, file)),
+        Err(error) => Err(Failure::bad_input(format!("{file}: {error}"))),
     }
 }
 

@@ -91,23 +91,19 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
-        Command::Topic(TopicCommand::List) => {
-            data(&topic::list())?;
-            Ok(Exit::Done)
-        }
+        Command::Topic(TopicCommand::List) => print(&topic::list()),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
-        Command::Reference(arguments) => {
-            data(&reference::print(arguments)?)?;
-            Ok(Exit::Done)
-        }
-        Command::Types(arguments) => {
-            data(&types::print(arguments))?;
-            Ok(Exit::Done)
-        }
+        Command::Reference(arguments) => print(&reference::text(arguments)?),
+        Command::Types(arguments) => print(&types::print(arguments)),
     }
+}
+
+/// Prints what a command was asked for.
+fn print(text: &str) -> anyhow::Result<Exit> {
+    data(text).map(|_| Exit::Done)
 }

@@ -35,7 +35,7 @@ pub struct ReferenceArguments {
 ///
 /// # Errors
 /// A text that no key contains; exit code 2.
-pub(crate) fn print(arguments: &ReferenceArguments) -> anyhow::Result<String> {
+pub(crate) fn text(arguments: &ReferenceArguments) -> anyhow::Result<String> {
     match arguments.page {
         Some(Page::Scenario) => Ok(scenario_page()),
         Some(Page::System) => Ok(system_page()),
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn a_text_that_no_key_has_is_refused() {
         let arguments = |text: &str| ReferenceArguments { text: text.to_owned(), page: None };
-        assert!(print(&arguments("wheelbase")).unwrap_err().to_string().starts_with("wheelbase: no key"));
-        assert!(print(&arguments("")).unwrap().lines().count() > 200);
+        assert!(text(&arguments("wheelbase")).unwrap_err().to_string().starts_with("wheelbase: no key"));
+        assert!(text(&arguments("")).unwrap().lines().count() > 200);
     }
 }

@@ -58,23 +58,12 @@ settings! {
 
 /// Why a scenario can't be driven.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ScenarioError {
-    /// The text is no TOML.
-    #[error("{file}: {message}")]
-    Syntax {
-        /// Name of the file.
-        file: String,
-        /// What the parser says, with the line.
-        message: String,
-    },
-    /// A key holds what it may not hold, does not exist, or is missing.
-    #[error("{file}: {invalid}")]
-    Invalid {
-        /// Name of the file.
-        file: String,
-        /// Key, value and allowed range.
-        invalid: Invalid,
-    },
+#[error("{file}: {message}")]
+pub struct ScenarioError {
+    /// Name of the file.
+    pub file: String,
+    /// Key, value and what is allowed, or what the parser reports, with the line.
+    pub message: String,
 }
 
 impl Scenario {
@@ -83,8 +72,8 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
-        let table = vehicle::parse(text)
-            .map_err(|message| ScenarioError::Syntax { file: file.to_owned(), message })?;
+        let table =
+            vehicle::parse(text).map_err(|message| ScenarioError { file: file.to_owned(), message })?;
         Self::from_table(table, file)
     }
 
@@ -93,9 +82,10 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn from_table(table: toml::Table, file: &str) -> Result<Self, ScenarioError> {
-        read::scenario(table)
-            .and_then(|scenario| scenario.validate().map(|()| scenario))
-            .map_err(|invalid| ScenarioError::Invalid { file: file.to_owned(), invalid })
+        let refuse = |invalid: Invalid| ScenarioError { file: file.to_owned(), message: invalid.to_string() };
+        let scenario = read::scenario(table).map_err(refuse)?;
+        scenario.validate().map_err(refuse)?;
+        Ok(scenario)
     }
 
     /// Text of a shipped scenario.

@@ -79,25 +79,13 @@ pub fn require_key<T: Setting>(name: &str, value: &T, rules: &[&dyn Rule<T>]) ->
     rules.iter().try_for_each(|rule| rule.require(name, value))
 }
 
-macro_rules! plain {
-    ($($type:ty: $allowed:literal),*) => {
-        $(impl Setting for $type {
-            fn allowed() -> String {
-                $allowed.to_owned()
-            }
-        })*
-    };
-}
-plain!(f64: "", u32: "", u64: "", usize: "", String: "", bool: "`true`, `false`");
-
-impl<const N: usize> Setting for [f64; N]
-where
-    Self: DeserializeOwned,
-{
-    fn allowed() -> String {
-        String::new()
-    }
-}
+impl Setting for bool {}
+impl Setting for f64 {}
+impl Setting for u32 {}
+impl Setting for u64 {}
+impl Setting for usize {}
+impl Setting for String {}
+impl<const N: usize> Setting for [f64; N] where Self: DeserializeOwned {}
 
 impl<T: Setting> Setting for Vec<T> {
     fn require_all(&self, name: &str) -> Result<(), Invalid> {

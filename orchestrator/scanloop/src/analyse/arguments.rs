@@ -55,7 +55,7 @@ pub struct DriftArguments {
 #[derive(Debug, Args)]
 pub struct ObservabilityArguments {
     /// Measured states, separated by commas.
-    #[arg(long, value_name = "STATES", value_delimiter = ',', default_value = "yaw,x,y", value_parser = measured())]
+    #[arg(long, value_name = "STATES", value_delimiter = ',', default_value = "yaw,x,y", value_parser = one_of(&STATES))]
     pub measure: Vec<Measured>,
     /// Assume that the robot moves (the default).
     #[arg(long, conflicts_with = "standing")]
@@ -90,7 +90,7 @@ pub struct CorrelationArguments {
     #[arg(long, value_name = "N", default_value_t = 6)]
     pub n: usize,
     /// Collocation scheme whose own angles are printed together with those of the model.
-    #[arg(long, value_name = "SCHEME", default_value = "radau-3", value_parser = scheme())]
+    #[arg(long, value_name = "SCHEME", default_value = "radau-3", value_parser = one_of(&SCHEMES))]
     pub scheme: Scheme,
     /// Where the answer goes.
     #[command(flatten)]
@@ -107,19 +107,19 @@ pub struct IntervalsArguments {
     #[arg(long, value_name = "ERROR", default_value_t = 2.5e-4, allow_negative_numbers = true)]
     pub tol: f64,
     /// Collocation scheme.
-    #[arg(long, value_name = "SCHEME", default_value = "gauss-2", value_parser = scheme())]
+    #[arg(long, value_name = "SCHEME", default_value = "gauss-2", value_parser = one_of(&SCHEMES))]
     pub scheme: Scheme,
     /// Error measure: position or all states at the ends of the intervals, or position also inside the intervals.
-    #[arg(long, value_name = "ERROR", default_value = "position-ends", value_parser = error())]
+    #[arg(long, value_name = "ERROR", default_value = "position-ends", value_parser = one_of(&ERRORS))]
     pub error: ErrorMeasure,
     /// Admissible controls: constant over the horizon, or one value per interval.
-    #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = controls())]
+    #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = one_of(&FAMILIES))]
     pub controls: Family,
     /// Find the longest horizon for this number of intervals instead, 1 to 40 (10 if piecewise or free).
     #[arg(long, value_name = "N")]
     pub n: Option<usize>,
     /// Lengths of the intervals: equal, or chosen for a small error.
-    #[arg(long, value_name = "GRID", default_value = "uniform", value_parser = grid())]
+    #[arg(long, value_name = "GRID", default_value = "uniform", value_parser = one_of(&GRIDS))]
     pub grid: Grid,
     /// Largest number of intervals that is tried, 1 to 40 (10 if piecewise or free); default 24 (10).
     #[arg(long, value_name = "N", conflicts_with = "n")]
@@ -169,24 +169,4 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     PossibleValuesParser::new(names.iter().map(|(name, _)| *name)).try_map(move |text| {
         names.iter().find(|(name, _)| *name == text).map(|(_, value)| *value).ok_or("not a name of the list")
     })
-}
-
-fn measured() -> impl TypedValueParser<Value = Measured> {
-    one_of(&STATES)
-}
-
-fn scheme() -> impl TypedValueParser<Value = Scheme> {
-    one_of(&SCHEMES)
-}
-
-fn error() -> impl TypedValueParser<Value = ErrorMeasure> {
-    one_of(&ERRORS)
-}
-
-fn controls() -> impl TypedValueParser<Value = Family> {
-    one_of(&FAMILIES)
-}
-
-fn grid() -> impl TypedValueParser<Value = Grid> {
-    one_of(&GRIDS)
 }

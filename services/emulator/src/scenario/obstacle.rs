@@ -195,28 +195,25 @@ impl TryFrom<ObstacleFile> for Obstacle {
 
 impl From<Obstacle> for ObstacleFile {
     fn from(obstacle: Obstacle) -> Self {
-        let Obstacle { appears_ahead_m, disappears_s, .. } = obstacle;
-        let base = Self {
+        let (shape, [radius_m, length_m, width_m, yaw_rad]) = match obstacle.shape {
+            Shape::Circle { radius_m } => (ShapeName::Circle, [Some(radius_m), None, None, None]),
+            Shape::Box { length_m, width_m, yaw_rad } => {
+                (ShapeName::Box, [None, Some(length_m), Some(width_m), Some(yaw_rad)])
+            }
+        };
+        Self {
+            shape: Some(shape),
             x_m: Some(obstacle.x_m),
             y_m: Some(obstacle.y_m),
-            appears_s: appears_ahead_m.is_none().then_some(obstacle.appears_s),
-            appears_ahead_m,
-            disappears_s,
+            radius_m,
+            length_m,
+            width_m,
+            yaw_rad,
+            appears_s: obstacle.appears_ahead_m.is_none().then_some(obstacle.appears_s),
+            appears_ahead_m: obstacle.appears_ahead_m,
+            disappears_s: obstacle.disappears_s,
             velocity_x_mps: obstacle.velocity_x_mps,
             velocity_y_mps: obstacle.velocity_y_mps,
-            ..Self::default()
-        };
-        match obstacle.shape {
-            Shape::Circle { radius_m } => {
-                Self { shape: Some(ShapeName::Circle), radius_m: Some(radius_m), ..base }
-            }
-            Shape::Box { length_m, width_m, yaw_rad } => Self {
-                shape: Some(ShapeName::Box),
-                length_m: Some(length_m),
-                width_m: Some(width_m),
-                yaw_rad: Some(yaw_rad),
-                ..base
-            },
         }
     }
 }
