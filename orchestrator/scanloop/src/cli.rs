@@ -16,7 +16,7 @@ use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
 
 /// Exit codes, below the help of the program and on the page of the commands.
-pub(crate) const EXIT_CODES: &str = "\
+const EXIT_CODES: &str = "\
 Exit codes:
   0  the command did what it was asked to do; for `run`: the goal was reached
   1  the run ended without reaching the goal (missed, timeout, stopped, interrupted), or a check failed

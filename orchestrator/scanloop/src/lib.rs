@@ -20,7 +20,7 @@ mod types;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use console::exit::{Exit, exit_of};
 use console::limits;
 use console::output::data;
@@ -98,7 +98,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
-        Command::Reference(arguments) => print(&reference::text(arguments)?),
+        Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)),
     }
 }

@@ -3,11 +3,9 @@
 use std::fmt::Write as _;
 
 use clap::builder::PossibleValue;
-use clap::{Arg, Args, Command, CommandFactory, ValueEnum};
+use clap::{Arg, Args, Command, ValueEnum};
 use console::exit::Failure;
 use plan::reference::{find, scenario_page, system_page};
-
-use crate::cli::{Cli, EXIT_CODES};
 
 /// A page of the documentation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -31,15 +29,15 @@ pub struct ReferenceArguments {
     pub page: Option<Page>,
 }
 
-/// The keys, or the page, that was asked for.
+/// The keys, or the page, that was asked for; `root` is the whole command line.
 ///
 /// # Errors
 /// A text that no key contains; exit code 2.
-pub(crate) fn text(arguments: &ReferenceArguments) -> anyhow::Result<String> {
+pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Result<String> {
     match arguments.page {
         Some(Page::Scenario) => Ok(scenario_page()),
         Some(Page::System) => Ok(system_page()),
-        Some(Page::Commands) => Ok(commands_page()),
+        Some(Page::Commands) => Ok(commands_page(root)),
         None => match find(&arguments.text) {
             found if found.is_empty() => Err(Failure::bad_input(format!(
                 "{}: no key of the scenario or the system file has this in its name or meaning",
@@ -50,11 +48,11 @@ pub(crate) fn text(arguments: &ReferenceArguments) -> anyhow::Result<String> {
     }
 }
 
-/// The page `docs/commands.md`.
-fn commands_page() -> String {
-    let mut root = Cli::command();
+/// The page `docs/commands.md`; the exit codes stand below the help of the program.
+fn commands_page(mut root: Command) -> String {
     root.build();
-    let exit_codes = EXIT_CODES.lines().skip(1).filter_map(|line| line.trim().split_once("  "));
+    let exit_codes = root.get_after_help().map(ToString::to_string).unwrap_or_default();
+    let exit_codes = exit_codes.lines().filter_map(|line| line.trim().split_once("  "));
     let mut text = include_str!("reference/commands.md").to_owned();
     text.push_str("| exit code | meaning |\n|---:|---|\n");
     exit_codes.for_each(|(code, meaning)| _ = writeln!(text, "| {code} | {meaning} |"));
@@ -132,11 +130,14 @@ fn sentence(text: String) -> String {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+    use crate::cli::Cli;
 
     #[test]
     fn the_page_has_every_command_with_its_options_defaults_and_values() {
-        let page = commands_page();
+        let page = commands_page(Cli::command());
         let section = |name: &str| {
             let found = page.split("\n## ").find(|part| part.starts_with(&format!("{name}\n")));
             found.unwrap_or_else(|| panic!("{name} is missing in {page}"))
@@ -159,7 +160,12 @@ mod tests {
     #[test]
     fn a_text_that_no_key_has_is_refused() {
         let arguments = |text: &str| ReferenceArguments { text: text.to_owned(), page: None };
-        assert!(text(&arguments("wheelbase")).unwrap_err().to_string().starts_with("wheelbase: no key"));
-        assert!(text(&arguments("")).unwrap().lines().count() > 200);
+        assert!(
+            text(&arguments("wheelbase"), Cli::command())
+                .unwrap_err()
+                .to_string()
+                .starts_with("wheelbase: no key")
+        );
+        assert!(text(&arguments(""), Cli::command()).unwrap().lines().count() > 200);
     }
 }
