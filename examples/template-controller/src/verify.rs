@@ -204,3 +204,119 @@ impl<'a> Scene<'a> {
         gaps.fold(0.0, |deepest, gap| deepest.max(-gap))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::plans;
+    use crate::settings::example;
+
+    fn pose(x: f64, y: f64, yaw: f64) -> Pose {
+        Pose { predicted_x_m: x, predicted_y_m: y, predicted_yaw_rad: yaw, ..Pose::default() }
+    }
+
+    /// A box 0.1 m long and 0.4 m wide, with an ellipse of these semi-axes.
+    fn obstacle(x: f64, y: f64, a: f64, b: f64) -> Obstacles {
+        let mut obstacles = Obstacles { count: 1, ..Obstacles::default() };
+        obstacles.items[0] = Obstacle {
+            x_m: x,
+            y_m: y,
+            a_m: a,
+            b_m: b,
+            box_x_m: x,
+            box_y_m: y,
+            box_length_m: 0.1,
+            box_width_m: 0.4,
+            ..Obstacle::default()
+        };
+        obstacles
+    }
+
+    /// Whether the plan straight along the line of the goal passes.
+    fn passes(settings: &Settings, pose: &Pose, obstacles: &Obstacles) -> bool {
+        let scene = Scene::new(settings, pose, obstacles);
+        let (_, plan) = plans(settings, scene.start, 1.0, 0.0).next().unwrap();
+        scene.verify(&plan).is_some()
+    }
+
+    #[test]
+    fn a_plan_on_a_free_road_passes_with_a_node_more_than_controls() {
+        let (settings, free) = (example(), Obstacles::default());
+        let scene = Scene::new(&settings, &pose(0.0, 0.0, 0.0), &free);
+        let (_, plan) = plans(&settings, scene.start, 1.0, 0.0).next().unwrap();
+        let verified = scene.verify(&plan).unwrap();
+        assert_eq!(verified.nodes().len(), plan.controls().len() + 1);
+        let last = verified.nodes()[plan.controls().len()];
+        assert!((last.x - 4.08).abs() < 1e-9 && last.y == 0.0, "24 intervals of 0.17 m: {last:?}");
+    }
+
+    #[test]
+    fn a_control_beyond_its_bound_does_not_pass() {
+        let (mut settings, free) = (example(), Obstacles::default());
+        let pose = pose(0.0, 0.0, 0.0);
+        assert!(passes(&settings, &pose, &free));
+        settings.bounds.velocity_max_mps = 0.9;
+        let scene = Scene::new(&settings, &pose, &free);
+        let (_, plan) = plans(&example(), scene.start, 1.0, 0.0).next().unwrap();
+        assert!(scene.verify(&plan).is_none());
+    }
+
+    #[test]
+    fn an_ellipse_is_not_entered_but_may_be_left() {
+        let settings = example();
+        assert!(!passes(&settings, &pose(0.0, 0.0, 0.0), &obstacle(3.0, 0.9, 1.2, 1.0)));
+        assert!(passes(&settings, &pose(0.0, 0.0, 0.0), &obstacle(3.0, 0.9, 1.2, 0.8)));
+        // Behind the middle of the ellipse, in it, and on the way out.
+        assert!(passes(&settings, &pose(3.5, 0.0, 0.0), &obstacle(3.0, 0.9, 1.2, 1.0)));
+    }
+
+    #[test]
+    fn the_body_keeps_its_clearance_where_the_ellipse_is_too_small() {
+        let settings = example();
+        // Half the body and half the box are 0.4 m: at 0.44 m beside each other 0.04 m are left, at 0.46 m 0.06 m.
+        assert!(!passes(&settings, &pose(0.0, 0.0, 0.0), &obstacle(2.0, 0.44, 0.05, 0.05)));
+        assert!(passes(&settings, &pose(0.0, 0.0, 0.0), &obstacle(2.0, 0.46, 0.05, 0.05)));
+    }
+
+    #[test]
+    fn a_moving_obstacle_is_where_it_will_be() {
+        let settings = example();
+        let mut crossing = obstacle(2.0, -2.0, 0.5, 0.4);
+        assert!(passes(&settings, &pose(0.0, 0.0, 0.0), &crossing));
+        crossing.items[0].velocity_y_mps = 1.0;
+        assert!(!passes(&settings, &pose(0.0, 0.0, 0.0), &crossing));
+    }
+
+    #[test]
+    fn the_track_is_not_left_and_a_robot_outside_may_come_back() {
+        let (settings, free) = (example(), Obstacles::default());
+        let straight = |y: f64, yaw: f64| {
+            let scene = Scene::new(&settings, &pose(0.0, y, yaw), &free);
+            // The line is where the robot is, so the plan only turns it back to the direction of the track.
+            let goal = crate::settings::Goal { y_m: y, ..settings.goal.clone() };
+            let plan = plans(&Settings { goal, ..settings.clone() }, scene.start, 1.0, y).next().unwrap().1;
+            scene.verify(&plan).is_some()
+        };
+        assert!(straight(1.4, 0.0));
+        assert!(!straight(1.4, 0.4), "it swings further out than 1.55 m");
+        assert!(straight(1.7, 0.0) && straight(1.7, -0.1));
+        assert!(!straight(1.7, 0.2));
+    }
+
+    #[test]
+    fn walls_are_kept_clear_by_the_corners_of_the_body() {
+        let (mut settings, free) = (example(), Obstacles::default());
+        settings.track = crate::settings::Track { walls: true, ..settings.track };
+        settings.goal.y_m = 1.1;
+        assert!(passes(&settings, &pose(0.0, 1.1, 0.0), &free));
+        assert!(!passes(&settings, &pose(0.0, 1.1, 0.5), &free));
+    }
+
+    #[test]
+    fn nothing_passes_from_a_pose_that_is_no_number_and_nothing_is_checked_behind_the_goal() {
+        let settings = example();
+        assert!(!passes(&settings, &pose(0.0, f64::NAN, 0.0), &Obstacles::default()));
+        assert!(passes(&settings, &pose(9.0, 0.0, 0.0), &obstacle(11.3, 0.0, 1.2, 0.8)));
+        assert!(!passes(&settings, &pose(9.0, 0.0, 0.0), &obstacle(11.0, 0.0, 1.2, 0.8)));
+    }
+}
