@@ -5,6 +5,7 @@ mod bytes;
 mod refusals;
 mod swaps;
 mod tools;
+mod tutorial;
 
 use std::process::Command;
 
