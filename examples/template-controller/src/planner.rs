@@ -1,8 +1,8 @@
 //! Proposes plans. Replace this file by your own idea: `controller.rs` sends the first plan that passes `verify.rs`.
 //!
 //! The idea here is pure pursuit. The robot follows one of 25 lines along the track. For each line a plan steers to the
-//! point of the line that is 1.2 m ahead, again and again over 4 m. The lines are tried in an order: near the goal's line
-//! first, and near the line of the last scan, so that a side once chosen is kept.
+//! point of the line that is 1.2 m ahead, again and again over 4 m. Lines near the goal's line come first, and lines near
+//! that of the last scan, so that the robot keeps the chosen side.
 
 use shared_types::PLAN_NODES;
 use vehicle::{Control, State};

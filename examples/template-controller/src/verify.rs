@@ -1,6 +1,7 @@
 //! Whether a plan may be driven. Keep this file: a command may have `verified = 1` only when its plan has passed.
 //!
-//! The controls of the plan are driven through the model of the robot, (7.27)-(7.31), in steps of 2 cm. A plan passes when
+//! The controls of the plan are driven through the model of the robot, (7.27)-(7.31), in steps of 2 cm. A plan passes
+//! when
 //!
 //! * all its controls are within their bounds, (7.41);
 //! * the robot's centre stays within the bounds of the track, (7.45) and (7.46), up to 5 cm;
@@ -18,7 +19,8 @@ use vehicle::{Control, State};
 use crate::planner::Plan;
 use crate::settings::Settings;
 
-/// Length of a step [m]: the fastest motion of the model, 34 1/s at 1 m/s and inverse to the velocity, needs 20 ms there.
+/// Length of a step [m]. The fastest motion of the model has 34 1/s at 1 m/s, and more at less speed: steps of equal
+/// length resolve it at each velocity.
 const STEP_M: f64 = 0.02;
 /// Tolerance of the bounds of the controls: rounding.
 const CONTROL_TOLERANCE: f64 = 1e-6;

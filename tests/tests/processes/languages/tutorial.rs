@@ -94,14 +94,21 @@ fn without_numbers(line: &str) -> String {
     text
 }
 
+/// Whether a line was printed as it is shown; ` ... ` stands for what is left out of it.
+fn is_shown(printed: &str, shown: &str) -> bool {
+    match shown.split_once(" ... ") {
+        Some((start, end)) => printed.starts_with(start) && printed.ends_with(end),
+        None => printed == shown,
+    }
+}
+
 /// The first shown line that was not printed, in the order of the page.
 fn missing<'a>(shown: &'a [String], printed: &str) -> Option<&'a str> {
     let mut printed = printed.lines().map(without_numbers);
-    shown.iter().map(String::as_str).find(|line| {
-        !line.is_empty() && *line != "..." && {
-            let wanted = without_numbers(line);
-            !printed.any(|line| line == wanted)
-        }
+    let mut shown = shown.iter().map(String::as_str).filter(|line| !line.is_empty() && *line != "...");
+    shown.find(|line| {
+        let wanted = without_numbers(line);
+        !printed.any(|line| is_shown(&line, &wanted))
     })
 }
 
