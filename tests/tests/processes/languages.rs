@@ -4,6 +4,7 @@
 mod bytes;
 mod refusals;
 mod swaps;
+mod tables;
 mod tools;
 mod tutorial;
 
