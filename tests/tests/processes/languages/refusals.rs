@@ -10,6 +10,9 @@ use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 
 use super::tools::{EXECUTABLE, compile, examples, python};
 
+const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+const MY_CONTROLLER: &str = env!("CARGO_BIN_EXE_my-controller-under-test");
+
 /// A program that joins in the role given by its number and does nothing more.
 const JOINS: &str = r#"
 #include <stdio.h>
@@ -200,7 +203,7 @@ fn a_program_that_is_started_by_hand_says_what_starts_it() {
     let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
     std::fs::write(&source, JOINS).unwrap();
     compile(&source, &examples("c"), &program);
-    let mut commands = vec![Command::new(program)];
+    let mut commands: Vec<_> = [program, DEAD_RECKONING.into(), MY_CONTROLLER.into()].map(Command::new).into();
     commands[0].arg("2");
     if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
         let mut command = Command::new(python);
