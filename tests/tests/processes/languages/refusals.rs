@@ -203,7 +203,8 @@ fn a_program_that_is_started_by_hand_says_what_starts_it() {
     let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
     std::fs::write(&source, JOINS).unwrap();
     compile(&source, &examples("c"), &program);
-    let mut commands: Vec<_> = [program, DEAD_RECKONING.into(), MY_CONTROLLER.into()].map(Command::new).into();
+    let mut commands: Vec<_> =
+        [program, DEAD_RECKONING.into(), MY_CONTROLLER.into()].map(Command::new).into();
     commands[0].arg("2");
     if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
         let mut command = Command::new(python);

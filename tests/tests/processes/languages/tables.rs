@@ -14,7 +14,9 @@ fn named(section: &str) -> BTreeSet<String> {
     let (_, rest) = page.split_once(&format!("\n## {section}\n")).unwrap();
     let rows = rest.split("\n## ").next().unwrap().lines().filter_map(|line| line.strip_prefix("| `"));
     let first_columns = rows.map(|row| format!("`{}", row.split(" | ").next().unwrap()));
-    first_columns.flat_map(|text| text.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>()).collect()
+    first_columns
+        .flat_map(|text| text.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>())
+        .collect()
 }
 
 #[test]
@@ -34,7 +36,8 @@ fn functions_of_python(module: &str) -> BTreeSet<String> {
     for line in module.lines() {
         if let Some(name) = line.strip_prefix("class ") {
             let name = name.split(['(', ':']).next().unwrap();
-            class = ["Process", "Input", "Output"].contains(&name).then(|| format!("{}.", name.to_lowercase()));
+            class =
+                ["Process", "Input", "Output"].contains(&name).then(|| format!("{}.", name.to_lowercase()));
         } else if let Some(name) = line.strip_prefix("def ") {
             found.insert(name.split('(').next().unwrap().to_owned());
             class = None;
