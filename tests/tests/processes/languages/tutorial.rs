@@ -9,9 +9,7 @@ use emulator::Outcome;
 use handover::swap::SwapOutcome;
 use scanloop_tests::{DEADLINE, System};
 
-use super::tools::{EXECUTABLE, python, root};
-
-const MY_CONTROLLER: &str = env!("CARGO_BIN_EXE_my-controller-under-test");
+use super::tools::{EXECUTABLE, MY_CONTROLLER, python, root};
 
 /// How often a step is tried: on a machine that does other things as well, an answer of a candidate may come late.
 const TRIES: usize = 4;
