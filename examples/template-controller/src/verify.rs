@@ -308,17 +308,29 @@ mod tests {
     #[test]
     fn walls_are_kept_clear_by_the_corners_of_the_body() {
         let (mut settings, free) = (example(), Obstacles::default());
-        settings.track = crate::settings::Track { walls: true, ..settings.track };
-        settings.goal.y_m = 1.1;
-        assert!(passes(&settings, &pose(0.0, 1.1, 0.0), &free));
-        assert!(!passes(&settings, &pose(0.0, 1.1, 0.5), &free));
+        (settings.track.walls, settings.theta_m) = (true, 0.0);
+        settings.goal.y_m = 1.2;
+        assert!(passes(&settings, &pose(0.0, 1.2, 0.1), &free));
+        // The centre gets to 1.31 m, which its bound of 1.3 m allows; a corner gets beyond the wall at 1.5 m.
+        assert!(!passes(&settings, &pose(0.0, 1.2, 0.26), &free));
+        settings.goal.y_m = 1.27;
+        assert!(passes(&settings, &pose(0.0, 1.27, 0.0), &free), "0.03 m from the wall, as at the start");
     }
 
     #[test]
-    fn nothing_passes_from_a_pose_that_is_no_number_and_nothing_is_checked_behind_the_goal() {
+    fn nothing_passes_from_a_state_that_is_no_number() {
         let settings = example();
-        assert!(!passes(&settings, &pose(0.0, f64::NAN, 0.0), &Obstacles::default()));
-        assert!(passes(&settings, &pose(9.0, 0.0, 0.0), &obstacle(11.3, 0.0, 1.2, 0.8)));
-        assert!(!passes(&settings, &pose(9.0, 0.0, 0.0), &obstacle(11.0, 0.0, 1.2, 0.8)));
+        let broken = Pose { predicted_sideslip_rad: f64::NAN, ..pose(0.0, 0.0, 0.0) };
+        for pose in [pose(0.0, f64::NAN, 0.0), broken] {
+            assert!(!passes(&settings, &pose, &Obstacles::default()));
+        }
+    }
+
+    #[test]
+    fn nothing_is_checked_behind_the_goal() {
+        // The plan ends 0.12 m behind the goal at 10 m; the ellipse begins 0.05 m behind it, then at it.
+        let (settings, start) = (example(), pose(9.1, 0.0, 0.0));
+        assert!(passes(&settings, &start, &obstacle(11.25, 0.0, 1.2, 0.8)));
+        assert!(!passes(&settings, &start, &obstacle(11.2, 0.0, 1.2, 0.8)));
     }
 }
