@@ -1,5 +1,4 @@
 //! Pages of the documentation that the executable prints, and keys found in the terminal.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::Path;
 
