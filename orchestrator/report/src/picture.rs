@@ -12,7 +12,11 @@ mod legend;
 mod map;
 pub mod panels;
 
-use plotters::prelude::{DrawingArea, IntoDrawingArea, RGBColor, SVGBackend, WHITE};
+use plotters::chart::MeshStyle;
+use plotters::coord::types::RangedCoordf64;
+use plotters::drawing::DrawingAreaErrorKind;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Width of the picture [pixels].
 const WIDTH: u32 = 1200;
@@ -23,17 +27,17 @@ const FINE: u32 = 4;
 
 /// Where the robot really is.
 const TRUE_PATH: RGBColor = RGBColor(0, 92, 158);
-/// Where it believes to be.
+/// Where it is by its own estimate.
 const ESTIMATED_PATH: RGBColor = RGBColor(240, 110, 0);
 /// Its body.
 const BODY: RGBColor = RGBColor(86, 160, 211);
-/// What it has to keep out of.
+/// What its centre keeps out of.
 const ELLIPSE: RGBColor = RGBColor(196, 78, 120);
 /// Real things.
 const OBSTACLE: RGBColor = RGBColor(70, 70, 75);
 /// Where it is to go.
 const GOAL: RGBColor = RGBColor(0, 140, 95);
-/// Bounds that nothing stands at.
+/// Bounds without a wall.
 const BOUND: RGBColor = RGBColor(130, 130, 135);
 /// The ground inside the bounds of the track.
 const TRACK: RGBColor = RGBColor(249, 249, 244);
@@ -43,6 +47,8 @@ const INK: RGBColor = RGBColor(50, 50, 55);
 const GRID: RGBColor = RGBColor(228, 228, 230);
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+type Axes<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBackend<'c>>;
 
 /// The outline of a real thing.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -51,7 +57,7 @@ pub struct Shape {
     pub points: Vec<[f64; 2]>,
 }
 
-/// What stands still during a run.
+/// What stays the same during a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// First line of the picture.
@@ -124,8 +130,8 @@ pub struct Drive {
 #[error("the picture could not be drawn: {0}")]
 pub struct PictureError(String);
 
-impl PictureError {
-    fn of(error: impl std::fmt::Display) -> Self {
+impl From<DrawingAreaErrorKind<std::io::Error>> for PictureError {
+    fn from(error: DrawingAreaErrorKind<std::io::Error>) -> Self {
         Self(error.to_string())
     }
 }
@@ -135,21 +141,48 @@ impl PictureError {
 /// # Errors
 /// [`PictureError`] when the drawing library refuses.
 pub fn draw(scene: &Scene, drive: &Drive) -> Result<String, PictureError> {
-    let plan = map::Plan::of(scene, drive);
-    let height = legend::HEIGHT + plan.height() + curves::HEIGHT;
+    let layout = map::Layout::of(scene, drive);
+    svg(legend::HEIGHT + layout.height() + curves::HEIGHT, |root| {
+        let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
+        let (maps, below) = rest.split_vertically(fine(layout.height()));
+        legend::draw(&head, scene, &layout)?;
+        layout.draw(&maps, scene, drive)?;
+        curves::draw(&below, &drive.moments)
+    })
+}
+
+/// The text of an SVG file of this height [pixels] with what `paint` draws.
+fn svg(
+    height: u32,
+    paint: impl FnOnce(&Area<'_>) -> Result<(), PictureError>,
+) -> Result<String, PictureError> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
-        root.fill(&WHITE).map_err(PictureError::of)?;
-        let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
-        let (maps, below) = rest.split_vertically(fine(plan.height()));
-        legend::draw(&head, scene, &plan)?;
-        plan.draw(&maps, scene, drive)?;
-        curves::draw(&below, &drive.moments)?;
-        root.present().map_err(PictureError::of)?;
+        root.fill(&WHITE)?;
+        paint(&root)?;
+        root.present()?;
     }
     let drawn = format!("width=\"{}\" height=\"{}\"", WIDTH * FINE, height * FINE);
     Ok(svg.replacen(&drawn, &format!("width=\"{WIDTH}\" height=\"{height}\""), 1))
+}
+
+/// Grid, axes and labels in the style of all pictures.
+fn mesh<'a, 'b, 'c>(axes: &'b mut Axes<'a, 'c>) -> Mesh<'a, 'b, 'c> {
+    let mut mesh = axes.configure_mesh();
+    mesh.max_light_lines(0)
+        .bold_line_style(GRID.stroke_width(fine(1) as u32))
+        .axis_style(INK.stroke_width(fine(1) as u32))
+        .label_style(font(12).into_font().color(&INK))
+        .axis_desc_style(font(13).into_font().color(&INK))
+        .set_all_tick_mark_size(fine(4));
+    mesh
+}
+
+/// Writes a line of text to the right of (x, y) [pixels].
+fn text(area: &Area<'_>, text: &str, size: u32, x: u32, y: u32) -> Result<(), PictureError> {
+    let style = font(size).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
+    Ok(area.draw_text(text, &style, (fine(x), fine(y)))?)
 }
 
 /// Pixels as fine steps.
@@ -254,8 +287,8 @@ mod tests {
 
     #[test]
     fn both_directions_have_the_same_scale() {
-        let plan = map::Plan::of(&scene(), &drive(12.5));
-        let (across, down) = plan.pixels_per_metre();
+        let layout = map::Layout::of(&scene(), &drive(12.5));
+        let (across, down) = layout.pixels_per_metre();
         // The height of a strip is a whole number of pixels.
         assert!((across / down - 1.0).abs() < 0.01, "{across} and {down}");
     }
