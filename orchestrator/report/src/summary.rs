@@ -1,11 +1,14 @@
-//! What a person wants to know at the end of a run, as text with aligned columns.
+//! The summary at the end of a run, as text with aligned columns.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use figures::Figures;
 
-use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
+use crate::latency::STAGES;
+use crate::report::{
+    DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
+};
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {
@@ -92,7 +95,7 @@ fn scans(scans: &ScanReport) -> String {
     text
 }
 
-/// What became of the samples of all topics at all of their readers, and what nothing explains.
+/// Counts of all samples at all of their readers, and what is unexplained.
 fn samples(ledger: &LedgerReport) -> String {
     let sum = |field: fn(&LedgerRow) -> u64| ledger.topics.iter().map(field).sum::<u64>();
     let mut text = format!(
@@ -133,25 +136,15 @@ fn latencies(text: &mut String, latency: &LatencyReport) {
         line(text, format_args!("{:<15} not measured: time was simulated", "latency"));
         return;
     }
-    let stages = &latency.stages;
-    line(text, format_args!("{:<20} {:>9} {:>9} {:>9} {:>9}", "latency [ms]", "p50", "p90", "p99", "max"));
-    let rows: [(&str, &Figures); 7] = [
-        ("scan to actuation", &latency.scan_to_actuation),
-        ("  estimator", &stages.estimator),
-        ("  obstacles", &stages.obstacles),
-        ("  controller", &stages.controller),
-        ("  actuator", &stages.actuator),
-        ("  transport", &stages.transport),
-        ("age of the data", &latency.data_age),
-    ];
-    for (name, figures) in rows {
-        if figures.count == 0 {
-            line(text, format_args!("{name:<20} {:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-"));
-            continue;
-        }
-        let [p50, p90, p99, max] =
-            [figures.p50, figures.p90, figures.p99, figures.max].map(|value| value * 1e-3);
-        line(text, format_args!("{name:<20} {p50:>9.3} {p90:>9.3} {p99:>9.3} {max:>9.3}"));
+    let stages = STAGES.iter().zip(latency.stages.compute.each());
+    let rows = [("scan to actuation".to_owned(), &latency.scan_to_actuation)]
+        .into_iter()
+        .chain(stages.map(|(role, figures)| (format!("  {role}"), figures)))
+        .chain([("  transport".to_owned(), &latency.stages.transport)])
+        .chain([("age of the data".to_owned(), &latency.data_age)]);
+    row(text, "latency [ms]", ["p50", "p90", "p99", "max"].map(str::to_owned));
+    for (name, Figures { count, p50, p90, p99, max, .. }) in rows {
+        row(text, &name, [p50, p90, p99, max].map(|us| if *count == 0 { "-".to_owned() } else { ms(*us) }));
     }
     if latency.complete_chains > 0 {
         stages_table(text, latency);
@@ -165,21 +158,22 @@ fn latencies(text: &mut String, latency: &LatencyReport) {
 
 /// Where each stage spends its time, medians.
 fn stages_table(text: &mut String, latency: &LatencyReport) {
-    line(
-        text,
-        format_args!("\n{:<20} {:>9} {:>9} {:>9} {:>9}", "p50 [ms]", "wait", "hop", "compute", "publish"),
-    );
+    line(text, format_args!(""));
+    row(text, "p50 [ms]", ["wait", "hop", "compute", "publish"].map(str::to_owned));
     let LatencyReport { stages, hops, waits, publications, .. } = latency;
-    let rows = [
-        ("estimator", [&waits.estimator, &hops.estimator, &stages.estimator, &publications.estimator]),
-        ("obstacles", [&waits.obstacles, &hops.obstacles, &stages.obstacles, &publications.obstacles]),
-        ("controller", [&waits.controller, &hops.controller, &stages.controller, &publications.controller]),
-        ("actuator", [&waits.actuator, &hops.actuator, &stages.actuator, &publications.actuator]),
-    ];
-    for (name, figures) in rows {
-        let [wait, hop, compute, publish] = figures.map(|figures| figures.p50 * 1e-3);
-        line(text, format_args!("  {name:<18} {wait:>9.3} {hop:>9.3} {compute:>9.3} {publish:>9.3}"));
+    let columns = [waits, hops, &stages.compute, publications].map(PerStage::each);
+    for (index, role) in STAGES.iter().enumerate() {
+        row(text, &format!("  {role}"), columns.map(|column| ms(column[index].p50)));
     }
+}
+
+fn row(text: &mut String, name: &str, [a, b, c, d]: [String; 4]) {
+    line(text, format_args!("{name:<20} {a:>9} {b:>9} {c:>9} {d:>9}"));
+}
+
+/// Microseconds as milliseconds.
+fn ms(us: f64) -> String {
+    format!("{:.3}", us * 1e-3)
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
@@ -211,13 +205,13 @@ mod tests {
         }];
         report.latency_us.complete_chains = 126;
         report.latency_us.hops.obstacles.p50 = 60.0;
-        report.latency_us.stages.controller =
+        report.latency_us.stages.compute.controller =
             Figures { count: 127, p50: 1234.5, p90: 2000.0, p99: 3000.0, p999: 4000.0, max: 12345.6 };
         report
     }
 
     #[test]
-    fn the_summary_says_how_the_run_ended_and_where_the_time_went() {
+    fn the_summary_has_the_outcome_and_where_the_time_went() {
         let text = text(&report(), Some(Path::new("out/corridor")));
         assert_eq!(
             text,
@@ -253,7 +247,7 @@ files           out/corridor
     }
 
     #[test]
-    fn simulated_time_stops_and_restarts_are_said() {
+    fn simulated_time_stops_and_restarts_are_in_the_summary() {
         let mut report = report();
         (report.outcome, report.reason, report.lockstep) =
             (Outcome::Stopped, "path blocked".to_owned(), true);
@@ -274,7 +268,7 @@ files           out/corridor
     }
 
     #[test]
-    fn dropped_samples_are_said_with_their_writer_and_rule() {
+    fn dropped_samples_are_named_with_their_writer_and_rule() {
         let mut report = report();
         report.ledger.refused = vec![audit::ledger::RefusedRow {
             topic: "command".to_owned(),
@@ -294,14 +288,14 @@ files           out/corridor
     }
 
     #[test]
-    fn scans_without_account_are_shouted() {
+    fn unaccounted_scans_are_in_capitals() {
         let mut report = report();
         report.scans.unaccounted = 2;
         assert!(text(&report, None).contains("2 UNACCOUNTED"));
     }
 
     #[test]
-    fn samples_that_nothing_explains_are_shouted_and_named() {
+    fn unexplained_samples_are_in_capitals_and_named() {
         let mut report = report();
         report.ledger.residual = 1;
         report.ledger.faults = vec![audit::ledger::Fault {
