@@ -119,8 +119,8 @@ fn samples(ledger: &LedgerReport) -> String {
     text
 }
 
-/// `12 converged, 1 out of time`
-fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
+/// Counts by name as text, like `12 converged, 1 out of time`.
+pub fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
 }
 

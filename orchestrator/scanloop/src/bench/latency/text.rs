@@ -1,16 +1,20 @@
-//! What the bench found, for people.
+//! The result of the bench as text.
 
 use std::fmt::Write as _;
 
 use figures::{Figures, Table};
+use report::ScanReport;
+use report::summary::counts;
+use runtime::Scheduler;
 
-use super::results::Results;
+use super::machine::{IdleState, Machine};
+use super::results::{LatencyResults, Smallest};
 
-/// Shortest run whose 99.9 % mean something [scans].
-const ENOUGH: u64 = 1000;
+/// Below this the 99.9 % are close to the largest value [scans].
+const MIN_SCANS: u64 = 1000;
 
 /// The table of a bench.
-pub(crate) fn text(results: &Results) -> String {
+pub(crate) fn text(results: &LatencyResults) -> String {
     let mut text = String::new();
     for (name, value) in head(results) {
         let _ = writeln!(text, "{name:<18} {value}");
@@ -40,7 +44,7 @@ pub(crate) fn text(results: &Results) -> String {
         table.row(std::iter::once(name.to_owned()).chain(values.map(shown)));
     }
     let _ = write!(text, "\n{table}");
-    if results.scan_to_actuation_us.count < ENOUGH {
+    if results.scan_to_actuation_us.count < MIN_SCANS {
         let _ = writeln!(
             text,
             "\n{} scans are few: their 99 % and 99.9 % are close to the largest value",
@@ -50,42 +54,26 @@ pub(crate) fn text(results: &Results) -> String {
     text
 }
 
-fn head(results: &Results) -> Vec<(&'static str, String)> {
-    let machine = &results.machine;
+fn head(results: &LatencyResults) -> Vec<(&'static str, String)> {
+    let LatencyResults { machine, scans, .. } = results;
     let compute = match (results.compute, results.payload_bytes) {
         ("none", Some(bytes)) => format!("none, {bytes} bytes on each hop"),
         ("none", None) => "none, the pipeline's own samples".to_owned(),
         (name, _) => name.to_owned(),
     };
-    let mut lost = format!("{} lost", results.lost);
-    if !results.lost_reasons.is_empty() {
-        let reasons: Vec<String> = results
-            .lost_reasons
-            .iter()
-            .map(|(reason, count)| format!("{count} {}", reason.replace('_', " ")))
-            .collect();
-        let _ = write!(lost, " ({})", reasons.join(", "));
-    }
     let known = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
-    let idle: Vec<String> = machine
-        .idle_states
-        .iter()
-        .map(|state| {
-            let off = if state.disabled { " (off)" } else { "" };
-            format!("{} {} us{off}", state.name, state.exit_latency_us)
-        })
-        .collect();
     vec![
         ("profile", results.profile.to_owned()),
         ("rate", format!("{} Hz for {:.1} s, compute {compute}", results.rate_hz, results.duration_s)),
         (
             "scans",
             format!(
-                "{} published, {} commanded, {} late, {lost}, {} unaccounted, {} complete chains",
-                results.published,
-                results.commanded,
-                results.late,
-                results.unaccounted,
+                "{} published, {} commanded, {} late, {}, {} unaccounted, {} complete chains",
+                scans.published,
+                scans.commanded,
+                scans.late,
+                lost(scans),
+                scans.unaccounted,
                 results.complete_chains
             ),
         ),
@@ -96,24 +84,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
                 residual => format!("{residual} unaccounted: {}", results.faults.join("; ")),
             },
         ),
-        (
-            "scheduling",
-            format!(
-                "{}{}{}",
-                match machine.scheduling {
-                    runtime::Scheduler::Other => "default",
-                    runtime::Scheduler::Fifo => "fifo",
-                },
-                match machine.pinned_to.as_slice() {
-                    [] => String::new(),
-                    cpus => format!(", processors {cpus:?}"),
-                },
-                match machine.busy_loops {
-                    0 => String::new(),
-                    count => format!(", {count} busy loops beside"),
-                }
-            ),
-        ),
+        ("scheduling", scheduling(machine)),
         (
             "machine",
             format!(
@@ -130,7 +101,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
             format!(
                 "governor {}, idle states {}, cpu_dma_latency {}, timer slack {} us",
                 known(&machine.governor),
-                if idle.is_empty() { "unknown".to_owned() } else { idle.join(", ") },
+                idle_states(&machine.idle_states),
                 machine.cpu_dma_latency_us.map_or("unknown".to_owned(), |us| match us {
                     2_000_000_000.. => "not asked for".to_owned(),
                     us => format!("{us} us"),
@@ -152,15 +123,43 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
     ]
 }
 
-fn smallest(results: &Results) -> String {
-    match results.smallest_visible_us.p50 {
-        Some(p50) => format!(
-            "a difference of {p50:.1} us in the median{} to another run like this",
-            results
-                .smallest_visible_us
-                .p99
-                .map_or(String::new(), |p99| format!(", of {p99:.1} us in the 99 %,"))
-        ),
-        None => "the run is too short to say".to_owned(),
+fn lost(scans: &ScanReport) -> String {
+    match counts(scans.lost_reasons.iter()) {
+        reasons if reasons.is_empty() => format!("{} lost", scans.lost),
+        reasons => format!("{} lost ({reasons})", scans.lost),
     }
+}
+
+fn scheduling(machine: &Machine) -> String {
+    let policy = match machine.scheduling {
+        Scheduler::Other => "default",
+        Scheduler::Fifo => "fifo",
+    };
+    let pinned = match machine.pinned_to.as_slice() {
+        [] => String::new(),
+        cpus => format!(", processors {cpus:?}"),
+    };
+    let load = match machine.busy_loops {
+        0 => String::new(),
+        count => format!(", {count} busy loops in parallel"),
+    };
+    format!("{policy}{pinned}{load}")
+}
+
+fn idle_states(states: &[IdleState]) -> String {
+    let text = |state: &IdleState| {
+        let off = if state.disabled { " (off)" } else { "" };
+        format!("{} {} us{off}", state.name, state.exit_latency_us)
+    };
+    match states {
+        [] => "unknown".to_owned(),
+        states => states.iter().map(text).collect::<Vec<_>>().join(", "),
+    }
+}
+
+fn smallest(results: &LatencyResults) -> String {
+    let Smallest { p50, p99 } = results.smallest_visible_us;
+    let Some(p50) = p50 else { return "the run is too short".to_owned() };
+    let p99 = p99.map_or(String::new(), |p99| format!(", of {p99:.1} us in the 99 %,"));
+    format!("a difference of {p50:.1} us in the median{p99} to another run like this")
 }
