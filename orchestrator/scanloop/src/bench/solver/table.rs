@@ -1,22 +1,22 @@
-//! What the benchmark found, for people.
+//! The results of the benchmark as text.
 
 use std::fmt::Write as _;
 
 use figures::{Align, Figures, Table};
 
-use super::Results;
-use super::versus::SAME;
+use super::SolverResults;
+use super::versus::SAME_OPTIMUM;
 use crate::bench::instrument::build_command;
 
-/// Listed cases with another optimum at most; JSON has all.
-const LISTED: usize = 10;
+/// Maximum number of listed cases with another optimum; JSON has all.
+const MAX_LISTED: usize = 10;
 
-pub(super) fn text(results: &Results) -> String {
+pub(super) fn text(results: &SolverResults) -> String {
     let mut text = format!("profile    {}\ncases      {}", results.profile, results.cases);
     let _ = match results.start {
         "warm" => writeln!(
             text,
-            " in {} laps; start: the solution of the scan before, moved on by 0.1 s (first of a lap: straight on)",
+            " in {} laps; start: the solution of the scan before, shifted by 0.1 s (first of a lap: straight on)",
             results.laps
         ),
         _ => writeln!(text, ", no column `lap`; start: straight on at 0.9 m/s for every case"),
@@ -96,22 +96,22 @@ pub(super) fn text(results: &Results) -> String {
         );
         let _ = writeln!(
             text,
-            "{:<26} same optimum in {}, controls within {:.1e} (as stopped {:.1e}); another one (over {SAME:.0e}) in {}",
+            "{:<26} same optimum in {}, controls within {:.1e} (as stopped {:.1e}); another one (over {SAME_OPTIMUM:.0e}) in {}",
             "",
             row.same,
             row.largest_difference,
             row.largest_difference_as_stopped,
             row.others.len()
         );
-        for other in row.others.iter().take(LISTED) {
+        for other in row.others.iter().take(MAX_LISTED) {
             let _ = writeln!(
                 text,
                 "{:<26}   line {}: controls differ by {:.1e}, objective {:.6} ours, {:.6} its",
                 "", other.line, other.difference, other.objective, other.peer_objective
             );
         }
-        if row.others.len() > LISTED {
-            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", row.others.len() - LISTED);
+        if row.others.len() > MAX_LISTED {
+            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", row.others.len() - MAX_LISTED);
         }
     }
     for skipped in &results.skipped {
