@@ -20,7 +20,7 @@ use crate::cli::CheckArguments;
 /// Validates all files named, or the default scenario and system, and prints the graph.
 ///
 /// # Errors
-/// The first file that is not allowed, with key, value and range; exit code 2.
+/// The first bad file, with key, value and range; exit code 2.
 pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     if arguments.list {
         data(&Scenario::names().collect::<Vec<_>>().join("\n"))?;
@@ -70,7 +70,7 @@ pub(crate) fn graph(system: &System) -> String {
         );
     }
     let latched: Vec<Topic> = TOPICS.into_iter().filter(|topic| topic.writer().is_none()).collect();
-    let _ = writeln!(text, "  beside the loop: {}, truth", names(&latched));
+    let _ = writeln!(text, "  outside the loop: {}, truth", names(&latched));
     text
 }
 
@@ -86,7 +86,7 @@ fn is_system(file: &str) -> anyhow::Result<bool> {
     }
     let text =
         user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
-    // What is no TOML is reported as a scenario, with the line.
+    // A file that is not TOML is refused as a scenario, with the line.
     let Ok(table) = text.parse::<Table>() else { return Ok(false) };
     let system_keys = [
         "process",

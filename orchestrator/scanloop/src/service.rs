@@ -6,7 +6,7 @@ use supervision::entry::IMPLEMENTATIONS;
 use crate::bench::latency::noise;
 use crate::bench::measuring_service;
 
-/// Runs one built-in implementation until it is asked to end.
+/// Runs one built-in implementation until it is told to end.
 ///
 /// # Errors
 /// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.

@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 
 use console::exit::Exit;
 use console::note;
-use console::output::data;
 use runtime::{Domain, RuntimeError};
 use session::control::{Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
+
+use crate::print_json;
 
 /// Prints the state of the system.
 ///
@@ -22,9 +23,8 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
             _ => return Err(error),
         },
     };
-    if json {
-        data(&serde_json::to_string_pretty(&status)?)?;
-    } else {
+    print_json(json, &status)?;
+    if !json {
         note!("{}", table(&status));
         if status.state == ORPHANED {
             note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use console::exit::Failure;
 use console::output::data;
+use figures::{Align, Table};
 use runtime::{Bus, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
@@ -13,15 +14,17 @@ use shared_types::{
     Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
-/// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
+/// Longest sleep between two polls of a topic; a buffer of 16 samples lasts longer than this at 500 Hz.
 const POLL_NS: u64 = 20_000_000;
 
-/// Arrays of bytes up to this length hold texts [bytes].
+/// Arrays of bytes up to this length are texts [bytes].
 const MAX_TEXT: usize = 64;
 
 /// The table of topics as text.
 pub(crate) fn list() -> String {
-    let mut text = String::from("topic       bytes  writer        readers                type\n");
+    let [left, right] = [Align::Left, Align::Right];
+    let mut table =
+        Table::new(&[("topic", left), ("bytes", right), ("writer", left), ("readers", left), ("type", left)]);
     for topic in TOPICS {
         let readers: Vec<&str> =
             Role::ALL.iter().filter(|role| role.reads().contains(&topic)).map(|role| role.name()).collect();
@@ -35,15 +38,10 @@ pub(crate) fn list() -> String {
             _ if readers.is_empty() => "orchestrator".to_owned(),
             _ => readers.join(", "),
         };
-        let _ = writeln!(
-            text,
-            "{:<10} {:>6}  {writer:<12}  {readers:<21}  {}",
-            topic.name(),
-            topic.size(),
-            topic.type_name()
-        );
+        let size = topic.size().to_string();
+        table.row([topic.name(), &size, writer, &readers, topic.type_name()].map(str::to_owned));
     }
-    text
+    table.to_string()
 }
 
 /// All samples as Markdown: one table per topic.
@@ -124,10 +122,10 @@ pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool
     Ok(())
 }
 
-/// Gives the bytes of the next sample of a topic.
+/// Returns the bytes of the next sample of a topic.
 type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
 
-/// A topic under observation, of whatever type.
+/// A topic under observation, of any type.
 struct Watch {
     topic: Topic,
     next: NextSample,
@@ -161,13 +159,13 @@ impl Watch {
         Ok(Self { topic, next, shutdown: Shutdown::on_signals()?, seen: 0, lost: 0, last: (0, 0), _bus: bus })
     }
 
-    /// Sleeps until the next look; false when the user wants to end.
+    /// Sleeps until the next poll; false when the user wants to end.
     fn sleep(&self) -> bool {
         wait_for(&[self.shutdown.descriptor()], POLL_NS);
         !self.shutdown.requested()
     }
 
-    /// Hands the bytes of all samples that are there to `each` until it returns false.
+    /// Passes the bytes of the samples that have arrived to `each` until it returns false.
     fn poll(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
         while let Some(bytes) = (self.next)()? {
             self.seen += 1;
@@ -221,7 +219,7 @@ fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
     Value::Object(object)
 }
 
-/// The name of a number of an enumeration, which the documentation of its field names; `None` for one without a meaning.
+/// The name of a number of an enumeration, which the documentation of its field names; `None` for an unknown number.
 fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
     if field.kind != Kind::Scalar("u32") {
         return None;

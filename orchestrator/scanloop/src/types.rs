@@ -22,7 +22,7 @@ pub struct TypesArguments {
     pub python: bool,
 }
 
-/// The samples of all topics in the form that was asked for.
+/// The samples of all topics in the requested form.
 pub(crate) fn print(arguments: &TypesArguments) -> String {
     match arguments {
         TypesArguments { c: true, .. } => c::header(),
@@ -31,7 +31,7 @@ pub(crate) fn print(arguments: &TypesArguments) -> String {
     }
 }
 
-/// All structs of the samples but the samples themselves, each behind the structs it is made of.
+/// All structs inside of samples, each after the structs it contains.
 fn structs() -> Vec<(&'static str, &'static [Field])> {
     fn add(kind: &'static Kind, found: &mut Vec<(&'static str, &'static [Field])>) {
         match kind {
@@ -52,7 +52,7 @@ fn structs() -> Vec<(&'static str, &'static [Field])> {
     found
 }
 
-/// What a field is made of and how often; `None` for one that is no array.
+/// The element type of a field and the length of its array; `None` for a field that is not an array.
 fn element(kind: &'static Kind) -> (&'static Kind, Option<usize>) {
     match kind {
         Kind::Array(element, count) => (element, Some(*count)),
