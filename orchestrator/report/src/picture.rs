@@ -46,6 +46,7 @@ const INK: RGBColor = RGBColor(50, 50, 55);
 /// Lines of the grid.
 const GRID: RGBColor = RGBColor(228, 228, 230);
 
+type Result<T> = std::result::Result<T, PictureError>;
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Axes<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBackend<'c>>;
@@ -140,7 +141,7 @@ impl From<DrawingAreaErrorKind<std::io::Error>> for PictureError {
 ///
 /// # Errors
 /// [`PictureError`] when the drawing library refuses.
-pub fn draw(scene: &Scene, drive: &Drive) -> Result<String, PictureError> {
+pub fn draw(scene: &Scene, drive: &Drive) -> Result<String> {
     let layout = map::Layout::of(scene, drive);
     svg(legend::HEIGHT + layout.height() + curves::HEIGHT, |root| {
         let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
@@ -152,10 +153,7 @@ pub fn draw(scene: &Scene, drive: &Drive) -> Result<String, PictureError> {
 }
 
 /// The text of an SVG file of this height [pixels] with what `paint` draws.
-fn svg(
-    height: u32,
-    paint: impl FnOnce(&Area<'_>) -> Result<(), PictureError>,
-) -> Result<String, PictureError> {
+fn svg(height: u32, paint: impl FnOnce(&Area<'_>) -> Result<()>) -> Result<String> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
@@ -180,7 +178,7 @@ fn mesh<'a, 'b, 'c>(axes: &'b mut Axes<'a, 'c>) -> Mesh<'a, 'b, 'c> {
 }
 
 /// Writes a line of text to the right of (x, y) [pixels].
-fn text(area: &Area<'_>, text: &str, size: u32, x: u32, y: u32) -> Result<(), PictureError> {
+fn text(area: &Area<'_>, text: &str, size: u32, x: u32, y: u32) -> Result<()> {
     let style = font(size).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
     Ok(area.draw_text(text, &style, (fine(x), fine(y)))?)
 }

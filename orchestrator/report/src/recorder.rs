@@ -73,7 +73,6 @@ pub struct Recorder {
     truth: Option<Truth>,
     pose: Option<Pose>,
     actuation: Option<Actuation>,
-    obstacles: Option<Obstacles>,
     ellipses: BTreeMap<u32, Ellipse>,
     recent: VecDeque<(u64, u64)>,
     first_acquired_ns: Option<u64>,
@@ -92,17 +91,11 @@ impl Recorder {
             truth: None,
             pose: None,
             actuation: None,
-            obstacles: None,
             ellipses: BTreeMap::new(),
             recent: VecDeque::new(),
             first_acquired_ns: None,
             newest_acquired_ns: 0,
         }
-    }
-
-    /// A scan was published at that time [ns]; for a robot that publishes no truth.
-    pub fn scan_published(&mut self, scan_id: u64, published_ns: u64) {
-        self.ledger.published(scan_id, published_ns);
     }
 
     /// A scan may stay without an answer, for that reason.
@@ -154,7 +147,6 @@ impl Recorder {
         while self.ellipses.len() > MAX_ELLIPSES {
             self.ellipses.pop_first();
         }
-        self.obstacles = Some(*obstacles);
     }
 
     /// A command of the controller.
@@ -198,11 +190,6 @@ impl Recorder {
     /// The newest truth, if any.
     pub fn last_truth(&self) -> Option<&Truth> {
         self.truth.as_ref()
-    }
-
-    /// The newest description of obstacles, if any.
-    pub fn last_obstacles(&self) -> Option<&Obstacles> {
-        self.obstacles.as_ref()
     }
 
     /// The newest actuation, if any.
@@ -413,7 +400,7 @@ mod tests {
     #[test]
     fn a_refused_command_is_the_reason_of_its_lost_scan() {
         let mut recorder = drive(false);
-        recorder.scan_published(6, 600_000_000);
+        recorder.truth(&truth(6, 6.4));
         let mut block = Actuation { reason: BlockReason::InvalidCommand.wire(), ..Actuation::default() };
         block.header.scan_id = 6;
         recorder.actuation(&block);

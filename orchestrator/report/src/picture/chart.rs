@@ -5,7 +5,7 @@
 use plotters::prelude::*;
 
 use super::legend::{LEFT, Sample, width};
-use super::{Area, EDGE, INK, PictureError, WIDTH, fine, mesh, svg, text};
+use super::{Area, EDGE, INK, Result, WIDTH, fine, mesh, svg, text};
 
 /// Height of the picture [pixels].
 const HEIGHT: u32 = 560;
@@ -66,8 +66,8 @@ pub struct Curve {
 /// Draws curves as the text of an SVG file.
 ///
 /// # Errors
-/// [`PictureError`] when the drawing library refuses.
-pub fn draw(chart: &Chart) -> Result<String, PictureError> {
+/// [`super::PictureError`] when the drawing library refuses.
+pub fn draw(chart: &Chart) -> Result<String> {
     let legend = Legend::of(chart);
     let head = HEAD + (legend.rows - 1) * ROW;
     svg(HEIGHT + head - HEAD, |root| {
@@ -79,7 +79,7 @@ pub fn draw(chart: &Chart) -> Result<String, PictureError> {
     })
 }
 
-fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
+fn curves(area: &Area<'_>, chart: &Chart) -> Result<()> {
     let place = |point: &[f64; 2]| {
         let value = if chart.logarithmic { point[1].log10() } else { point[1] };
         let x = if chart.logarithmic_x { point[0].log10() } else { point[0] };
@@ -196,7 +196,7 @@ impl<'a> Legend<'a> {
         legend
     }
 
-    fn draw(&self, area: &Area<'_>) -> Result<(), PictureError> {
+    fn draw(&self, area: &Area<'_>) -> Result<()> {
         let mut entries = self.entries.iter();
         entries
             .try_for_each(|(name, colour, sample, left, row)| sample.draw(area, name, *colour, *left, *row))

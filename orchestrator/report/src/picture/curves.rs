@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{Area, EDGE, INK, Moment, PictureError, WIDTH, fine, font, mesh};
+use super::{Area, EDGE, INK, Moment, Result, WIDTH, fine, font, mesh};
 
 /// Height of this part [pixels].
 pub(super) const HEIGHT: u32 = 210;
@@ -17,7 +17,7 @@ const HIGHEST_SPEED_MPS: f64 = 10.0;
 /// As above [rad].
 const HIGHEST_STEERING_RAD: f64 = 1.0;
 
-pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<(), PictureError> {
+pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<()> {
     let curve = |pick: fn(&Moment) -> f64, highest: f64| {
         let points = moments.iter().map(|moment| (moment.time_s, pick(moment).clamp(-highest, highest)));
         keep_peaks(points.filter(|(time, value)| time.is_finite() && value.is_finite()).collect())

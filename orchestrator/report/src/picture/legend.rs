@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::map::Layout;
-use super::{Area, BODY, BOUND, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, PictureError, Scene, TRUE_PATH};
+use super::{Area, BODY, BOUND, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, Result, Scene, TRUE_PATH};
 use super::{fine, text};
 
 /// Height of this part [pixels].
@@ -18,7 +18,7 @@ const SAMPLE: u32 = 26;
 /// Estimated width of a letter; the library can't measure text [pixels].
 const LETTER: f64 = 6.6;
 
-pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout) -> Result<(), PictureError> {
+pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout) -> Result<()> {
     text(area, &scene.title, 19, LEFT, 20)?;
     let part = if layout.is_cut() { " (only the last part of the drive is shown)" } else { "" };
     text(area, &format!("{}{part}", scene.subtitle), 13, LEFT, 44)?;
@@ -69,7 +69,7 @@ impl Sample {
         colour: RGBColor,
         left: u32,
         row: u32,
-    ) -> Result<(), PictureError> {
+    ) -> Result<()> {
         let at = |x: u32, y: u32| (fine(left + x), fine(y));
         let middle = at(SAMPLE / 2, row);
         let bar = |from: u32, to: u32, width: u32| {

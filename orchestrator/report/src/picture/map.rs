@@ -8,7 +8,7 @@ use super::clip::{self, View};
 use super::{
     Area, Axes, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
 };
-use super::{Drive, Ellipse, Moment, PictureError, Scene, fine, mesh};
+use super::{Drive, Ellipse, Moment, Result, Scene, fine, mesh};
 
 /// Room for labels on the left [pixels].
 const LEFT: u32 = 60;
@@ -105,7 +105,7 @@ impl Layout {
     }
 
     /// Draws all strips.
-    pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<(), PictureError> {
+    pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<()> {
         let bodies = bodies(&drive.moments, MAX_BODIES * self.strips.len());
         let mut rest = area.clone();
         for (index, view) in self.strips.iter().enumerate() {
@@ -165,7 +165,7 @@ struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    fn draw(&self, area: &Area<'_>, bodies: &[Moment], labels: u32, last: bool) -> Result<(), PictureError> {
+    fn draw(&self, area: &Area<'_>, bodies: &[Moment], labels: u32, last: bool) -> Result<()> {
         let View { x, y } = *self.view;
         let mut chart = ChartBuilder::on(area)
             .margin_left(fine(EDGE))
@@ -183,7 +183,7 @@ impl Strip<'_> {
         self.draw_paths(&mut chart)
     }
 
-    fn draw_mesh(&self, chart: &mut Axes<'_, '_>, last: bool) -> Result<(), PictureError> {
+    fn draw_mesh(&self, chart: &mut Axes<'_, '_>, last: bool) -> Result<()> {
         let height = self.view.y[1] - self.view.y[0];
         let mut mesh = mesh(chart);
         mesh.x_labels(14)
@@ -197,12 +197,12 @@ impl Strip<'_> {
         Ok(mesh.draw()?)
     }
 
-    fn draw_ground(&self, chart: &mut Axes<'_, '_>) -> Result<(), PictureError> {
+    fn draw_ground(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let Scene { track_x_m: [left, right], track_y_m: [low, high], .. } = *self.scene;
         self.fill(chart, &[[left, low], [right, low], [right, high], [left, high]], TRACK.filled())
     }
 
-    fn draw_bounds(&self, chart: &mut Axes<'_, '_>) -> Result<(), PictureError> {
+    fn draw_bounds(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let Scene { track_x_m: [left, right], track_y_m: [low, high], walls, .. } = *self.scene;
         let bound = BOUND.stroke_width(fine(1) as u32 * 3 / 2);
         let lateral = if walls { OBSTACLE.stroke_width(fine(4) as u32) } else { bound };
@@ -216,7 +216,7 @@ impl Strip<'_> {
     }
 
     /// Obstacles, ellipses and the goal.
-    fn draw_things(&self, chart: &mut Axes<'_, '_>) -> Result<(), PictureError> {
+    fn draw_things(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         for ellipse in &self.drive.ellipses {
             let corners = corners(ellipse);
             self.fill(chart, &corners, ELLIPSE.mix(0.10).filled())?;
@@ -232,7 +232,7 @@ impl Strip<'_> {
         self.dot(chart, self.scene.goal_m, 2, GOAL)
     }
 
-    fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<(), PictureError> {
+    fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let fine_step = (self.view.x[1] - self.view.x[0]) / f64::from(fine(ACROSS));
         let path = self.drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
         let path = thinned(path, 2.0 * fine_step);
@@ -252,12 +252,7 @@ impl Strip<'_> {
         })
     }
 
-    fn fill(
-        &self,
-        chart: &mut Axes<'_, '_>,
-        points: &[[f64; 2]],
-        style: ShapeStyle,
-    ) -> Result<(), PictureError> {
+    fn fill(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], style: ShapeStyle) -> Result<()> {
         let inside = pairs(&clip::polygon(points, self.view));
         if inside.len() >= 3 {
             chart.draw_series([Polygon::new(inside, style)])?;
@@ -265,12 +260,7 @@ impl Strip<'_> {
         Ok(())
     }
 
-    fn outline(
-        &self,
-        chart: &mut Axes<'_, '_>,
-        points: &[[f64; 2]],
-        style: ShapeStyle,
-    ) -> Result<(), PictureError> {
+    fn outline(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], style: ShapeStyle) -> Result<()> {
         let closed: Vec<[f64; 2]> = points.iter().chain(points.first()).copied().collect();
         self.line(chart, &closed, style, false)
     }
@@ -281,7 +271,7 @@ impl Strip<'_> {
         points: &[[f64; 2]],
         style: ShapeStyle,
         dashed: bool,
-    ) -> Result<(), PictureError> {
+    ) -> Result<()> {
         for part in clip::line(points, self.view) {
             let part = pairs(&part);
             if dashed {
@@ -293,13 +283,7 @@ impl Strip<'_> {
         Ok(())
     }
 
-    fn dot(
-        &self,
-        chart: &mut Axes<'_, '_>,
-        [x, y]: [f64; 2],
-        radius: u32,
-        colour: RGBColor,
-    ) -> Result<(), PictureError> {
+    fn dot(&self, chart: &mut Axes<'_, '_>, [x, y]: [f64; 2], radius: u32, colour: RGBColor) -> Result<()> {
         let View { x: [left, right], y: [low, high] } = *self.view;
         if (left..=right).contains(&x) && (low..=high).contains(&y) {
             chart.draw_series([Circle::new((x, y), fine(radius), colour.filled())])?;

@@ -4,7 +4,7 @@ use calibration::Chart;
 use plotters::prelude::*;
 
 use super::chart::range;
-use super::{Area, EDGE, INK, PictureError, fine, font, mesh, svg};
+use super::{Area, EDGE, INK, Result, fine, font, mesh, svg};
 
 /// Height of one chart [pixels].
 const HEIGHT: u32 = 300;
@@ -18,8 +18,8 @@ const FITTED: RGBColor = RGBColor(240, 110, 0);
 /// Draws charts as the text of an SVG file.
 ///
 /// # Errors
-/// [`PictureError`] when the drawing library refuses.
-pub fn draw(charts: &[Chart]) -> Result<String, PictureError> {
+/// [`super::PictureError`] when the drawing library refuses.
+pub fn draw(charts: &[Chart]) -> Result<String> {
     let count = charts.len().max(1);
     svg(HEIGHT * count as u32, |root| {
         let areas = root.split_evenly((count, 1));
@@ -27,7 +27,7 @@ pub fn draw(charts: &[Chart]) -> Result<String, PictureError> {
     })
 }
 
-fn panel(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
+fn panel(area: &Area<'_>, chart: &Chart) -> Result<()> {
     let finite = |points: &[[f64; 2]]| -> Vec<(f64, f64)> {
         let pairs = points.iter().map(|[x, y]| (*x, *y));
         pairs.filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
