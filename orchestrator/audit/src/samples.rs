@@ -49,7 +49,7 @@ impl<S: Sample> Queue<S> {
         directive: &Directive,
         sample_audit: &mut SampleAudit,
         refused: &mut Vec<(u64, Rule)>,
-    ) -> Result<u64, RuntimeError> {
+    ) -> Result<(), RuntimeError> {
         let Self { observer, waiting, aside, filter } = self;
         let before = std::mem::take(aside);
         let authority = directive.authority_over(S::TOPIC);
@@ -69,45 +69,39 @@ impl<S: Sample> Queue<S> {
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
-        if self.waiting.front().is_some_and(|sample| sample.header().scan_id <= scan_id) {
-            self.waiting.pop_front()
-        } else {
-            None
-        }
+        self.waiting.pop_front_if(|sample| sample.header().scan_id <= scan_id)
     }
 }
 
-/// Passes the valid samples of a topic to `each`, and all samples to the audit; returns how many were invalid. The scans of
-/// invalid samples that would have counted are added to `refused`.
+/// Passes the valid samples of a topic to `each`, and all samples to the audit. The scans of invalid samples that would
+/// have counted are added to `refused`.
 fn poll<S: Sample>(
     observer: &Observer<S>,
     directive: &Directive,
     sample_audit: &mut SampleAudit,
     refused: &mut Vec<(u64, Rule)>,
     mut each: impl FnMut(&S),
-) -> Result<u64, RuntimeError> {
+) -> Result<(), RuntimeError> {
     let now_ns = monotonic_ns();
-    let (mut came, mut invalid) = (0, 0);
+    let mut arrived = 0;
     sample_audit.poll(S::TOPIC, now_ns);
     observer.poll_checked(|sample, check| {
-        came += 1;
+        arrived += 1;
         if !matches!(check, Err(Fault::Layout { .. })) {
             sample_audit.see(sample, now_ns);
         }
         match check {
             Ok(()) => each(sample),
-            Err(fault) => {
-                invalid += 1;
-                if directive.counts(S::TOPIC, sample.header()) {
-                    refused.push((sample.header().scan_id, fault.rule()));
-                }
+            Err(fault) if directive.counts(S::TOPIC, sample.header()) => {
+                refused.push((sample.header().scan_id, fault.rule()));
             }
+            Err(_) => {}
         }
     })?;
-    if came >= buffer(S::TOPIC) {
+    if arrived >= buffer(S::TOPIC) {
         sample_audit.overflowed(S::TOPIC);
     }
-    Ok(invalid)
+    Ok(())
 }
 
 /// Adds an actuation, unless it repeats the one before it.
@@ -150,7 +144,6 @@ pub struct Samples {
     timeout_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
-    invalid: u64,
     refused: Vec<(u64, Rule)>,
 }
 
@@ -175,7 +168,6 @@ impl Samples {
             timeout_scans: TIMEOUT_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
-            invalid: 0,
             refused: Vec::new(),
         })
     }
@@ -201,20 +193,20 @@ impl Samples {
         sample_audit: &mut SampleAudit,
     ) -> Result<(), RuntimeError> {
         let Self { refused, .. } = self;
-        self.invalid += self.truths.poll(directive, sample_audit, refused)?;
-        self.invalid += poll(&self.scans, directive, sample_audit, refused, |_| ())?;
-        self.invalid += poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
+        self.truths.poll(directive, sample_audit, refused)?;
+        poll(&self.scans, directive, sample_audit, refused, |_| ())?;
+        poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
         // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
         let before = self.actuations.waiting.len();
-        self.invalid += self.actuations.poll(directive, sample_audit, refused)?;
+        self.actuations.poll(directive, sample_audit, refused)?;
         self.actuations
             .waiting
             .iter()
             .skip(before)
             .for_each(|actuation| remember(&mut self.recent, actuation));
-        self.invalid += self.commands.poll(directive, sample_audit, refused)?;
-        self.invalid += self.obstacles.poll(directive, sample_audit, refused)?;
-        self.invalid += self.poses.poll(directive, sample_audit, refused)?;
+        self.commands.poll(directive, sample_audit, refused)?;
+        self.obstacles.poll(directive, sample_audit, refused)?;
+        self.poses.poll(directive, sample_audit, refused)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }

@@ -18,7 +18,6 @@ use handover::swap::Certificate;
 use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
-use crate::latency::STAGES;
 
 pub use self::write::write_atomically;
 
@@ -142,8 +141,8 @@ pub struct PerStage {
 }
 
 impl PerStage {
-    /// The distributions in the order of [`crate::latency::STAGES`].
-    pub fn each(&self) -> [&Figures; STAGES.len()] {
+    /// The distributions in the order of the data flow.
+    pub fn each(&self) -> [&Figures; 4] {
         [&self.estimator, &self.obstacles, &self.controller, &self.actuator]
     }
 }
