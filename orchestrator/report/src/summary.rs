@@ -8,6 +8,7 @@ use figures::Figures;
 use crate::latency::STAGES;
 use crate::report::{
     DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
+    SelfCheckReport,
 };
 
 /// The summary of a run; `folder` is where its files are, if any were written.
@@ -30,17 +31,10 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     if !report.stop_reasons.is_empty() {
         rows.push(("stops", counts(report.stop_reasons.iter())));
     }
-    let watch = &report.self_check;
-    if watch.alarms > 0 {
-        rows.push((
-            "self-check",
-            format!(
-                "suspects {} since scan {}: {}",
-                watch.suspect.replace('_', " "),
-                watch.first_scan,
-                watch.alarm
-            ),
-        ));
+    let SelfCheckReport { alarms, suspect, alarm, first_scan, .. } = &report.self_check;
+    if *alarms > 0 {
+        let suspect = suspect.replace('_', " ");
+        rows.push(("self-check", format!("suspects {suspect} since scan {first_scan}: {alarm}")));
     }
     let restarts: u32 = report.processes.iter().map(|process| process.restarts).sum();
     if restarts > 0 {
@@ -51,7 +45,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         line(&mut text, format_args!("{name:<15} {value}"));
     }
     line(&mut text, format_args!(""));
-    latencies(&mut text, &report.latency_us);
+    text += &latency_table(&report.latency_us);
     if let Some(folder) = folder {
         line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
     }
@@ -60,11 +54,8 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
 
 fn outcome(report: &Report) -> String {
     let simulated = if report.lockstep { " (simulated time)" } else { "" };
-    if report.reason.is_empty() {
-        format!("{}{simulated}", report.outcome)
-    } else {
-        format!("{}: {}{simulated}", report.outcome, report.reason)
-    }
+    let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
+    format!("{}{reason}{simulated}", report.outcome)
 }
 
 fn clearance(drive: &DriveReport) -> String {
@@ -124,36 +115,35 @@ pub fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
 }
 
-/// The table of latencies alone.
+/// The table of latencies.
 pub fn latency_table(latency: &LatencyReport) -> String {
-    let mut text = String::new();
-    latencies(&mut text, latency);
-    text
-}
-
-fn latencies(text: &mut String, latency: &LatencyReport) {
     if latency.simulated {
-        line(text, format_args!("{:<15} not measured: time was simulated", "latency"));
-        return;
+        return format!("{:<15} not measured: time was simulated\n", "latency");
     }
+    let mut text = String::new();
     let stages = STAGES.iter().zip(latency.stages.compute.each());
     let rows = [("scan to actuation".to_owned(), &latency.scan_to_actuation)]
         .into_iter()
         .chain(stages.map(|(role, figures)| (format!("  {role}"), figures)))
         .chain([("  transport".to_owned(), &latency.stages.transport)])
         .chain([("age of the data".to_owned(), &latency.data_age)]);
-    row(text, "latency [ms]", ["p50", "p90", "p99", "max"].map(str::to_owned));
+    row(&mut text, "latency [ms]", ["p50", "p90", "p99", "max"].map(str::to_owned));
     for (name, Figures { count, p50, p90, p99, max, .. }) in rows {
-        row(text, &name, [p50, p90, p99, max].map(|us| if *count == 0 { "-".to_owned() } else { ms(*us) }));
+        row(
+            &mut text,
+            &name,
+            [p50, p90, p99, max].map(|us| if *count == 0 { "-".to_owned() } else { ms(*us) }),
+        );
     }
     if latency.complete_chains > 0 {
-        stages_table(text, latency);
+        stages_table(&mut text, latency);
     }
     let incomplete = match latency.incomplete_chains {
         0 => String::new(),
         count => format!(", {count} INCOMPLETE"),
     };
-    line(text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+    line(&mut text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+    text
 }
 
 /// Where each stage spends its time, medians.

@@ -169,13 +169,8 @@ fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCou
     std::fs::create_dir_all(&arguments.out).with_context(|| format!("--out {}", arguments.out.display()))?;
     let path = arguments.out.join(format!("{}.toml", scenario.name));
     std::fs::write(&path, scenario.to_toml()).with_context(|| format!("{}", path.display()))?;
-    Ok(BadCourse {
-        seed: run.seed,
-        family: family.name(),
-        outcome: run.outcome,
-        reason: run.reason.clone(),
-        scenario: path,
-    })
+    let CourseRun { seed, outcome, ref reason, .. } = *run;
+    Ok(BadCourse { seed, family: family.name(), outcome, reason: reason.clone(), scenario: path })
 }
 
 fn text(summary: &Summary) -> String {
@@ -191,15 +186,11 @@ fn text(summary: &Summary) -> String {
             outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();
         let _ = writeln!(text, "  {family:<13} {}", counts.join(", "));
     }
-    for bad in &summary.bad {
+    for BadCourse { seed, family, outcome, reason, scenario } in &summary.bad {
         let _ = writeln!(
             text,
-            "bad             seed {} ({}): {}, {}; scanloop run --lockstep {}",
-            bad.seed,
-            bad.family,
-            bad.outcome,
-            bad.reason,
-            bad.scenario.display()
+            "bad             seed {seed} ({family}): {outcome}, {reason}; scanloop run --lockstep {}",
+            scenario.display()
         );
     }
     text

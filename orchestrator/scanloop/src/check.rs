@@ -40,12 +40,8 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     let mut plan = None;
     for scenario in &scenarios {
         let checked = Plan::read(Some(scenario), &choice)?;
-        note!(
-            "{scenario}: a valid scenario, {} obstacles, goal at ({}, {})",
-            checked.scenario.placed_obstacles().len(),
-            checked.scenario.goal.x_m,
-            checked.scenario.goal.y_m
-        );
+        let (obstacles, goal) = (checked.scenario.placed_obstacles().len(), &checked.scenario.goal);
+        note!("{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})", goal.x_m, goal.y_m);
         plan = Some(checked);
     }
     let plan = match plan {
@@ -61,13 +57,8 @@ pub(crate) fn graph(system: &System) -> String {
     let mut text = format!("{} Hz, {} processes\n", system.rate_hz, system.processes.len());
     for role in Role::ALL {
         let label = system.entry(*role).map_or_else(String::new, |entry| entry.label());
-        let _ = writeln!(
-            text,
-            "  {:<22} -> [{} = {label}] -> {}",
-            names(role.reads()),
-            role.name(),
-            names(role.writes())
-        );
+        let (inputs, outputs) = (names(role.reads()), names(role.writes()));
+        let _ = writeln!(text, "  {inputs:<22} -> [{role} = {label}] -> {outputs}");
     }
     let latched: Vec<Topic> = TOPICS.into_iter().filter(|topic| topic.writer().is_none()).collect();
     let _ = writeln!(text, "  outside the loop: {}, truth", names(&latched));

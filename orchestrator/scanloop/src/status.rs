@@ -38,21 +38,11 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 }
 
 fn table(status: &Status) -> String {
+    let Status { system_id, state, scenario, scan, .. } = status;
     let mut text = format!(
-        "system {}: {}, scenario {}, scan {}\n{:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
-        status.system_id,
-        status.state,
-        status.scenario,
-        status.scan,
-        "role",
-        "implementation",
-        "pid",
-        "state",
-        "restarts",
-        "rate/Hz",
-        "age/ms",
-        "cpu/%",
-        "mem/KiB"
+        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n\
+         {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
+        "role", "implementation", "pid", "state", "restarts", "rate/Hz", "age/ms", "cpu/%", "mem/KiB"
     );
     for process in &status.processes {
         let _ = writeln!(

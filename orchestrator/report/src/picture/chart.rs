@@ -15,7 +15,7 @@ const HEAD: u32 = 84;
 const ROW: u32 = 22;
 /// Limits.
 const LIMIT: RGBColor = RGBColor(190, 60, 30);
-/// One colour per curve, told apart in grey too.
+/// One colour per curve, distinguishable in grey too.
 const PALETTE: [RGBColor; 8] = [
     RGBColor(0, 92, 158),
     RGBColor(240, 110, 0),

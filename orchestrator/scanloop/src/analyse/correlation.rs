@@ -85,15 +85,12 @@ fn table(result: &CorrelationResult) -> String {
         "over the box    {:.2} deg, at {:.3} m/s, {:+.4} rad",
         result.box_min_angle_deg, result.box_worst.velocity_mps, result.box_worst.steering_rad
     );
-    let _ = writeln!(
-        text,
-        "result          {}",
-        if result.bfgs_admissible {
-            format!("not correlated, BFGS is admissible: no angle below {CORRELATED_BELOW_DEG} deg")
-        } else {
-            format!("warning: correlated, BFGS is not advised: an angle below {CORRELATED_BELOW_DEG} deg")
-        }
-    );
+    let verdict = if result.bfgs_admissible {
+        "not correlated, BFGS is admissible: no angle"
+    } else {
+        "warning: correlated, BFGS is not advised: an angle"
+    };
+    let _ = writeln!(text, "result          {verdict} below {CORRELATED_BELOW_DEG} deg");
     let _ = writeln!(
         text,
         "definition      {DEFINITION}; `{scheme}`: as `interval`, but with one collocation interval, which passes over \

@@ -88,7 +88,7 @@ impl Verdict {
 /// The number of rounds that would show whether the estimated difference is real.
 fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
     if difference.value == 0.0 {
-        return "the estimated difference is zero".to_owned();
+        return "the two figures are equal".to_owned();
     }
     let size = number(difference.value.abs()) + unit;
     let turns = if rounds == 1 { "of `--ab` " } else { "" };

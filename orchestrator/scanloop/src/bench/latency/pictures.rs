@@ -1,7 +1,8 @@
 //! Two pictures of a run: how often each time was seen (the plot of `cyclictest`), and how often it was exceeded.
 
-use figures::Distribution;
+use figures::{Distribution, Figures};
 use hdrhistogram::Histogram;
+use report::ScanReport;
 use report::latency::STAGES;
 use report::picture::chart::{Chart, Curve};
 
@@ -29,16 +30,12 @@ fn series<'a>(
 }
 
 fn subtitle(results: &LatencyResults) -> String {
+    let LatencyResults { rate_hz, compute, .. } = results;
+    let ScanReport { published, late, lost, .. } = results.scans;
+    let Figures { p50, p99, max, .. } = results.scan_to_actuation_us;
     format!(
-        "{} scans at {} Hz, compute {}, {} late, {} lost; median {:.0} us, 99 % {:.0} us, largest {:.0} us",
-        results.scans.published,
-        results.rate_hz,
-        results.compute,
-        results.scans.late,
-        results.scans.lost,
-        results.scan_to_actuation_us.p50,
-        results.scan_to_actuation_us.p99,
-        results.scan_to_actuation_us.max
+        "{published} scans at {rate_hz} Hz, compute {compute}, {late} late, {lost} lost; median {p50:.0} us, \
+         99 % {p99:.0} us, largest {max:.0} us"
     )
 }
 

@@ -44,12 +44,10 @@ pub(crate) fn text(results: &LatencyResults) -> String {
         table.row(std::iter::once(name.to_owned()).chain(values.map(shown)));
     }
     let _ = write!(text, "\n{table}");
-    if results.scan_to_actuation_us.count < MIN_SCANS {
-        let _ = writeln!(
-            text,
-            "\n{} scans are few: their 99 % and 99.9 % are close to the largest value",
-            results.scan_to_actuation_us.count
-        );
+    let count = results.scan_to_actuation_us.count;
+    if count < MIN_SCANS {
+        let _ =
+            writeln!(text, "\n{count} scans are few: their 99 % and 99.9 % are close to the largest value");
     }
     text
 }
@@ -61,19 +59,19 @@ fn head(results: &LatencyResults) -> Vec<(&'static str, String)> {
         ("none", None) => "none, the pipeline's own samples".to_owned(),
         (name, _) => name.to_owned(),
     };
+    let ScanReport { published, commanded, late, unaccounted, .. } = scans;
+    let Machine { cores, busy_percent, steal_percent, .. } = machine;
     let known = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
+    let load_average = known(&machine.load_average.map(|load| load.to_string()));
     vec![
         ("profile", results.profile.to_owned()),
         ("rate", format!("{} Hz for {:.1} s, compute {compute}", results.rate_hz, results.duration_s)),
         (
             "scans",
             format!(
-                "{} published, {} commanded, {} late, {}, {} unaccounted, {} complete chains",
-                scans.published,
-                scans.commanded,
-                scans.late,
+                "{published} published, {commanded} commanded, {late} late, {}, {unaccounted} unaccounted, \
+                 {} complete chains",
                 lost(scans),
-                scans.unaccounted,
                 results.complete_chains
             ),
         ),
@@ -88,8 +86,7 @@ fn head(results: &LatencyResults) -> Vec<(&'static str, String)> {
         (
             "machine",
             format!(
-                "{} cores of {}{}, kernel {}, clock {}",
-                machine.cores,
+                "{cores} cores of {}{}, kernel {}, clock {}",
                 known(&machine.cpu_model),
                 if machine.virtual_machine { " (virtual)" } else { "" },
                 known(&machine.kernel),
@@ -112,10 +109,8 @@ fn head(results: &LatencyResults) -> Vec<(&'static str, String)> {
         (
             "use",
             format!(
-                "processors {:.0} % busy during the run, {:.1} % taken by the host; load average {} before",
-                machine.busy_percent,
-                machine.steal_percent,
-                machine.load_average.map_or("unknown".to_owned(), |load| load.to_string())
+                "processors {busy_percent:.0} % busy during the run, {steal_percent:.1} % taken by the host; \
+                 load average {load_average} before"
             ),
         ),
         ("stamps", format!("{:.2} us per stage and scan", results.stamps_us_per_stage)),

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use figures::{Align, Figures, Table};
 
 use super::SolverResults;
-use super::versus::SAME_OPTIMUM;
+use super::fit::Fit;
+use super::versus::{OtherOptimum, PeerRow, SAME_OPTIMUM};
 use crate::bench::instrument::build_command;
 
 /// Maximum number of listed cases with another optimum; JSON has all.
@@ -64,12 +65,12 @@ pub(super) fn text(results: &SolverResults) -> String {
     }
     for growth in &results.growth {
         for (what, fit) in [("step", growth.step), ("solve", growth.solve), ("99 %", growth.solve_p99)] {
-            let Some(fit) = fit else { continue };
+            let Some(Fit { intercept_us, slope_us, r_squared, exponent }) = fit else { continue };
             let name = format!("{}, {}", growth.name, growth.hessian);
             let _ = writeln!(
                 text,
-                "{name:<26} {what:<6} a = {:.1}, b = {:.2}, share explained {:.4}, e = {:.2}",
-                fit.intercept_us, fit.slope_us, fit.r_squared, fit.exponent
+                "{name:<26} {what:<6} a = {intercept_us:.1}, b = {slope_us:.2}, share explained {r_squared:.4}, \
+                 e = {exponent:.2}"
             );
         }
     }
@@ -78,40 +79,39 @@ pub(super) fn text(results: &SolverResults) -> String {
         let _ = writeln!(text, "\npeers      CasADi {}, {evaluation}", about.version);
     }
     for row in &results.peers {
+        let PeerRow { name, n, ratio_p50, ratio_p99, same, others, .. } = row;
         let _ = writeln!(
             text,
-            "{:<26} {:>3} {:>9}   {:<24} {} / {} / {} iterations; {:.0} times ours at the median, {:.0} at 99 %{}",
-            row.name,
-            row.n,
+            "{name:<26} {n:>3} {:>9}   {:<24} {} / {} / {} iterations; {ratio_p50:.0} times ours at the median, \
+             {ratio_p99:.0} at 99 %{}",
             format!("{}/{}", row.converged, row.converged + row.failed),
             times(&row.solve_us),
             row.iterations.p50,
             row.iterations.p99,
             row.iterations.max,
-            row.ratio_p50,
-            row.ratio_p99,
             row.ratio_acados_p50.map_or(String::new(), |ratio| format!(
                 "; acados by the stored ratio: {ratio:.1} times ours"
             )),
         );
         let _ = writeln!(
             text,
-            "{:<26} same optimum in {}, controls within {:.1e} (as stopped {:.1e}); another one (over {SAME_OPTIMUM:.0e}) in {}",
+            "{:<26} same optimum in {same}, controls within {:.1e} (as stopped {:.1e}); another one (over \
+             {SAME_OPTIMUM:.0e}) in {}",
             "",
-            row.same,
             row.largest_difference,
             row.largest_difference_as_stopped,
-            row.others.len()
+            others.len()
         );
-        for other in row.others.iter().take(MAX_LISTED) {
+        for OtherOptimum { line, difference, objective, peer_objective } in others.iter().take(MAX_LISTED) {
             let _ = writeln!(
                 text,
-                "{:<26}   line {}: controls differ by {:.1e}, objective {:.6} ours, {:.6} its",
-                "", other.line, other.difference, other.objective, other.peer_objective
+                "{:<26}   line {line}: controls differ by {difference:.1e}, objective {objective:.6} ours, \
+                 {peer_objective:.6} its",
+                ""
             );
         }
-        if row.others.len() > MAX_LISTED {
-            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", row.others.len() - MAX_LISTED);
+        if others.len() > MAX_LISTED {
+            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", others.len() - MAX_LISTED);
         }
     }
     for skipped in &results.skipped {
