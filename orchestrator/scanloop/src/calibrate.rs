@@ -157,13 +157,8 @@ fn shown(estimate: &Estimate, scale: f64, unit: &str) -> String {
     // Two digits of the standard error, at least three decimals.
     let digits = (2.0 - (scale * standard_error).abs().max(1e-9).log10().ceil()).clamp(3.0, 9.0) as usize;
     let number = |value: f64| format!("{:.digits$}", scale * value);
-    format!(
-        "{} +- {}{unit}, 95 %: {} to {}",
-        number(value),
-        number(standard_error),
-        number(low),
-        number(high)
-    )
+    let [value, standard_error, low, high] = [value, standard_error, low, high].map(number);
+    format!("{value} +- {standard_error}{unit}, 95 %: {low} to {high}")
 }
 
 fn play(play: Option<Estimate>) -> String {

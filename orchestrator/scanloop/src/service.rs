@@ -25,11 +25,9 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "nmpc" => nmpc::service::run()?,
         "actuation" => actuation::service::run()?,
         _ => {
-            let known: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
-            return Err(Failure::bad_input(format!(
-                "unknown implementation `{name}`: expected one of {}",
-                known.join(", ")
-            )));
+            let known = IMPLEMENTATIONS.map(|(name, _)| name).join(", ");
+            let message = format!("unknown implementation `{name}`: expected one of {known}");
+            return Err(Failure::bad_input(message));
         }
     }
     Ok(Exit::Done)

@@ -7,6 +7,7 @@
 use std::process::{Command, Stdio};
 
 use console::exit::{Exit, Failure};
+use console::note;
 use runtime::{Domain, Priority, RuntimeError, print};
 use rustix::process::{geteuid, setsid};
 use supervision::child::this_program;
@@ -53,28 +54,20 @@ fn stop_one(run: &LivingRun) -> bool {
     let system_id = &run.system_id;
     let after_ms = after_ns / 1_000_000;
     if !confirmed {
+        let what = format!("the block of the wheels is not confirmed after {after_ms} ms");
         let alive = run.alive().join(", ");
-        print(
-            Priority::Error,
-            &format!(
-                "system `{system_id}`: the block of the wheels is not confirmed after {after_ms} ms; alive: {alive}"
-            ),
-        );
+        print(Priority::Error, &format!("system `{system_id}`: {what}; alive: {alive}"));
     }
     let is_over = halt::wait_for_end(run, RETURN_NS.saturating_sub(after_ns));
-    if !is_over && let Err(error) = detach(run) {
-        print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
-    }
     if is_over {
         halt::finish(run);
+    } else if let Err(error) = detach(run) {
+        print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
     }
     if confirmed {
         let state = if orphaned { ", which had lost its orchestrator," } else { "" };
         let end = if is_over { "and it has ended" } else { "its processes are ending" };
-        print(
-            Priority::Notice,
-            &format!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}"),
-        );
+        note!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}");
     }
     confirmed
 }
@@ -101,7 +94,7 @@ fn finish(run_id: &str, uid: Option<u32>) -> anyhow::Result<Exit> {
 /// No such system is running: removes the files of a dead one, and names the running ones.
 fn nothing(system_id: &str, arguments: &StopArguments, living: &[LivingRun]) -> anyhow::Result<Exit> {
     if arguments.all {
-        print(Priority::Notice, "no system is running");
+        note!("no system is running");
         return Ok(Exit::Done);
     }
     if arguments.uid.is_none()

@@ -34,33 +34,24 @@ pub(crate) struct Verdict {
 impl Verdict {
     /// The verdict on a figure after so many rounds; two files count as one.
     pub(crate) fn new(metric: &str, [a, b]: [f64; 2], difference: &Difference, rounds: usize) -> Self {
-        let unit = unit(metric);
-        let directions = if unit.is_empty() { ["higher", "lower"] } else { ["slower", "faster"] };
-        let verdict = match difference.is_seen() {
-            false => "no difference",
-            true if difference.value > 0.0 => directions[0],
-            true => directions[1],
+        let (directions, unit) = match unit(metric) {
+            "" => (["higher", "lower"], String::new()),
+            unit => (["slower", "faster"], format!(" {unit}")),
         };
-        let [low, high] = difference.interval;
-        let percent = CONFIDENCE * 100.0;
-        let space = if unit.is_empty() { "" } else { " " };
-        let text = if difference.is_seen() {
-            format!(
-                "B is {}{space}{unit} {verdict} ({percent} % interval {} to {})",
-                number(difference.value.abs()),
-                number(low),
-                number(high)
-            )
+        let [low, high] = difference.interval.map(number);
+        let interval = format!("({} % interval {low} to {high})", CONFIDENCE * 100.0);
+        let (verdict, text, rounds_to_settle) = if difference.is_seen() {
+            let verdict = directions[usize::from(difference.value < 0.0)];
+            let size = number(difference.value.abs());
+            (verdict, format!("B is {size}{unit} {verdict} {interval}"), None)
         } else {
-            format!(
-                "no difference seen ({percent} % interval {} to {}); a difference below {}{space}{unit} may be missed; {}",
-                number(low),
-                number(high),
-                number(difference.smallest_visible),
-                settlement(difference, rounds, &format!("{space}{unit}"))
-            )
+            let smallest = number(difference.smallest_visible);
+            let text = format!(
+                "no difference seen {interval}; a difference below {smallest}{unit} may be missed; {}",
+                settlement(difference, rounds, &unit)
+            );
+            ("no difference", text, difference.rounds_to_settle(rounds))
         };
-        let rounds_to_settle = if difference.is_seen() { None } else { difference.rounds_to_settle(rounds) };
         Self {
             metric: metric.to_owned(),
             a,
@@ -102,14 +93,11 @@ fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
 
 /// The unit of time that a key of the path ends with; empty for anything else.
 fn unit(metric: &str) -> &'static str {
-    let ends = |key: &str| match key.rsplit_once('_').map(|(_, unit)| unit) {
-        Some("ns") => "ns",
-        Some("us") => "us",
-        Some("ms") => "ms",
-        Some("s") => "s",
-        _ => "",
+    let unit_of = |key: &str| {
+        let (_, end) = key.rsplit_once('_')?;
+        ["ns", "us", "ms", "s"].into_iter().find(|unit| *unit == end)
     };
-    metric.rsplit('.').map(ends).find(|unit| !unit.is_empty()).unwrap_or_default()
+    metric.rsplit('.').find_map(unit_of).unwrap_or_default()
 }
 
 /// A number with three significant digits.

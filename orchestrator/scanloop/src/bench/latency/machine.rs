@@ -154,12 +154,8 @@ fn mitigations(folder: &Path) -> Option<String> {
     let entries: Vec<String> =
         std::fs::read_dir(folder).ok()?.flatten().filter_map(|entry| read(entry.path())).collect();
     let count = |start: &str| entries.iter().filter(|text| text.starts_with(start)).count();
-    Some(format!(
-        "{} worked around, {} vulnerable, {} not affected",
-        count("Mitigation"),
-        count("Vulnerable"),
-        count("Not affected")
-    ))
+    let [mitigated, vulnerable, unaffected] = ["Mitigation", "Vulnerable", "Not affected"].map(count);
+    Some(format!("{mitigated} worked around, {vulnerable} vulnerable, {unaffected} not affected"))
 }
 
 #[cfg(test)]
