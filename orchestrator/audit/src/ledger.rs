@@ -1,4 +1,4 @@
-//! What became of every scan, here; and of every sample of every topic, in [`SampleAudit`].
+//! What became of every scan: the ledger. For samples see [`SampleAudit`].
 //!
 //! Scans are numbered without gaps from the first on, so each number between the first and the newest seen is a
 //! scan that was published. It is *commanded* when an actuation answered it, *late* too when that was published after

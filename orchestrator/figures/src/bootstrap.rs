@@ -44,8 +44,8 @@ pub fn quantile_of(values: &mut [f64], quantile: f64) -> f64 {
     *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
-/// A statistic of 1000 drawings of whole blocks of neighbours from `values`, with replacement and cyclically; each drawing
-/// is as long as `values`. The drawings are the same for the same number of values.
+/// A statistic of 1000 drawings of whole blocks of neighbours from `values`, with replacement and cyclically; each
+/// drawing is as long as `values`. The drawings are the same for the same number of values.
 pub fn resample<T: Copy, R>(values: &[T], block: usize, mut statistic: impl FnMut(&[T]) -> R) -> Vec<R> {
     let (count, block) = (values.len(), block.max(1));
     let mut random = SplitMix64(1);

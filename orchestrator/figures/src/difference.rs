@@ -57,10 +57,10 @@ impl Difference {
         }
     }
 
-    /// Number of rounds in turns that detect a true difference of this size with 90 % probability, when this estimate is
-    /// from `rounds` rounds: the width of the interval falls with the square root of their number. `None` for an estimate
-    /// of zero, and when it takes more than [`MAX_ROUNDS`]. Two files count as one round: their interval is that of one
-    /// run of each, because the part of the machine is not divided by the number of stretches.
+    /// Number of rounds in turns that detect a true difference of this size with 90 % probability, when this estimate
+    /// is from `rounds` rounds: the width of the interval falls with the square root of their number. `None` for an
+    /// estimate of zero, and when it takes more than [`MAX_ROUNDS`]. Two files count as one round: their interval is
+    /// that of one run of each, because the part of the machine is not divided by the number of stretches.
     pub fn rounds_to_settle(&self, rounds: usize) -> Option<usize> {
         let needed = (rounds as f64 * (self.smallest_visible / self.value).powi(2)).ceil();
         (needed <= MAX_ROUNDS as f64).then(|| (needed as usize).max(MIN_ROUNDS).max(rounds + 1))
@@ -138,8 +138,8 @@ pub fn smallest_visible(series: &[Histogram<u64>], steady: &[Histogram<u64>], qu
     Some(NINE_IN_TEN * half)
 }
 
-/// Half the width of the interval of an average over groups. `variance` is that between groups; the number of scans in a
-/// group explains the part `sampling` of it.
+/// Half the width of the interval of an average over groups. `variance` is that between groups; the number of scans in
+/// a group explains the part `sampling` of it.
 fn half_width(variance: f64, sampling: f64, groups: usize) -> f64 {
     let machine = (variance - sampling).max(0.0);
     let squared = (machine + sampling / groups as f64).max(variance / groups as f64);

@@ -5,16 +5,17 @@
 //! run one after the other: this chain is the critical path. For a stage on it
 //!
 //! * **hop** is the time from the publication of its predecessor until it has taken its inputs,
-//! * **compute** the time from there until its result is there,
-//! * **publish** the time from there until its sample is out,
-//! * **wait** the time it was awake with a part of its inputs before its predecessor published; it overlaps with
+//! * **compute** is the time from then until its result is computed,
+//! * **publish** is the time from then until its sample is published,
+//! * **wait** is the time it was awake with a part of its inputs before its predecessor published; it overlaps with
 //!   the work of the predecessor and is not part of the path.
 //!
 //! Reaction time = sum of all hops, computes and publications, exactly, in nanoseconds. *Transport* is the
 //! reaction time minus all compute: hops and publications, the cost of five processes over one.
 //!
-//! This holds for stamps of one clock. In lock-step the clock is simulated, so only complete chains are counted. An answer whose chain has a hole (a controller that acted without
-//! obstacles) counts in reaction time and data age, not in the stages, so a slow case never hides.
+//! This holds for stamps of one clock. In lock-step the clock is simulated, so only complete chains are counted. An
+//! answer with an incomplete chain (a controller that acted without obstacles) counts in reaction time and data age,
+//! but not in the stages; so slow cases are never left out.
 
 use figures::Distribution;
 use shared_types::{Header, Role, StageStamps};
@@ -31,7 +32,7 @@ pub struct StageTimes {
     pub hop_ns: u64,
     /// Awake before the predecessor published, not on the critical path [ns].
     pub wait_ns: u64,
-    /// From the inputs taken until the result was there [ns].
+    /// From the inputs taken until the result was computed [ns].
     pub compute_ns: u64,
     /// From the result until it was published [ns].
     pub publish_ns: u64,

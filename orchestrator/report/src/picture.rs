@@ -25,17 +25,17 @@ const EDGE: u32 = 8;
 /// Fine steps per pixel.
 const FINE: u32 = 4;
 
-/// Where the robot really is.
+/// The true path.
 const TRUE_PATH: RGBColor = RGBColor(0, 92, 158);
-/// Where it is by its own estimate.
+/// The estimated path.
 const ESTIMATED_PATH: RGBColor = RGBColor(240, 110, 0);
-/// Its body.
+/// The body of the robot.
 const BODY: RGBColor = RGBColor(86, 160, 211);
-/// What its centre keeps out of.
+/// Ellipses that the centre of the robot keeps out of.
 const ELLIPSE: RGBColor = RGBColor(196, 78, 120);
-/// Real things.
+/// Real obstacles and walls.
 const OBSTACLE: RGBColor = RGBColor(70, 70, 75);
-/// Where it is to go.
+/// The goal and its tolerance.
 const GOAL: RGBColor = RGBColor(0, 140, 95);
 /// Bounds without a wall.
 const BOUND: RGBColor = RGBColor(130, 130, 135);
@@ -51,7 +51,7 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Axes<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBackend<'c>>;
 
-/// The outline of a real thing.
+/// The outline of an obstacle.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Shape {
     /// Its corners in order; a circle is given as a polygon [m].
@@ -75,9 +75,9 @@ pub struct Scene {
     pub obstacles: Vec<Shape>,
     /// Where the drive starts [m].
     pub start_m: [f64; 2],
-    /// Where it is to end [m].
+    /// The goal [m].
     pub goal_m: [f64; 2],
-    /// How near to the goal is near enough [m].
+    /// Largest distance to the goal at which it counts as reached [m].
     pub goal_tolerance_m: f64,
     /// Length of the robot's body [m].
     pub body_length_m: f64,

@@ -30,7 +30,7 @@ pub const MAX_ELLIPSES: usize = 10_000;
 /// The progress line shows the reaction times of this long before the newest answer [ns].
 const RECENT_NS: u64 = 1_000_000_000;
 
-/// What is known of a run before it starts.
+/// The properties of a run that are known before it starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunInfo {
     /// The random id of the run.

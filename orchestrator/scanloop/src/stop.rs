@@ -1,8 +1,8 @@
 //! `scanloop stop`: blocks the wheels within a second, even without the help of the orchestrator.
 //!
-//! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. The rest takes longer:
-//! standstill, reports, the end of the processes, the removal of files. A copy of this program does that in a session
-//! of its own, so closing the terminal does not interrupt it.
+//! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. The rest takes
+//! longer: standstill, reports, the end of the processes, the removal of files. A copy of this program does that in a
+//! session of its own, so closing the terminal does not interrupt it.
 
 use std::process::{Command, Stdio};
 

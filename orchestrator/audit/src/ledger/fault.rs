@@ -10,7 +10,7 @@ use shared_types::Topic;
 pub struct Fault {
     /// Name of the topic.
     pub topic: String,
-    /// What is wrong.
+    /// The kind of fault.
     pub kind: Kind,
     /// Incarnation of the process that wrote it, or should have.
     pub incarnation: u32,
@@ -22,7 +22,7 @@ pub struct Fault {
     pub noticed_by: String,
 }
 
-/// What is wrong with a sample.
+/// The kind of fault of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {

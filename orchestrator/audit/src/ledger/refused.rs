@@ -62,8 +62,8 @@ pub(super) struct Refused {
 }
 
 impl Refused {
-    /// Adds what a process dropped and refused since its last heartbeat. With `midway` the counts of its first heartbeat
-    /// belong to another orchestrator.
+    /// Adds what a process dropped and refused since its last heartbeat. With `midway` the counts of its first
+    /// heartbeat belong to another orchestrator.
     pub(super) fn add_heartbeat(&mut self, role: Role, heartbeat: &Heartbeat, midway: bool) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, refusal) in role.reads().iter().zip(&heartbeat.refused) {
@@ -103,7 +103,7 @@ impl Refused {
 }
 
 impl RefusedRow {
-    /// What is wrong with the samples, as `not verified (verified = 0)`.
+    /// The rule, field and value as text, like `not verified (verified = 0)`.
     pub fn fault(&self) -> String {
         let rule = self.rule.replace('_', " ");
         match (self.field.as_str(), self.rule == Rule::NotFinite.name()) {

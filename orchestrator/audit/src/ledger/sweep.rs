@@ -60,8 +60,8 @@ impl Sweep {
         unseen
     }
 
-    /// Samples and scans that are certainly lacking: later scans are complete, or the time is up, or with `is_last` nothing
-    /// can follow.
+    /// Samples and scans that are certainly lacking: later scans are complete, or the time is up, or with `is_last`
+    /// nothing can follow.
     pub(super) fn reconcile(&mut self, now_ns: u64, is_last: bool) -> Vec<Lack> {
         let mut lacks = Vec::new();
         let complete = |scan: &Scan| {

@@ -8,8 +8,8 @@
 //!
 //! *Published* counts each sample once per process that should receive it, so twice during a swap. *Replaced* are
 //! samples that a rule drops: a newer one was used, too old, writer without authority, bad content. *Lost* are samples
-//! that waited at a process that died, or had not reached it yet. *In flight* are samples that wait at a reader, or were
-//! published after its last heartbeat. The *residual* is unexplained; it must be zero.
+//! that waited at a process that died, or had not reached it yet. *In flight* are samples that wait at a reader, or
+//! were published after its last heartbeat. The *residual* is unexplained; it must be zero.
 //!
 //! What a reader that was killed did after its last heartbeat is not known: those samples count as lost.
 
@@ -197,8 +197,8 @@ impl TopicLedger {
         }
     }
 
-    /// The faults that are certain after the last poll. With `is_last`, after the last heartbeats of a run, late samples
-    /// are not waited for.
+    /// The faults that are certain after the last poll. With `is_last`, after the last heartbeats of a run, late
+    /// samples are not waited for.
     pub fn reconcile(&mut self, is_last: bool) -> Vec<Fault> {
         let mut faults = Vec::new();
         let Self { topic, streams, readers, now_ns, .. } = self;

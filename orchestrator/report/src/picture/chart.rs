@@ -1,6 +1,7 @@
 //! A chart of curves: the picture of a design analysis.
 //!
-//! A logarithmic axis is drawn by its exponents. What is not finite, or not positive on a logarithmic axis, is left out.
+//! A logarithmic axis is drawn by its exponents. Values that are not finite, or not positive on a logarithmic axis, are
+//! left out.
 
 use plotters::prelude::*;
 

@@ -15,7 +15,7 @@ pub(super) struct Rows {
     error: EstimateError,
 }
 
-/// What is known of one scan; both halves come on topics of their own, in any order.
+/// True state and estimate of one scan; the two come on different topics, in any order.
 #[derive(Debug, Clone, Copy, Default)]
 struct Row {
     moment: Option<Moment>,

@@ -140,7 +140,7 @@ fn chart(result: &ObservabilityResult, measured: &[Measured]) -> Chart {
             [velocity, singular_values(measured, displacement(velocity, result.steering_rad))[index]]
         };
         let name = ["largest singular value", "second singular value", "third singular value"][index];
-        // What is zero up to rounding is not drawn.
+        // Values that are zero up to rounding are not drawn.
         let points = (0..=POINTS).map(point).filter(|point| point[1] > 1e-9).collect();
         Curve { name: name.to_owned(), points, dots: false }
     };

@@ -1,4 +1,5 @@
-//! `scanloop bench compare`: whether B is slower than A, with a confidence interval and the smallest visible difference.
+//! `scanloop bench compare`: whether B is slower than A, with a confidence interval and the smallest visible
+//! difference.
 //!
 //! Two files were made one after the other, so their difference includes what changed on the machine in between.
 //! Two commands are run in turns, which is the way to compare two builds. For the confidence of both see

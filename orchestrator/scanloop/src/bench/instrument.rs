@@ -16,7 +16,7 @@ use figures::{MEASURED_PROFILE, PROFILE};
 
 use crate::FLUSH_TIMEOUT;
 
-/// Suffix that makes the name of an executable that of its instrument.
+/// Added to the name of an executable, this is the name of its instrument.
 const SUFFIX: &str = "-bench";
 
 /// The path of the instrument.
@@ -78,7 +78,8 @@ pub(crate) fn find_current() -> anyhow::Result<PathBuf> {
     Ok(instrument)
 }
 
-/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
+/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a
+/// blank.
 fn sources(list: &str) -> Vec<PathBuf> {
     let files = list.split_once(": ").map_or("", |(_, files)| files).replace("\\ ", "\0");
     files.split_whitespace().map(|file| PathBuf::from(file.replace('\0', " "))).collect()

@@ -44,7 +44,7 @@ use super::scheduling::Scheduling;
 use super::warn_of_profile;
 use crate::print_json;
 
-/// What is driven: 10 km, nearly three hours.
+/// The scenario: 10 km, nearly three hours.
 const SCENARIO: &str = "endless";
 
 /// Runs the bench.
@@ -177,7 +177,7 @@ fn of_report(report: &Report) -> LatencyResults {
     }
 }
 
-/// From what the run shows of itself: transport hardly depends on the place of the drive.
+/// The smallest visible differences, with transport as the series that hardly depends on the place of the drive.
 fn smallest(lines: &[String]) -> Smallest {
     let read = |series| intervals::read(lines, series).unwrap_or_default();
     let (reaction, transport) = (read("scan_to_actuation"), read("transport"));

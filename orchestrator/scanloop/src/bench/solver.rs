@@ -1,10 +1,10 @@
 //! `scanloop bench solver`: the time of a solve on recorded initial states, compared with other solvers.
 //!
-//! Each case is solved from the same start by every configuration in turn, and then by the peers, so that a slow phase of
-//! the machine affects all of them. The start of a case is the solution of the case before, shifted by a period, where
-//! both are scans of the same lap, else driving straight on. Times are wall time of the calling thread around the call.
-//! They include the roll-out of the start, which peers get ready-made. Caches are warm: times of a controller that slept
-//! for most of a period are in the table of a run.
+//! Each case is solved from the same start by every configuration in turn, and then by the peers, so that a slow phase
+//! of the machine affects all of them. The start of a case is the solution of the case before, shifted by a period,
+//! where both are scans of the same lap, else driving straight on. Times are wall time of the calling thread around
+//! the call. They include the roll-out of the start, which peers get ready-made. Caches are warm: times of a
+//! controller that slept for most of a period are in the table of a run.
 
 mod cases;
 mod contender;

@@ -97,8 +97,8 @@ fn difference(
     Ok(found.map(|difference| difference.scaled(1e-3)))
 }
 
-/// The part of a figure of the whole chain with a visible difference, or else with the smallest visible one; `None` when
-/// no part varies less than the whole, or the figure is a part itself.
+/// The part of a figure of the whole chain with a visible difference, or else with the smallest visible one; `None`
+/// when no part varies less than the whole, or the figure is a part itself.
 fn steadier_part(
     a: &LatencyRun,
     b: &LatencyRun,

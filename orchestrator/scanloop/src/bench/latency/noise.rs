@@ -1,9 +1,9 @@
 //! The wake-up latency of this machine, without any part of the loop, and the time that a stamp takes.
 //!
-//! Like `cyclictest`, a process with the settings of the stages (processors, scheduler, slice, timer slack) sleeps until
-//! absolute times at the rate of the scans and notes how late it wakes. No chain of processes is quieter than its
-//! wake-ups, so this is the floor for the figures of the chain. Limit: it measures only the seconds before the run, so
-//! noise once a minute is missed.
+//! Like `cyclictest`, a process with the settings of the stages (processors, scheduler, slice, timer slack) sleeps
+//! until absolute times at the rate of the scans and notes how late it wakes. No chain of processes is quieter than
+//! its wake-ups, so this is the floor for the figures of the chain. Limit: it measures only the seconds before the
+//! run, so noise once a minute is missed.
 
 use std::num::NonZeroU64;
 use std::process::{Command, Stdio};

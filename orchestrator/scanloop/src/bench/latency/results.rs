@@ -57,7 +57,8 @@ pub(crate) struct LatencyResults {
     pub wake_up_noise_us: Figures,
     /// Time for the stamps of one stage and scan.
     pub stamps_us_per_stage: f64,
-    /// The smallest difference to a like run that `bench compare` detects with 90 % probability; null for too short a run.
+    /// The smallest difference to a like run that `bench compare` detects with 90 % probability; null for too short a
+    /// run.
     pub smallest_visible_us: Smallest,
     /// The machine.
     pub machine: Machine,

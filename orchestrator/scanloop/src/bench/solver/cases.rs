@@ -1,9 +1,9 @@
 //! Initial states for the benchmark, from a CSV file with a header.
 //!
 //! Columns are found by name: `x1` to `x5` (sideslip, yaw, yaw rate, x, y) must be there, `goal_x_m`, `goal_y_m`,
-//! `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` and `lap` may be, others are ignored. Rows of the same
-//! `lap` that follow each other are consecutive scans; without that column each row starts straight on. Quotes inside
-//! of fields have no meaning: all values are numbers.
+//! `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` and `lap` may be, others are ignored. Rows of the
+//! same `lap` that follow each other are consecutive scans; without that column each row starts straight on. Quotes
+//! inside of fields have no meaning: all values are numbers.
 
 use vehicle::State;
 

@@ -13,8 +13,8 @@ use super::AllocationCount;
 pub(super) const REPEATS: usize = 3;
 /// A first solve that took longer than this counts itself: warm caches change it little.
 const SLOW: Duration = Duration::from_millis(10);
-/// Time that a configuration may take for all cases. A slower one leaves out cases, evenly over all of them: the interior
-/// point with 96 intervals would take minutes.
+/// Time that a configuration may take for all cases. A slower one leaves out cases, evenly over all of them: the
+/// interior point with 96 intervals would take minutes.
 const BUDGET: Duration = Duration::from_secs(8);
 
 /// A solver with its measurements.

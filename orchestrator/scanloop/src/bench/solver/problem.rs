@@ -1,10 +1,11 @@
 //! The optimal control problem of the benchmark: the published setting, not that of a run.
 //!
-//! With N = 6 node weights of (sideslip, yaw, yaw rate, x, y) are (0.1, 0.2, 0.1, 1, 1), at the end (0.1, 0.2, 0.1, 5, 5),
-//! those of the controls (0.5, 5) about (0.9, 0), no weights on changes; one ellipse without margin; horizon 2.72 s. With
-//! another N the horizon stays, and node and control weights are multiplied by 6 / N, so that their sums approximate
-//! the same integral. The weights at the end stay, because the end is one point for every N. Those of the slacks stay
-//! too: a trajectory touches the ellipse at a few nodes for any N, and the penalty must exceed the multipliers there.
+//! With N = 6 node weights of (sideslip, yaw, yaw rate, x, y) are (0.1, 0.2, 0.1, 1, 1), at the end (0.1, 0.2, 0.1, 5,
+//! 5), those of the controls (0.5, 5) about (0.9, 0), no weights on changes; one ellipse without margin; horizon 2.72
+//! s. With another N the horizon stays, and node and control weights are multiplied by 6 / N, so that their sums
+//! approximate the same integral. The weights at the end stay, because the end is one point for every N. Those of the
+//! slacks stay too: a trajectory touches the ellipse at a few nodes for any N, and the penalty must exceed the
+//! multipliers there.
 //!
 //! The reference moves from the robot to the goal at the velocity limit, so the robot can always reach it.
 

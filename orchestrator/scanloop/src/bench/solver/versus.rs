@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use super::peers::PeerResult;
 
-/// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum: both solvers stop at a gradient
-/// of about 1e-6, and the smallest curvature is the control weight, of order one.
+/// Largest difference of a control (velocity [m/s], steering [rad]) of the same optimum: both solvers stop at a
+/// gradient of about 1e-6, and the smallest curvature is the control weight, of order one.
 pub(super) const SAME_OPTIMUM: f64 = 1e-5;
 /// Ratio of the median times of IPOPT and acados on these cases in the published comparison.
 const ACADOS_RATIO: f64 = 11.4;
