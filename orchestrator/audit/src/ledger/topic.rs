@@ -243,11 +243,11 @@ impl TopicLedger {
                 let span = reader.spans.get(&writer);
                 // Samples that a dead reader had not received may have been published before its successor came.
                 if let (Some(span), Some(end)) = (span, covered.get(&writer)) {
-                    let end = self.silent_until(role, incarnation, writer).max(*end);
+                    let end = self.silent_until(role, incarnation, writer, stream).max(*end);
                     let gap = span.first.saturating_sub(end + 1);
                     (row.published, row.lost) = (row.published + gap, row.lost + gap);
                 }
-                let newest = reader.newest(writer, stream);
+                let newest = newest_for(reader.end.as_ref(), writer, stream);
                 let tail = reader.last(writer, stream).map_or(0, |last| newest.saturating_sub(last));
                 row.published += tail;
                 let is_lost = stream.ended_ns.is_some_and(|ended_ns| reader.polled_ns > ended_ns);
@@ -262,29 +262,20 @@ impl TopicLedger {
         row.residual = row.published.saturating_sub(row.used + row.replaced + row.lost + row.in_flight);
         row
     }
+
+    /// The largest number of a writer that was for a reader without counters before `incarnation`.
+    fn silent_until(&self, role: Role, incarnation: u32, writer: u32, stream: &Stream) -> u64 {
+        let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
+        before.map(|(_, reader)| newest_for(reader.end.as_ref(), writer, stream)).max().unwrap_or(0)
+    }
 }
 
-impl TopicLedger {
-    /// The largest number of a writer that was for a reader without counters before `incarnation`.
-    fn silent_until(&self, role: Role, incarnation: u32, writer: u32) -> u64 {
-        let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
-        let newest = before.map(|(_, reader)| match &reader.end {
-            Some(end) => end.newest.get(&writer).copied().unwrap_or(0),
-            None => self.streams.get(&writer).map_or(0, Stream::newest),
-        });
-        newest.max().unwrap_or(0)
-    }
+/// The largest number of a writer that was for a reader, whose end is given if it has ended.
+fn newest_for(end: Option<&ReaderEnd>, writer: u32, stream: &Stream) -> u64 {
+    end.map_or(stream.newest(), |end| end.newest.get(&writer).copied().unwrap_or(0))
 }
 
 impl Reader {
-    /// The largest number of a writer that was for this reader.
-    fn newest(&self, writer: u32, stream: &Stream) -> u64 {
-        match &self.end {
-            Some(end) => end.newest.get(&writer).copied().unwrap_or(0),
-            None => stream.newest(),
-        }
-    }
-
     /// The largest number of a writer that arrived at this reader; `None` when its first number is not known.
     fn last(&self, writer: u32, stream: &Stream) -> Option<u64> {
         let from_start = self.from_start && stream.from_start;
