@@ -1,6 +1,5 @@
-//! `scanloop topic list / hz / echo`, and `scanloop types`.
+//! `scanloop topic list / hz / echo`.
 
-use std::fmt::Write as _;
 use std::time::Duration;
 
 use console::exit::Failure;
@@ -42,37 +41,6 @@ pub(crate) fn list() -> String {
         table.row([topic.name(), &size, writer, &readers, topic.type_name()].map(str::to_owned));
     }
     table.to_string()
-}
-
-/// All samples as Markdown: one table per topic.
-pub(crate) fn markdown() -> String {
-    let mut text = String::from("# Topics and their samples\n");
-    for topic in TOPICS {
-        let _ = writeln!(
-            text,
-            "\n## {topic}\n\n`{}`, {} bytes, published {}.",
-            topic.type_name(),
-            topic.size(),
-            topic.published()
-        );
-        field_table(&mut text, topic.fields());
-    }
-    let mut structs: Vec<(&str, &[Field])> = Vec::new();
-    for topic in TOPICS {
-        topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
-    }
-    for (name, fields) in structs {
-        let _ = writeln!(text, "\n## struct {name}");
-        field_table(&mut text, fields);
-    }
-    text
-}
-
-fn field_table(text: &mut String, fields: &[Field]) {
-    let _ = writeln!(text, "\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
-    for Field { name, doc, offset, kind } in fields {
-        let _ = writeln!(text, "| {offset} | `{name}` | {} | {doc} |", kind_name(kind));
-    }
 }
 
 /// Counts the samples of a topic and prints its rate once a second.
@@ -182,27 +150,6 @@ impl Watch {
             }
         }
         Ok(())
-    }
-}
-
-fn collect(kind: &'static Kind, structs: &mut Vec<(&'static str, &'static [Field])>) {
-    match kind {
-        Kind::Scalar(_) => {}
-        Kind::Array(element, _) => collect(element, structs),
-        Kind::Struct(name, fields) => {
-            if structs.iter().all(|(known, _)| known != name) {
-                structs.push((name, fields));
-                fields.iter().for_each(|field| collect(&field.kind, structs));
-            }
-        }
-    }
-}
-
-fn kind_name(kind: &Kind) -> String {
-    match kind {
-        Kind::Scalar(name) => format!("`{name}`"),
-        Kind::Array(element, length) => format!("{} x {length}", kind_name(element)),
-        Kind::Struct(name, _) => format!("[{name}](#struct-{})", name.to_lowercase()),
     }
 }
 

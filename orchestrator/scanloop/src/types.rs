@@ -1,12 +1,11 @@
 //! `scanloop types`: the samples as a page of documentation, a C header or a Python module.
 
 mod c;
+mod markdown;
 mod python;
 
 use clap::Args;
 use shared_types::{Field, Kind, TOPICS};
-
-use crate::topic;
 
 /// Arguments of `types`.
 #[derive(Debug, Args)]
@@ -27,7 +26,7 @@ pub(crate) fn print(arguments: &TypesArguments) -> String {
     match arguments {
         TypesArguments { c: true, .. } => c::header(),
         TypesArguments { python: true, .. } => python::module(),
-        _ => topic::markdown(),
+        _ => markdown::page(),
     }
 }
 
