@@ -112,7 +112,7 @@ fn a_stop_in_front_of_a_blocked_path_is_held_although_the_body_vanishes_for_a_sc
 }
 
 #[test]
-fn without_a_budget_the_guide_is_driven_verified() {
+fn without_a_budget_the_reference_path_is_driven_verified() {
     let command = controller().step(
         &pose(1, 0.0, 0.0),
         &obstacles(1, &[obstacle(5.0, 0.1, 0.4)]),
