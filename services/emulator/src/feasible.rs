@@ -1,4 +1,4 @@
-//! Whether a course can be driven at all, decided without the controller.
+//! Whether a course is passable at all, decided without the controller.
 //!
 //! A hybrid A* search over arcs of constant curvature: forward only, no tighter than [`RADIUS_M`], with the body
 //! [`MARGIN_M`] away from every obstacle and wall, on the true geometry. The search is coarse: of all poses in one
@@ -6,7 +6,7 @@
 //!
 //! Obstacles that move are left out; those that appear or vanish count as if they were always there.
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 
 use vehicle::bounds::STEERING_MAX_RAD;
@@ -58,13 +58,6 @@ struct Node {
     parent: usize,
 }
 
-/// Open node of the search; the one with the smallest cost comes first, the older one of equals.
-#[derive(Debug, Clone, Copy)]
-struct Open {
-    cost: f64,
-    node: usize,
-}
-
 /// Whether the goal can be reached from the start.
 pub fn passable(scenario: &Scenario) -> bool {
     path(scenario).is_some()
@@ -94,8 +87,9 @@ impl Search<'_> {
         }
         let mut nodes = vec![Node { place, way: 0.0, parent: 0 }];
         let mut seen = HashSet::from([cell(place)]);
-        let mut open = BinaryHeap::from([Open { cost: self.cost(place, 0.0), node: 0 }]);
-        while let Some(Open { node, .. }) = open.pop() {
+        // The node with the smallest cost comes first, the older one of equals.
+        let mut open = BinaryHeap::from([Reverse((self.cost(place, 0.0), 0))]);
+        while let Some(Reverse((_, node))) = open.pop() {
             let from = nodes[node];
             for share in CURVATURES {
                 let Some((place, arrived)) = self.follow(from.place, share / RADIUS_M) else { continue };
@@ -107,7 +101,7 @@ impl Search<'_> {
                 if arrived {
                     return Some(trace(&nodes));
                 }
-                open.push(Open { cost: self.cost(place, way), node: nodes.len() - 1 });
+                open.push(Reverse((self.cost(place, way), nodes.len() - 1)));
             }
             if nodes.len() > MAX_NODES {
                 return None;
@@ -139,9 +133,11 @@ impl Search<'_> {
             && self.scene.clearance_below(&body, 0.0, MARGIN_M) >= MARGIN_M
     }
 
-    /// Way so far and twice the way left: finds some path soon rather than the shortest.
-    fn cost(&self, place: Waypoint, way: f64) -> f64 {
-        way + 2.0 * self.goal_distance(place)
+    /// Length of the path so far plus twice the distance left: finds some path soon rather than the shortest.
+    ///
+    /// Returned as bits, which are in the order of the numbers because no cost is negative.
+    fn cost(&self, place: Waypoint, way: f64) -> u64 {
+        (way + 2.0 * self.goal_distance(place)).to_bits()
     }
 
     fn goal_distance(&self, place: Waypoint) -> f64 {
@@ -172,26 +168,6 @@ fn trace(nodes: &[Node]) -> Vec<Waypoint> {
     path.reverse();
     path
 }
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.cost.total_cmp(&self.cost).then(other.node.cmp(&self.node))
-    }
-}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Open {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Open {}
 
 #[cfg(test)]
 mod tests {

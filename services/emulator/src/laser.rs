@@ -1,13 +1,13 @@
 //! The emulated Hokuyo URG-04LX.
 //!
-//! The scanner sits at the robot's centre and looks over 240 deg. Its beams are taken one after the other: each
-//! starts where the robot is at that beam's time, and hits what is there at that time, so a moving robot sees a
-//! skewed scan. The body of the robot is not seen.
+//! The scanner sits at the robot's centre and covers 240 deg. Its beams are taken one after the other: each starts
+//! where the robot is at that beam's time, and hits what is there at that time, so the scan of a moving robot is
+//! skewed. The body of the robot is not seen.
 //!
 //! Noise, in this order: a beam across an edge may mix both distances (`noise.mixed_pixels`), the range gets
 //! normal noise of `noise.range_m` or of the share `noise.range_share` of the range, whichever is larger, and a
 //! beam may be lost (`noise.dropout`). The data sheet's +-10 mm below 1 m and +-1 % above are bounds, about three
-//! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is the harsher one up to 3 m.
+//! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is harsher up to 3 m.
 
 use std::ops::RangeInclusive;
 
@@ -18,7 +18,7 @@ use vehicle::frame::{heading, wrap_angle};
 use crate::history::History;
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Noise, Scenario};
-use crate::scene::{Near, Scene, Solid};
+use crate::scene::{PlacedObstacle, Scene};
 
 /// Largest range that the scanner reports [m].
 pub const MAX_RANGE_M: f64 = 5.6;
@@ -32,7 +32,7 @@ const LOW_INTENSITY: u16 = 1;
 /// Error code of a surface nearer than 20 mm.
 const TOO_NEAR: u16 = 19;
 
-/// Neighbouring beams whose ranges differ by more than this look across an edge [m].
+/// Neighbouring beams whose ranges differ by more than this lie on two sides of an edge [m].
 const EDGE_M: f64 = 0.1;
 
 /// When the beams of a scan are taken.
@@ -111,8 +111,8 @@ impl Laser {
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;
         for near in scene.near(motion.origin, MAX_RANGE_M + motion.way) {
-            for window in visible(&near, &motion, half_sweep_s) {
-                self.cast_at(&near, window);
+            for window in visible(near, &motion, half_sweep_s) {
+                self.cast_at(near, window);
             }
         }
         &self.ranges
@@ -141,22 +141,13 @@ impl Laser {
         motion
     }
 
-    fn cast_at(&mut self, near: &Near<'_>, window: RangeInclusive<usize>) {
-        let mut fixed: Option<Solid> = None;
-        let permanent = near.is_permanent();
+    /// Shortens the ranges of the beams in `window` that hit an obstacle.
+    fn cast_at(&mut self, near: &PlacedObstacle, window: RangeInclusive<usize>) {
+        let fixed = if near.is_permanent() { near.solid(0.0) } else { None };
         for index in window {
             let beam = &self.beams[index];
-            let solid = match fixed {
-                Some(solid) => solid,
-                None => match near.solid(beam.time_s) {
-                    Some(solid) => solid,
-                    None => continue,
-                },
-            };
-            if permanent {
-                fixed = Some(solid);
-            }
-            if let Some(range) = solid.ray(beam.origin, beam.direction)
+            if let Some(solid) = fixed.or_else(|| near.solid(beam.time_s))
+                && let Some(range) = solid.ray(beam.origin, beam.direction)
                 && range < self.ranges[index]
             {
                 self.ranges[index] = range;
@@ -194,7 +185,7 @@ struct Motion {
 
 /// The beams that may hit an obstacle at some time of the sweep, as up to two windows.
 fn visible(
-    near: &Near<'_>,
+    near: &PlacedObstacle,
     motion: &Motion,
     half_sweep_s: f64,
 ) -> impl Iterator<Item = RangeInclusive<usize>> {
@@ -355,7 +346,7 @@ mod tests {
             let culled = laser.ranges.clone();
             let near = scene.near(Vector2::zeros(), 100.0).next().unwrap();
             laser.ranges.fill(f64::INFINITY);
-            laser.cast_at(&near, 0..=BEAMS - 1);
+            laser.cast_at(near, 0..=BEAMS - 1);
             for (with, without) in culled.iter().zip(&laser.ranges) {
                 assert!(with == without || *without > MAX_RANGE_M);
             }

@@ -1,10 +1,9 @@
-//! What the robot believes about its own motion, (7.36)-(7.40) turned round.
+//! The emulated odometry: the true motion with the errors that (7.36)-(7.40) correct.
 //!
 //! (7.39) and (7.40) correct a reported increment by v dt R(yaw) (df, ds), with ds growing at the rate dds (7.38).
-//! The emulated odometer reports exactly what that correction undoes: true increment = reported + v dt R(yaw)
-//! (df, ds). The error accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be
-//! off by a constant from some moment on, as that of a compass that passes a magnet.
-//! The speed is the true one.
+//! The emulated odometer has exactly this error: true increment = reported + v dt R(yaw) (df, ds). The error
+//! accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be off by a constant
+//! from some moment on, like a compass that passes a magnet. The speed is the true one.
 
 use nalgebra::Vector2;
 use shared_types::Odometry;
@@ -22,8 +21,8 @@ pub struct Reckoning {
     lateral_rate: f64,
     drift: Drift,
     /// ds of (7.38).
-    lateral: f64,
-    reported: Vector2<f64>,
+    pub(crate) lateral: f64,
+    pub(crate) reported: Vector2<f64>,
 }
 
 impl Reckoning {
@@ -44,17 +43,7 @@ impl Reckoning {
         self.reported
     }
 
-    /// The lateral share of the way that is missed, ds of (7.38).
-    pub(crate) fn lateral(&self) -> f64 {
-        self.lateral
-    }
-
-    /// The same odometer after other errors.
-    pub(crate) fn resumed(self, lateral: f64, reported: Vector2<f64>) -> Self {
-        Self { lateral, reported, ..self }
-    }
-
-    /// Follows one plant step of `duration` seconds over `way` metres; `moved` tells whether the robot moved.
+    /// Follows one plant step of `duration` seconds over `way` metres.
     pub fn step(&mut self, before: &State, after: &State, way: f64, duration: f64) {
         let increment = Vector2::new(after.x - before.x, after.y - before.y);
         let yaw = (before.yaw + after.yaw) / 2.0;
@@ -72,10 +61,10 @@ pub struct Odometer {
     noise: Noise,
     jump_rad: f64,
     jump_ns: u64,
-    last: Option<Reported>,
+    pub(crate) last: Option<Reported>,
 }
 
-/// What was reported last, noise included.
+/// A reported pose, noise included.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Reported {
     pub(crate) time_ns: u64,
@@ -95,16 +84,6 @@ impl Odometer {
             jump_ns: (odometry_jump_s * 1e9) as u64,
             last: None,
         }
-    }
-
-    /// What was reported last.
-    pub(crate) fn last(&self) -> Option<Reported> {
-        self.last
-    }
-
-    /// The same odometer after another report.
-    pub(crate) fn resumed(self, last: Option<Reported>) -> Self {
-        Self { last, ..self }
     }
 
     /// Fills all but the header with the reported pose at a node and the increments since the sample before.

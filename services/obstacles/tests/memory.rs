@@ -118,7 +118,7 @@ fn a_body_that_comes_into_view_part_by_part_does_not_move() {
 }
 
 #[test]
-fn a_describer_that_resumes_goes_on_bit_by_bit() {
+fn a_detector_that_resumes_continues_bit_by_bit() {
     let bodies = [
         block(4.0, 0.8, 0.3, 0.4, 0.4),
         mover(3.5, -1.0, 0.3, 0.1, 0.2),

@@ -78,6 +78,28 @@ impl Rectangle {
     }
 }
 
+/// Distances along a ray at which it enters and leaves a box about the origin; it enters at zero from inside, and
+/// `None` is a miss.
+///
+/// The slab method: the ray is inside the box where it is inside both strips. `half` has half the sizes of the box.
+pub fn ray_in_box(origin: Vector2<f64>, direction: Vector2<f64>, half: Vector2<f64>) -> Option<(f64, f64)> {
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for axis in 0..2 {
+        if direction[axis].abs() < 1e-12 {
+            // Parallel to the strip: always inside or never.
+            if origin[axis].abs() > half[axis] {
+                return None;
+            }
+            continue;
+        }
+        let low = (-half[axis] - origin[axis]) / direction[axis];
+        let high = (half[axis] - origin[axis]) / direction[axis];
+        enter = enter.max(low.min(high));
+        leave = leave.min(low.max(high));
+    }
+    (enter <= leave).then_some((enter, leave))
+}
+
 /// Largest gap between the rectangles along the axes of `frame`; negative when they overlap on both axes.
 fn separation(frame: &Rectangle, other: &Rectangle) -> f64 {
     let local = other.corners().map(|corner| {
