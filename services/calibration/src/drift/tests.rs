@@ -82,7 +82,7 @@ fn rows_out_of_order_standstill_and_half_a_position_are_refused_with_their_line(
     rows[20].measured_y_m = None;
     assert!(reason(&rows).contains("line 22: measured_x_m and measured_y_m have to be given both"));
     let rows = [run(1, 0.01, 0.0, 20), run(2, 0.01, 0.0, 20), run(1, 0.01, 0.0, 20)].concat();
-    assert!(reason(&rows).contains("run 1 goes on after another run"));
+    assert!(reason(&rows).contains("run 1 continues after another run"));
 }
 
 #[test]
