@@ -27,7 +27,7 @@ use crate::{Chart, Estimate, Refusal};
 const MIN_MARKS: usize = 5;
 
 /// Shortest distance of a run [m].
-const MIN_WAY_M: f64 = 3.0;
+const MIN_DISTANCE_M: f64 = 3.0;
 
 /// Slower than this the robot stands [m/s].
 const STANDSTILL_MPS: f64 = 0.01;
@@ -133,7 +133,7 @@ fn split(rows: &[SineRow]) -> Result<Vec<&[SineRow]>, Refusal> {
 }
 
 fn check(run: &[SineRow]) -> Result<(), Refusal> {
-    let mut way = 0.0;
+    let mut distance = 0.0;
     for row in run {
         let place = &row.place;
         within(place, "time_s", row.time_s, 0.0..=3600.0)?;
@@ -156,10 +156,10 @@ fn check(run: &[SineRow]) -> Result<(), Refusal> {
     for pair in run.windows(2) {
         let (low, high) = (pair[0].time_s + 1e-3, pair[0].time_s + MAX_GAP_S);
         within(&pair[1].place, "time_s", pair[1].time_s, low..=high)?;
-        way += pair[0].speed_mps * (pair[1].time_s - pair[0].time_s);
+        distance += pair[0].speed_mps * (pair[1].time_s - pair[0].time_s);
     }
-    refuse_if(way < MIN_WAY_M, || {
-        format!("run {} is {way:.2} m long; a drift shows after {MIN_WAY_M} m", run[0].run)
+    refuse_if(distance < MIN_DISTANCE_M, || {
+        format!("run {} is {distance:.2} m long; a drift shows after {MIN_DISTANCE_M} m", run[0].run)
     })
 }
 
@@ -170,10 +170,10 @@ fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
     for row in run {
         let dt = row.time_s - before.time_s;
         let turn = wrap_angle(row.reported_yaw_rad - before.reported_yaw_rad);
-        let (way, yaw) = (before.speed_mps * dt, before.reported_yaw_rad + turn / 2.0);
+        let (distance, yaw) = (before.speed_mps * dt, before.reported_yaw_rad + turn / 2.0);
         let middle_s = (before.time_s + row.time_s) / 2.0;
-        let forward = to_track(yaw, way, 0.0);
-        let left = to_track(yaw, 0.0, way * middle_s);
+        let forward = to_track(yaw, distance, 0.0);
+        let left = to_track(yaw, 0.0, distance * middle_s);
         along = [along[0] + forward.x, along[1] + forward.y];
         across = [across[0] + left.x, across[1] + left.y];
         before = row.clone();

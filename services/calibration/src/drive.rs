@@ -87,7 +87,7 @@ pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
             drive.pass(0.3);
             drive.send(CIRCLE_MPS, sent);
             drive.pass(0.5);
-            let Some(places) = drive.way(ARC_M) else { continue };
+            let Some(places) = drive.follow(ARC_M) else { continue };
             let mut chalk = |place: Vector2<f64>| place + Vector2::new(hand.normal(), hand.normal()) * MARK_M;
             let [start, middle, end] =
                 [places[0], places[places.len() / 2], places[places.len() - 1]].map(&mut chalk);
@@ -208,15 +208,15 @@ impl Drive {
     }
 
     /// Places, a millisecond apart, until this distance is driven [m].
-    fn way(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
-        let (mut places, mut way) = (vec![self.place()], 0.0);
-        while way < length {
+    fn follow(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
+        let (mut places, mut driven) = (vec![self.place()], 0.0);
+        while driven < length {
             if places.len() as f64 > TIMEOUT_S * 1e3 {
                 return None;
             }
             self.tick();
             let place = self.place();
-            way += (place - places[places.len() - 1]).norm();
+            driven += (place - places[places.len() - 1]).norm();
             places.push(place);
         }
         Some(places)

@@ -32,7 +32,7 @@ pub enum Refusal {
         column: &'static str,
         /// The value.
         value: f64,
-        /// What is allowed, in words.
+        /// The allowed range as text.
         allowed: String,
     },
     /// The runs do not determine the result, or contradict the model.

@@ -217,15 +217,15 @@ impl Emulator {
             self.state.dead_man = true.into();
         }
         let turned = !self.plant.is_blocked() && self.plant.speed() > 0.0;
-        let way = move_on(&mut self.plant, &mut self.reckoning, seconds(end_ns - self.state.plant_ns));
+        let distance = move_on(&mut self.plant, &mut self.reckoning, seconds(end_ns - self.state.plant_ns));
         self.state.plant_ns = end_ns;
         self.state.steps += 1;
-        self.state.path_length_m += way;
+        self.state.path_length_m += distance;
         if turned {
             self.state.longest_blind_ns =
                 self.state.longest_blind_ns.max(end_ns - self.state.last_actuation_ns);
         }
-        self.check_contact(way > 0.0);
+        self.check_contact(distance > 0.0);
         self.history.push(node(end_ns, &self.plant, &self.reckoning));
     }
 
@@ -253,9 +253,9 @@ impl Emulator {
 /// Moves the robot and its odometry; returns the distance driven [m].
 fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, duration: f64) -> f64 {
     let before = *plant.state();
-    let way = plant.step(duration);
-    reckoning.step(&before, plant.state(), way, duration);
-    way
+    let distance = plant.step(duration);
+    reckoning.step(&before, plant.state(), distance, duration);
+    distance
 }
 
 fn node(time_ns: u64, plant: &Plant, reckoning: &Reckoning) -> Node {

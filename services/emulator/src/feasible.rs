@@ -54,7 +54,7 @@ pub struct Waypoint {
 #[derive(Debug, Clone, Copy)]
 struct Node {
     place: Waypoint,
-    way: f64,
+    length: f64,
     parent: usize,
 }
 
@@ -85,7 +85,7 @@ impl Search<'_> {
         if !self.is_free(place) {
             return None;
         }
-        let mut nodes = vec![Node { place, way: 0.0, parent: 0 }];
+        let mut nodes = vec![Node { place, length: 0.0, parent: 0 }];
         let mut seen = HashSet::from([cell(place)]);
         // The node with the smallest cost comes first, the older one of equals.
         let mut open = BinaryHeap::from([Reverse((self.cost(place, 0.0), 0))]);
@@ -96,12 +96,12 @@ impl Search<'_> {
                 if !arrived && !seen.insert(cell(place)) {
                     continue;
                 }
-                let way = from.way + ARC_M;
-                nodes.push(Node { place, way, parent: node });
+                let length = from.length + ARC_M;
+                nodes.push(Node { place, length, parent: node });
                 if arrived {
                     return Some(trace(&nodes));
                 }
-                open.push(Reverse((self.cost(place, way), nodes.len() - 1)));
+                open.push(Reverse((self.cost(place, length), nodes.len() - 1)));
             }
             if nodes.len() > MAX_NODES {
                 return None;
@@ -136,8 +136,8 @@ impl Search<'_> {
     /// Length of the path so far plus twice the distance left: finds some path soon rather than the shortest.
     ///
     /// Returned as bits, which are in the order of the numbers because no cost is negative.
-    fn cost(&self, place: Waypoint, way: f64) -> u64 {
-        (way + 2.0 * self.goal_distance(place)).to_bits()
+    fn cost(&self, place: Waypoint, length: f64) -> u64 {
+        (length + 2.0 * self.goal_distance(place)).to_bits()
     }
 
     fn goal_distance(&self, place: Waypoint) -> f64 {
@@ -214,9 +214,9 @@ mod tests {
         let scenario = shipped("slalom");
         let path = path(&scenario).unwrap();
         for pair in path.windows(2) {
-            let (turn, way) =
+            let (turn, length) =
                 (wrap_angle(pair[1].yaw - pair[0].yaw), (pair[1].x - pair[0].x).hypot(pair[1].y - pair[0].y));
-            assert!(turn.abs() <= ARC_M / RADIUS_M + 1e-9 && way <= ARC_M + 1e-9);
+            assert!(turn.abs() <= ARC_M / RADIUS_M + 1e-9 && length <= ARC_M + 1e-9);
         }
         let scene = Scene::new(&scenario);
         for place in &path {

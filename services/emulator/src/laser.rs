@@ -110,7 +110,7 @@ impl Laser {
             }
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;
-        for near in scene.near(motion.origin, MAX_RANGE_M + motion.way) {
+        for near in scene.near(motion.origin, MAX_RANGE_M + motion.travel) {
             for window in visible(near, &motion, half_sweep_s) {
                 self.cast_at(near, window);
             }
@@ -123,14 +123,14 @@ impl Laser {
         let front = history.at(sweep.front_ns).state;
         let origin = Vector2::new(front.x, front.y);
         let mut motion =
-            Motion { origin, yaw: front.yaw, way: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
+            Motion { origin, yaw: front.yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
         let mut walk = history.walk();
         self.beams.clear();
         for index in 0..BEAMS {
             let time_ns = sweep.beam_ns(index);
             let state = walk(time_ns).state;
             let origin = Vector2::new(state.x, state.y);
-            motion.way = motion.way.max((origin - motion.origin).norm());
+            motion.travel = motion.travel.max((origin - motion.origin).norm());
             motion.turn = motion.turn.max((state.yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
@@ -178,7 +178,7 @@ impl Laser {
 struct Motion {
     origin: Vector2<f64>,
     yaw: f64,
-    way: f64,
+    travel: f64,
     turn: f64,
     time_s: f64,
 }
@@ -189,7 +189,7 @@ fn visible(
     motion: &Motion,
     half_sweep_s: f64,
 ) -> impl Iterator<Item = RangeInclusive<usize>> {
-    let reach = near.reach() + motion.way + near.speed() * half_sweep_s;
+    let reach = near.reach() + motion.travel + near.speed() * half_sweep_s;
     let offset = near.centre(motion.time_s) - motion.origin;
     let distance = offset.norm();
     let (middle, half) = if distance <= reach {
@@ -282,7 +282,7 @@ mod tests {
     fn a_box_is_seen_with_its_flat_face_and_the_right_beams_come_first() {
         let text = "[[obstacle]]\nshape = \"box\"\nx_m = 3.05\ny_m = -0.5\nlength_m = 0.1\nwidth_m = 1.0";
         let ranges = readings(&quiet(text), &standing());
-        // Face at x = 3 from y = -1 to 0: beam 300 looks 40 pitches = 14.0625 deg to the right, 3 / cos = 3.0927.
+        // Face at x = 3 from y = -1 to 0: beam 300 points 40 pitches = 14.0625 deg to the right, 3 / cos = 3.0927.
         assert_eq!(ranges[300], 3093);
         assert_eq!(ranges[FRONT_BEAM - 1], 3000);
         assert_eq!(ranges[FRONT_BEAM + 2], NO_RETURN, "nothing on the left");

@@ -17,9 +17,7 @@ use crate::scenario::{Drift, Noise, Robot, Scenario};
 /// The accumulated error of the odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reckoning {
-    longitudinal: f64,
-    lateral_rate: f64,
-    drift: Drift,
+    robot: Robot,
     /// ds of (7.38).
     pub(crate) lateral: f64,
     pub(crate) reported: Vector2<f64>,
@@ -28,14 +26,8 @@ pub struct Reckoning {
 impl Reckoning {
     /// No error yet: the reported position is that of the start.
     pub fn new(scenario: &Scenario) -> Self {
-        let Robot { odometry_longitudinal, odometry_lateral_rate, odometry_drift, .. } = scenario.robot;
-        Self {
-            longitudinal: odometry_longitudinal,
-            lateral_rate: odometry_lateral_rate,
-            drift: odometry_drift,
-            lateral: 0.0,
-            reported: Vector2::new(scenario.start.x_m, scenario.start.y_m),
-        }
+        let reported = Vector2::new(scenario.start.x_m, scenario.start.y_m);
+        Self { robot: scenario.robot, lateral: 0.0, reported }
     }
 
     /// The reported position without noise [m].
@@ -43,13 +35,13 @@ impl Reckoning {
         self.reported
     }
 
-    /// Follows one plant step of `duration` seconds over `way` metres.
-    pub fn step(&mut self, before: &State, after: &State, way: f64, duration: f64) {
+    /// Follows one plant step of `duration` seconds over `distance` metres.
+    pub fn step(&mut self, before: &State, after: &State, distance: f64, duration: f64) {
         let increment = Vector2::new(after.x - before.x, after.y - before.y);
         let yaw = (before.yaw + after.yaw) / 2.0;
-        self.reported += increment - to_track(yaw, self.longitudinal, self.lateral) * way;
-        if way > 0.0 || self.drift == Drift::Time {
-            self.lateral += self.lateral_rate * duration;
+        self.reported += increment - to_track(yaw, self.robot.odometry_longitudinal, self.lateral) * distance;
+        if distance > 0.0 || self.robot.odometry_drift == Drift::Time {
+            self.lateral += self.robot.odometry_lateral_rate * duration;
         }
     }
 }
@@ -142,7 +134,7 @@ mod tests {
         let robot = Robot { odometry_longitudinal: 0.0, odometry_lateral_rate: 0.053, ..Robot::default() };
         let mut reckoning = reckoning(robot);
         let place = straight(&mut reckoning, std::f64::consts::FRAC_PI_2, 2.0);
-        // dds t^2 / 2 = 0.106 m to the left is missed; left of a robot that looks along y is -x. The sum over
+        // dds t^2 / 2 = 0.106 m to the left is missed; left of a robot that faces along y is -x. The sum over
         // steps of ds before its growth is smaller by half a step: 0.053 * 2 s * 0.5 ms = 5.3e-5 m.
         assert!((reckoning.reported() - place - Vector2::new(0.106, 0.0)).norm() < 6e-5);
     }

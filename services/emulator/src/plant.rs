@@ -146,8 +146,8 @@ mod tests {
     fn the_velocity_factor_divides_what_is_sent() {
         let mut plant = plant(Robot::default());
         plant.drive(1.4, 0.0);
-        let way = run(&mut plant, 1000);
-        assert!((way - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
+        let distance = run(&mut plant, 1000);
+        assert!((distance - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -166,11 +166,11 @@ mod tests {
         let mut plant = plant(ideal());
         plant.drive(0.9, 0.0);
         plant.block();
-        let way = run(&mut plant, 179);
+        let distance = run(&mut plant, 179);
         assert!(plant.speed() > 0.0);
         let rest = run(&mut plant, 10);
         // 0.81 / 10 m in 0.18 s.
-        assert!((way + rest - 0.081).abs() < 1e-12, "{}", way + rest);
+        assert!((distance + rest - 0.081).abs() < 1e-12, "{}", distance + rest);
         assert_eq!((plant.speed(), plant.state().yaw_rate, plant.state().sideslip), (0.0, 0.0, 0.0));
     }
 
@@ -183,7 +183,7 @@ mod tests {
         let yaw = plant.state().yaw;
         run(&mut plant, 300);
         assert_eq!(plant.steering(), 0.06);
-        // 0.1 m of way in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
+        // 0.1 m in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
         let turned = plant.state().yaw - yaw;
         assert!((turned - 0.1 / 3.1 - 5e-3).abs() < 2e-3, "{turned}");
     }

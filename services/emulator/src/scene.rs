@@ -87,7 +87,7 @@ impl Scene {
         self.walls
     }
 
-    /// Obstacles whose body may be within `radius` of `place`, and all that move or come and go.
+    /// Obstacles whose body may be within `radius` of `place`, and all that move, appear or vanish.
     pub fn near(&self, place: Vector2<f64>, radius: f64) -> impl Iterator<Item = &PlacedObstacle> {
         let range = radius + self.largest_reach;
         let first = self.permanent.partition_point(|entry| entry.obstacle.x_m < place.x - range);

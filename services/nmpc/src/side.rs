@@ -11,16 +11,16 @@ use crate::predicted_obstacle::PredictedObstacle;
 
 /// How many choices are remembered.
 pub(crate) const MAX_SIDES: usize = 16;
-/// Distance within which an ellipse with a new identity is taken for a known one [m].
+/// Distance within which an ellipse with a new identity counts as a known one [m].
 const SAME_PLACE_M: f64 = 0.5;
 
 /// On which side of an obstacle the robot passes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Passing {
     /// Left of its centre.
-    Left,
+    Left = 1,
     /// Right of its centre.
-    Right,
+    Right = -1,
 }
 
 impl Passing {
@@ -29,12 +29,9 @@ impl Passing {
         if y > centre_y { Self::Left } else { Self::Right }
     }
 
-    /// 1 for left, -1 for right, as samples and checkpoints have it.
+    /// The number in samples and checkpoints.
     pub(crate) fn wire(self) -> i32 {
-        match self {
-            Self::Left => 1,
-            Self::Right => -1,
-        }
+        self as i32
     }
 
     fn from_wire(side: i32) -> Option<Self> {

@@ -34,13 +34,13 @@ impl ControllerState {
 }
 
 plain_state! {
-    /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
+    /// The state of a controller after a scan: the last verified plan, the sides held, and latched decisions.
     pub struct ControllerState {
         /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else
         pub arrival: u32,
         /// Scans since the path was found blocked, from 1; 0 when it is not
         pub blocked_scans: u32,
-        /// Scans in a row that showed a clear way
+        /// Scans in a row with a clear path
         pub clear_scans: u32,
         /// How many nodes of `plan` are used; 0 without a plan
         pub plan_length: u32,

@@ -74,7 +74,7 @@ struct Drawn {
 }
 
 impl ObstacleDetector {
-    /// A detector that knows no obstacles yet.
+    /// A detector without tracks.
     ///
     /// # Errors
     /// [`Invalid`] when a setting is out of its range.

@@ -21,7 +21,7 @@ const MAX_BEAM_STEP: usize = 5;
 const SPARSE_M: f64 = 3.0;
 /// A neighbour nearer than the end of a body by this hides what is behind it [m].
 const HIDING_M: f64 = 0.15;
-/// Beyond this the end of the view and the end of a body look the same [m].
+/// Beyond this range the end of a body cannot be told from the end of the view [m].
 const FADING_M: f64 = 5.4;
 
 /// Returns of one body: a range of [`Segments::members`].
@@ -75,14 +75,13 @@ impl Segments {
     /// Ends the cluster that starts at member `first`, or forgets it when it is too small.
     fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64) {
         let start = first;
-        if self.members.len() >= first + 3 {
-            let end = self.members.len();
-            if is_mixed(&self.members[end - 1], &self.members[end - 2], &self.members[end - 3], range_noise) {
-                self.members.pop();
-            }
+        if let [.., inner, neighbour, end] = &self.members[first..]
+            && is_mixed(end, neighbour, inner, range_noise)
+        {
+            self.members.pop();
         }
-        if self.members.len() >= first + 3
-            && is_mixed(&self.members[first], &self.members[first + 1], &self.members[first + 2], range_noise)
+        if let [end, neighbour, inner, ..] = &self.members[first..]
+            && is_mixed(end, neighbour, inner, range_noise)
         {
             first += 1;
         }

@@ -54,7 +54,7 @@ fn a_frame_that_is_shifted_and_turned_changes_nothing() {
         }
     }
     let fit = fit(&rows).unwrap();
-    // The turn is taken to first order: 0.003^2 / 2 of the way is missed, and is one with df.
+    // The turn is fitted to first order: the rest, 0.003^2 / 2 of the distance, adds to df.
     assert!((fit.longitudinal.value - 0.012).abs() < 1e-5, "{:?}", fit.longitudinal);
     assert!((fit.lateral_rate.value - 0.0003).abs() < 2e-6, "{:?}", fit.lateral_rate);
 }

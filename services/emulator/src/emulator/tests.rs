@@ -7,7 +7,7 @@ fn parse(text: &str) -> Scenario {
     Scenario::parse(text, "test").unwrap()
 }
 
-/// A robot that does exactly what it is told.
+/// A robot that follows its commands exactly.
 fn ideal(more: &str) -> Emulator {
     let robot = "[robot]\nvelocity_factor = 1.0\nsteering_map = \"identity\"\nodometry_longitudinal = 0.0";
     Emulator::new(&parse(&format!("{robot}\n[noise]\nrange_m = 0.0\n{more}")), PERIOD)

@@ -108,7 +108,7 @@ mod tests {
     fn a_ray_ends_at_the_near_side_of_a_circle() {
         let circle = Solid::circle(Vector2::new(5.0, 0.0), 0.5);
         assert_eq!(ray(&circle, [0.0, 0.0], 0.0), Some(4.5));
-        // 3-4-5 triangle: 0.3 beside the centre, the surface is 0.4 before it.
+        // 3-4-5 triangle: 0.3 to the side of the centre, the surface is 0.4 before it.
         assert!((ray(&circle, [0.0, 0.3], 0.0).unwrap() - 4.6).abs() < 1e-12);
         assert_eq!(ray(&circle, [0.0, 0.6], 0.0), None);
         assert_eq!(ray(&circle, [7.0, 0.0], 0.0), None, "a circle behind is not seen");
