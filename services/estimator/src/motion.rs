@@ -20,8 +20,8 @@ use vehicle::{Control, Parameters, State};
 
 use crate::correction::Planar;
 
-/// Number of actuations that are remembered: enough for the longest gap after which the filter does not restart, and
-/// for a block with its recovery within one scan.
+/// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
+/// one scan.
 pub const HISTORY: usize = 8;
 
 /// Largest plausible speed [m/s]: no more can be sent, and the true speed is lower than the one sent.
