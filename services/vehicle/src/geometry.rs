@@ -144,4 +144,12 @@ mod tests {
         assert!((square(0.0, 0.0, 0.0).distance_to_wall(1.5, 0.0) - 0.5).abs() < 1e-12);
         assert!((square(0.0, 0.0, 0.0).distance_to_wall(-0.75, 0.0) + 0.25).abs() < 1e-12);
     }
+
+    #[test]
+    fn a_ray_enters_and_leaves_a_box_where_it_crosses_its_sides() {
+        let (ahead, half) = (Vector2::new(1.0, 0.0), Vector2::new(1.0, 0.5));
+        assert_eq!(ray_in_box(Vector2::new(-3.0, 0.2), ahead, half), Some((2.0, 4.0)));
+        assert_eq!(ray_in_box(Vector2::new(0.25, 0.2), ahead, half), Some((0.0, 0.75)));
+        assert_eq!(ray_in_box(Vector2::new(-3.0, 0.6), ahead, half), None);
+    }
 }
