@@ -1,8 +1,8 @@
-//! The guide: a path past everything in sight that the robot can steer.
+//! The reference path: a path past all obstacles in sight that the robot can steer.
 //!
 //! The horizon covers 2.7 m, but a lateral shift of 0.9 m at the smallest radius takes 3.2 m: a controller
-//! that waits until the obstacle is inside its horizon cannot pass it any more. So a search over the range of
-//! the scanner decides early where to pass, and the optimal control problem follows its path.
+//! that waits until the obstacle is inside its horizon cannot pass it any more. So the lattice planner decides early
+//! where to pass, over the range of the scanner, and the optimal control problem follows its path.
 //!
 //! The path is made of arcs of equal length along x. The sine of the course changes by curvature times length
 //! exactly, so a path is a list of lateral positions and sines.
@@ -84,7 +84,7 @@ impl ReferencePath {
         )
     }
 
-    /// Side on which the path passes the hazard; `None` when it does not get there.
+    /// Side on which the path passes the obstacle; `None` when it does not get there.
     pub(crate) fn side_of(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_goes_on_for_ever() {
+    fn a_line_continues_for_ever() {
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(2.0, 0.3, 1.0);
         assert_eq!(reference_path.at(1.0), (0.3, 0.0, 0.0));
