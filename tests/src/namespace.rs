@@ -25,9 +25,9 @@ pub fn is_inside(test: &str, script: &str, configure: impl FnOnce(&mut Command))
     command.env(INSIDE, test);
     configure(&mut command);
     let output = command.stderr(Stdio::inherit()).output().expect("unshare runs");
-    let said = String::from_utf8_lossy(&output.stdout);
+    let printed = String::from_utf8_lossy(&output.stdout);
     // A name that no test has is no error of the harness.
-    assert!(output.status.success() && said.contains("1 passed"), "{test}: {}: {said}", output.status);
+    assert!(output.status.success() && printed.contains("1 passed"), "{test}: {}: {printed}", output.status);
     false
 }
 

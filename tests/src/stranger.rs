@@ -1,4 +1,4 @@
-//! Another local user, who tries what the kernel lets him.
+//! Another local user, who tries all that the kernel permits.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
@@ -53,12 +53,12 @@ pub fn text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// That a command was refused (exit code 2) with all these words.
-pub fn assert_refused(output: &Output, words: &[&str]) {
+/// Asserts that a command was refused (exit code 2) with a message that has all these parts.
+pub fn assert_refused(output: &Output, parts: &[&str]) {
     let text = text(output);
     assert_eq!(output.status.code(), Some(2), "{text}");
-    for word in words {
-        assert!(text.contains(word), "no `{word}` in: {text}");
+    for part in parts {
+        assert!(text.contains(part), "no `{part}` in: {text}");
     }
 }
 
@@ -79,7 +79,7 @@ pub fn shared_memory() -> impl Iterator<Item = String> {
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned())
 }
 
-/// Kills processes, those that have ended meanwhile left out.
+/// Kills processes, except those that have already ended.
 pub fn kill(processes: &[i32]) {
     for pid in processes.iter().filter_map(|pid| Pid::from_raw(*pid)) {
         let _ = kill_process(pid, Signal::KILL);

@@ -10,7 +10,7 @@ use conformance::{Level, Outcome, Report};
 use runtime::Domain;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
 
 /// Role and built-in implementation.
@@ -22,7 +22,7 @@ const BUILT_IN: [(&str, &str); 5] = [
     ("robot", "emulator"),
 ];
 
-/// Role, the odd one, its fault, and the cases that must find it.
+/// Role, the faulty program, its fault, and the cases that must find it.
 const FAULTS: [(&str, &str, &str, &[&str]); 53] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
@@ -122,10 +122,10 @@ fn every_case_finds_a_fault() {
     std::thread::scope(|scope| {
         for _ in 0..6 {
             scope.spawn(|| {
-                while let Some((role, odd, fault, cases)) = { queue.lock().unwrap().pop() } {
+                while let Some((role, program, fault, cases)) = { queue.lock().unwrap().pop() } {
                     let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
                     cases.iter().for_each(|case| arguments.extend(["--only", case]));
-                    arguments.extend(["--", ODD, odd, fault]);
+                    arguments.extend(["--", FAULTY, program, fault]);
                     // A machine that is too busy for a robot to be told anything stops it, whatever its fault.
                     let found = (0..3).any(|_| {
                         let (report, output) = suite(&arguments);
@@ -133,7 +133,7 @@ fn every_case_finds_a_fault() {
                         bad(&report) == names(&report) && output.status.code() == Some(i32::from(required))
                     });
                     if !found {
-                        wrong.lock().unwrap().push(format!("{odd} {fault}: {cases:?}"));
+                        wrong.lock().unwrap().push(format!("{program} {fault}: {cases:?}"));
                     }
                 }
             });
@@ -169,7 +169,7 @@ fn a_program_that_cannot_be_started_ends_with_code_4() {
         assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     }
     let output = run(&["estimator", "--", "sh", "-c", "echo gone >&2; exit 3"]);
-    assert!(stderr(&output).contains("its last words: gone"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("its last log lines: gone"), "{}", stderr(&output));
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use scanloop_tests::System;
-use scanloop_tests::exchange::{assert_every_scan_answered_once, restart_all};
+use scanloop_tests::swaps::{assert_every_scan_answered_once, restart_all};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 

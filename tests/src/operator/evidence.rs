@@ -26,7 +26,7 @@ pub struct Evidence {
     pub drives: Vec<Drive>,
     /// The truth of the first run.
     pub truth: Vec<Point>,
-    /// What is left on the machine, in words.
+    /// Descriptions of what is left on the machine.
     pub left: Vec<String>,
     /// Text of all logs that tell of a panic.
     pub panics: Vec<String>,
@@ -41,7 +41,7 @@ pub struct Evidence {
 pub struct Silence {
     /// It was killed or stopped.
     pub from_ns: u64,
-    /// Another one came, or it goes on; 0 while it lasts.
+    /// When another one started, or it continued; 0 while it lasts.
     pub to_ns: u64,
 }
 

@@ -29,9 +29,9 @@ pub fn stop_limit_ns(period_ns: u64) -> u64 {
     1_000_000_000.max(300_000_000 + 2 * period_ns)
 }
 
-/// After how many milliseconds wheels were blocked, as `stop` said.
-pub fn blocked_after_ms(said: &str) -> Option<f64> {
-    said.split_once("wheels blocked after ")?.1.split_once(" ms")?.0.parse().ok()
+/// After how many milliseconds wheels were blocked, as `stop` printed.
+pub fn blocked_after_ms(printed: &str) -> Option<f64> {
+    printed.split_once("wheels blocked after ")?.1.split_once(" ms")?.0.parse().ok()
 }
 
 /// All that was wrong in a trial.
@@ -64,16 +64,16 @@ fn judge_stop(plan: &Plan, seen: &Evidence, stop: &Ended, found: &mut Vec<String
         }
         Some(_) => {}
     }
-    let said = stop.said.trim();
+    let printed = stop.printed.trim();
     let is_true = match stop.code {
-        Some(0) => said.contains("is stopped: wheels blocked after"),
-        Some(2) => said.contains("is not running") && !drives_later(plan, seen, stop),
+        Some(0) => printed.contains("is stopped: wheels blocked after"),
+        Some(2) => printed.contains("is not running") && !drives_later(plan, seen, stop),
         // Without a processor nothing is acknowledged.
-        Some(4) => seen.fifo && said.contains("alive: "),
+        Some(4) => seen.fifo && printed.contains("alive: "),
         _ => false,
     };
     if !is_true {
-        found.push(format!("stop ended with {:?}: {said}", stop.code));
+        found.push(format!("stop ended with {:?}: {printed}", stop.code));
     }
 }
 
@@ -174,7 +174,7 @@ fn judge_truth(plan: &Plan, seen: &Evidence, found: &mut Vec<String>) {
     }
 }
 
-/// Each program ended as it may, and says the truth.
+/// Each program ended as it may, and printed the truth.
 fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<String>) {
     if program.name == "stop" {
         return;
@@ -188,18 +188,18 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
             // `stop` ends one that does not respond.
             || (signal == KILL && (was_silent || plan.damages()));
         if !is_known {
-            found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.said)));
+            found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.printed)));
         }
         let is_file = plan.output == Output::File || program.began_ns > first_began(seen);
         let expected = LAST_LINES.iter().find(|(number, _)| *number == signal);
         let had_begun = program.ended_ns > program.began_ns + SCHEDULED_NS;
-        if let Some((_, word)) =
+        if let Some((_, cause)) =
             expected.filter(|_| is_orchestrator && had_begun && is_file && !plan.damages())
-            && !(program.said.contains(word) && program.said.contains("wheels are blocked"))
+            && !(program.printed.contains(cause) && program.printed.contains("wheels are blocked"))
         {
             found.push(format!(
-                "{name} did not say that it was ended by {word}: {}",
-                last_line(&program.said)
+                "{name} did not say that it was ended by {cause}: {}",
+                last_line(&program.printed)
             ));
         }
         return;
@@ -209,7 +209,7 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
     };
     let is_crash = plan.damages() && [5, 101].contains(&code);
     if !CODES.contains(&code) && !is_crash {
-        found.push(format!("{name} ended with exit code {code}: {}", last_line(&program.said)));
+        found.push(format!("{name} ended with exit code {code}: {}", last_line(&program.printed)));
     }
     if is_orchestrator && program.began_ns == first_began(seen) {
         judge_report(seen, program, code, found);
@@ -220,7 +220,7 @@ fn first_began(seen: &Evidence) -> u64 {
     seen.programs.first().map_or(0, |program| program.began_ns)
 }
 
-/// The report of the first orchestrator says what its exit code says.
+/// The report of the first orchestrator agrees with its exit code.
 fn judge_report(seen: &Evidence, program: &Ended, code: i32, found: &mut Vec<String>) {
     let drive = seen.drives.iter().find(|drive| Some(&drive.folder) == program.out.as_ref());
     let Some(report) = drive.and_then(|drive| drive.report.as_ref()) else {
@@ -240,8 +240,8 @@ fn judge_report(seen: &Evidence, program: &Ended, code: i32, found: &mut Vec<Str
     }
 }
 
-fn last_line(said: &str) -> &str {
-    said.trim().lines().last().unwrap_or("(nothing said)")
+fn last_line(printed: &str) -> &str {
+    printed.trim().lines().last().unwrap_or("(nothing said)")
 }
 
 #[cfg(test)]
@@ -272,7 +272,7 @@ mod tests {
             began_ns: 10 * SECOND,
             ended_ns: 10 * SECOND + SECOND / 2,
             code: Some(0),
-            said: "system `a` is stopped: wheels blocked after 4 ms, and it has ended".to_owned(),
+            printed: "system `a` is stopped: wheels blocked after 4 ms, and it has ended".to_owned(),
             ..Ended::default()
         };
         let change = |at_ns, wheels| Change { at_ns, wheels };
@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn a_drive_that_rests_after_its_stop_is_good() {
         assert_eq!(problems(&plan(), &good()), Vec::<String>::new());
-        assert_eq!(blocked_after_ms(&good().programs[1].said), Some(4.0));
+        assert_eq!(blocked_after_ms(&good().programs[1].printed), Some(4.0));
     }
 
     /// Makes evidence of a good trial that of a bad one.

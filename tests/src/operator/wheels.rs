@@ -20,7 +20,7 @@ pub enum State {
     Turning,
     /// They are blocked, and the robot slides.
     Blocked,
-    /// They are blocked, and the robot stands.
+    /// They are blocked, and the robot is at rest.
     Resting,
 }
 

@@ -20,7 +20,7 @@ fn connect(system: &System) -> UnixStream {
     stream
 }
 
-/// Ends the run and checks that no scan was lost meanwhile.
+/// Ends the run and checks that it lost no scan.
 fn end(mut system: System) {
     system.signal(system.orchestrator(), Signal::INT);
     assert_eq!(system.wait().code(), Some(1));

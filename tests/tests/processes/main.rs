@@ -1,4 +1,4 @@
-//! Systems of real processes that drive, are disturbed, exchanged, stopped and left alone.
+//! Systems of real processes that drive, are disturbed, swapped, stopped and orphaned.
 //!
 //! One program, so that it is linked once and the tests of all files wait for their robots side by side. Tests that load the
 //! machine on purpose stand elsewhere.

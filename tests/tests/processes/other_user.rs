@@ -1,7 +1,7 @@
 //! Another local user: what he plants, replaces, locks or watches neither runs nor is followed, and stops no one.
 //!
 //! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where the test
-//! does not run as root, or may not mount, it says what it skipped.
+//! does not run as root, or may not mount, it prints what it skipped.
 
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions, Permissions};
@@ -18,7 +18,7 @@ use scanloop_tests::stranger::{
     HOME, PLACE, PLACE_OF_STRANGER, STRANGER, as_stranger, assert_refused, is_driving, kill, make_folder,
     of_stranger, shared_memory, system, text, tree,
 };
-use scanloop_tests::{System, among_users, processes_of};
+use scanloop_tests::{SHORT_FREE, System, among_users, processes_of};
 use shared_types::Role;
 
 /// That a drive of root works.
@@ -75,9 +75,9 @@ fn a_link_in_the_place_of_the_directory_is_refused_and_its_target_stays() {
     make_folder(precious.parent().unwrap(), 0o700);
     std::fs::write(&precious, "stays").unwrap();
     as_stranger(|| symlink("/tmp/tree", PLACE).unwrap());
-    let words = [PLACE, "is a symbolic link of user 65534", "remove it"];
-    assert_refused(&system.run(&["run", "--lockstep", "--quiet", "free"]), &words);
-    assert_refused(&system.run(&["run", "--adopt-or-start", "--quiet", "free"]), &words);
+    let parts = [PLACE, "is a symbolic link of user 65534", "remove it"];
+    assert_refused(&system.run(&["run", "--lockstep", "--quiet", "free"]), &parts);
+    assert_refused(&system.run(&["run", "--adopt-or-start", "--quiet", "free"]), &parts);
     assert_refused(&system.run(&["stop"]), &[]);
     assert_eq!(std::fs::read_to_string(&precious).unwrap(), "stays");
     assert_eq!(tree(Path::new("/tmp/tree")).len(), 3);
@@ -158,7 +158,7 @@ fn a_socket_of_another_user_in_the_place_of_ours_receives_no_command() {
     system.assert_nothing_left();
 }
 
-/// Ends what another user tries, also when the test fails meanwhile.
+/// Ends the processes of another user, also when the test fails.
 struct Over<'a>(&'a AtomicBool);
 
 impl Drop for Over<'_> {
@@ -201,7 +201,7 @@ fn no_file_of_the_bus_can_be_opened_by_another_user_while_a_run_starts_and_drive
         other.join().unwrap()
     });
     assert!(seen.len() > 100, "{seen:?}");
-    // The segment that iceoryx2 makes writable for everyone has a name that the run does not use, for milliseconds.
+    // The segment that iceoryx2 makes writable for all users has a name that the run does not use, for milliseconds.
     let wrong: Vec<_> = achieved.iter().filter(|name| !name.contains("_seed")).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
 }
@@ -263,7 +263,7 @@ fn names_that_another_user_takes_while_a_run_starts_are_never_used() {
         drop(end);
         assert!(other.join().unwrap() >= names.len(), "he was too slow");
     });
-    // A drive over none of his files, or a start that fails and says why; never a signal.
+    // A drive over none of his files, or a start that fails with the reason; never a signal.
     assert_maps_nothing_of_strangers(&second);
     let status = second.wait();
     assert!(matches!(status.code(), Some(1 | 4 | 5)), "{status} {}", second.stderr());
@@ -316,8 +316,8 @@ fn drive_of_stranger(system: &System, arguments: &[&str]) -> std::process::Child
 fn two_users_drive_systems_of_the_same_id_at_the_same_time() {
     among_users!("two_users_drive_systems_of_the_same_id_at_the_same_time");
     let mut system = system();
-    let mut other = drive_of_stranger(&system, &["free"]);
-    system.start(&["free"]);
+    let mut other = drive_of_stranger(&system, &SHORT_FREE);
+    system.start(&SHORT_FREE);
     assert!(system.wait().success(), "{}", system.stderr());
     assert!(other.wait().unwrap().success());
     assert!(system.report().processes.iter().all(|process| process.restarts == 0));
@@ -348,14 +348,14 @@ fn each_user_stops_his_own_system_and_root_one_of_another_user_when_he_names_him
 }
 
 #[test]
-fn a_forged_stop_word_does_not_lead_root_to_a_process_of_its_own() {
-    among_users!("a_forged_stop_word_does_not_lead_root_to_a_process_of_its_own");
+fn a_forged_stop_word_does_not_lead_root_to_one_of_its_own_processes() {
+    among_users!("a_forged_stop_word_does_not_lead_root_to_one_of_its_own_processes");
     let system = system();
-    // The page says that this test, a process of root, is the orchestrator of a run of the other user.
+    // The page claims that this test, a process of root, is the orchestrator of a run of the other user.
     let id = system.id();
     let mut his = as_stranger(|| {
-        let word = StopWord::create("forgedruna", 100_000_000).unwrap();
-        word.hand_down().unwrap();
+        let stop_word = StopWord::create("forgedruna", 100_000_000).unwrap();
+        stop_word.hand_down().unwrap();
         let mut sleep = std::process::Command::new("sleep");
         sleep.arg("60").uid(STRANGER).gid(STRANGER).env(runtime::SYSTEM_ID_VARIABLE, id);
         sleep.env(runtime::RUN_ID_VARIABLE, "forgedruna").env(runtime::INCARNATION_VARIABLE, "1");

@@ -1,7 +1,7 @@
 //! Where a system lives is closed to others, whatever the umask and the variables of the session.
 //!
 //! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where the test
-//! does not run as root, or may not mount, it says what it skipped.
+//! does not run as root, or may not mount, it prints what it skipped.
 
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, symlink};
 use std::path::Path;

@@ -13,7 +13,7 @@ use scanloop_tests::{System, Watch, is_ignored, pause, system_file};
 use shared_types::{Actuation, Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 /// The command returns after a second at the latest when wheels are blocked [ms].
 const LIMIT_MS: u64 = 1000;
 
@@ -51,8 +51,18 @@ fn stop(system: &System) -> String {
     text
 }
 
+/// Tests all of them at the same time, each with a system of its own.
+fn at_once<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
+    std::thread::scope(|scope| {
+        let test = &test;
+        cases.into_iter().for_each(|case| {
+            scope.spawn(move || test(case));
+        });
+    });
+}
+
 #[test]
-fn a_run_is_stopped_and_its_report_says_so() {
+fn a_stopped_run_has_the_reason_in_its_report() {
     let (mut system, watch) = driving(&[]);
     stop(&system);
     wait_for_rest(&system, &watch);
@@ -65,7 +75,7 @@ fn a_run_is_stopped_and_its_report_says_so() {
 }
 
 #[test]
-fn an_orchestrator_that_is_suspended_keeps_nobody_from_stopping() {
+fn a_suspended_orchestrator_does_not_prevent_a_stop() {
     for signal in [Signal::STOP, Signal::TSTP] {
         let (mut system, watch) = driving(&[]);
         system.signal(system.orchestrator(), signal);
@@ -122,8 +132,8 @@ fn a_stop_is_never_taken_back() {
 }
 
 #[test]
-fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
-    for signal in [Signal::SEGV, Signal::BUS, Signal::ILL] {
+fn a_crashed_orchestrator_has_stopped_its_run_and_reports_it() {
+    at_once([Signal::SEGV, Signal::BUS, Signal::ILL], |signal| {
         let (mut system, watch) = driving(&["--set", "orphan_timeout_s=3"]);
         system.signal(system.orchestrator(), signal);
         assert_eq!(system.wait().code(), None, "a signal ends it");
@@ -135,12 +145,12 @@ fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
         drop(watch);
         // It cannot be adopted any more, so it ends by itself.
         system.assert_nothing_left();
-    }
+    });
 }
 
 #[test]
 fn a_closed_terminal_and_a_quit_key_end_the_run_in_order() {
-    // Under `nohup` a hang-up is ignored, by who is started there as well.
+    // Under `nohup` a hang-up is ignored, also by the processes that are started.
     let signals = [Signal::HUP, Signal::QUIT, Signal::TERM];
     for signal in signals.into_iter().filter(|signal| !is_ignored(*signal)) {
         let (mut system, watch) = driving(&[]);
@@ -155,7 +165,7 @@ fn a_closed_terminal_and_a_quit_key_end_the_run_in_order() {
 
 #[test]
 fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() {
-    for signal in [Signal::KILL, Signal::ABORT] {
+    at_once([Signal::KILL, Signal::ABORT], |signal| {
         let (mut system, watch) = driving(&["--set", "orphan_stop_s=1.5", "--set", "timeout_s=600"]);
         let killed = watch.newest().unwrap();
         system.signal(system.orchestrator(), signal);
@@ -174,11 +184,11 @@ fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() 
         system.wait();
         drop(watch);
         system.assert_nothing_left();
-    }
+    });
 }
 
 #[test]
-fn a_run_that_was_suspended_goes_on() {
+fn a_run_that_was_suspended_drives_on() {
     let (mut system, watch) = driving(&["--set", "orphan_stop_s=0.5", "--set", "timeout_s=600"]);
     system.signal(system.orchestrator(), Signal::STOP);
     wait_for_rest(&system, &watch);
@@ -288,7 +298,7 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
 #[test]
 fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() {
     let mut system = System::new(EXECUTABLE);
-    let text = system_file(10, &[Role::Robot], ODD, &["stubborn"]);
+    let text = system_file(10, &[Role::Robot], FAULTY, &["stubborn"]);
     let path = system.folder().join("system.toml");
     std::fs::write(&path, text).unwrap();
     system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", path.to_str().unwrap()], &[]);

@@ -37,6 +37,7 @@ impl TestBench<'_> {
             directive.authority[role.index()] = Authority { incarnation, ..Authority::default() };
         })?;
         self.heartbeats.clear();
+        self.received.clear();
         self.spawn(restart, checkpoint)?;
         self.wait_for_state(ProcessState::Connected)
     }

@@ -1,11 +1,11 @@
-//! A process built against another layout does not join, and says which field differs.
+//! A process built against another layout does not join, and names the field that differs.
 
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use handover::swap::{Certificate, SwapOutcome};
-use scanloop_tests::System;
+use scanloop_tests::{SHORT_FREE, System};
 use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 
 use super::tools::{EXECUTABLE, compile, examples, python};
@@ -25,10 +25,10 @@ int main(int count, char **words) {
 }
 "#;
 
-/// Another version of the samples: changes in the generated header, and what a process of a role says of it.
+/// Another version of the samples: changes in the generated header, and the message of a process of that role.
 struct Version {
     role: Role,
-    /// What stands there once, and what stands there instead.
+    /// Texts that occur once, and their replacements.
     changes: &'static [(&'static str, &'static str)],
     says: &'static str,
 }
@@ -132,7 +132,7 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
             folder.join("joins")
         })
         .collect();
-    system.start(&["free"]);
+    system.start(&SHORT_FREE);
     for (version, program) in VERSIONS.iter().zip(&programs) {
         refused(
             &system,
@@ -140,7 +140,7 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
             version.says,
         );
     }
-    assert_eq!(system.wait().code(), Some(0), "nobody has noticed: {}", system.stderr());
+    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
     system.assert_nothing_left();
 }
 
@@ -148,7 +148,7 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
 fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
     let Some(python) = python("a_python_program_of_another_version_is_refused") else { return };
     let mut system = System::new(EXECUTABLE);
-    system.start(&["free"]);
+    system.start(&SHORT_FREE);
     for (index, (old, new, says)) in [
         (
             "(\"predicted_x_m\", ctypes.c_double)",
@@ -183,7 +183,7 @@ fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certific
         let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
         refused(&system, &[&["controller", "--"][..], &command].concat(), says);
     }
-    assert_eq!(system.wait().code(), Some(0), "nobody has noticed: {}", system.stderr());
+    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
     system.assert_nothing_left();
 }
 
@@ -195,22 +195,24 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[test]
-fn a_program_that_is_started_by_hand_says_what_starts_it() {
+fn a_program_that_is_started_by_hand_names_the_command_that_starts_it() {
     let system = System::new(EXECUTABLE);
     let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
     std::fs::write(&source, JOINS).unwrap();
     compile(&source, &examples("c"), &program);
     let mut commands = vec![Command::new(program)];
     commands[0].arg("2");
-    if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
+    if let Some(python) =
+        python("a_program_that_is_started_by_hand_names_the_command_that_starts_it in Python")
+    {
         let mut command = Command::new(python);
         command.arg("-B").arg(examples("python").join("pure_pursuit.py"));
         commands.push(command);
     }
     for mut command in commands {
         let output = command.env_remove(runtime::SYSTEM_ID_VARIABLE).stdin(Stdio::null()).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(said.contains("processes are started by `scanloop run`"), "{said}");
+        let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(printed.contains("processes are started by `scanloop run`"), "{printed}");
     }
 }
 
@@ -249,8 +251,8 @@ fn mutations() -> Vec<Layouts> {
 }
 
 #[test]
-fn python_finds_the_same_difference_in_the_same_words_as_rust() {
-    let Some(python) = python("python_finds_the_same_difference_in_the_same_words_as_rust") else { return };
+fn python_describes_a_difference_of_layouts_like_rust() {
+    let Some(python) = python("python_describes_a_difference_of_layouts_like_rust") else { return };
     let system = System::new(EXECUTABLE);
     let theirs = Layouts::built_in();
     let (mut tables, mut expected) = (Vec::new(), String::new());
@@ -268,9 +270,9 @@ fn python_finds_the_same_difference_in_the_same_words_as_rust() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let said = String::from_utf8(output.stdout).unwrap();
-    for (theirs, mine) in said.lines().zip(expected.lines()) {
+    let printed = String::from_utf8(output.stdout).unwrap();
+    for (theirs, mine) in printed.lines().zip(expected.lines()) {
         assert_eq!(theirs, mine);
     }
-    assert_eq!(said.lines().count(), expected.lines().count());
+    assert_eq!(printed.lines().count(), expected.lines().count());
 }

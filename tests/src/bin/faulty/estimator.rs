@@ -69,7 +69,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         for measured in asked {
             last = measured;
             let now = process.clock().now_ns();
-            // What is not even looked at is answered with what stands in it.
+            // What is not even checked is answered with its content.
             let plain = Pose {
                 header: measured.header.answer(),
                 x_m: measured.x_m,

@@ -18,7 +18,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let mut poses = Publisher::<Pose>::new(&bus)?;
     let mut heart = Publisher::<Heartbeat>::new(&bus)?;
     if fault == "litters" {
-        std::fs::write(format!("/dev/shm/{}odd", domain.shared_memory_prefix()), "left")?;
+        std::fs::write(format!("/dev/shm/{}faulty", domain.shared_memory_prefix()), "left")?;
     }
     let (mut state, mut directive) = (ProcessState::Attached, Directive::default());
     let (mut received_ns, mut beat_ns, mut activations, mut orchestrator) = (monotonic_ns(), 0, 0, 0);

@@ -117,7 +117,7 @@ impl<S: Sample> Outlet<S> {
         Ok(())
     }
 
-    /// Waits there if it is planned, and says from when to when it really was [ns].
+    /// Waits there if it is planned, and logs from when to when it really waited [ns].
     fn wait_at(&self, place: Place, scan_id: u64) {
         if !matches!(self.trouble, Trouble::Delay) {
             return;

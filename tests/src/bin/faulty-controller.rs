@@ -1,6 +1,6 @@
-//! The controller with a fault, for tests of exchanges.
+//! The controller with a fault, for tests of swaps.
 //!
-//! `odd-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
+//! `faulty-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
 
 use runtime::{Handover, Process, RuntimeError, join, wait_for};
 use shared_types::{Command, Obstacles, Pose, Role};
@@ -27,7 +27,7 @@ enum Fault {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let fault = fault(&arguments)
-        .ok_or("usage: odd-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
+        .ok_or("usage: faulty-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
     run(fault)
 }
 
