@@ -1,11 +1,13 @@
 //! What process tests share: a system of their own, conditions with a deadline, and a check that nothing is left.
 
 pub mod audit;
+mod delays;
 pub mod namespace;
 pub mod operator;
 pub mod soak;
 pub mod stranger;
 pub mod swaps;
+mod watch;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -16,13 +18,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use report::Report;
-use runtime::{Bus, Domain, Observer};
+use runtime::Domain;
 use rustix::fs::{Mode, OFlags, open};
 use session::control::{Reply, Request, Status, ask};
-use shared_types::{Role, Truth};
+use shared_types::Role;
 
+pub use delays::{DELAYS_NS, PLACES, Place, STAGES, plan, planted};
 /// The Cargo profile of the tests and of the executables under test.
 pub use figures::PROFILE;
+pub use watch::Watch;
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
@@ -31,10 +35,13 @@ pub const DEADLINE: Duration = Duration::from_secs(60);
 const CHECK_INTERVAL: Duration = Duration::from_millis(10);
 
 /// The corridor with its box and its goal nearer, for tests that wait for the goal: 91 scans instead of 129.
-pub const SHORT_CORRIDOR: [&str; 5] = ["corridor", "--set", "obstacle.0.x_m=3.5", "--set", "goal.x_m=7"];
+///
+/// The box stands to the left, so that the robot is back near the line at the goal.
+pub const SHORT_CORRIDOR: [&str; 7] =
+    ["corridor", "--set", "obstacle.0.x_m=4", "--set", "obstacle.0.y_m=0.5", "--set", "goal.x_m=7"];
 
-/// The long course up to its second obstacle: 161 scans instead of 242.
-pub const SHORTENED_LONG: [&str; 3] = ["long", "--set", "goal.x_m=13"];
+/// The long course up to its second obstacle: 170 scans instead of 242.
+pub const SHORTENED_LONG: [&str; 3] = ["long", "--set", "goal.x_m=14"];
 
 /// A track without obstacles and a near goal: 67 scans instead of 127.
 pub const SHORT_FREE: [&str; 3] = ["free", "--set", "goal.x_m=4"];
@@ -276,36 +283,6 @@ impl Drop for System {
     }
 }
 
-/// The truth of a robot, watched from outside of its system.
-pub struct Watch {
-    observer: Observer<Truth>,
-    seen: RefCell<Vec<Truth>>,
-    // Dropped last.
-    _bus: Bus,
-}
-
-impl Watch {
-    /// Watches from now on.
-    pub fn new(system: &System) -> Self {
-        let bus = Bus::open(&system.domain(), "test").expect("a running system");
-        let observer = Observer::new(&bus).expect("the topic of the truth");
-        Self { observer, seen: RefCell::default(), _bus: bus }
-    }
-
-    /// The newest truth; polls the bus.
-    pub fn newest(&self) -> Option<Truth> {
-        let mut seen = self.seen.borrow_mut();
-        self.observer.poll(|truth| seen.push(*truth)).expect("the topic of the truth");
-        seen.last().copied()
-    }
-
-    /// All that was seen so far.
-    pub fn all(&self) -> Vec<Truth> {
-        let _ = self.newest();
-        self.seen.borrow().clone()
-    }
-}
-
 /// Processes that were started for a system, by their environment.
 pub fn processes_of(system_id: &str) -> Vec<i32> {
     let wanted = format!("{}={system_id}", runtime::SYSTEM_ID_VARIABLE);
@@ -320,6 +297,16 @@ pub fn processes_of(system_id: &str) -> Vec<i32> {
         .collect()
 }
 
+/// Runs a test for all cases at the same time, because most of each is waiting.
+pub fn at_once<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
+    std::thread::scope(|scope| {
+        let test = &test;
+        cases.into_iter().for_each(|case| {
+            scope.spawn(move || test(case));
+        });
+    });
+}
+
 /// Writes into a pipe or terminal until not a byte more goes in.
 ///
 /// # Panics
@@ -332,38 +319,6 @@ pub fn fill(output: &OwnedFd) {
     for size in [1024, 1] {
         while rustix::io::write(&output, &[b'x'; 1024][..size]).is_ok() {}
     }
-}
-
-/// A place in the work of a stage where a test plants a delay.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
-    /// Awake with all inputs there, before it takes them.
-    Take,
-    /// In its computation.
-    Compute,
-    /// With its result there, before it is published.
-    Publish,
-    /// Published, before the readers are woken.
-    Deliver,
-}
-
-/// Stages and places of planted delays, and how long they are [ns]: one of 48 combinations per scan.
-pub const STAGES: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
-/// See [`STAGES`].
-pub const PLACES: [Place; 4] = [Place::Take, Place::Compute, Place::Publish, Place::Deliver];
-/// See [`STAGES`].
-pub const DELAYS_NS: [u64; 3] = [1_000_000, 5_000_000, 20_000_000];
-
-/// The delay that is planted for a scan: stage, place and length [ns].
-pub fn plan(scan_id: u64) -> (Role, Place, u64) {
-    let index = usize::try_from(scan_id).unwrap_or(0);
-    (STAGES[index % 4], PLACES[index / 4 % 4], DELAYS_NS[index / 16 % 3])
-}
-
-/// The delay of a stage at a place for a scan, if one is planted there [ns].
-pub fn planted(scan_id: u64, role: Role, place: Place) -> Option<u64> {
-    let (stage, at, delay_ns) = plan(scan_id);
-    (stage == role && at == place).then_some(delay_ns)
 }
 
 /// A system file in which a program of the tests fills some roles, with these arguments after the role.

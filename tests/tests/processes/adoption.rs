@@ -41,11 +41,6 @@ fn pid_of(status: &Status, role: Role) -> i32 {
     status.processes.iter().find(|process| process.role == role.name()).unwrap().pid
 }
 
-fn wait_for_truth(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
-    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
-    watch.newest().unwrap()
-}
-
 /// Waits for the end of an adopted run that reaches its goal.
 fn assert_reached(mut system: System) -> Report {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -69,10 +64,9 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
     let before = pids(&system.status().unwrap());
     let watch = Watch::new(&system);
     system.kill_orchestrator();
-    let from = wait_for_truth(&system, &watch, "the truth continues", |_| true);
-    let later = wait_for_truth(&system, &watch, "ten scans", |truth| {
-        truth.header.scan_id >= from.header.scan_id + 10
-    });
+    let from = watch.wait_for(&system, "the truth continues", |_| true);
+    let later =
+        watch.wait_for(&system, "ten scans", |truth| truth.header.scan_id >= from.header.scan_id + 10);
     assert!(later.blocked == 0 && later.speed_mps > 0.5 && later.x_m > from.x_m + 0.5, "{later:?}");
     system.adopt(&[]);
     assert_eq!(pids(&system.status().unwrap()), before);
@@ -112,7 +106,7 @@ fn an_adopted_run_is_supervised_like_any_other() {
     restarted(&system, Role::Controller, controller);
     let swapped = system.run(&["swap", "actuator", "--to", "actuation", "--shadow-scans", "3"]);
     assert_eq!(swapped.status.code(), Some(0), "{}", stderr(&swapped));
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
     // And once more, with processes of which some were adopted twice.
     let before = pids(&system.status().unwrap());
     system.kill_orchestrator();
@@ -134,9 +128,9 @@ fn an_adopted_run_is_supervised_like_any_other() {
 fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
     let (mut system, watch) = orphaned(&SHORT_CORRIDOR);
     let controller = pid_of(&orphaned_status(&system), Role::Controller);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(controller, Signal::KILL);
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert!(blocked.longest_blind_s <= MAX_BLIND_S);
     system.adopt(&[]);
@@ -155,12 +149,12 @@ fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_
     // At 5 Hz a hang is found after 0.6 s; the state was young when it began.
     system.start(&["corridor", "--set", "rate_hz=5"]);
     let watch = Watch::new(&system);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let pid = system.pid(Role::Controller);
     system.signal(pid, Signal::STOP);
     let rests = |truth: &Truth| truth.blocked == 1 && truth.speed_mps == 0.0;
-    let rest = wait_for_truth(&system, &watch, "it rests", rests);
-    wait_for_truth(&system, &watch, "it drives again", |truth| {
+    let rest = watch.wait_for(&system, "it rests", rests);
+    watch.wait_for(&system, "it drives again", |truth| {
         truth.header.scan_id > rest.header.scan_id && truth.blocked == 0 && truth.speed_mps > 0.5
     });
     let log = std::fs::read_to_string(system.folder().join("out/logs/controller.log")).unwrap();
@@ -202,7 +196,7 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     let (mut system, watch) = orphaned(&SHORT_CORRIDOR);
     let controller = pid_of(&orphaned_status(&system), Role::Controller);
     system.signal(controller, Signal::KILL);
-    wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     // What is left of it in the list now names a process of another system, with its true start time.
     let mut stranger = Command::new("sleep");
     stranger.arg("600").env("SCANLOOP_RUN_ID", "anotherrun").env("SCANLOOP_INCARNATION", "4");
@@ -286,7 +280,7 @@ fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
 #[test]
 fn status_and_stop_work_without_an_orchestrator() {
     let (system, watch) = orphaned(&["corridor"]);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let status = orphaned_status(&system);
     assert_eq!((status.state.as_str(), status.scenario.as_str()), ("driverless", "corridor"));
     assert!(status.scan > 3);
@@ -301,7 +295,7 @@ fn status_and_stop_work_without_an_orchestrator() {
     assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
     let stopped = system.run(&["stop"]);
     assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));
-    let last = wait_for_truth(&system, &watch, "it rests", |truth| truth.speed_mps <= 0.0);
+    let last = watch.wait_for(&system, "it rests", |truth| truth.speed_mps <= 0.0);
     assert_eq!((last.blocked, last.speed_mps, last.collided), (1, 0.0, 0));
     assert!(last.longest_blind_s <= MAX_BLIND_S);
     drop(watch);
@@ -313,7 +307,7 @@ fn status_and_stop_work_without_an_orchestrator() {
 #[test]
 fn a_new_run_stops_the_robot_of_an_old_one_first() {
     let (system, watch) = orphaned(&["corridor"]);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let new = system.run(&["run", "--quiet", "--out", "new", "--lockstep", "free"]);
     assert_eq!(new.status.code(), Some(0), "{}", stderr(&new));
     assert!(stderr(&new).contains("an earlier run lost its orchestrator"), "{}", stderr(&new));
@@ -325,8 +319,8 @@ fn a_new_run_stops_the_robot_of_an_old_one_first() {
 #[test]
 fn without_an_adoption_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
     let (system, watch) = orphaned(&["endless", "--set", "orphan_timeout_s=2"]);
-    wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
-    wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
+    watch.wait_for(&system, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
     system.wait_until("all processes have ended", |system| system.processes().is_empty());
     let last = watch.newest().unwrap();
     assert_eq!((last.blocked, last.collided), (1, 0));
@@ -348,11 +342,11 @@ fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
 fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans() {
     let (system, watch) = orphaned(&["corridor"]);
     let status = orphaned_status(&system);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
         system.signal(pid_of(&status, role), Signal::KILL);
     }
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (0, 0), "the actuator did it");
     assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");
@@ -364,9 +358,9 @@ fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans
 fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
     let (system, watch) = orphaned(&["corridor"]);
     let actuator = pid_of(&orphaned_status(&system), Role::Actuator);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(actuator, Signal::KILL);
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 3, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (1, 0));
     assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");

@@ -47,7 +47,7 @@ fn a_shadow_of_each_role_at_once_publishes_the_same_as_the_live_process() {
 #[test]
 fn a_shadow_that_steers_more_is_found_and_drives_nothing() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["slalom", "--set", "goal.x_m=14"]);
+    system.start(&["slalom"]);
     // The option `--for` may be the last argument.
     let report = shadow(&system, &["controller", "--", FAULTY, "steer", "--for", "5s"]);
     assert_eq!(report.outcome, ShadowOutcome::Completed, "{report}");

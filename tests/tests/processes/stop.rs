@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use emulator::Outcome;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{System, Watch, is_ignored, pause, system_file};
-use shared_types::{Actuation, Role, Truth};
+use scanloop_tests::{System, Watch, at_once, is_ignored, pause, system_file};
+use shared_types::{Actuation, Role};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
@@ -22,17 +22,12 @@ fn driving(arguments: &[&str]) -> (System, Watch) {
     let mut system = System::new(EXECUTABLE);
     system.start(&[&["endless"], arguments].concat());
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     (system, watch)
 }
 
-fn wait_for(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
-    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
-    watch.newest().unwrap()
-}
-
 fn wait_for_rest(system: &System, watch: &Watch) {
-    let rest = wait_for(system, watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
+    let rest = watch.wait_for(system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
     assert_eq!(rest.collided, 0);
 }
 
@@ -49,16 +44,6 @@ fn stop(system: &System) -> String {
     let after_ms: u64 = after.split(' ').next().unwrap().parse().unwrap();
     assert!(after_ms <= LIMIT_MS, "{text}");
     text
-}
-
-/// Tests all of them at the same time, each with a system of its own.
-fn at_once<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
-    std::thread::scope(|scope| {
-        let test = &test;
-        cases.into_iter().for_each(|case| {
-            scope.spawn(move || test(case));
-        });
-    });
 }
 
 #[test]
@@ -179,7 +164,7 @@ fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() 
         let alone_s = blocked.time_s - killed.time_s;
         assert!((1.2..3.0).contains(&alone_s), "it drove on for {alone_s} s");
         system.adopt(&[]);
-        wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+        watch.wait_for(&system, "it drives on", |truth| truth.speed_mps > 0.5);
         stop(&system);
         system.wait();
         drop(watch);
@@ -193,7 +178,7 @@ fn a_run_that_was_suspended_drives_on() {
     system.signal(system.orchestrator(), Signal::STOP);
     wait_for_rest(&system, &watch);
     system.signal(system.orchestrator(), Signal::CONT);
-    wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives on", |truth| truth.speed_mps > 0.5);
     stop(&system);
     system.wait();
     drop(watch);
@@ -226,7 +211,7 @@ fn a_process_that_does_not_see_the_stop_word_is_ended_and_the_block_is_confirmed
         let file = without_stop_word(&system, &[role]);
         system.start(&["endless", "--system", &file]);
         let watch = Watch::new(&system);
-        wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+        watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
         system.signal(system.orchestrator(), Signal::STOP);
         stop(&system);
         wait_for_rest(&system, &watch);
@@ -242,7 +227,7 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
     let file = without_stop_word(&system, &[Role::Actuator, Role::Robot]);
     system.start(&["endless", "--system", &file]);
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(system.orchestrator(), Signal::STOP);
     let output = system.run(&["stop"]);
     let text = stderr(&output);
@@ -264,7 +249,7 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
     system.launch(&arguments, &[]);
     system.wait_until_driving();
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let pid = Pid::from_raw(system.orchestrator()).unwrap();
     let is_over = AtomicBool::new(false);
     let status = std::thread::scope(|scope| {
