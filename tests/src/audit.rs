@@ -1,8 +1,8 @@
-//! Checks certificates against what was on the bus, without asking the orchestrator.
+//! Checks certificates against what was on the bus, independent of the orchestrator.
 //!
 //! Idea: an actuation carries the stamps of all samples that it rests on. In real time no two processes of a role
-//! publish at the same nanosecond, so the stamp tells whose sample was used. Which of two actuators the robot obeyed
-//! stands in the state that the robot publishes. In lock-step stamps are equal; there the drive itself has to be
+//! publish at the same nanosecond, so the stamp identifies the writer. Which of two actuators the robot obeyed
+//! is in the state that the robot publishes. In lock-step stamps are equal; there the drive itself has to be
 //! compared.
 
 use std::collections::BTreeMap;
@@ -50,7 +50,7 @@ pub struct Answer {
 }
 
 impl Audit {
-    /// Looks on from now on; the system must be running.
+    /// Records from now on; the system must be running.
     pub fn start(domain: &Domain) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let ready = Arc::new(AtomicBool::new(false));
@@ -62,7 +62,7 @@ impl Audit {
         Self { stop, thread }
     }
 
-    /// Looks no more.
+    /// Ends the recording.
     ///
     /// # Panics
     /// When the bus could not be read.

@@ -1,4 +1,4 @@
-//! The suites of `scanloop conformance`: they let good implementations pass, and find what is wrong with bad ones.
+//! The suites of `scanloop conformance`: good implementations pass, and each faulty one fails its case.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -109,7 +109,7 @@ fn built_in_implementations_meet_everything() {
 fn an_estimator_of_ones_own_meets_what_is_required() {
     let (report, output) = suite(&["--rate", "20", "--jobs", "8", "estimator", "--", DEAD_RECKONING]);
     assert_eq!((output.status.code(), report.failed), (Some(0), 0), "{}", stderr(&output));
-    // It has no memory and believes the odometer.
+    // It has no state and trusts the odometer.
     let advice: Vec<&str> = bad(&report);
     assert_eq!(advice, ["state", "corrects-odometry", "outlier", "covariance"], "{}", stderr(&output));
 }
@@ -126,7 +126,7 @@ fn every_case_finds_a_fault() {
                     let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
                     cases.iter().for_each(|case| arguments.extend(["--only", case]));
                     arguments.extend(["--", FAULTY, program, fault]);
-                    // A machine that is too busy for a robot to be told anything stops it, whatever its fault.
+                    // On a machine that is too busy to publish actuations a robot stops, whatever its fault.
                     let found = (0..3).any(|_| {
                         let (report, output) = suite(&arguments);
                         let required = report.cases.iter().any(|case| case.level == Level::Required);
@@ -156,7 +156,7 @@ fn the_table_of_faults_has_every_case_of_every_role() {
         let list = String::from_utf8(run(&[role, "--list"]).stdout).unwrap();
         for line in list.lines().filter_map(|line| line.strip_prefix("| `")) {
             let case = line.split('`').next().unwrap();
-            // What estimators share with the others is tried with estimators.
+            // The cases that all roles share are tried with estimators.
             assert!(tried.contains(&(role, case)) || common.contains(case), "{role}: no fault for `{case}`");
         }
     }

@@ -1,4 +1,4 @@
-//! What must hold on a machine that is busy: apart, because the load would disturb other tests.
+//! Tests on a busy machine: a program of their own, because the load would disturb other tests.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

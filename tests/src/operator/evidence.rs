@@ -1,4 +1,4 @@
-//! What was seen of a trial from outside.
+//! What was observed of a trial from outside.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use report::Report;
 use super::program::Ended;
 use super::wheels::{Change, Point};
 
-/// All that was seen of a trial.
+/// All that was observed of a trial.
 #[derive(Debug, Default)]
 pub struct Evidence {
     /// The run has driven before anything was done to it.
@@ -18,9 +18,9 @@ pub struct Evidence {
     pub ends_ns: Vec<u64>,
     /// Times in which no orchestrator lived or ran [ns of CLOCK_MONOTONIC].
     pub silences: Vec<Silence>,
-    /// A robot was sent a signal that leaves it no time.
+    /// A robot was sent a signal that ends it at once.
     pub robot_killed: bool,
-    /// Something took processors by real-time priority.
+    /// A load had real-time priority.
     pub fifo: bool,
     /// What the robot of each run did, by the folder of its results.
     pub drives: Vec<Drive>,
@@ -28,7 +28,7 @@ pub struct Evidence {
     pub truth: Vec<Point>,
     /// Descriptions of what is left on the machine.
     pub left: Vec<String>,
-    /// Text of all logs that tell of a panic.
+    /// Text of all logs with a panic.
     pub panics: Vec<String>,
     /// Actions that were not possible, with the reason.
     pub skipped: Vec<String>,

@@ -11,7 +11,7 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 pub const SHARED_MEMORY: &str = "/dev/shm";
 /// Any directory that is there on all machines; another one is mounted over it for the trials alone.
 const SYSTEMS: &str = "/mnt";
-/// Says that this program has file systems of its own.
+/// Variable that is set where this program has file systems of its own.
 const INSIDE: &str = "SCANLOOP_OPERATOR_INSIDE";
 
 /// Starts this program again with the same arguments and file systems of its own, where that is permitted; returns

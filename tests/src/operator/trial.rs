@@ -16,7 +16,7 @@ use super::program::Program;
 use super::{socket, wheels};
 use crate::{System, fill, pause};
 
-/// A run that starts at all drives within this time on a busy machine [ns].
+/// A run drives within this time on a busy machine, if it starts [ns].
 const START_NS: u64 = 20_000_000_000;
 /// After a stop all processes and files are gone within this time [ns].
 const GONE_NS: u64 = 45_000_000_000;
@@ -30,9 +30,9 @@ const ROUNDS: usize = 3;
 const STOPPED_NS: u64 = 200_000_000;
 /// Time between two polls of the files of the run [ns].
 const POLL_NS: u64 = 20_000_000;
-/// Signals that leave a process no time to do anything.
+/// Signals that end a process at once.
 const SUDDEN: [Signal; 5] = [Signal::KILL, Signal::ABORT, Signal::SEGV, Signal::BUS, Signal::ILL];
-/// Signals upon which an orchestrator stops its run.
+/// Signals after which an orchestrator stops its run.
 const STOPPING: [Signal; 6] =
     [Signal::TERM, Signal::INT, Signal::HUP, Signal::SEGV, Signal::BUS, Signal::ILL];
 /// Signals after which an orchestrator is silent and its robot drives on.
@@ -260,7 +260,7 @@ impl Trial {
         }
     }
 
-    /// Whether a process was stopped: SIGTSTP does nothing to one whose terminal is gone.
+    /// Whether a process was stopped: SIGTSTP has no effect on one without a terminal.
     fn is_stopped(&mut self, pid: i32) -> bool {
         let deadline_ns = monotonic_ns() + STOPPED_NS;
         let state = || std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();

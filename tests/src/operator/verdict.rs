@@ -1,4 +1,4 @@
-//! The judgement of a trial: what was wrong, in sentences. Pure.
+//! The judgement of a trial: a sentence for each fault. Pure.
 
 use emulator::Outcome;
 
@@ -7,7 +7,7 @@ use super::plan::{Output, Plan};
 use super::program::Ended;
 use super::wheels::{State, state_at};
 
-/// What the start and the end of a command may take longer on a busy machine [ns].
+/// Additional time for the start and the end of a command on a busy machine [ns].
 const BUSY_NS: u64 = 1_000_000_000;
 /// Wheels that were blocked at 2 m/s rest after v / a [ns].
 const SLIDE_NS: u64 = 400_000_000;
@@ -15,9 +15,9 @@ const SLIDE_NS: u64 = 400_000_000;
 const SCHEDULED_NS: u64 = 500_000_000;
 /// Wheels never turn for longer than this many scan periods without an actuation.
 const BLIND_PERIODS: f64 = 3.0;
-/// Exit codes of the public interface that an orchestrator may end with, but for a collision and an internal error.
+/// Exit codes that an orchestrator may end with: all but those of a collision and of an internal error.
 const CODES: [i32; 4] = [0, 1, 2, 4];
-/// What the standard library, a signal of the processor and an abort leave.
+/// Exit codes and signals of a panic, of a fault of the processor and of an abort.
 const CRASHES: [i32; 4] = [4, 6, 7, 11];
 /// SIGKILL.
 const KILL: i32 = 9;
@@ -143,7 +143,7 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
     }
 }
 
-/// Times in which the wheels must not turn because no orchestrator has spoken for long [ns].
+/// Times in which the wheels must not turn because of a long time without directives [ns].
 fn long_silences(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64)> {
     let rest_ns = (plan.orphan_stop_s * 1e9) as u64 + SLIDE_NS + 3 * plan.period_ns() + SCHEDULED_NS;
     let end_ns = |silence: &Silence| if silence.to_ns == 0 { seen.over_ns } else { silence.to_ns };

@@ -1,4 +1,4 @@
-//! What the wheels did: by the log of the emulator, and by the truth that an observer wrote down.
+//! What the wheels did, from the log of the emulator and from the truth that an observer recorded.
 
 use std::path::Path;
 

@@ -79,7 +79,7 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
 
 #[test]
 fn an_adopted_run_is_supervised_like_any_other() {
-    // Roles that find back without the state of the one before: a busy machine takes longer than half a second.
+    // These roles recover without a state: on a busy machine it may be older than half a second.
     let (mut system, watch) = orphaned(&["endless", "--set", "timeout_s=600"]);
     system.adopt(&[]);
     let restarted = |system: &System, role: Role, before: i32| {
@@ -107,7 +107,7 @@ fn an_adopted_run_is_supervised_like_any_other() {
     let swapped = system.run(&["swap", "actuator", "--to", "actuation", "--shadow-scans", "3"]);
     assert_eq!(swapped.status.code(), Some(0), "{}", stderr(&swapped));
     watch.wait_for(&system, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
-    // And once more, with processes of which some were adopted twice.
+    // Again, with processes of which some were adopted twice.
     let before = pids(&system.status().unwrap());
     system.kill_orchestrator();
     system.adopt(&[]);
@@ -134,7 +134,7 @@ fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert!(blocked.longest_blind_s <= MAX_BLIND_S);
     system.adopt(&[]);
-    // The orchestrator that had its state is gone.
+    // Its state was lost with the orchestrator.
     let log = system.folder().join("out/logs/controller.log");
     system.wait_until("it says what it waits for", |_| {
         std::fs::read_to_string(&log).is_ok_and(|log| log.contains("the robot has to rest first"))
@@ -197,7 +197,7 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     let controller = pid_of(&orphaned_status(&system), Role::Controller);
     system.signal(controller, Signal::KILL);
     watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
-    // What is left of it in the list now names a process of another system, with its true start time.
+    // Its entry in the list now names a process of another system, with its true start time.
     let mut stranger = Command::new("sleep");
     stranger.arg("600").env("SCANLOOP_RUN_ID", "anotherrun").env("SCANLOOP_INCARNATION", "4");
     let mut stranger = stranger.stdin(Stdio::null()).spawn().unwrap();

@@ -26,7 +26,7 @@ fn log_of(system: &System, role: Role) -> String {
     std::fs::read_to_string(system.folder().join("out/logs").join(format!("{role}.log"))).unwrap()
 }
 
-/// Drives live with a faulty controller until the wheels were blocked for a second; the only row of what was dropped.
+/// Drives with a faulty controller until the wheels were blocked for a second; returns the only row of dropped samples.
 fn dropped_commands(fault: &str, rule: &str, block: &str) -> RefusedRow {
     let mut system = system_with(Role::Controller, fault);
     system.start(&["--system", "system.toml", "--set", "stop_final_s=2"]);

@@ -1,4 +1,4 @@
-//! What clients do to the control socket holds up neither the loop nor other clients.
+//! No client of the control socket can delay the loop or other clients.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::io::{Read, Write};

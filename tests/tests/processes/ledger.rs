@@ -47,7 +47,7 @@ impl Dice {
     }
 }
 
-/// Hides one fault in a run; scan and number of the sample that it really befell, if any, and the report.
+/// Plants one fault in a run; returns scan and number of the sample that it affected, if any, and the report.
 fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Option<[u64; 2]>, Report) {
     let mut system = System::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
@@ -73,7 +73,7 @@ fn log(system: &System, role: Role, prefix: &str) -> Vec<Vec<u64>> {
     lines.map(|line| line.split(' ').filter_map(|number| number.parse().ok()).collect()).collect()
 }
 
-/// Hides one random fault and checks that the report names exactly it.
+/// Plants one random fault and checks that the report names exactly it.
 fn finds_one(dice: &mut Dice, lockstep: bool) {
     let (fault, live_kind, lockstep_kind) = FAULTS[dice.roll(6) as usize];
     let (topic, role) = TOPICS[dice.roll(7) as usize];

@@ -1,7 +1,7 @@
-//! Another local user: what he plants, replaces, locks or watches neither runs nor is followed, and stops no one.
+//! Another local user: nothing that it plants, replaces or locks is executed, followed or able to stop a system.
 //!
-//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where the test
-//! does not run as root, or may not mount, it prints what it skipped.
+//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where
+//! the test does not run as root, or may not mount, it prints what it skipped.
 
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions, Permissions};
@@ -32,7 +32,8 @@ fn a_directory_that_another_user_made_beforehand_is_refused_and_none_of_its_comm
     among_users!("a_directory_that_another_user_made_beforehand_is_refused_and_none_of_its_commands_runs");
     for mode in [0o755, 0o777] {
         let system = system();
-        // A genuine run that could be adopted: he let it run, killed its orchestrator, and moved the directory here.
+        // A genuine run that could be adopted: the other user started it, killed its orchestrator, and moved the
+        // directory here.
         let (ran_as, table) = (format!("{HOME}/ran_as_{mode}"), format!("{HOME}/system.toml"));
         let script = format!("id -u >> {ran_as}; exec sleep 60");
         let mut run = of_stranger(system.id(), &["run", "--quiet", "--system", &table]);
@@ -167,7 +168,7 @@ impl Drop for Over<'_> {
     }
 }
 
-/// The files of buses that another user saw, and what he achieved on them: he opens, renames and removes what he finds.
+/// Opens, renames and removes all files of buses as another user; returns the files and what succeeded.
 fn grab(until: &AtomicBool) -> (BTreeSet<String>, BTreeSet<String>) {
     let (mut seen, mut achieved) = (BTreeSet::new(), BTreeSet::new());
     while !until.load(Ordering::Relaxed) {
@@ -206,7 +207,7 @@ fn no_file_of_the_bus_can_be_opened_by_another_user_while_a_run_starts_and_drive
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
-/// Takes, as soon as a run shows its id, all names that files of an earlier run had after theirs; how many.
+/// Takes all names of files that an earlier run had, as soon as a run shows its id; returns how many.
 fn squat(names: &[String], known: &str, until: &AtomicBool) -> usize {
     let mut taken = 0;
     while !until.load(Ordering::Relaxed) {
@@ -263,7 +264,7 @@ fn names_that_another_user_takes_while_a_run_starts_are_never_used() {
         drop(end);
         assert!(other.join().unwrap() >= names.len(), "he was too slow");
     });
-    // A drive over none of his files, or a start that fails with the reason; never a signal.
+    // A drive over none of these files, or a start that fails with the reason; never a signal.
     assert_maps_nothing_of_strangers(&second);
     let status = second.wait();
     assert!(matches!(status.code(), Some(1 | 4 | 5)), "{status} {}", second.stderr());
@@ -277,7 +278,7 @@ fn locks_of_another_user_keep_the_owner_from_nothing() {
     among_users!("locks_of_another_user_keep_the_owner_from_nothing");
     let mut system = system();
     system.start(&["long"]);
-    // Everything that he can open at all: no file of the system, but the directories around.
+    // All that the other user can open: no file of the system, only the directories around it.
     let places = ["/tmp", "/dev/shm", PLACE];
     let all: Vec<PathBuf> = places.iter().flat_map(|place| tree(Path::new(place))).collect();
     let own = |path: &Path| path.starts_with(PLACE) || path.to_string_lossy().contains("/scanloop-");
@@ -299,7 +300,7 @@ fn locks_of_another_user_keep_the_owner_from_nothing() {
     system.assert_nothing_left();
 }
 
-/// The stranger's run of a system of that id, which drives.
+/// A run of the other user of a system of that id, which drives.
 fn drive_of_stranger(system: &System, arguments: &[&str]) -> std::process::Child {
     let before = system.processes().len();
     let all = [&["run", "--quiet", "--out", "out"], arguments].concat();

@@ -1,4 +1,4 @@
-//! What systemd and its journal are told.
+//! Messages to systemd and lines for its journal.
 
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;
@@ -19,7 +19,7 @@ fn next(socket: &UnixDatagram) -> String {
     String::from_utf8_lossy(&bytes[..length]).trim_end().to_owned()
 }
 
-/// Words up to the first that `is_last` accepts.
+/// Messages up to the first that `is_last` accepts.
 fn messages_until(socket: &UnixDatagram, is_last: impl Fn(&str) -> bool) -> Vec<String> {
     let (started, mut messages) = (Instant::now(), Vec::new());
     loop {

@@ -11,7 +11,7 @@ use shared_types::Role;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
-/// That the run reached its goal as if there had been no shadow, and left nothing.
+/// Asserts that the run reached its goal as without a shadow, and left nothing.
 fn assert_undisturbed(mut system: System) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert_every_scan_answered_once(&system);
@@ -36,7 +36,7 @@ fn a_shadow_of_each_role_at_once_publishes_the_same_as_the_live_process() {
         assert_eq!((report.invalid, report.repeated), (0, 0), "{report}");
         for difference in &report.differences {
             assert!(difference.mean_interval.is_some(), "{report}");
-            // Of one kind, they differ by what they do not know of the time before.
+            // Both run the same code; they differ because the shadow started later.
             assert!(difference.mean.abs() < 0.02, "{report}");
         }
         assert!(report.reaction_ms.shadow_p50 > 0.0 && report.compute_ms.ratio_p50_interval.is_some());

@@ -1,4 +1,5 @@
-//! Shared memory or the directory of the system full: an error with what is missing, never a signal, and the robot drives.
+//! Shared memory or the directory of the system full: an error with what is missing, never a signal, and the robot
+//! drives.
 //!
 //! Each test has file systems of its own in a mount namespace of its own, for which it starts itself again.
 
@@ -18,7 +19,7 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// Fits one system with its reserve, and not two.
 const ROOMY: &str = "24m";
 
-/// Whether this is the test among file systems of its own, of these sizes at these places; else it is run there.
+/// Whether the test runs with file systems of its own, of these sizes at these places; else it is started there.
 fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
     let mount = |(size, place): &(&str, &Path)| {
         let place = place.display();
@@ -147,7 +148,7 @@ fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
         wait_for_reserve(&system, held);
         let ballast = Ballast::leave(free, place);
         certificates.push(swapped(&system));
-        // What the old one had is free now: enough to hold the reserve again.
+        // The memory of the old process is free now: enough for the reserve.
         wait_for_reserve(&system, free + (1 << 20));
         drop(ballast);
     }
@@ -167,7 +168,7 @@ fn a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on()
     let mut system = System::new(EXECUTABLE);
     system.start(&SHORTENED_LONG);
     let mut certificates = Vec::new();
-    // The reserve is free while a process starts that takes nothing of it.
+    // While a process starts, the reserve is free; this process takes nothing of it.
     let sleeper = begin(&system, &["controller", "--", "sleep", "60"]);
     system.wait_until("it starts", |system| rows(system, Role::Controller).len() == 2);
     let ballast = Ballast::leave(0, place);

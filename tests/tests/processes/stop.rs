@@ -1,9 +1,9 @@
-//! `scanloop stop` blocks the wheels whatever the orchestrator does, and each way out of the orchestrator does what
-//! docs/supervision.md says.
+//! `scanloop stop` blocks the wheels whatever the orchestrator does, and each end of the orchestrator is as
+//! docs/supervision.md describes it.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::os::unix::process::ExitStatusExt;
-use std::process::Output;
+use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use emulator::Outcome;
@@ -66,7 +66,7 @@ fn a_suspended_orchestrator_does_not_prevent_a_stop() {
         system.signal(system.orchestrator(), signal);
         stop(&system);
         wait_for_rest(&system, &watch);
-        // It is woken by what the command leaves in the background, and ends its run itself.
+        // A background process of the command wakes it, and it ends its run itself.
         assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
         assert_eq!(system.report().reason, "stopped by command");
         drop(watch);
@@ -231,7 +231,7 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
     system.signal(system.orchestrator(), Signal::STOP);
     let output = system.run(&["stop"]);
     let text = stderr(&output);
-    // The robot may end, at rest, before the time is over: then it has no wheels any more.
+    // The robot may rest and end before the limit: then there are no wheels to block.
     match output.status.code() {
         Some(4) => assert!(text.contains("is not confirmed") && text.contains("alive: "), "{text}"),
         code => assert_eq!(code, Some(0), "{text}"),
@@ -306,8 +306,7 @@ fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() 
 #[test]
 fn a_wrong_id_names_the_systems_that_run() {
     let (mut system, watch) = driving(&[]);
-    let output =
-        std::process::Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
+    let output = Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains(&format!("`{}`", system.id())), "{}", stderr(&output));
     stop(&system);
@@ -334,11 +333,13 @@ fn a_program_that_is_replaced_while_it_drives_still_starts_processes_and_stops()
     let folder = std::env::temp_dir().join(format!("scanloop-replaced-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let program = folder.join("scanloop");
-    std::fs::copy(EXECUTABLE, &program).unwrap();
+    // By another process: a file that a test thread writes is busy while others start programs.
+    let copy = || assert!(Command::new("cp").arg(EXECUTABLE).arg(&program).status().unwrap().success());
+    copy();
     let mut system = System::new(program.to_str().unwrap());
     system.start(&["endless"]);
     std::fs::remove_file(&program).unwrap();
-    std::fs::copy(EXECUTABLE, &program).unwrap();
+    copy();
     let restarted = system.run(&["restart", "estimator"]);
     assert_eq!(restarted.status.code(), Some(0), "{}", stderr(&restarted));
     stop(&system);

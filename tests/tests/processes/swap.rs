@@ -26,7 +26,7 @@ fn the_controller_is_swapped_within_three_seconds_and_no_scan_is_missed() {
     assert!(started.elapsed() < Duration::from_secs(3), "{:?}", started.elapsed());
     assert_eq!((certificate.from.as_str(), certificate.to.as_str()), ("nmpc", "nmpc"));
     assert_eq!(certificate.shadow_scans, 10);
-    // What the controller itself may change in a scan.
+    // The controller itself may change a command by this much in a scan.
     assert!(certificate.command_jump_rad < 0.03 && certificate.command_jump_mps < 0.3, "{certificate:?}");
     assert_ne!(system.pid(Role::Controller), old);
     assert_reached(system, &[certificate]);

@@ -12,7 +12,7 @@ use shared_types::Role;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-robot");
 
-/// Noise, drift and play, so that a state that were not whole would show; and an obstacle that waits for the robot.
+/// Noise, drift and play, so that an incomplete state is detected; and an obstacle that waits for the robot.
 const EVENTFUL: [&str; 9] = [
     "imperfect-robot",
     "--set",
@@ -51,7 +51,7 @@ fn a_swapped_robot_continues_where_it_is() {
     let report = system.report();
     assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
     for certificate in &certificates {
-        // What a scan period of another speed or direction makes, and no more.
+        // At most the effect of another speed or direction during one scan period.
         let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
         assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.01, "{leap_m} {certificate:?}");
     }

@@ -1,9 +1,9 @@
-//! Any role of the loop with something hidden wrong about one of its samples, for tests of the ledger.
+//! Any role of the loop with a fault of one of its samples, for tests of the ledger.
 //!
-//! `faulty-role ROLE FAULT TOPIC SCAN` does wrong with the first sample for that scan or a later one, see [`Fault`], and
+//! `faulty-role ROLE FAULT TOPIC SCAN` mistreats the first sample for that scan or a later one, see [`Fault`], and
 //! writes to its log which scan and which number it was.
-//! `faulty-role ROLE delay` waits in the middle of its work where [`scanloop_tests::planted`] says, and writes to its log
-//! from when to when it really was.
+//! `faulty-role ROLE delay` waits where [`scanloop_tests::planted`] plans it, and writes to its log
+//! from when to when it really waited.
 //!
 //! The work itself is that of the built-in implementation.
 

@@ -1,4 +1,4 @@
-//! An estimator that does by itself what the runtime does for others, and leaves one thing out.
+//! An estimator without the `Process` of the crate `runtime`, which omits one of its duties.
 
 use runtime::{Bus, INCARNATION_VARIABLE, Observer, Publisher, Shutdown, monotonic_ns};
 use shared_types::{Directive, Heartbeat, Odometry, Phase, Pose, ProcessState, Role, StageStamps};
