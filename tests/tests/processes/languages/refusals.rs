@@ -195,24 +195,22 @@ fn copy(from: &Path, to: &Path) {
 }
 
 #[test]
-fn a_program_that_is_started_by_hand_names_the_command_that_starts_it() {
+fn a_program_that_is_started_by_hand_says_what_starts_it() {
     let system = System::new(EXECUTABLE);
     let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
     std::fs::write(&source, JOINS).unwrap();
     compile(&source, &examples("c"), &program);
     let mut commands = vec![Command::new(program)];
     commands[0].arg("2");
-    if let Some(python) =
-        python("a_program_that_is_started_by_hand_names_the_command_that_starts_it in Python")
-    {
+    if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
         let mut command = Command::new(python);
         command.arg("-B").arg(examples("python").join("pure_pursuit.py"));
         commands.push(command);
     }
     for mut command in commands {
         let output = command.env_remove(runtime::SYSTEM_ID_VARIABLE).stdin(Stdio::null()).output().unwrap();
-        let printed = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(printed.contains("processes are started by `scanloop run`"), "{printed}");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(said.contains("processes are started by `scanloop run`"), "{said}");
     }
 }
 

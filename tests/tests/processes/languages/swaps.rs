@@ -10,7 +10,7 @@ use super::tools::{EXECUTABLE, compile, examples, python};
 
 const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
 
-/// How often a swap is tried: on a busy machine an answer may come late.
+/// How often an exchange is asked for: on a machine that does other things as well, an answer may come late.
 const TRIES: usize = 4;
 
 /// Swaps a process, and adds the certificates of all tries.
@@ -128,11 +128,11 @@ fn a_swap_to_python_and_back_loses_no_sample() {
 
 /// At half the usual rate in Python, for busy machines.
 #[test]
-fn the_examples_meet_what_is_required_of_their_roles() {
+fn the_examples_honour_all_that_is_asked_of_their_roles() {
     let system = System::new(EXECUTABLE);
     let obstacles = c_obstacles(&system);
     let mut commands = vec![("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()])];
-    if let Some(python) = python("the_examples_meet_what_is_required_of_their_roles, the controller") {
+    if let Some(python) = python("the_examples_honour_all_that_is_asked_of_their_roles, the controller") {
         let program = examples("python").join("pure_pursuit.py");
         let arguments = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
         commands.push(("controller", "5", arguments.map(str::to_owned).to_vec()));
