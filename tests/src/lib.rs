@@ -297,16 +297,6 @@ pub fn processes_of(system_id: &str) -> Vec<i32> {
         .collect()
 }
 
-/// Runs a test for all cases at the same time, because most of each is waiting.
-pub fn at_once<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
-    std::thread::scope(|scope| {
-        let test = &test;
-        cases.into_iter().for_each(|case| {
-            scope.spawn(move || test(case));
-        });
-    });
-}
-
 /// Writes into a pipe or terminal until not a byte more goes in.
 ///
 /// # Panics

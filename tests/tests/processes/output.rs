@@ -12,7 +12,7 @@ use emulator::Outcome;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use scanloop_tests::{System, at_once, fill, system_file};
+use scanloop_tests::{System, fill, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -101,13 +101,13 @@ fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
 fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
     let gone = || Stdio::from(std::io::pipe().unwrap().1);
     let full = || Stdio::from(File::options().write(true).open("/dev/full").unwrap());
-    at_once([gone(), full()], |stderr| {
+    for stderr in [gone(), full()] {
         let mut system = System::new(EXECUTABLE);
         system.launch_into(stderr, &SHORT, &[]);
         assert_eq!(system.wait().code(), Some(0));
         assert_eq!(system.report().outcome, Outcome::Reached);
         system.assert_nothing_left();
-    });
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use emulator::Outcome;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
-use scanloop_tests::{System, Watch, at_once, is_ignored, pause, system_file};
+use scanloop_tests::{System, Watch, is_ignored, pause, system_file};
 use shared_types::{Actuation, Role};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -118,7 +118,7 @@ fn a_stop_is_never_taken_back() {
 
 #[test]
 fn a_crashed_orchestrator_has_stopped_its_run_and_reports_it() {
-    at_once([Signal::SEGV, Signal::BUS, Signal::ILL], |signal| {
+    for signal in [Signal::SEGV, Signal::BUS, Signal::ILL] {
         let (mut system, watch) = driving(&["--set", "orphan_timeout_s=3"]);
         system.signal(system.orchestrator(), signal);
         assert_eq!(system.wait().code(), None, "a signal ends it");
@@ -130,7 +130,7 @@ fn a_crashed_orchestrator_has_stopped_its_run_and_reports_it() {
         drop(watch);
         // It cannot be adopted any more, so it ends by itself.
         system.assert_nothing_left();
-    });
+    }
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn a_closed_terminal_and_a_quit_key_end_the_run_in_order() {
 
 #[test]
 fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() {
-    at_once([Signal::KILL, Signal::ABORT], |signal| {
+    for signal in [Signal::KILL, Signal::ABORT] {
         let (mut system, watch) = driving(&["--set", "orphan_stop_s=1.5", "--set", "timeout_s=600"]);
         let killed = watch.newest().unwrap();
         system.signal(system.orchestrator(), signal);
@@ -169,7 +169,7 @@ fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() 
         system.wait();
         drop(watch);
         system.assert_nothing_left();
-    });
+    }
 }
 
 #[test]
