@@ -1,4 +1,4 @@
-//! `soak`: thousands of exchanges, kills and stops, several systems side by side, until one of them shows a fault.
+//! `soak`: thousands of swaps, kills and stops in several systems at once, until one of them shows a fault.
 //! `soak operator`: random actions of an operator, one live drive after the other.
 //!
 //! The program is its own `scanloop`: the processes that it starts are itself.
@@ -12,7 +12,7 @@ use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 /// Exchanges, kills and stops processes at random moments, and checks what must hold after each.
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// Everything that is done: of 100 events 80 are exchanges in lock-step, 10 in real time, 7 kills, 3 stops.
+    /// Everything that is done: of 100 events 80 are swaps in lock-step, 10 in real time, 7 kills, 3 stops.
     #[arg(long, value_name = "N", default_value_t = 10_000)]
     events: usize,
     /// Exchanges in lock-step, instead of their share.
@@ -30,7 +30,7 @@ struct Arguments {
     /// Systems of each kind side by side, 1 to 16.
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=16))]
     jobs: u8,
-    /// Threads that keep processors busy meanwhile.
+    /// Threads that keep processors busy all the time.
     #[arg(long, value_name = "N", default_value_t = 0)]
     load: u8,
     /// Seed of what happens when.
@@ -63,7 +63,7 @@ struct OperatorArguments {
 }
 
 fn main() -> std::process::ExitCode {
-    if std::env::args().nth(1).is_some_and(|word| word == "--system-id" || word == "service") {
+    if std::env::args().nth(1).is_some_and(|argument| argument == "--system-id" || argument == "service") {
         return commands::main();
     }
     let arguments = Arguments::parse();

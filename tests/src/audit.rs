@@ -1,8 +1,8 @@
-//! Checks certificates against what was on the bus, without asking the orchestrator.
+//! Checks certificates against what was on the bus, independent of the orchestrator.
 //!
 //! Idea: an actuation carries the stamps of all samples that it rests on. In real time no two processes of a role
-//! publish at the same nanosecond, so the stamp tells whose sample was used. Which of two actuators the robot obeyed
-//! stands in the state that the robot publishes. In lock-step stamps are equal; there the drive itself has to be
+//! publish at the same nanosecond, so the stamp identifies the writer. Which of two actuators the robot obeyed
+//! is in the state that the robot publishes. In lock-step stamps are equal; there the drive itself has to be
 //! compared.
 
 use std::collections::BTreeMap;
@@ -15,9 +15,9 @@ use handover::swap::Certificate;
 use runtime::{Bus, Domain, Observer, RuntimeError, wait_for};
 use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
 
-/// Time between two looks at the bus [ns]; topics hold sixteen samples.
+/// Time between two polls of the bus [ns]; topics hold sixteen samples.
 const POLL_NS: u64 = 1_000_000;
-/// Scans before and after a change that are looked at.
+/// Scans before and after a change that are checked.
 const AROUND: u64 = 3;
 
 /// Records what is published, in a thread of its own.
@@ -27,7 +27,7 @@ pub struct Audit {
     thread: JoinHandle<Result<Recording, RuntimeError>>,
 }
 
-/// What was published while an [`Audit`] looked on.
+/// What was published while an [`Audit`] ran.
 #[derive(Debug, Clone, Default)]
 pub struct Recording {
     /// Answers of all actuators, by scan.
@@ -35,7 +35,7 @@ pub struct Recording {
     /// Incarnation and stamp of all outputs, by role and scan.
     outputs: BTreeMap<(usize, u64), Vec<(u32, u64)>>,
     /// The actuator that the robot obeyed, by scan.
-    heard: BTreeMap<u64, u32>,
+    obeyed: BTreeMap<u64, u32>,
 }
 
 /// One answer of an actuator.
@@ -50,7 +50,7 @@ pub struct Answer {
 }
 
 impl Audit {
-    /// Looks on from now on; the system must be running.
+    /// Records from now on; the system must be running.
     pub fn start(domain: &Domain) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let ready = Arc::new(AtomicBool::new(false));
@@ -62,7 +62,7 @@ impl Audit {
         Self { stop, thread }
     }
 
-    /// Looks no more.
+    /// Ends the recording.
     ///
     /// # Panics
     /// When the bus could not be read.
@@ -72,10 +72,10 @@ impl Audit {
     }
 }
 
-/// Passes when all that the certificate says of scans and commands is what was recorded.
+/// Passes when scans and commands of the certificate equal what was recorded.
 ///
 /// # Errors
-/// All contradictions, in words.
+/// A text with all contradictions.
 pub fn audit(certificate: &Certificate, recording: &Recording) -> Result<(), String> {
     let mut faults = Vec::new();
     let role: Role = certificate.role.parse().map_err(|unknown| format!("{unknown}"))?;
@@ -87,10 +87,10 @@ pub fn audit(certificate: &Certificate, recording: &Recording) -> Result<(), Str
     if old.is_none() || new.is_none() || old == new {
         faults.push(format!("scan {last} rests on incarnation {old:?}, scan {first} on {new:?}"));
         for scan in [last, first] {
-            let (answers, heard) = (recording.answers.get(&scan), recording.heard.get(&scan));
+            let (answers, obeyed) = (recording.answers.get(&scan), recording.obeyed.get(&scan));
             let outputs = recording.outputs.get(&(role.index(), scan));
             faults.push(format!(
-                "recorded of scan {scan}: {answers:?}, robot obeyed {heard:?}, outputs {outputs:?}"
+                "recorded of scan {scan}: {answers:?}, robot obeyed {obeyed:?}, outputs {outputs:?}"
             ));
         }
     }
@@ -139,8 +139,8 @@ impl Recording {
     /// The answer to a scan that the robot obeyed.
     pub fn obeyed(&self, scan: u64) -> Option<&Answer> {
         let answers = self.answers.get(&scan)?;
-        match self.heard.get(&scan) {
-            Some(heard) => answers.iter().find(|answer| answer.incarnation == *heard),
+        match self.obeyed.get(&scan) {
+            Some(obeyed) => answers.iter().find(|answer| answer.incarnation == *obeyed),
             None => answers
                 .first()
                 .filter(|first| answers.iter().all(|answer| answer.incarnation == first.incarnation)),
@@ -228,7 +228,7 @@ fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<Recor
                 && let Ok(state) = checkpoint.state::<RobotState>()
                 && state.answered == checkpoint.header.scan_id
             {
-                recording.heard.entry(state.answered).or_insert(state.received_incarnation);
+                recording.obeyed.entry(state.answered).or_insert(state.received_incarnation);
             }
         })?;
         ready.store(true, Ordering::Release);
@@ -288,14 +288,14 @@ mod tests {
     }
 
     #[test]
-    fn a_false_word_is_found() {
-        let said = |certificate: Certificate| audit(&certificate, &recording()).unwrap_err();
+    fn a_false_certificate_is_found() {
+        let error_of = |certificate: Certificate| audit(&certificate, &recording()).unwrap_err();
         let late = Certificate { last_scan_old: Some(10), first_scan_new: Some(11), ..certificate() };
-        assert!(said(late).contains("scan 10 rests on incarnation Some(9), scan 11 on Some(9)"));
+        assert!(error_of(late).contains("scan 10 rests on incarnation Some(9), scan 11 on Some(9)"));
         let back = Certificate { first_scan_back: Some(12), ..certificate() };
-        assert!(said(back).contains("scan 12 rests on incarnation Some(9) instead of Some(4)"));
+        assert!(error_of(back).contains("scan 12 rests on incarnation Some(9) instead of Some(4)"));
         let smooth = Certificate { command_jump_rad: 0.005, ..certificate() };
-        assert!(said(smooth).contains("commands jumped by [0.01, 0.0]"));
+        assert!(error_of(smooth).contains("commands jumped by [0.01, 0.0]"));
         let mut gap = recording();
         gap.output(Role::Robot, &Header { scan_id: 8, ..Header::default() });
         gap.answers.remove(&8);

@@ -1,11 +1,13 @@
 //! What process tests share: a system of their own, conditions with a deadline, and a check that nothing is left.
 
 pub mod audit;
-pub mod exchange;
+mod delays;
 pub mod namespace;
 pub mod operator;
 pub mod soak;
 pub mod stranger;
+pub mod swaps;
+mod watch;
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -16,19 +18,33 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use report::Report;
-use runtime::{Bus, Domain, Observer};
+use runtime::Domain;
 use rustix::fs::{Mode, OFlags, open};
 use session::control::{Reply, Request, Status, ask};
-use shared_types::{Role, Truth};
+use shared_types::Role;
 
+pub use delays::{DELAYS_NS, PLACES, Place, STAGES, plan, planted};
 /// The Cargo profile of the tests and of the executables under test.
 pub use figures::PROFILE;
+pub use watch::Watch;
 
 /// How long a condition may take before a test fails: far beyond what a loaded machine needs.
 pub const DEADLINE: Duration = Duration::from_secs(60);
 
 /// Time between two checks of a condition of a system: each asks several processes, and many tests wait at the same time.
 const CHECK_INTERVAL: Duration = Duration::from_millis(10);
+
+/// The corridor with its box and its goal nearer, for tests that wait for the goal: 91 scans instead of 129.
+///
+/// The box stands to the left, so that the robot is back near the line at the goal.
+pub const SHORT_CORRIDOR: [&str; 7] =
+    ["corridor", "--set", "obstacle.0.x_m=4", "--set", "obstacle.0.y_m=0.5", "--set", "goal.x_m=7"];
+
+/// The long course up to its second obstacle: 170 scans instead of 242.
+pub const SHORTENED_LONG: [&str; 3] = ["long", "--set", "goal.x_m=14"];
+
+/// A track without obstacles and a near goal: 67 scans instead of 127.
+pub const SHORT_FREE: [&str; 3] = ["free", "--set", "goal.x_m=4"];
 
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
@@ -99,7 +115,7 @@ impl System {
     pub fn adopt(&mut self, arguments: &[&str]) {
         self.launch(&[&["adopt", "--quiet"], arguments].concat(), &[]);
         self.wait_until_driving();
-        // Until it has heard everyone's state.
+        // Until it has received the state of all processes.
         let scan = self.status().map_or(0, |status| status.scan);
         self.wait_until("it watches", |system| system.status().is_some_and(|status| status.scan > scan + 2));
     }
@@ -232,7 +248,7 @@ impl System {
         assert_eq!(self.left(), None, "{}", self.stderr());
     }
 
-    /// What there is of the system, in words: its directory, processes, and files in shared memory.
+    /// Describes what there is of the system: its directory, processes, and files in shared memory.
     fn left(&self) -> Option<String> {
         if let Some(domain) = self.find() {
             return Some(format!("directory {}", domain.directory().display()));
@@ -267,36 +283,6 @@ impl Drop for System {
     }
 }
 
-/// The truth of a robot, watched from outside of its system.
-pub struct Watch {
-    observer: Observer<Truth>,
-    seen: RefCell<Vec<Truth>>,
-    // Dropped last.
-    _bus: Bus,
-}
-
-impl Watch {
-    /// Watches from now on.
-    pub fn new(system: &System) -> Self {
-        let bus = Bus::open(&system.domain(), "test").expect("a running system");
-        let observer = Observer::new(&bus).expect("the topic of the truth");
-        Self { observer, seen: RefCell::default(), _bus: bus }
-    }
-
-    /// The newest truth; polls the bus.
-    pub fn newest(&self) -> Option<Truth> {
-        let mut seen = self.seen.borrow_mut();
-        self.observer.poll(|truth| seen.push(*truth)).expect("the topic of the truth");
-        seen.last().copied()
-    }
-
-    /// All that was seen so far.
-    pub fn all(&self) -> Vec<Truth> {
-        let _ = self.newest();
-        self.seen.borrow().clone()
-    }
-}
-
 /// Processes that were started for a system, by their environment.
 pub fn processes_of(system_id: &str) -> Vec<i32> {
     let wanted = format!("{}={system_id}", runtime::SYSTEM_ID_VARIABLE);
@@ -325,40 +311,8 @@ pub fn fill(output: &OwnedFd) {
     }
 }
 
-/// A place in the work of a stage where a test plants a delay.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Place {
-    /// Awake with all inputs there, before it takes them.
-    Take,
-    /// In its computation.
-    Compute,
-    /// With its result there, before it is published.
-    Publish,
-    /// Published, before the readers are woken.
-    Deliver,
-}
-
-/// Stages and places of planted delays, and how long they are [ns]: one of 48 combinations per scan.
-pub const STAGES: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
-/// See [`STAGES`].
-pub const PLACES: [Place; 4] = [Place::Take, Place::Compute, Place::Publish, Place::Deliver];
-/// See [`STAGES`].
-pub const DELAYS_NS: [u64; 3] = [1_000_000, 5_000_000, 20_000_000];
-
-/// The delay that is planted for a scan: stage, place and length [ns].
-pub fn plan(scan_id: u64) -> (Role, Place, u64) {
-    let index = usize::try_from(scan_id).unwrap_or(0);
-    (STAGES[index % 4], PLACES[index / 4 % 4], DELAYS_NS[index / 16 % 3])
-}
-
-/// The delay of a stage at a place for a scan, if one is planted there [ns].
-pub fn planted(scan_id: u64, role: Role, place: Place) -> Option<u64> {
-    let (stage, at, delay_ns) = plan(scan_id);
-    (stage == role && at == place).then_some(delay_ns)
-}
-
 /// A system file in which a program of the tests fills some roles, with these arguments after the role.
-pub fn system_file(rate_hz: u32, odd: &[Role], program: &str, arguments: &[&str]) -> String {
+pub fn system_file(rate_hz: u32, faulty: &[Role], program: &str, arguments: &[&str]) -> String {
     let mut text = format!("rate_hz = {rate_hz}.0\n");
     for (role, implementation) in [
         (Role::Robot, "emulator"),
@@ -368,7 +322,7 @@ pub fn system_file(rate_hz: u32, odd: &[Role], program: &str, arguments: &[&str]
         (Role::Actuator, "actuation"),
     ] {
         text += &format!("[[process]]\nrole = \"{role}\"\nrestart = \"never\"\n");
-        text += &if odd.contains(&role) {
+        text += &if faulty.contains(&role) {
             let command = [&[program, role.name()], arguments].concat();
             format!("command = {command:?}\n")
         } else {
@@ -378,7 +332,7 @@ pub fn system_file(rate_hz: u32, odd: &[Role], program: &str, arguments: &[&str]
     text
 }
 
-/// Whether this process, and so who is started by it, was started deaf to a signal.
+/// Whether this process, and so each process that it starts, ignores a signal.
 pub fn is_ignored(signal: rustix::process::Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -386,7 +340,7 @@ pub fn is_ignored(signal: rustix::process::Signal) -> bool {
     mask & (1 << (signal.as_raw() - 1)) != 0
 }
 
-/// Gives the processor away between two looks at a condition.
+/// Yields the processor between two checks of a condition.
 pub fn pause() {
     std::thread::park_timeout(Duration::from_millis(2));
 }

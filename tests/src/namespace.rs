@@ -2,13 +2,14 @@
 
 use std::process::{Command, Stdio};
 
-/// Says to a test that it runs in its namespace.
+/// Variable that is set for a test in its namespace.
 const INSIDE: &str = "SCANLOOP_TEST_INSIDE";
 /// Where the test and the executable are in a namespace of [`is_among_users`].
 const PROGRAMS: &str = "/mnt";
 
-/// Whether this is `test`, as `module_path!()::name`, in a mount namespace of its own. If not, it is started there, after
-/// the commands of `script`, each ending with `&&`; its result is that of this test. Says so where mounting is not permitted.
+/// Whether this is `test`, as `module_path!()::name`, in a mount namespace of its own. If not, it is started there,
+/// after the commands of `script`, each ending with `&&`; its result is that of this test. Prints a note where
+/// mounting is not permitted.
 pub fn is_inside(test: &str, script: &str, configure: impl FnOnce(&mut Command)) -> bool {
     // The test harness leaves out the name of the crate.
     let test = test.split_once("::").map_or(test, |(_, name)| name);
@@ -25,14 +26,14 @@ pub fn is_inside(test: &str, script: &str, configure: impl FnOnce(&mut Command))
     command.env(INSIDE, test);
     configure(&mut command);
     let output = command.stderr(Stdio::inherit()).output().expect("unshare runs");
-    let said = String::from_utf8_lossy(&output.stdout);
+    let printed = String::from_utf8_lossy(&output.stdout);
     // A name that no test has is no error of the harness.
-    assert!(output.status.success() && said.contains("1 passed"), "{test}: {}: {said}", output.status);
+    assert!(output.status.success() && printed.contains("1 passed"), "{test}: {}: {printed}", output.status);
     false
 }
 
-/// [`is_inside`] with an empty `/tmp`, `/dev/shm` and `/run/user`, where all users may do what they may on any machine, and the
-/// executable at [`executable_for_all`]. Says so where the test does not run as root.
+/// [`is_inside`] with an empty `/tmp`, `/dev/shm` and `/run/user`, where all users may do what they may on any
+/// machine, and the executable at [`executable_for_all`]. Prints a note where the test does not run as root.
 pub fn is_among_users(test: &str, executable: &str) -> bool {
     if !rustix::process::geteuid().is_root() {
         eprintln!("skipped {test}: only root can act as another user");

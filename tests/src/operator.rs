@@ -31,7 +31,7 @@ pub struct Judged {
     pub plan: Plan,
     /// How long each `scanloop stop` took, from its start to its end [s].
     pub stops_s: Vec<f64>,
-    /// How long after the request wheels were blocked, as `stop` says [ms].
+    /// How long after the request wheels were blocked, as `stop` prints [ms].
     pub blocked_ms: Vec<f64>,
     /// Samples of the truth that were seen.
     pub truths: usize,
@@ -72,7 +72,7 @@ pub fn trial(executable: &str, seed: u64, keeps: bool) -> Judged {
     let kept = (keeps || !problems.is_empty()).then(|| keep(seed, system.folder())).flatten();
     Judged {
         stops_s: evidence.stops().filter_map(|stop| stop.took_s()).collect(),
-        blocked_ms: evidence.stops().filter_map(|stop| verdict::blocked_after_ms(&stop.said)).collect(),
+        blocked_ms: evidence.stops().filter_map(|stop| verdict::blocked_after_ms(&stop.printed)).collect(),
         truths: evidence.truth.len(),
         run: evidence.programs.first().map(program::Ended::how).unwrap_or_default(),
         skipped: evidence.skipped,

@@ -1,9 +1,9 @@
-//! Exchanges, kills and stops at random moments of a drive, and what must hold after each.
+//! Swaps, kills and stops at random moments of a drive, and what must hold after each.
 //!
 //! A *fault* is one SIGKILL or SIGSTOP of one process, the orchestrator included. After it either scans are commanded
-//! again, or the run has ended with the robot at rest. All the while the true wheels are blocked when they have heard
+//! again, or the run has ended with the robot at rest. In every run the true wheels are blocked when they have received
 //! nothing for three scans, and the robot touches nothing. After each run nothing is left, and the same system starts
-//! anew. What happens when is drawn from a seed; the moments are those of the machine.
+//! anew. A seed decides what happens; the exact moments depend on the machine.
 
 use std::ops::AddAssign;
 
@@ -15,12 +15,12 @@ use rustix::process::Signal;
 use shared_types::{Role, Truth};
 
 use crate::audit::{Audit, audit};
-use crate::exchange::{BUILT_IN, assert_every_scan_answered_once, assert_seamless, swap};
+use crate::swaps::{BUILT_IN, assert_every_scan_answered_once, assert_seamless, swap};
 use crate::{System, Watch};
 
 /// A scan period in real time [ns].
 const PERIOD_NS: u64 = 100_000_000;
-/// Exchanges in one run in lock-step, which is compared with one that has none.
+/// Swaps in one run in lock-step, which is compared with a run without swaps.
 const PER_RUN: usize = 10;
 /// Faults in one run at most: more deaths of one role within a minute end it.
 const FAULTS_PER_RUN: usize = 10;
@@ -29,18 +29,18 @@ const BLIND_SCANS: u64 = 3;
 /// Roles whose death does not end the run.
 const RESTARTED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
 
-/// Largest change of a command around exchanges, as a multiple of the largest one elsewhere: both are the largest of some hundred
+/// Largest change of a command around swaps, as a multiple of the largest one elsewhere: both are the largest of some hundred
 /// changes of one drive.
 const JUMP: f64 = 2.0;
 
-/// What happened, and how it went on.
+/// What happened, and with which result.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Tally {
     /// Runs that were started.
     pub runs: usize,
-    /// Exchanges in lock-step, all swapped without a difference in any sample.
+    /// Swaps in lock-step, all completed without a difference in any sample.
     pub lockstep_swaps: usize,
-    /// Exchanges in real time, all swapped without a scan missed or answered twice.
+    /// Swaps in real time, all completed without a scan missed or answered twice.
     pub live_swaps: usize,
     /// Largest change of steering angle and velocity from scan to scan around these [rad, m/s].
     pub jump: [f64; 2],
@@ -86,7 +86,7 @@ impl AddAssign for Tally {
     }
 }
 
-/// Exchanges random roles in lock-step; every sample of every topic must be as in a run without exchanges.
+/// Swaps random roles in lock-step; every sample of every topic must be as in a run without swaps.
 ///
 /// # Panics
 /// When anything is otherwise.
@@ -120,7 +120,7 @@ pub fn swap_in_lockstep(executable: &str, count: usize, seed: u64) -> Tally {
     tally
 }
 
-/// Exchanges random roles at random moments in real time, and checks each certificate against what was recorded.
+/// Swaps random roles at random moments in real time, and checks each certificate against what was recorded.
 ///
 /// # Panics
 /// When anything is otherwise.
@@ -163,7 +163,7 @@ pub fn swap_live(executable: &str, count: usize, seed: u64) -> Tally {
 /// Kills and stops random processes at random moments.
 ///
 /// # Panics
-/// When the robot touches something, drives blind, does neither go on nor rest, or something is left.
+/// When the robot touches something, drives blind, neither drives on nor rests, or something is left.
 pub fn faults(executable: &str, kills: usize, stops: usize, seed: u64) -> Tally {
     let mut dice = Pcg64::seed_from_u64(seed);
     let mut system = System::new(executable);
@@ -207,8 +207,8 @@ fn strike(system: &mut System, watch: &Watch, is_kill: bool, dice: &mut Pcg64, t
             let lost = newest(system, watch);
             system.signal(system.orchestrator(), signal);
             let scans = dice.random_range(1..8);
-            // It drives on alone, or rests when the orchestrator was just about to start somebody.
-            system.wait_until("the robot goes on alone", |_| {
+            // It drives on alone, or rests when the orchestrator was about to start a process.
+            system.wait_until("the robot drives on alone", |_| {
                 watch.newest().is_some_and(|now| now.header.scan_id >= lost.header.scan_id + scans)
             });
             tally.alone += usize::from(newest(system, watch).blocked == 0);
@@ -222,7 +222,7 @@ fn strike(system: &mut System, watch: &Watch, is_kill: bool, dice: &mut Pcg64, t
             tally.went_on += 1;
             true
         }
-        // A run does not survive its robot.
+        // A run ends when its robot dies.
         2 if dice.random_range(0..4) == 0 => {
             system.signal(system.pid(Role::Robot), signal);
             system.wait_until("the run ends", has_ended);
@@ -235,7 +235,7 @@ fn strike(system: &mut System, watch: &Watch, is_kill: bool, dice: &mut Pcg64, t
             let pid = system.pid(role);
             system.signal(pid, signal);
             system.wait_until("another one answers, or all comes to rest", |system| {
-                has_ended(system) || goes_on(system, watch, role, pid, &before)
+                has_ended(system) || drives_by_another(system, watch, role, pid, &before)
             });
             let drives = !has_ended(system);
             *(if drives { &mut tally.went_on } else { &mut tally.came_to_rest }) += 1;
@@ -254,7 +254,7 @@ fn has_ended(system: &System) -> bool {
 }
 
 /// Whether the role is filled by another process and the robot drives by answers that are newer than the fault.
-fn goes_on(system: &System, watch: &Watch, role: Role, pid: i32, before: &Truth) -> bool {
+fn drives_by_another(system: &System, watch: &Watch, role: Role, pid: i32, before: &Truth) -> bool {
     let is_new = system.status().is_some_and(|status| {
         let mut rows = status.processes.iter().filter(|process| process.role == role.name());
         rows.any(|process| process.pid != pid && process.pid != 0 && process.state == "ready")

@@ -1,4 +1,4 @@
-//! Another local user, who tries what the kernel lets him.
+//! Another local user, who tries all that the kernel permits.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
@@ -12,16 +12,16 @@ use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 use crate::System;
 use crate::namespace::executable_for_all;
 
-/// His user and group.
+/// Number of the other user and of its group.
 pub const STRANGER: u32 = 65_534;
-/// Where systems of root are when nothing else is named.
+/// Default place of the systems of root.
 pub const PLACE: &str = "/tmp/scanloop-0";
-/// Where his are.
+/// Default place of the systems of the other user.
 pub const PLACE_OF_STRANGER: &str = "/tmp/scanloop-65534";
-/// A folder of his own, in a namespace of [`crate::namespace::is_among_users`].
+/// A folder of the other user, in a namespace of [`crate::namespace::is_among_users`].
 pub const HOME: &str = "/tmp/stranger";
 
-/// Does something with his rights and no others, on a thread that has them.
+/// Does something with the rights of the other user alone, on a thread that has them.
 pub fn as_stranger<T: Send>(act: impl FnOnce() -> T + Send) -> T {
     std::thread::scope(|scope| {
         let thread = scope.spawn(|| {
@@ -40,7 +40,7 @@ pub fn system() -> System {
     System::new(&executable_for_all())
 }
 
-/// A command of the stranger for a system of that id.
+/// A command of the other user for a system of that id.
 pub fn of_stranger(id: &str, arguments: &[&str]) -> Command {
     let mut command = Command::new(executable_for_all());
     let _ = as_stranger(|| std::fs::create_dir(HOME));
@@ -53,12 +53,12 @@ pub fn text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// That a command was refused (exit code 2) with all these words.
-pub fn assert_refused(output: &Output, words: &[&str]) {
+/// Asserts that a command was refused (exit code 2) with a message that has all these parts.
+pub fn assert_refused(output: &Output, parts: &[&str]) {
     let text = text(output);
     assert_eq!(output.status.code(), Some(2), "{text}");
-    for word in words {
-        assert!(text.contains(word), "no `{word}` in: {text}");
+    for part in parts {
+        assert!(text.contains(part), "no `{part}` in: {text}");
     }
 }
 
@@ -79,7 +79,7 @@ pub fn shared_memory() -> impl Iterator<Item = String> {
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned())
 }
 
-/// Kills processes, those that have ended meanwhile left out.
+/// Kills processes, except those that have already ended.
 pub fn kill(processes: &[i32]) {
     for pid in processes.iter().filter_map(|pid| Pid::from_raw(*pid)) {
         let _ = kill_process(pid, Signal::KILL);

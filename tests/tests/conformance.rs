@@ -1,4 +1,4 @@
-//! The suites of `scanloop conformance`: they let good implementations pass, and find what is wrong with bad ones.
+//! The suites of `scanloop conformance`: good implementations pass, and each faulty one fails its case.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -10,7 +10,7 @@ use conformance::{Level, Outcome, Report};
 use runtime::Domain;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
 
 /// Role and built-in implementation.
@@ -22,7 +22,7 @@ const BUILT_IN: [(&str, &str); 5] = [
     ("robot", "emulator"),
 ];
 
-/// Role, the odd one, its fault, and the cases that must find it.
+/// Role, the faulty program, its fault, and the cases that must find it.
 const FAULTS: [(&str, &str, &str, &[&str]); 53] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
@@ -109,7 +109,7 @@ fn built_in_implementations_meet_everything() {
 fn an_estimator_of_ones_own_meets_what_is_required() {
     let (report, output) = suite(&["--rate", "20", "--jobs", "8", "estimator", "--", DEAD_RECKONING]);
     assert_eq!((output.status.code(), report.failed), (Some(0), 0), "{}", stderr(&output));
-    // It has no memory and believes the odometer.
+    // It has no state and trusts the odometer.
     let advice: Vec<&str> = bad(&report);
     assert_eq!(advice, ["state", "corrects-odometry", "outlier", "covariance"], "{}", stderr(&output));
 }
@@ -122,18 +122,18 @@ fn every_case_finds_a_fault() {
     std::thread::scope(|scope| {
         for _ in 0..6 {
             scope.spawn(|| {
-                while let Some((role, odd, fault, cases)) = { queue.lock().unwrap().pop() } {
+                while let Some((role, program, fault, cases)) = { queue.lock().unwrap().pop() } {
                     let mut arguments = vec!["--rate", "20", "--tries", "1", "--jobs", "8", role];
                     cases.iter().for_each(|case| arguments.extend(["--only", case]));
-                    arguments.extend(["--", ODD, odd, fault]);
-                    // A machine that is too busy for a robot to be told anything stops it, whatever its fault.
+                    arguments.extend(["--", FAULTY, program, fault]);
+                    // On a machine that is too busy to publish actuations a robot stops, whatever its fault.
                     let found = (0..3).any(|_| {
                         let (report, output) = suite(&arguments);
                         let required = report.cases.iter().any(|case| case.level == Level::Required);
                         bad(&report) == names(&report) && output.status.code() == Some(i32::from(required))
                     });
                     if !found {
-                        wrong.lock().unwrap().push(format!("{odd} {fault}: {cases:?}"));
+                        wrong.lock().unwrap().push(format!("{program} {fault}: {cases:?}"));
                     }
                 }
             });
@@ -156,7 +156,7 @@ fn the_table_of_faults_has_every_case_of_every_role() {
         let list = String::from_utf8(run(&[role, "--list"]).stdout).unwrap();
         for line in list.lines().filter_map(|line| line.strip_prefix("| `")) {
             let case = line.split('`').next().unwrap();
-            // What estimators share with the others is tried with estimators.
+            // The cases that all roles share are tried with estimators.
             assert!(tried.contains(&(role, case)) || common.contains(case), "{role}: no fault for `{case}`");
         }
     }
@@ -169,7 +169,7 @@ fn a_program_that_cannot_be_started_ends_with_code_4() {
         assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     }
     let output = run(&["estimator", "--", "sh", "-c", "echo gone >&2; exit 3"]);
-    assert!(stderr(&output).contains("its last words: gone"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("its last log lines: gone"), "{}", stderr(&output));
 }
 
 #[test]

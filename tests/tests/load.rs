@@ -1,9 +1,9 @@
-//! What must hold on a machine that is busy: apart, because the load would disturb other tests.
+//! Tests on a busy machine: a program of their own, because the load would disturb other tests.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use scanloop_tests::System;
-use scanloop_tests::exchange::{assert_every_scan_answered_once, restart_all};
+use scanloop_tests::swaps::{assert_every_scan_answered_once, restart_all};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 

@@ -3,99 +3,62 @@
 
 use shared_types::{CHECKPOINT_BYTES, Checkpoint, Header, Role};
 
-use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require, skipped};
+use super::case::{Case, Trouble, Verdict, failed, passed_if, require, skipped};
 use super::drive::Course;
+use super::message::Received;
 use super::ranges::valid;
 use super::suite::{Setup, Suite};
-use super::test_bench::{ANSWER_NS, Received, TestBench, asking};
+use super::test_bench::{ANSWER_NS, TestBench};
 
 /// Scans of a case that counts answers.
 const SCANS: usize = 20;
 /// Scans of two runs that are compared to the last bit.
 const SAME_SCANS: usize = 40;
-/// Where the second half of a drive begins, for a successor.
+/// After this scan a successor takes over.
 const HANDOVER: usize = 20;
 
 /// The cases of estimator, obstacles, controller and actuator.
 pub(crate) const CASES: [Case; 7] = [
-    Case {
-        name: "every-scan",
-        level: Level::Required,
-        requirement: "It answers every scan once, in order, with sequence numbers from 1 without a gap.",
-        why: "A scan that is not answered is lost, one that is answered twice is driven twice.",
-        tries: LIVE,
-        play: every_scan,
-    },
-    Case {
-        name: "in-time",
-        level: Level::Required,
-        requirement: "It publishes its answer before the next scan is due; one scan in ten may be late.",
-        why: "The loop closes within one scan, and the actuator blocks the wheels after one and a half.",
-        tries: LIVE,
-        play: in_time,
-    },
-    Case {
-        name: "header",
-        level: Level::Required,
-        requirement: "The answer carries scan id, time of the front beam and the stamps of all stages before it \
-                      unchanged, and its own four stamps in order.",
-        why: "Age and latency of a command are computed from nothing else.",
-        tries: LIVE,
-        play: header,
-    },
-    Case {
-        name: "valid-values",
-        level: Level::Required,
-        requirement: "All numbers of all answers are finite and within what the field can mean.",
-        why: "A sample with a bad number is dropped by every reader, so the scan is lost.",
-        tries: LIVE,
-        play: valid_values,
-    },
-    Case {
-        name: "repeatable",
-        level: Level::Recommended,
-        requirement: "In lock-step the same inputs give the same answers to the last bit.",
-        why: "Otherwise a drive cannot be repeated to look for a mistake.",
-        tries: LOCKSTEP,
-        play: repeatable,
-    },
-    Case {
-        name: "state",
-        level: Level::Recommended,
-        requirement: "It publishes its state after each scan.",
-        why: "One that takes its place goes on from there.",
-        tries: LIVE,
-        play: state,
-    },
-    Case {
-        name: "resume",
-        level: Level::Recommended,
-        requirement: "In lock-step one that goes on from the state of another answers as that one would have, to the \
-                      last bit.",
-        why: "An exchange is then not felt by the robot.",
-        tries: LIVE,
-        play: resume,
-    },
+    Case::required("every-scan", every_scan)
+        .demands("It answers every scan once, in order, with sequence numbers from 1 without a gap.")
+        .because("A scan that is not answered is lost, one that is answered twice is driven twice."),
+    Case::required("in-time", in_time)
+        .demands("It publishes its answer before the next scan is due; one scan in ten may be late.")
+        .because("The loop closes within one scan, and the actuator blocks the wheels after one and a half."),
+    Case::required("header", header)
+        .demands(
+            "The answer carries scan id, time of the front beam and stamps of earlier stages unchanged, \
+             and its own four stamps in order.",
+        )
+        .because("Age and latency of a command are computed from nothing else."),
+    Case::required("valid-values", valid_values)
+        .demands("All numbers of all answers are finite and within the range of their field.")
+        .because("Every subscriber drops a sample with a bad number, so the scan is lost."),
+    Case::recommended("repeatable", repeatable)
+        .in_lockstep()
+        .demands("In lock-step the same inputs give the same answers to the last bit.")
+        .because("Otherwise a drive cannot be repeated to look for a mistake."),
+    Case::recommended("state", state)
+        .demands("It publishes its state after each scan.")
+        .because("A process that takes its place continues from there."),
+    Case::recommended("resume", resume)
+        .demands("In lock-step a process that resumes from a state continues with the same bits.")
+        .because("A swap then does not disturb the robot."),
 ];
 
 /// The case of roles that must not guess after a loss of memory.
-pub(crate) const LOST_STATE: Case = Case {
-    name: "lost-state",
-    level: Level::Required,
-    requirement: "One that has a state, and takes the place of another without getting it, publishes nothing.",
-    why: "It would go on from a guess; with no answer the wheels are blocked.",
-    tries: LIVE,
-    play: lost_state,
-};
+pub(crate) const LOST_STATE: Case = Case::required("lost-state", lost_state)
+    .demands("A stateful process that is restarted without its state publishes nothing.")
+    .because("It would continue from a guess; without an answer the wheels are blocked.");
 
 fn every_scan(suite: &Suite) -> Verdict {
     let mut bench = suite.started(Setup::default())?;
     bench.rounds(SCANS)?;
     bench.receive_for(3.0)?;
-    let answers: Vec<_> = bench.received.iter().filter(|received| received.message.is_answer()).collect();
-    let ids: Vec<u64> = answers.iter().map(|received| received.message.scan_id()).collect();
+    let answers = bench.received.iter().filter(|received| received.message.is_answer());
+    let ids: Vec<u64> = answers.map(|received| received.message.scan_id()).collect();
     let expected: Vec<u64> = (1..=SCANS as u64).collect();
-    require(ids == expected, || format!("{} answers to {SCANS} scans: {}", ids.len(), runs(&ids)))?;
+    require(ids == expected, || format!("{} answers to {SCANS} scans: {}", ids.len(), ranges(&ids)))?;
     for (index, received) in bench.received.iter().enumerate() {
         let sequence = received.message.header().sequence;
         require(sequence == index as u64 + 1, || format!("sequence {sequence} on sample {}", index + 1))?;
@@ -108,55 +71,45 @@ fn in_time(suite: &Suite) -> Verdict {
     // The first answer may take longer: caches are cold, libraries are loaded.
     bench.round()?;
     bench.begin();
-    let (mut late, mut longest_ns) = (0, 0);
+    let (mut late, mut slowest_ns) = (0, 0);
     for _ in 0..SCANS {
-        let scan_id = bench.ask()?;
+        bench.ask()?;
         let asked_ns = runtime::monotonic_ns();
-        let answer = bench.answer(scan_id)?;
-        let took_ns = published(&answer, suite.role).saturating_sub(asked_ns);
-        longest_ns = longest_ns.max(took_ns);
+        let took_ns = published_ns(&bench.finish()?, suite.role).saturating_sub(asked_ns);
+        slowest_ns = slowest_ns.max(took_ns);
         late += usize::from(took_ns > suite.period_ns);
-        bench.conclude(scan_id)?;
     }
-    require(late <= SCANS / 10, || {
-        format!("{late} of {SCANS} answers late; the slowest took {:.1} ms", longest_ns as f64 * 1e-6)
-    })?;
-    Ok(format!("{late} of {SCANS} answers late; the slowest took {:.1} ms", longest_ns as f64 * 1e-6))
+    let slowest_ms = slowest_ns as f64 * 1e-6;
+    passed_if(
+        late <= SCANS / 10,
+        format!("{late} of {SCANS} answers late; the slowest took {slowest_ms:.1} ms"),
+    )
 }
 
 fn header(suite: &Suite) -> Verdict {
-    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let mut bench = suite.started_at(20)?;
     for _ in 0..10 {
-        let scan_id = bench.scan_id;
-        bench.wait_until_due(scan_id)?;
-        let mut inputs = bench.inputs(scan_id)?;
-        for message in &mut inputs {
-            bench.publish(message)?;
-        }
-        bench.scan_id += 1;
-        let answer = bench.answer(scan_id)?;
-        bench.conclude(scan_id)?;
-        let expected = inputs
-            .iter()
-            .skip(1)
-            .fold(inputs[0].header().answer(), |header, input| header.answer_both(input.header()));
-        carries_on(suite.role, answer.message.header(), &expected, bench.incarnation)?;
+        let inputs = bench.ask_with(|_| {})?;
+        let answer = bench.finish()?;
+        let first = inputs[0].header().answer();
+        let expected = inputs[1..].iter().fold(first, |header, input| header.answer_both(input.header()));
+        extends(suite.role, answer.message.header(), &expected, bench.incarnation)?;
     }
     Ok("10 headers".to_owned())
 }
 
-/// That a header is that of an answer to `expected`.
-fn carries_on(role: Role, header: &Header, expected: &Header, incarnation: u32) -> Result<(), Trouble> {
-    require(header.incarnation == incarnation, || {
-        format!("incarnation {} instead of {incarnation}", header.incarnation)
-    })?;
-    require(header.acquired_ns == expected.acquired_ns, || {
-        format!("acquired_ns {} instead of {}", header.acquired_ns, expected.acquired_ns)
-    })?;
-    for stage in Role::ALL {
+/// Requires that a header is that of an answer to `expected`.
+fn extends(role: Role, header: &Header, expected: &Header, incarnation: u32) -> Result<(), Trouble> {
+    let numbers = [
+        ("incarnation", header.incarnation.into(), incarnation.into()),
+        ("acquired_ns", header.acquired_ns, expected.acquired_ns),
+    ];
+    for (name, found, expected) in numbers {
+        require(found == expected, || format!("{name} {found} instead of {expected}"))?;
+    }
+    for stage in Role::ALL.iter().filter(|stage| stage.index() < role.index()) {
         let (theirs, ours) = (header.stage(*stage), expected.stage(*stage));
-        let before = stage.index() < role.index();
-        require(!before || theirs == ours, || {
+        require(theirs == ours, || {
             format!("stamps of stage {stage} changed: {theirs:?} instead of {ours:?}")
         })?;
     }
@@ -164,7 +117,7 @@ fn carries_on(role: Role, header: &Header, expected: &Header, incarnation: u32) 
     own_stamps(role, header, asked_ns)
 }
 
-/// That the stamps of the stage itself are in order and not before `asked_ns`.
+/// Requires that the stamps of the stage itself are in order and not before `asked_ns`.
 pub(crate) fn own_stamps(role: Role, header: &Header, asked_ns: u64) -> Result<(), Trouble> {
     let own = header.stage(role);
     let order = [own.woken_ns, own.taken_ns, own.computed_ns, own.published_ns];
@@ -176,26 +129,28 @@ pub(crate) fn own_stamps(role: Role, header: &Header, asked_ns: u64) -> Result<(
 }
 
 fn valid_values(suite: &Suite) -> Verdict {
-    // With a box in view, beside and behind.
-    let first_scan = suite.drive(Course::Corridor)?.scan_at(3.2);
-    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
+    // The box is in view, then next to the robot, then behind it.
+    let mut bench = suite.started_at(suite.drive(Course::Corridor)?.scan_at(3.2))?;
     bench.rounds(SCANS)?;
-    valid(&bench.received)?;
-    Ok(format!("{} samples", bench.received.len()))
+    valid(&bench.received)
 }
 
 fn repeatable(suite: &Suite) -> Verdict {
-    let mut runs = Vec::new();
-    for _ in 0..2 {
-        let mut bench = suite.started(Setup { lockstep: true, ..Setup::default() })?;
-        runs.push(bench.rounds(SAME_SCANS)?);
-    }
-    same(&runs[0], &runs[1])?;
+    same_twice(suite, |bench| bench.rounds(SAME_SCANS))?;
     Ok(format!("{SAME_SCANS} scans twice, same bits"))
 }
 
-/// That two runs gave the same answers.
-pub(crate) fn same(one: &[Received], other: &[Received]) -> Result<(), Trouble> {
+/// Requires that two runs in lock-step give the same samples.
+pub(crate) fn same_twice(
+    suite: &Suite,
+    run: impl Fn(&mut TestBench<'_>) -> Result<Vec<Received>, Trouble>,
+) -> Result<(), Trouble> {
+    let run = || run(&mut suite.started(Setup { lockstep: true, ..Setup::default() })?);
+    same(&run()?, &run()?)
+}
+
+/// Requires that two runs gave the same samples.
+fn same(one: &[Received], other: &[Received]) -> Result<(), Trouble> {
     let different =
         one.iter().zip(other).find(|(one, other)| one.message.content() != other.message.content());
     require(different.is_none() && one.len() == other.len(), || {
@@ -207,14 +162,11 @@ pub(crate) fn same(one: &[Received], other: &[Received]) -> Result<(), Trouble> 
 fn state(suite: &Suite) -> Verdict {
     let mut bench = suite.started(Setup::default())?;
     let scans = bench.rounds(10)?;
-    let of = |bench: &TestBench<'_>, scan_id: u64| {
-        bench.checkpoints.iter().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
-    };
     let last = scans.last().map_or(0, |received| received.message.scan_id());
-    bench.until(ANSWER_NS / 5, |bench| of(bench, last).is_some())?;
+    bench.until(ANSWER_NS / 5, |bench| state_after(bench, last).is_some())?;
     for received in &scans {
         let scan_id = received.message.scan_id();
-        let Some(checkpoint) = of(&bench, scan_id) else {
+        let Some(checkpoint) = state_after(&bench, scan_id) else {
             return failed(format!("no state after scan {scan_id}"));
         };
         sound(&bench, &checkpoint)?;
@@ -225,8 +177,8 @@ fn state(suite: &Suite) -> Verdict {
 
 fn sound(bench: &TestBench<'_>, checkpoint: &Checkpoint) -> Result<(), Trouble> {
     let Checkpoint { header, role, length, state_layout, .. } = checkpoint;
-    let whose = (*role, header.incarnation);
-    require(whose == (bench.suite.role.wire(), bench.incarnation), || {
+    let writer = (*role, header.incarnation);
+    require(writer == (bench.suite.role.wire(), bench.incarnation), || {
         format!("state of role {role}, incarnation {}", header.incarnation)
     })?;
     require((1..=CHECKPOINT_BYTES as u32).contains(length) && *state_layout != 0, || {
@@ -236,41 +188,35 @@ fn sound(bench: &TestBench<'_>, checkpoint: &Checkpoint) -> Result<(), Trouble> 
 
 fn resume(suite: &Suite) -> Verdict {
     let setup = Setup { lockstep: true, ..Setup::default() };
-    let mut bench = suite.started(setup)?;
-    let whole = bench.rounds(HANDOVER + 10)?;
-    drop(bench);
+    let whole = suite.started(setup)?.rounds(HANDOVER + 10)?;
     let mut bench = suite.started(setup)?;
     bench.rounds(HANDOVER)?;
-    let checkpoint = newest_state(&mut bench, HANDOVER as u64)?;
-    bench.replace()?;
-    bench.spawn(true, Some(&checkpoint))?;
-    bench.wait_for_state(shared_types::ProcessState::Connected)?;
-    // What was said after the state was taken is said again to the successor.
+    let checkpoint = wait_for_state_after(&mut bench, HANDOVER as u64)?;
+    bench.replace(true, Some(&checkpoint))?;
+    // The successor gets what was published after the state was taken.
     bench.conclude(HANDOVER as u64)?;
-    let rest = bench.rounds(10)?;
-    same(&whole[HANDOVER..], &rest)?;
+    same(&whole[HANDOVER..], &bench.rounds(10)?)?;
     Ok(format!("{} bytes of state, 10 scans with the same bits", checkpoint.length))
 }
 
-/// The state after a scan.
-fn newest_state(bench: &mut TestBench<'_>, scan_id: u64) -> Result<Checkpoint, Trouble> {
-    let of = |bench: &TestBench<'_>| {
-        bench.checkpoints.iter().rev().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
-    };
-    bench.until(ANSWER_NS / 5, |bench| of(bench).is_some())?;
-    of(bench).map_or_else(|| skipped("it publishes no state"), Ok)
+/// The state after a scan, if it was published.
+fn state_after(bench: &TestBench<'_>, scan_id: u64) -> Option<Checkpoint> {
+    bench.checkpoints.iter().rev().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
+}
+
+/// The state after a scan; skips the case without one.
+fn wait_for_state_after(bench: &mut TestBench<'_>, scan_id: u64) -> Result<Checkpoint, Trouble> {
+    bench.until(ANSWER_NS / 5, |bench| state_after(bench, scan_id).is_some())?;
+    state_after(bench, scan_id).map_or_else(|| skipped("it publishes no state"), Ok)
 }
 
 fn lost_state(suite: &Suite) -> Verdict {
-    let mut bench = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
+    let mut bench = suite.started_at(30)?;
     bench.rounds(3)?;
     let scan_id = bench.scan_id - 1;
-    newest_state(&mut bench, scan_id)?;
-    bench.replace()?;
-    bench.spawn(true, None)?;
-    bench.wait_for_state(shared_types::ProcessState::Connected)?;
+    wait_for_state_after(&mut bench, scan_id)?;
+    bench.replace(true, None)?;
     bench.begin();
-    bench.received.clear();
     for _ in 0..5 {
         let scan_id = bench.ask()?;
         bench.conclude(scan_id)?;
@@ -282,29 +228,23 @@ fn lost_state(suite: &Suite) -> Verdict {
     Ok("no answer to 5 scans".to_owned())
 }
 
-fn published(received: &Received, role: Role) -> u64 {
-    // A stamp that lies ahead of when it was heard is not believed.
+/// When a sample was published; a stamp after its reception is not believed [ns].
+fn published_ns(received: &Received, role: Role) -> u64 {
     let stamp = received.message.header().stage(role).published_ns;
     if stamp == 0 { received.at_ns } else { stamp.min(received.at_ns) }
 }
 
 /// Numbers as ranges: `1-4 6 6 7`.
-fn runs(numbers: &[u64]) -> String {
-    let mut text = String::new();
+fn ranges(numbers: &[u64]) -> String {
+    let mut texts = Vec::new();
     let mut rest = numbers;
     while let Some(first) = rest.first() {
         let length = rest.iter().zip(*first..).take_while(|(number, expected)| **number == *expected).count();
-        let run =
-            if length > 1 { format!("{first}-{}", first + length as u64 - 1) } else { first.to_string() };
-        text = if text.is_empty() { run } else { format!("{text} {run}") };
+        let last = first + length as u64 - 1;
+        texts.push(if length > 1 { format!("{first}-{last}") } else { first.to_string() });
         rest = &rest[length..];
     }
-    text
-}
-
-/// Whether a role is asked by more than one topic.
-pub(crate) fn joins(role: Role) -> bool {
-    asking(role).len() > 1
+    texts.join(" ")
 }
 
 #[cfg(test)]
@@ -313,7 +253,7 @@ mod tests {
 
     #[test]
     fn numbers_are_shown_as_ranges() {
-        assert_eq!(runs(&[1, 2, 3, 4, 6, 6, 7]), "1-4 6 6-7");
-        assert_eq!(runs(&[]), "");
+        assert_eq!(ranges(&[1, 2, 3, 4, 6, 6, 7]), "1-4 6 6-7");
+        assert_eq!(ranges(&[]), "");
     }
 }

@@ -4,14 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::suite::Suite;
 
-pub(crate) use super::trouble::{Trouble, Verdict, failed, require, skipped};
+pub(crate) use super::trouble::{Trouble, Verdict, failed, passed_if, require, skipped};
 
-/// In real time a machine that is too busy for a process to run within three periods spoils a case.
-pub(crate) const LIVE: u32 = 3;
-/// In lock-step nothing depends on the machine.
-pub(crate) const LOCKSTEP: u32 = 1;
-
-/// One requirement and the play that finds out whether it is met.
+/// One requirement and the function that finds out whether it is met.
 #[derive(Clone, Copy)]
 pub(crate) struct Case {
     /// Name, unique within the suite of a role.
@@ -22,10 +17,39 @@ pub(crate) struct Case {
     pub requirement: &'static str,
     /// What would happen to the robot or its user otherwise.
     pub why: &'static str,
-    /// How often the case may be tried, [`LIVE`] or [`LOCKSTEP`].
+    /// How often the case may be tried.
     pub tries: u32,
     /// Plays it.
     pub play: fn(&Suite) -> Verdict,
+}
+
+impl Case {
+    /// A case in real time without which an implementation may not be used.
+    ///
+    /// It may be tried three times: a machine too busy to run a process within three periods spoils it.
+    pub(crate) const fn required(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
+        Self { name, level: Level::Required, requirement: "", why: "", tries: 3, play }
+    }
+
+    /// A case in real time without which an implementation may be used.
+    pub(crate) const fn recommended(name: &'static str, play: fn(&Suite) -> Verdict) -> Self {
+        Self { level: Level::Recommended, ..Self::required(name, play) }
+    }
+
+    /// The case in lock-step: it is tried once, because nothing depends on the machine.
+    pub(crate) const fn in_lockstep(self) -> Self {
+        Self { tries: 1, ..self }
+    }
+
+    /// The case with its requirement.
+    pub(crate) const fn demands(self, requirement: &'static str) -> Self {
+        Self { requirement, ..self }
+    }
+
+    /// The case with its reason.
+    pub(crate) const fn because(self, why: &'static str) -> Self {
+        Self { why, ..self }
+    }
 }
 
 /// How much a requirement weighs.

@@ -1,4 +1,4 @@
-//! Drives whose samples a candidate is played: made by the pipeline in this process, so they are consistent.
+//! Drives whose samples a candidate receives: the pipeline makes them in this process, so they are consistent.
 
 use emulator::scenario::{Obstacle, Shape};
 use emulator::steering_map::SteeringMap;
@@ -9,10 +9,10 @@ use vehicle::correction::Calibration;
 
 use super::message::Message;
 
-/// Scans that are recorded after a drive has ended: the robot stands.
+/// Scans that are recorded after a drive has ended, while the robot rests.
 const AFTER_THE_END: usize = 12;
-/// No drive of a suite takes longer [scans].
-const LONGEST: usize = 4_000;
+/// No drive of a suite takes longer.
+const MAX_SCANS: usize = 4_000;
 
 /// What is driven.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -21,13 +21,13 @@ pub(crate) enum Course {
     Corridor,
     /// The same without noise, with a robot that needs no correction, and no correction.
     Exact,
-    /// The same with an odometer that misses a tenth of the way, which the settings say.
+    /// The same with an odometry scale error of a tenth, which the settings contain.
     Drifting,
     /// Nothing in the way.
     Free,
     /// A barrier across the track: the drive ends in front of it.
     Barrier,
-    /// Two boxes on the two sides of the line, one behind the other.
+    /// Two boxes, one behind the other, left and right of the line.
     Two,
 }
 
@@ -66,7 +66,7 @@ pub(crate) struct Drive {
     pub(crate) settings: Settings,
     /// Scan 1 first.
     pub(crate) steps: Vec<Step>,
-    /// How many scans belong to the drive; the robot stands after them.
+    /// How many scans belong to the drive; the robot rests after them.
     pub(crate) ended: usize,
 }
 
@@ -74,13 +74,13 @@ impl Drive {
     /// Drives a course to its end, and some scans more.
     ///
     /// # Errors
-    /// A setting that is not allowed, which would be a mistake in the courses.
+    /// A setting that is not allowed: a mistake in the courses.
     pub(crate) fn record(course: Course, period_ns: u64) -> anyhow::Result<Self> {
         let settings = course.settings(period_ns);
         let mut pipeline = Pipeline::new(&settings)?;
         let mut referee = Referee::new(&settings.scenario);
         let (mut steps, mut ended) = (Vec::new(), None);
-        while steps.len() < LONGEST && ended.is_none_or(|ended| steps.len() < ended + AFTER_THE_END) {
+        while steps.len() < MAX_SCANS && ended.is_none_or(|ended| steps.len() < ended + AFTER_THE_END) {
             let step = *pipeline.step();
             if referee.observe(&step.truth, step.actuation.as_ref()).is_some() && ended.is_none() {
                 ended = Some(steps.len() + 1);
@@ -90,12 +90,12 @@ impl Drive {
         Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps })
     }
 
-    /// Everything that was said about a scan; a scan beyond the end is the last one.
+    /// All samples of a scan; a scan beyond the end is the last one.
     pub(crate) fn step(&self, scan_id: u64) -> &Step {
         &self.steps[(scan_id.max(1) as usize - 1).min(self.steps.len() - 1)]
     }
 
-    /// The sample of one topic about a scan.
+    /// The sample of one topic for a scan.
     pub(crate) fn message(&self, topic: Topic, scan_id: u64) -> Option<Message> {
         let step = self.step(scan_id);
         Some(match topic {

@@ -1,15 +1,15 @@
 //! `scanloop conformance`: whether a program, in whatever language, may fill a role.
 //!
-//! The program is started in a system of its own, in which the suite plays all other roles with the samples of a
-//! drive that the pipeline makes in this process. Each requirement is a case of its own with a stand of its own, so
-//! it can be run alone and no case spoils the next. What is required is what the loop relies on; what is recommended
-//! makes it better, such as lock-step and a state to go on from.
+//! The program is started in a system of its own. The suite plays all other roles with the samples of a drive that
+//! the pipeline makes in this process. Each requirement is a case with a test bench of its own, so it can be run alone
+//! and no case affects the next. The loop relies on what is required; what is recommended makes it better, such as
+//! lock-step and a state to resume from.
 //!
 //! Most of a case is waiting, so some are played at the same time.
 //!
-//! Where this fails: a case shows that a requirement is broken, never that it always holds. Cases in real time are
-//! played again when they fail, because the machine may be busy; a program that breaks such a requirement once in a
-//! while can slip through.
+//! Where this fails: a case can show that a requirement is broken, never that it always holds. Cases in real time are
+//! played again when they fail, because the machine may be busy; a program that breaks such a requirement only
+//! sometimes can pass.
 
 mod actuator;
 mod answers;
@@ -21,6 +21,7 @@ mod intake;
 mod lifecycle;
 mod message;
 mod obstacles;
+mod ports;
 mod ranges;
 mod report;
 mod robot;
@@ -116,20 +117,17 @@ fn cases(role: Role) -> Vec<Case> {
         all.extend(answers::CASES);
         all.extend(intake::CASES);
     }
+    if matches!(role, Role::Estimator | Role::Obstacles | Role::Controller) {
+        all.push(intake::MISSING_INPUT);
+    }
+    if matches!(role, Role::Estimator | Role::Obstacles) {
+        all.push(answers::LOST_STATE);
+    }
     match role {
         Role::Robot => all.extend(robot::CASES),
-        Role::Estimator => {
-            all.extend([intake::MISSING_INPUT, answers::LOST_STATE]);
-            all.extend(estimator::CASES);
-        }
-        Role::Obstacles => {
-            all.extend([intake::MISSING_INPUT, answers::LOST_STATE]);
-            all.extend(obstacles::CASES);
-        }
-        Role::Controller => {
-            all.push(intake::MISSING_INPUT);
-            all.extend(controller::CASES);
-        }
+        Role::Estimator => all.extend(estimator::CASES),
+        Role::Obstacles => all.extend(obstacles::CASES),
+        Role::Controller => all.extend(controller::CASES),
         Role::Actuator => all.extend(actuator::CASES),
     }
     all
@@ -165,33 +163,31 @@ fn candidate(role: Role, arguments: &ConformanceArguments) -> anyhow::Result<(Ve
             )))
         }
         (None, false) => {
-            let words: Vec<_> = arguments.command.iter().map(|word| word.to_string_lossy()).collect();
-            Ok((arguments.command.clone(), words.join(" ")))
+            let label: Vec<_> = arguments.command.iter().map(|argument| argument.to_string_lossy()).collect();
+            Ok((arguments.command.clone(), label.join(" ")))
         }
         (None, true) => Err(Failure::bad_input("expected `--to IMPLEMENTATION` or `-- COMMAND...`")),
     }
 }
 
-/// Plays all cases, some at a time; those that failed where a busy machine may be the reason again, alone.
+/// Plays all cases, some at a time; those that failed in real time again, alone.
 ///
-/// When the suite itself cannot go on, no further case is begun.
+/// When the suite itself cannot continue, no further case is started.
 fn play_all(cases: &[Case], suite: &Suite, arguments: &ConformanceArguments) -> anyhow::Result<Vec<Verdict>> {
     let (jobs, tries) = (usize::from(arguments.jobs), u32::from(arguments.tries));
     let next = AtomicUsize::new(0);
     let mut played = std::thread::scope(|scope| {
         let work = || {
             let mut mine = Vec::new();
-            while let Some((index, case)) = {
+            loop {
                 let index = next.fetch_add(1, Ordering::Relaxed);
-                cases.get(index).map(|case| (index, case))
-            } {
+                let Some(case) = cases.get(index) else { break mine };
                 let verdict = (case.play)(suite);
                 if matches!(verdict, Err(Trouble::Broken(_))) {
                     next.store(cases.len(), Ordering::Relaxed);
                 }
                 mine.push((index, verdict));
             }
-            mine
         };
         let workers: Vec<_> = (0..jobs.min(cases.len())).map(|_| scope.spawn(work)).collect();
         let ended = workers.into_iter().map(|worker| worker.join());

@@ -1,13 +1,24 @@
-//! A sample of any topic of the loop, and the mouths and ears that the stand has for all of them.
+//! A sample of any topic of the loop.
 
-use runtime::{Bus, Observer, Publisher, RuntimeError, wait_for};
+use std::any::Any;
+
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Role, Sample,
-    Scan, Topic, Truth,
+    Actuation, ActuationKind, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Sample, Scan,
+    Topic, Truth,
 };
 
+use super::trouble::{Trouble, failed};
+
+/// Something that the candidate published.
+#[derive(Debug, Clone)]
+pub(crate) struct Received {
+    pub(crate) message: Message,
+    /// When the test bench received it [ns].
+    pub(crate) at_ns: u64,
+}
+
 /// A sample of one of the topics of the loop.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub(crate) enum Message {
     Scan(Box<Scan>),
     Odometry(Box<Odometry>),
@@ -34,6 +45,24 @@ macro_rules! any {
 }
 
 impl Message {
+    /// The sample, which must be of this type.
+    pub(crate) fn sample<S: Sample>(&self) -> Result<&S, Trouble> {
+        let sample = any!(self, sample => (&**sample as &dyn Any).downcast_ref());
+        sample.map_or_else(|| failed(format!("{} where {} was expected", self.topic(), S::TOPIC)), Ok)
+    }
+
+    /// The sample if it is of this type, to change it.
+    pub(crate) fn sample_mut<S: Sample>(&mut self) -> Option<&mut S> {
+        any!(self, sample => (&mut **sample as &mut dyn Any).downcast_mut())
+    }
+
+    /// Changes the sample if it is of this type.
+    pub(crate) fn change<S: Sample>(&mut self, change: impl FnOnce(&mut S)) {
+        if let Some(sample) = self.sample_mut() {
+            change(sample);
+        }
+    }
+
     pub(crate) fn topic(&self) -> Topic {
         fn of<S: Sample>(_: &S) -> Topic {
             S::TOPIC
@@ -53,12 +82,12 @@ impl Message {
         self.header().scan_id
     }
 
-    /// What every reader checks.
+    /// What every subscriber checks.
     pub(crate) fn check(&self) -> Result<(), Fault> {
         any!(self, sample => sample.check())
     }
 
-    /// The bytes behind identity: what two runs with the same input have in common.
+    /// The bytes without incarnation and sequence: two runs with the same input have them in common.
     pub(crate) fn content(&self) -> Vec<u8> {
         let mut same = self.clone();
         let header = same.header_mut();
@@ -66,12 +95,12 @@ impl Message {
         any!(&same, sample => bytemuck::bytes_of(&**sample).to_vec())
     }
 
-    /// Whether it is said because of a scan, and not by the actuator on its own account.
+    /// Whether it answers a scan; an actuator also publishes without a command.
     pub(crate) fn is_answer(&self) -> bool {
         any!(self, sample => sample.is_answer())
     }
 
-    /// Whether nothing moves because of it: a stop, a block.
+    /// Whether it moves nothing: a stop, a block.
     pub(crate) fn is_harmless(&self) -> bool {
         match self {
             Self::Command(command) => command.kind != CommandKind::Drive.wire(),
@@ -97,7 +126,7 @@ impl Message {
         }
     }
 
-    /// The same sample spoilt in several ways, each of which a reader must drop.
+    /// The sample spoilt in several ways; a subscriber must drop each.
     pub(crate) fn spoilt(&self) -> Vec<Self> {
         let mut all = vec![self.clone()];
         all[0].header_mut().layout ^= 1;
@@ -129,109 +158,5 @@ impl Message {
         }
         all.push(message);
         all
-    }
-}
-
-/// Publishers of all topics that processes of the loop read.
-pub(crate) struct Publishers {
-    scan: Publisher<Scan>,
-    odometry: Publisher<Odometry>,
-    pose: Publisher<Pose>,
-    obstacles: Publisher<Obstacles>,
-    command: Publisher<Command>,
-    actuation: Publisher<Actuation>,
-}
-
-impl Publishers {
-    pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Ok(Self {
-            scan: Publisher::new(bus)?,
-            odometry: Publisher::new(bus)?,
-            pose: Publisher::new(bus)?,
-            obstacles: Publisher::new(bus)?,
-            command: Publisher::new(bus)?,
-            actuation: Publisher::new(bus)?,
-        })
-    }
-
-    /// Publishes; `exactly` leaves layout and sequence as they are, else they are filled and kept in the message.
-    pub(crate) fn publish(&mut self, message: &mut Message, exactly: bool) -> Result<(), RuntimeError> {
-        fn through<S: Sample>(
-            voice: &mut Publisher<S>,
-            sample: &mut S,
-            exactly: bool,
-        ) -> Result<(), RuntimeError> {
-            if exactly { voice.publish_unchanged(sample, true) } else { voice.publish(sample, true) }
-        }
-        match message {
-            Message::Scan(sample) => through(&mut self.scan, sample, exactly),
-            Message::Odometry(sample) => through(&mut self.odometry, sample, exactly),
-            Message::Pose(sample) => through(&mut self.pose, sample, exactly),
-            Message::Obstacles(sample) => through(&mut self.obstacles, sample, exactly),
-            Message::Command(sample) => through(&mut self.command, sample, exactly),
-            Message::Actuation(sample) => through(&mut self.actuation, sample, exactly),
-            // Nobody in the loop reads the truth.
-            Message::Truth(_) => Ok(()),
-        }
-    }
-}
-
-/// Readers of all topics that a role writes.
-pub(crate) struct Subscribers {
-    scan: Option<Observer<Scan>>,
-    odometry: Option<Observer<Odometry>>,
-    truth: Option<Observer<Truth>>,
-    pose: Option<Observer<Pose>>,
-    obstacles: Option<Observer<Obstacles>>,
-    command: Option<Observer<Command>>,
-    actuation: Option<Observer<Actuation>>,
-}
-
-impl Subscribers {
-    pub(crate) fn new(bus: &Bus, role: Role) -> Result<Self, RuntimeError> {
-        fn of<S: Sample>(bus: &Bus, role: Role) -> Result<Option<Observer<S>>, RuntimeError> {
-            let writes = role.writes().contains(&S::TOPIC) || S::TOPIC.writer() == Some(role);
-            writes.then(|| Observer::waking(bus)).transpose()
-        }
-        Ok(Self {
-            scan: of(bus, role)?,
-            odometry: of(bus, role)?,
-            truth: of(bus, role)?,
-            pose: of(bus, role)?,
-            obstacles: of(bus, role)?,
-            command: of(bus, role)?,
-            actuation: of(bus, role)?,
-        })
-    }
-
-    /// Sleeps until the role may have said something on the last of its topics, or the time-out.
-    pub(crate) fn wait(&self, timeout_ns: u64) -> bool {
-        fn on<S: Sample>(ear: &Option<Observer<S>>, timeout_ns: u64) -> Option<bool> {
-            ear.as_ref().map(|ear| ear.wait(timeout_ns))
-        }
-        on(&self.odometry, timeout_ns)
-            .or_else(|| on(&self.pose, timeout_ns))
-            .or_else(|| on(&self.obstacles, timeout_ns))
-            .or_else(|| on(&self.command, timeout_ns))
-            .or_else(|| on(&self.actuation, timeout_ns))
-            .unwrap_or_else(|| wait_for(&[], timeout_ns))
-    }
-
-    /// Hands everything that was said since the last call to `each`.
-    pub(crate) fn receive(&self, mut each: impl FnMut(Message)) -> Result<(), RuntimeError> {
-        fn all<S: Sample>(ear: &Option<Observer<S>>, mut each: impl FnMut(S)) -> Result<(), RuntimeError> {
-            let Some(ear) = ear else { return Ok(()) };
-            while let Some((sample, _)) = ear.next()? {
-                each(sample);
-            }
-            Ok(())
-        }
-        all(&self.truth, |sample| each(Message::Truth(Box::new(sample))))?;
-        all(&self.scan, |sample| each(Message::Scan(Box::new(sample))))?;
-        all(&self.odometry, |sample| each(Message::Odometry(Box::new(sample))))?;
-        all(&self.pose, |sample| each(Message::Pose(Box::new(sample))))?;
-        all(&self.obstacles, |sample| each(Message::Obstacles(Box::new(sample))))?;
-        all(&self.command, |sample| each(Message::Command(Box::new(sample))))?;
-        all(&self.actuation, |sample| each(Message::Actuation(Box::new(sample))))
     }
 }

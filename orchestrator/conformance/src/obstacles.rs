@@ -1,12 +1,12 @@
-//! What a description of obstacles must show: what is there, and nothing else.
+//! What a list of obstacles must contain: all that is there, and nothing else.
 
-use shared_types::{Obstacle, Obstacles, Topic};
+use shared_types::{Obstacle, Obstacles, Scan};
 
-use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
+use super::case::{Case, Trouble, Verdict, failed, require};
 use super::drive::Course;
-use super::message::Message;
+use super::message::Received;
 use super::suite::{Setup, Suite};
-use super::test_bench::{Received, TestBench};
+use super::test_bench::TestBench;
 
 /// The box of the default drive: centre, length and width [m].
 const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];
@@ -14,67 +14,34 @@ const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];
 const LEFT_OUT_M: f64 = 0.03;
 /// Scans of a case.
 const SCANS: usize = 12;
-/// A description may take some scans to believe in what it sees.
+/// An obstacle may need some scans before it is reported.
 const FIRST_SIGHTINGS: usize = 4;
 
-/// The cases of descriptions alone.
+/// The cases of obstacle detectors alone.
 pub(crate) const CASES: [Case; 6] = [
-    Case {
-        name: "sees-a-box",
-        level: Level::Required,
-        requirement: "A box of 0.1 m x 0.4 m, 1 m to 2.5 m ahead, lies within an ellipse from the fifth scan on that shows \
-                      it.",
-        why: "The controller keeps the robot out of ellipses, not out of boxes.",
-        tries: LIVE,
-        play: sees_a_box,
-    },
-    Case {
-        name: "no-phantoms",
-        level: Level::Required,
-        requirement: "Where nothing stands it describes nothing.",
-        why: "The robot would stop in front of it, or drive around it into something real.",
-        tries: LIVE,
-        play: no_phantoms,
-    },
-    Case {
-        name: "blind-scan",
-        level: Level::Required,
-        requirement: "A sweep without a single return is answered as any other.",
-        why: "A scanner that looks into the open sees nothing, and the loop must go on.",
-        tries: LIVE,
-        play: blind_scan,
-    },
-    Case {
-        name: "nearest-first",
-        level: Level::Recommended,
-        requirement: "Of two boxes ahead the nearer one stands first.",
-        why: "A reader that looks at some ellipses only looks at those.",
-        tries: LIVE,
-        play: nearest_first,
-    },
-    Case {
-        name: "keeps-identity",
-        level: Level::Recommended,
-        requirement: "The ellipse of a box keeps its number from scan to scan.",
-        why: "The controller remembers by it on which side it passes.",
-        tries: LIVE,
-        play: keeps_identity,
-    },
-    Case {
-        name: "remembers",
-        level: Level::Recommended,
-        requirement: "A box that was seen is still described in a sweep without a return.",
-        why: "Beams get lost, and what is beside the robot is out of view; it is still there.",
-        tries: LIVE,
-        play: remembers,
-    },
+    Case::required("sees-a-box", sees_a_box)
+        .demands("A box of 0.1 m x 0.4 m, 1 m to 2.5 m ahead, is within an ellipse from its fifth scan on.")
+        .because("The controller keeps the robot out of ellipses, not out of boxes."),
+    Case::required("no-phantoms", no_phantoms)
+        .demands("On an empty track it reports no obstacle.")
+        .because("The robot would stop in front of it, or drive around it into something real."),
+    Case::required("blind-scan", blind_scan)
+        .demands("It answers a sweep without a single return like any other.")
+        .because("A scanner in the open gets no returns, and the loop must continue."),
+    Case::recommended("nearest-first", nearest_first)
+        .demands("Of two boxes ahead the nearer one is listed first.")
+        .because("A reader that uses a few ellipses only uses the first ones."),
+    Case::recommended("keeps-identity", keeps_identity)
+        .demands("The ellipse of a box keeps its number from scan to scan.")
+        .because("The controller stores the passing side by this number."),
+    Case::recommended("remembers", remembers)
+        .demands("A known box is still reported for a sweep without a return.")
+        .because("Beams get lost, and an obstacle next to the robot is out of view; it is still there."),
 ];
 
 fn sees_a_box(suite: &Suite) -> Verdict {
-    let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
-    for received in bench.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&received.message)?;
+    for received in before_the_box(suite)?.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = received.message.sample::<Obstacles>()?;
         require(obstacles.list().iter().any(covers_the_box), || {
             let near = obstacles.list().iter().map(|item| {
                 format!("({:.2}, {:.2}) with {:.2} m x {:.2} m", item.x_m, item.y_m, item.a_m, item.b_m)
@@ -89,6 +56,11 @@ fn sees_a_box(suite: &Suite) -> Verdict {
     Ok(format!("{} scans, the box lies within an ellipse", SCANS - FIRST_SIGHTINGS))
 }
 
+/// A test bench whose next scans have the box 2.5 m ahead and nearer.
+fn before_the_box(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
+    suite.started_at(suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5))
+}
+
 /// Whether the front of the box lies within the ellipse.
 fn covers_the_box(item: &Obstacle) -> bool {
     let [x, y, length, width] = BOX_M;
@@ -101,20 +73,17 @@ fn covers_the_box(item: &Obstacle) -> bool {
 fn no_phantoms(suite: &Suite) -> Verdict {
     let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
     for received in bench.rounds(2 * SCANS)? {
-        let count = description(&received.message)?.count;
-        require(count == 0, || {
-            format!("scan {}: {count} ellipses where nothing stands", received.message.scan_id())
-        })?;
+        let Obstacles { header, count, .. } = received.message.sample()?;
+        require(*count == 0, || format!("scan {}: {count} ellipses on an empty track", header.scan_id))?;
     }
     Ok(format!("{} scans of an empty track", 2 * SCANS))
 }
 
 fn blind_scan(suite: &Suite) -> Verdict {
-    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let mut bench = suite.started_at(20)?;
     bench.rounds(3)?;
     for _ in 0..3 {
-        let answer = blind_round(&mut bench)?;
-        if let Err(fault) = answer.message.check() {
+        if let Err(fault) = blind_round(&mut bench)?.message.check() {
             return failed(format!("the answer to a sweep without returns: {fault}"));
         }
     }
@@ -122,47 +91,34 @@ fn blind_scan(suite: &Suite) -> Verdict {
     Ok("3 sweeps without a return".to_owned())
 }
 
-/// One scan whose beams all got lost.
+/// One scan whose beams were all lost.
 fn blind_round(bench: &mut TestBench<'_>) -> Result<Received, Trouble> {
-    let scan_id = bench.scan_id;
-    bench.wait_until_due(scan_id)?;
-    for mut message in bench.inputs(scan_id)? {
-        if let Message::Scan(scan) = &mut message {
-            scan.ranges_mm.fill(0);
-        }
-        bench.publish(&mut message)?;
-    }
-    bench.scan_id += 1;
-    bench.answer(scan_id)
+    bench.round_with(|message| message.change(|scan: &mut Scan| scan.ranges_mm.fill(0)))
 }
 
 fn nearest_first(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Two)?.scan_at(1.5);
     let mut bench = suite.started(Setup { course: Course::Two, first_scan, ..Setup::default() })?;
-    let received = bench.rounds(2 * SCANS)?;
     let mut both = 0;
-    for received in received.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&received.message)?;
+    for received in bench.rounds(2 * SCANS)?.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = received.message.sample::<Obstacles>()?;
         let at = |x_m: f64, y_m: f64| {
             obstacles.list().iter().position(|item| (item.x_m - x_m).hypot(item.y_m - y_m) < 0.6)
         };
         if let (Some(near), Some(far)) = (at(4.5, 0.9), at(6.0, -0.9)) {
             both += 1;
-            require(near < far, || {
-                format!("scan {}: the farther box stands first", obstacles.header.scan_id)
-            })?;
+            let scan_id = obstacles.header.scan_id;
+            require(near < far, || format!("scan {scan_id}: the farther box is listed first"))?;
         }
     }
-    require(both > 0, || "it never described both boxes".to_owned())?;
+    require(both > 0, || "it never reported both boxes".to_owned())?;
     Ok(format!("{both} scans with both boxes"))
 }
 
 fn keeps_identity(suite: &Suite) -> Verdict {
-    let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
     let mut ids = Vec::new();
-    for received in bench.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&received.message)?;
+    for received in before_the_box(suite)?.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = received.message.sample::<Obstacles>()?;
         ids.extend(obstacles.list().iter().find(|item| covers_the_box(item)).map(|item| item.id));
     }
     let scans = ids.len();
@@ -172,20 +128,13 @@ fn keeps_identity(suite: &Suite) -> Verdict {
 }
 
 fn remembers(suite: &Suite) -> Verdict {
-    let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
+    let mut bench = before_the_box(suite)?;
     bench.rounds(SCANS)?;
     for _ in 0..2 {
-        let obstacles = description(&blind_round(&mut bench)?.message)?;
+        let answer = blind_round(&mut bench)?;
+        let obstacles = answer.message.sample::<Obstacles>()?;
         let known = obstacles.list().iter().any(covers_the_box);
         require(known, || format!("scan {}: the box is forgotten", obstacles.header.scan_id))?;
     }
-    Ok("still described in two sweeps without a return".to_owned())
-}
-
-fn description(message: &Message) -> Result<Obstacles, Trouble> {
-    match message {
-        Message::Obstacles(obstacles) => Ok(**obstacles),
-        other => failed(format!("{} where {} was expected", other.topic(), Topic::Obstacles)),
-    }
+    Ok("still reported for two sweeps without a return".to_owned())
 }

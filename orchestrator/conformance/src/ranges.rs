@@ -4,25 +4,16 @@ use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, Odometry, Pose, Scan,
 };
 use vehicle::Bounds;
+use vehicle::bounds::ROUNDING;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
-use super::message::Message;
-use super::test_bench::Received;
-use super::trouble::{Trouble, failed};
+use super::message::{Message, Received};
+use super::trouble::{Verdict, failed};
 
-/// Rounding of a solver, as in the actuator [m/s, rad].
-const ROUNDING: f64 = 1e-6;
-/// Largest difference between what is sent and what should be [m/s, rad]: single precision on the way is allowed.
-pub(crate) const SENT: f64 = 1e-6;
-
-/// That every sample passes the check of its type and the ranges of its topic.
-pub(crate) fn valid(received: &[Received]) -> Result<(), Trouble> {
+/// Passes when every sample passes the check of its type and the ranges of its topic.
+pub(crate) fn valid(received: &[Received]) -> Verdict {
     for Received { message, .. } in received {
-        let scan_id = message.scan_id();
-        if let Err(fault) = message.check() {
-            return failed(format!("{} of scan {scan_id}: {fault}", message.topic()));
-        }
-        let ranges = match message {
+        let ranges = message.check().map_err(|fault| fault.to_string()).and_then(|()| match message {
             Message::Pose(sample) => pose(sample),
             Message::Obstacles(sample) => obstacles(sample),
             Message::Command(sample) => command(sample),
@@ -30,12 +21,12 @@ pub(crate) fn valid(received: &[Received]) -> Result<(), Trouble> {
             Message::Scan(sample) => scan(sample),
             Message::Odometry(sample) => odometry(sample),
             Message::Truth(_) => Ok(()),
-        };
+        });
         if let Err(reason) = ranges {
-            return failed(format!("{} of scan {scan_id}: {reason}", message.topic()));
+            return failed(format!("{} of scan {}: {reason}", message.topic(), message.scan_id()));
         }
     }
-    Ok(())
+    Ok(format!("{} samples", received.len()))
 }
 
 /// Fails with the name, the value and the range of the first number that is outside.
@@ -64,7 +55,7 @@ fn pose(pose: &Pose) -> Result<(), String> {
     ])
 }
 
-/// The ranges of a description.
+/// The ranges of a list of obstacles.
 fn obstacles(obstacles: &Obstacles) -> Result<(), String> {
     let list = obstacles.list();
     for (index, item) in list.iter().enumerate() {
@@ -110,16 +101,16 @@ fn actuation(actuation: &Actuation) -> Result<(), String> {
         return within(&[("sent_velocity_mps of blocked wheels", actuation.sent_velocity_mps, 0.0..=0.0)]);
     }
     let bounds = Bounds::default();
-    let (desired, sent) = (bounds.steering_max_rad + SENT, SENT_STEERING_MAX_RAD + SENT);
+    let (desired, sent) = (bounds.steering_max_rad + ROUNDING, SENT_STEERING_MAX_RAD + ROUNDING);
     within(&[
-        ("desired_velocity_mps", actuation.desired_velocity_mps, 0.0..=bounds.velocity_max_mps + SENT),
+        ("desired_velocity_mps", actuation.desired_velocity_mps, 0.0..=bounds.velocity_max_mps + ROUNDING),
         ("desired_steering_rad", actuation.desired_steering_rad, -desired..=desired),
-        ("sent_velocity_mps", actuation.sent_velocity_mps, 0.0..=SENT_VELOCITY_MAX_MPS + SENT),
+        ("sent_velocity_mps", actuation.sent_velocity_mps, 0.0..=SENT_VELOCITY_MAX_MPS + ROUNDING),
         ("sent_steering_rad", actuation.sent_steering_rad, -sent..=sent),
     ])
 }
 
-/// The ranges of a scan, beyond what its check says.
+/// The ranges of a scan, beyond its check.
 fn scan(scan: &Scan) -> Result<(), String> {
     let returns = (0..scan.ranges_mm.len()).filter_map(|beam| scan.range_m(beam));
     let farthest = returns.fold(0.0, f64::max);

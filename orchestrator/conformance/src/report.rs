@@ -9,7 +9,7 @@ use super::case::{Case, Level, Outcome, Trouble, Verdict};
 /// The result of one suite.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
-    /// Role that the implementation was tried in.
+    /// Role that the implementation was tested in.
     pub role: String,
     /// The implementation: its command, or the name of a built-in one.
     pub command: String,
@@ -30,7 +30,7 @@ pub struct Report {
 pub struct CaseReport {
     /// Its name.
     pub name: String,
-    /// How much it weighs.
+    /// Whether it is required.
     pub level: Level,
     /// How it ended.
     pub outcome: Outcome,
@@ -50,7 +50,7 @@ impl Report {
     /// Adds a case.
     ///
     /// # Errors
-    /// When the suite itself could not go on.
+    /// When the suite itself could not continue.
     pub(crate) fn add(&mut self, case: &Case, verdict: Verdict) -> anyhow::Result<&CaseReport> {
         let (outcome, reason) = match verdict {
             Ok(reason) => (Outcome::Passed, reason),
@@ -77,10 +77,10 @@ impl Report {
     /// The last line: how many passed.
     pub(crate) fn summary(&self) -> String {
         let Self { role, passed, failed, not_recommended, skipped, .. } = self;
-        let word =
+        let verdict =
             if *failed == 0 { "may fill the role" } else { "does not meet what is required of the role" };
         format!(
-            "{passed} passed, {failed} required and {not_recommended} recommended failed, {skipped} skipped: it {word} {role}"
+            "{passed} passed, {failed} required and {not_recommended} recommended failed, {skipped} skipped: it {verdict} {role}"
         )
     }
 }

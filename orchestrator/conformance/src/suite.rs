@@ -1,4 +1,4 @@
-//! What the cases of one suite share: the candidate's command, the recorded drives, and a stand for each case.
+//! What the cases of one suite share: the candidate's command, the recorded drives, and a test bench for each case.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -20,21 +20,21 @@ pub(crate) struct Suite {
     pub(crate) command: Vec<OsString>,
     /// Scan period [ns].
     pub(crate) period_ns: u64,
-    /// Tells when the user wants to end.
+    /// Set when the user wants to end.
     pub(crate) shutdown: Shutdown,
     drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
-    /// How many stands there were.
-    pub(crate) stands: AtomicU32,
+    /// How many test benches there were.
+    pub(crate) benches: AtomicU32,
 }
 
-/// How a stand is set up.
+/// How a test bench is set up.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Setup {
     /// The drive that is played.
     pub(crate) course: Course,
     /// Whether time is simulated.
     pub(crate) lockstep: bool,
-    /// How long the candidate goes on without a directive [ns].
+    /// How long the candidate may run without a directive [ns].
     pub(crate) orphan_ns: u64,
     /// The first scan that is played.
     pub(crate) first_scan: u64,
@@ -50,7 +50,7 @@ impl Suite {
     pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
         let shutdown = Shutdown::on_signals()?;
         sweep()?;
-        Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), stands: AtomicU32::new(0) })
+        Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), benches: AtomicU32::new(0) })
     }
 
     /// A recorded drive.
@@ -86,7 +86,7 @@ fn sweep() -> anyhow::Result<()> {
         if pid.is_some_and(|pid| runtime::start_ticks(pid).is_none())
             && let Ok(lock) = SystemLock::take(&domain)
         {
-            // What still runs is ended; giving the lock back removes the files.
+            // Ends processes that still run; releasing the lock removes the files.
             clear(&domain, lock)?;
         }
     }

@@ -14,7 +14,7 @@ pub(crate) enum Trouble {
     Failed(String),
     /// The requirement does not apply to it.
     Skipped(String),
-    /// The suite itself could not go on.
+    /// The suite itself could not continue.
     Broken(anyhow::Error),
 }
 
@@ -38,7 +38,12 @@ impl From<std::io::Error> for Trouble {
 
 /// Fails the case with `reason` unless `holds`.
 pub(crate) fn require(holds: bool, reason: impl FnOnce() -> String) -> Result<(), Trouble> {
-    if holds { Ok(()) } else { Err(Trouble::Failed(reason())) }
+    if holds { Ok(()) } else { failed(reason()) }
+}
+
+/// What was measured: the case passes with it if the requirement `holds`, else it fails with it.
+pub(crate) fn passed_if(holds: bool, measured: String) -> Verdict {
+    if holds { Ok(measured) } else { failed(measured) }
 }
 
 /// Fails the case.

@@ -1,4 +1,4 @@
-//! What was seen of a trial from outside.
+//! What was observed of a trial from outside.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use report::Report;
 use super::program::Ended;
 use super::wheels::{Change, Point};
 
-/// All that was seen of a trial.
+/// All that was observed of a trial.
 #[derive(Debug, Default)]
 pub struct Evidence {
     /// The run has driven before anything was done to it.
@@ -18,17 +18,17 @@ pub struct Evidence {
     pub ends_ns: Vec<u64>,
     /// Times in which no orchestrator lived or ran [ns of CLOCK_MONOTONIC].
     pub silences: Vec<Silence>,
-    /// A robot was sent a signal that leaves it no time.
+    /// A robot was sent a signal that ends it at once.
     pub robot_killed: bool,
-    /// Something took processors by real-time priority.
+    /// A load had real-time priority.
     pub fifo: bool,
     /// What the robot of each run did, by the folder of its results.
     pub drives: Vec<Drive>,
     /// The truth of the first run.
     pub truth: Vec<Point>,
-    /// What is left on the machine, in words.
+    /// Descriptions of what is left on the machine.
     pub left: Vec<String>,
-    /// Text of all logs that tell of a panic.
+    /// Text of all logs with a panic.
     pub panics: Vec<String>,
     /// Actions that were not possible, with the reason.
     pub skipped: Vec<String>,
@@ -41,7 +41,7 @@ pub struct Evidence {
 pub struct Silence {
     /// It was killed or stopped.
     pub from_ns: u64,
-    /// Another one came, or it goes on; 0 while it lasts.
+    /// When another one started, or it continued; 0 while it lasts.
     pub to_ns: u64,
 }
 

@@ -11,7 +11,7 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 pub const SHARED_MEMORY: &str = "/dev/shm";
 /// Any directory that is there on all machines; another one is mounted over it for the trials alone.
 const SYSTEMS: &str = "/mnt";
-/// Says that this program has file systems of its own.
+/// Variable that is set where this program has file systems of its own.
 const INSIDE: &str = "SCANLOOP_OPERATOR_INSIDE";
 
 /// Starts this program again with the same arguments and file systems of its own, where that is permitted; returns
@@ -56,13 +56,16 @@ impl Ballast {
         }
         let place = Path::new(if shared { SHARED_MEMORY } else { SYSTEMS });
         let path = place.join("ballast");
-        let said = |error: &dyn std::fmt::Display| format!("{}: {error}", place.display());
-        let file =
-            OpenOptions::new().create_new(true).write(true).open(&path).map_err(|error| said(&error))?;
+        let with_place = |error: &dyn std::fmt::Display| format!("{}: {error}", place.display());
+        let file = OpenOptions::new()
+            .create_new(true)
+            .write(true)
+            .open(&path)
+            .map_err(|error| with_place(&error))?;
         let ballast = Self(path);
-        let found = statvfs(place).map_err(|error| said(&error))?;
+        let found = statvfs(place).map_err(|error| with_place(&error))?;
         if let Some(bytes) = (found.f_bavail * found.f_frsize).checked_sub(free).filter(|bytes| *bytes > 0) {
-            fallocate(&file, FallocateFlags::empty(), 0, bytes).map_err(|error| said(&error))?;
+            fallocate(&file, FallocateFlags::empty(), 0, bytes).map_err(|error| with_place(&error))?;
         }
         Ok(ballast)
     }

@@ -268,12 +268,12 @@ mod tests {
     fn a_seed_always_gives_the_same_plan_and_seeds_give_all_kinds_of_action() {
         assert_eq!(Plan::of(7), Plan::of(7));
         let plans: Vec<Plan> = (0..500).map(Plan::of).collect();
-        let first_words: std::collections::BTreeSet<String> = plans
+        let actions: std::collections::BTreeSet<String> = plans
             .iter()
             .flat_map(|plan| &plan.steps)
             .map(|(_, action)| format!("{action:?}").split('(').next().unwrap_or_default().to_owned())
             .collect();
-        assert_eq!(first_words.len(), 12, "{first_words:?}");
+        assert_eq!(actions.len(), 12, "{actions:?}");
         assert!(plans.iter().all(|plan| (1..=3).contains(&plan.steps.len())));
     }
 }

@@ -1,4 +1,4 @@
-//! Programs that a trial has started: when they began and ended, how, and what they said.
+//! Programs that a trial has started: when they began and ended, how, and what they printed.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus};
@@ -37,7 +37,7 @@ pub struct Ended {
     /// Signals that the trial sent to it.
     pub sent: Vec<i32>,
     /// What it wrote to standard error, if that was a file.
-    pub said: String,
+    pub printed: String,
     /// Where its results are, if it was an orchestrator.
     pub out: Option<PathBuf>,
 }
@@ -48,7 +48,7 @@ impl Ended {
         self.ended_ns.checked_sub(self.began_ns).map(|ns| ns as f64 * 1e-9)
     }
 
-    /// How it ended, in words.
+    /// Describes how it ended.
     pub fn how(&self) -> String {
         match (self.code, self.signal) {
             (Some(code), _) => format!("exit {code}"),
@@ -100,7 +100,7 @@ impl Program {
             code: ended.and_then(|(_, status)| status.code()),
             signal: ended.and_then(|(_, status)| status.signal()),
             sent: self.signals.iter().map(|signal| signal.as_raw()).collect(),
-            said: String::from_utf8_lossy(&std::fs::read(&self.stderr).unwrap_or_default()).into_owned(),
+            printed: String::from_utf8_lossy(&std::fs::read(&self.stderr).unwrap_or_default()).into_owned(),
             out: self.out.clone(),
         }
     }

@@ -16,7 +16,7 @@ use super::program::Program;
 use super::{socket, wheels};
 use crate::{System, fill, pause};
 
-/// A run that starts at all drives within this time on a busy machine [ns].
+/// A run drives within this time on a busy machine, if it starts [ns].
 const START_NS: u64 = 20_000_000_000;
 /// After a stop all processes and files are gone within this time [ns].
 const GONE_NS: u64 = 45_000_000_000;
@@ -24,21 +24,21 @@ const GONE_NS: u64 = 45_000_000_000;
 const CRASHED_NS: u64 = 12_000_000_000;
 /// A run that began while another was stopped is waited for this long before it is stopped too [ns].
 const LATE_NS: u64 = 16_000_000_000;
-/// Calls of `stop` at the end when runs may begin meanwhile; one is enough otherwise.
+/// Calls of `stop` at the end when a run may begin between them; one is enough otherwise.
 const ROUNDS: usize = 3;
 /// A process that a signal stops is stopped within this time [ns].
 const STOPPED_NS: u64 = 200_000_000;
-/// Time between two looks at the files of the run [ns].
+/// Time between two polls of the files of the run [ns].
 const POLL_NS: u64 = 20_000_000;
-/// Signals that leave a process no time to do anything.
+/// Signals that end a process at once.
 const SUDDEN: [Signal; 5] = [Signal::KILL, Signal::ABORT, Signal::SEGV, Signal::BUS, Signal::ILL];
-/// Signals upon which an orchestrator stops its run.
+/// Signals after which an orchestrator stops its run.
 const STOPPING: [Signal; 6] =
     [Signal::TERM, Signal::INT, Signal::HUP, Signal::SEGV, Signal::BUS, Signal::ILL];
-/// Signals after which an orchestrator is silent and its run goes on.
+/// Signals after which an orchestrator is silent and its robot drives on.
 const SILENCING: [Signal; 4] = [Signal::KILL, Signal::ABORT, Signal::STOP, Signal::TSTP];
 
-/// Does what a plan says; the system, with all files of the trial, and what was seen.
+/// Performs a plan; returns the system, with all files of the trial, and what was seen.
 pub fn drive(executable: &str, plan: &Plan) -> (System, Evidence) {
     let mut trial = Trial::new(System::new(executable), plan);
     trial.start(plan);
@@ -61,7 +61,7 @@ struct Trial {
     /// Ends of pipes that are not read.
     unread: Vec<OwnedFd>,
     ballasts: Vec<Ballast>,
-    looked_ns: u64,
+    polled_ns: u64,
     /// Something was done to an orchestrator that may keep it from its work.
     touched: bool,
     seen: Evidence,
@@ -80,7 +80,7 @@ impl Trial {
             observer: None,
             unread: Vec::new(),
             ballasts: Vec::new(),
-            looked_ns: 0,
+            polled_ns: 0,
             touched: false,
             seen: Evidence::default(),
         }
@@ -168,9 +168,9 @@ impl Trial {
         for program in &mut self.programs {
             program.runs();
         }
-        if monotonic_ns() > self.looked_ns + POLL_NS {
+        if monotonic_ns() > self.polled_ns + POLL_NS {
             let _ = self.system.find();
-            self.looked_ns = monotonic_ns();
+            self.polled_ns = monotonic_ns();
         }
         pause();
     }
@@ -251,7 +251,7 @@ impl Trial {
             self.seen.ends_ns.push(sent_ns);
         }
         let pid = self.programs[index].pid();
-        if SILENCING.contains(&signal) && (signal != Signal::TSTP || self.stands_still(pid)) {
+        if SILENCING.contains(&signal) && (signal != Signal::TSTP || self.is_stopped(pid)) {
             self.seen.silences.push(Silence { from_ns: sent_ns, to_ns: 0 });
         }
         self.touched |= signal != Signal::CONT;
@@ -260,8 +260,8 @@ impl Trial {
         }
     }
 
-    /// Whether a process was stopped: SIGTSTP does nothing to one whose terminal is gone.
-    fn stands_still(&mut self, pid: i32) -> bool {
+    /// Whether a process was stopped: SIGTSTP has no effect on one without a terminal.
+    fn is_stopped(&mut self, pid: i32) -> bool {
         let deadline_ns = monotonic_ns() + STOPPED_NS;
         let state = || std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
         while !state().contains("(stopped)") {
@@ -273,7 +273,7 @@ impl Trial {
         true
     }
 
-    /// An orchestrator may speak from now on.
+    /// An orchestrator may publish directives from now on.
     fn speaks_again(&mut self) {
         let now_ns = monotonic_ns();
         self.seen.silences.iter_mut().filter(|silence| silence.to_ns == 0).for_each(|silence| {
@@ -329,7 +329,7 @@ impl Trial {
         let mut files = files_of(&run_id);
         files.retain(|path| path.is_file());
         files.retain(|path| {
-            let is = |ending: &str| path.extension().is_some_and(|found| found == ending);
+            let is = |extension: &str| path.extension().is_some_and(|found| found == extension);
             is("dynamic") || is("connection")
         });
         files.sort();
@@ -442,7 +442,7 @@ impl Trial {
         !runs && self.system.processes().is_empty()
     }
 
-    /// What is left of the system, in words.
+    /// Describes what is left of the system.
     fn left(&mut self) -> Vec<String> {
         self.poll();
         let mut left: Vec<String> = Vec::new();
@@ -484,12 +484,12 @@ fn ignores_hangup() -> bool {
     ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
 }
 
-/// Lines of a panic, in what was said and in all logs.
+/// Lines of a panic, in what was printed and in all logs.
 fn panics(folders: &[PathBuf], seen: &Evidence) -> Vec<String> {
     let logs = folders.iter().filter_map(|folder| std::fs::read_dir(folder.join("logs")).ok());
     let logs = logs.flatten().flatten().map(|entry| std::fs::read(entry.path()).unwrap_or_default());
     let texts = logs.map(|text| String::from_utf8_lossy(&text).into_owned());
-    let texts = texts.chain(seen.programs.iter().map(|program| program.said.clone()));
+    let texts = texts.chain(seen.programs.iter().map(|program| program.printed.clone()));
     let lines = texts.flat_map(|text| text.lines().map(str::to_owned).collect::<Vec<_>>());
     lines.filter(|line| line.contains("panicked at")).collect()
 }
@@ -510,7 +510,7 @@ fn line_of(pid: i32) -> String {
 fn named(system_id: &str) -> Vec<i32> {
     let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
     let pids = entries.flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    pids.filter(|pid| line_of(*pid).split(' ').any(|word| word == system_id)).collect()
+    pids.filter(|pid| line_of(*pid).split(' ').any(|argument| argument == system_id)).collect()
 }
 
 /// The command with a limit of open files.

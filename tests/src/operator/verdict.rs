@@ -1,4 +1,4 @@
-//! The judgement of a trial: what was wrong, in sentences. Pure.
+//! The judgement of a trial: a sentence for each fault. Pure.
 
 use emulator::Outcome;
 
@@ -7,7 +7,7 @@ use super::plan::{Output, Plan};
 use super::program::Ended;
 use super::wheels::{State, state_at};
 
-/// What the start and the end of a command may take longer on a busy machine [ns].
+/// Additional time for the start and the end of a command on a busy machine [ns].
 const BUSY_NS: u64 = 1_000_000_000;
 /// Wheels that were blocked at 2 m/s rest after v / a [ns].
 const SLIDE_NS: u64 = 400_000_000;
@@ -15,9 +15,9 @@ const SLIDE_NS: u64 = 400_000_000;
 const SCHEDULED_NS: u64 = 500_000_000;
 /// Wheels never turn for longer than this many scan periods without an actuation.
 const BLIND_PERIODS: f64 = 3.0;
-/// Exit codes of the public interface that an orchestrator may end with, but for a collision and an internal error.
+/// Exit codes that an orchestrator may end with: all but those of a collision and of an internal error.
 const CODES: [i32; 4] = [0, 1, 2, 4];
-/// What the standard library, a signal of the processor and an abort leave.
+/// Exit codes and signals of a panic, of a fault of the processor and of an abort.
 const CRASHES: [i32; 4] = [4, 6, 7, 11];
 /// SIGKILL.
 const KILL: i32 = 9;
@@ -29,9 +29,9 @@ pub fn stop_limit_ns(period_ns: u64) -> u64 {
     1_000_000_000.max(300_000_000 + 2 * period_ns)
 }
 
-/// After how many milliseconds wheels were blocked, as `stop` said.
-pub fn blocked_after_ms(said: &str) -> Option<f64> {
-    said.split_once("wheels blocked after ")?.1.split_once(" ms")?.0.parse().ok()
+/// After how many milliseconds wheels were blocked, as `stop` printed.
+pub fn blocked_after_ms(printed: &str) -> Option<f64> {
+    printed.split_once("wheels blocked after ")?.1.split_once(" ms")?.0.parse().ok()
 }
 
 /// All that was wrong in a trial.
@@ -64,16 +64,16 @@ fn judge_stop(plan: &Plan, seen: &Evidence, stop: &Ended, found: &mut Vec<String
         }
         Some(_) => {}
     }
-    let said = stop.said.trim();
+    let printed = stop.printed.trim();
     let is_true = match stop.code {
-        Some(0) => said.contains("is stopped: wheels blocked after"),
-        Some(2) => said.contains("is not running") && !drives_later(plan, seen, stop),
+        Some(0) => printed.contains("is stopped: wheels blocked after"),
+        Some(2) => printed.contains("is not running") && !drives_later(plan, seen, stop),
         // Without a processor nothing is acknowledged.
-        Some(4) => seen.fifo && said.contains("alive: "),
+        Some(4) => seen.fifo && printed.contains("alive: "),
         _ => false,
     };
     if !is_true {
-        found.push(format!("stop ended with {:?}: {said}", stop.code));
+        found.push(format!("stop ended with {:?}: {printed}", stop.code));
     }
 }
 
@@ -143,7 +143,7 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
     }
 }
 
-/// Times in which the wheels must not turn because no orchestrator has spoken for long [ns].
+/// Times in which the wheels must not turn because of a long time without directives [ns].
 fn long_silences(plan: &Plan, seen: &Evidence) -> Vec<(u64, u64)> {
     let rest_ns = (plan.orphan_stop_s * 1e9) as u64 + SLIDE_NS + 3 * plan.period_ns() + SCHEDULED_NS;
     let end_ns = |silence: &Silence| if silence.to_ns == 0 { seen.over_ns } else { silence.to_ns };
@@ -174,7 +174,7 @@ fn judge_truth(plan: &Plan, seen: &Evidence, found: &mut Vec<String>) {
     }
 }
 
-/// Each program ended as it may, and says the truth.
+/// Each program ended as it may, and printed the truth.
 fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<String>) {
     if program.name == "stop" {
         return;
@@ -188,18 +188,18 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
             // `stop` ends one that does not respond.
             || (signal == KILL && (was_silent || plan.damages()));
         if !is_known {
-            found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.said)));
+            found.push(format!("{name} was ended by signal {signal}: {}", last_line(&program.printed)));
         }
         let is_file = plan.output == Output::File || program.began_ns > first_began(seen);
         let expected = LAST_LINES.iter().find(|(number, _)| *number == signal);
         let had_begun = program.ended_ns > program.began_ns + SCHEDULED_NS;
-        if let Some((_, word)) =
+        if let Some((_, cause)) =
             expected.filter(|_| is_orchestrator && had_begun && is_file && !plan.damages())
-            && !(program.said.contains(word) && program.said.contains("wheels are blocked"))
+            && !(program.printed.contains(cause) && program.printed.contains("wheels are blocked"))
         {
             found.push(format!(
-                "{name} did not say that it was ended by {word}: {}",
-                last_line(&program.said)
+                "{name} did not say that it was ended by {cause}: {}",
+                last_line(&program.printed)
             ));
         }
         return;
@@ -209,7 +209,7 @@ fn judge_end(plan: &Plan, seen: &Evidence, program: &Ended, found: &mut Vec<Stri
     };
     let is_crash = plan.damages() && [5, 101].contains(&code);
     if !CODES.contains(&code) && !is_crash {
-        found.push(format!("{name} ended with exit code {code}: {}", last_line(&program.said)));
+        found.push(format!("{name} ended with exit code {code}: {}", last_line(&program.printed)));
     }
     if is_orchestrator && program.began_ns == first_began(seen) {
         judge_report(seen, program, code, found);
@@ -220,7 +220,7 @@ fn first_began(seen: &Evidence) -> u64 {
     seen.programs.first().map_or(0, |program| program.began_ns)
 }
 
-/// The report of the first orchestrator says what its exit code says.
+/// The report of the first orchestrator agrees with its exit code.
 fn judge_report(seen: &Evidence, program: &Ended, code: i32, found: &mut Vec<String>) {
     let drive = seen.drives.iter().find(|drive| Some(&drive.folder) == program.out.as_ref());
     let Some(report) = drive.and_then(|drive| drive.report.as_ref()) else {
@@ -240,8 +240,8 @@ fn judge_report(seen: &Evidence, program: &Ended, code: i32, found: &mut Vec<Str
     }
 }
 
-fn last_line(said: &str) -> &str {
-    said.trim().lines().last().unwrap_or("(nothing said)")
+fn last_line(printed: &str) -> &str {
+    printed.trim().lines().last().unwrap_or("(nothing said)")
 }
 
 #[cfg(test)]
@@ -272,7 +272,7 @@ mod tests {
             began_ns: 10 * SECOND,
             ended_ns: 10 * SECOND + SECOND / 2,
             code: Some(0),
-            said: "system `a` is stopped: wheels blocked after 4 ms, and it has ended".to_owned(),
+            printed: "system `a` is stopped: wheels blocked after 4 ms, and it has ended".to_owned(),
             ..Ended::default()
         };
         let change = |at_ns, wheels| Change { at_ns, wheels };
@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn a_drive_that_rests_after_its_stop_is_good() {
         assert_eq!(problems(&plan(), &good()), Vec::<String>::new());
-        assert_eq!(blocked_after_ms(&good().programs[1].said), Some(4.0));
+        assert_eq!(blocked_after_ms(&good().programs[1].printed), Some(4.0));
     }
 
     /// Makes evidence of a good trial that of a bad one.

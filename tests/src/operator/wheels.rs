@@ -1,4 +1,4 @@
-//! What the wheels did: by the log of the emulator, and by the truth that an observer wrote down.
+//! What the wheels did, from the log of the emulator and from the truth that an observer recorded.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub enum State {
     Turning,
     /// They are blocked, and the robot slides.
     Blocked,
-    /// They are blocked, and the robot stands.
+    /// They are blocked, and the robot is at rest.
     Resting,
 }
 

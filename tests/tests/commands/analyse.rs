@@ -13,7 +13,7 @@ struct Answer {
     data: Value,
 }
 
-/// Runs an analysis with `--json` and checks that it has drawn its picture and told its definition.
+/// Runs an analysis with `--json` and checks that it has drawn its picture and printed its definition.
 fn ask(arguments: &[&str]) -> Answer {
     let system = System::new(EXECUTABLE);
     let all = [&["analyse"], arguments, &["--json", "--out", "pictures"]].concat();
@@ -70,7 +70,7 @@ fn six_intervals_are_found_by_the_definition_of_the_source() {
     let worst = &answer.data["worst_controls"][0];
     assert!((worst["velocity_mps"].as_f64().unwrap() - 1.0).abs() < 1e-6, "{worst}");
     assert!((worst["steering_rad"].as_f64().unwrap().abs() - 0.06).abs() < 1e-6, "{worst}");
-    // The other definitions are told too, and none but those of held positions is near the tolerance.
+    // The other definitions are printed too, and none but those of held positions is near the tolerance.
     let others = answer.data["other_definitions"].as_array().unwrap();
     assert_eq!(others.len(), 6);
     let largest = |error: &str, controls: &str| {

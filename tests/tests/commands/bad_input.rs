@@ -192,13 +192,13 @@ fn a_command_that_does_not_exist_ends_the_run_with_its_name() {
 }
 
 #[test]
-fn a_process_that_dies_at_start_three_times_ends_the_run_with_its_last_words() {
+fn a_process_that_dies_at_start_three_times_ends_the_run_with_its_last_log_lines() {
     let system = System::new(EXECUTABLE);
     failing(&system, "command = [\"sh\", \"-c\", \"echo no camera found; exit 7\"]", "no camera found");
 }
 
-/// A system whose controller does not come up ends with exit code 4 and says why.
-fn failing(system: &System, controller: &str, words: &str) {
+/// A system whose controller does not come up ends with exit code 4 and the reason.
+fn failing(system: &System, controller: &str, expected: &str) {
     let file = system.folder().join("system.toml");
     let text = format!(
         "[[process]]\nrole = \"robot\"\nimplementation = \"emulator\"\n\
@@ -211,7 +211,7 @@ fn failing(system: &System, controller: &str, words: &str) {
     let output = system.run(&["run", "--quiet", "--system", "system.toml"]);
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(4), "{message}");
-    assert!(message.contains(words), "{message}");
+    assert!(message.contains(expected), "{message}");
     system.assert_nothing_left();
 }
 

@@ -8,7 +8,7 @@ use serde_json::Value;
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-role");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-role");
 
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
@@ -22,7 +22,7 @@ fn bench(system: &System, arguments: &[&str]) -> (Value, String) {
     (serde_json::from_slice(&output.stdout).unwrap(), stderr(&output))
 }
 
-fn assert_accounted_for(results: &Value) {
+fn assert_nothing_unexplained(results: &Value) {
     let count = |key: &str| results[key].as_u64().unwrap_or_else(|| panic!("{key}: {results}"));
     assert!(count("published") >= 60 && count("commanded") > 0, "{results}");
     assert_eq!(count("published"), count("commanded") + count("lost") + count("unaccounted"));
@@ -38,7 +38,7 @@ fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
     let system = System::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--out", "measured"]);
     system.assert_nothing_left();
-    assert_accounted_for(&results);
+    assert_nothing_unexplained(&results);
     for stage in ["estimator", "obstacles", "controller", "actuator"] {
         assert_eq!(results["stages_us"][stage]["count"], results["commanded"], "{stage}");
     }
@@ -54,8 +54,8 @@ fn the_pipeline_is_measured_and_the_files_are_those_that_tools_read() {
     assert!(results["stamps_us_per_stage"].as_f64().unwrap() > 0.0);
     assert_eq!(results["profile"], scanloop_tests::PROFILE);
     assert!(text.contains(&format!("built with the profile `{}`", scanloop_tests::PROFILE)), "{text}");
-    for words in ["scan to actuation", "corrected", "wake-up noise", "smallest visible", "profile"] {
-        assert!(text.contains(words), "{words}: {text}");
+    for expected in ["scan to actuation", "corrected", "wake-up noise", "smallest visible", "profile"] {
+        assert!(text.contains(expected), "{expected}: {text}");
     }
 
     let read = |name: &str| std::fs::read_to_string(system.folder().join("measured").join(name)).unwrap();
@@ -97,7 +97,7 @@ fn the_chain_without_compute_carries_any_payload_under_load() {
     let system = System::new(EXECUTABLE);
     let (results, text) = bench(&system, &["--compute", "none", "--payload", "100000", "--load"]);
     system.assert_nothing_left();
-    assert_accounted_for(&results);
+    assert_nothing_unexplained(&results);
     assert_eq!(
         (&results["compute"], &results["payload_bytes"]),
         (&Value::from("none"), &Value::from(100_000))
@@ -130,7 +130,7 @@ fn real_time_processes_on_one_processor_run_or_are_refused_with_the_way_out() {
 fn a_sample_that_nothing_explains_makes_no_measurement() {
     let system = System::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
-    std::fs::write(&file, system_file(100, &[Role::Estimator], ODD, &["drop", "pose", "20"])).unwrap();
+    std::fs::write(&file, system_file(100, &[Role::Estimator], FAULTY, &["drop", "pose", "20"])).unwrap();
     let arguments = ["bench", "latency", "--rate", "100", "--duration", "1", "--quiet", "--json", "--system"];
     let output = system.run(&[&arguments[..], &[file.to_str().unwrap()]].concat());
     system.assert_nothing_left();
@@ -143,7 +143,7 @@ fn a_sample_that_nothing_explains_makes_no_measurement() {
 #[test]
 fn what_is_not_allowed_is_named() {
     let system = System::new(EXECUTABLE);
-    for (arguments, words) in [
+    for (arguments, expected) in [
         (&["latency", "--rate", "2000"][..], "--rate 2000 is not allowed: 0.5 to 1000"),
         (&["latency", "--payload", "100"], "--payload 100 is not allowed with --compute real"),
         (&["latency", "--cpu", "1-0"], "--cpu 1-0 is not allowed"),
@@ -158,7 +158,7 @@ fn what_is_not_allowed_is_named() {
     ] {
         let output = system.run(&[&["bench"], arguments].concat());
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
-        assert!(stderr(&output).contains(words), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(expected), "{arguments:?}: {}", stderr(&output));
     }
     let output = system.run(&["bench", "compare", "--ab", "true", "exit 3", "--metric", "wall"]);
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));

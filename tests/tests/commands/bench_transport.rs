@@ -19,7 +19,7 @@ fn names(rows: &Value) -> Vec<&str> {
 }
 
 /// Every message of a row was either received and timed, or is counted as lost.
-fn assert_accounted(rows: &Value, sent: u64) {
+fn assert_explained(rows: &Value, sent: u64) {
     for row in rows.as_array().unwrap() {
         let (received, lost) = (row["latency_us"]["count"].as_u64().unwrap(), row["lost"].as_u64().unwrap());
         assert_eq!(row["sent"], sent, "{row}");
@@ -50,8 +50,8 @@ fn every_contender_of_ours_carries_the_pipelines_samples_under_both_policies() {
         ["iceoryx2", "iceoryx2-listener", "floor", "floor-futex", "unix-socket"]
     );
     assert_eq!(names(&results["polling"]), ["iceoryx2", "floor", "floor-futex", "unix-socket"]);
-    assert_accounted(&results["transports"], 30);
-    assert_accounted(&results["polling"], 30);
+    assert_explained(&results["transports"], 30);
+    assert_explained(&results["polling"], 30);
     assert_eq!((&results["rate_hz"], &results["profile"]), (&100.0.into(), &scanloop_tests::PROFILE.into()));
     assert_eq!(results["hops"], 4);
     assert_eq!(results["scheduling"], "other");
@@ -76,7 +76,7 @@ fn large_messages_arrive_whole_over_every_contender_of_ours() {
         let expected = if payload == "1k" { 1024 } else { 1_048_576 };
         assert_eq!(results["payload_bytes"], expected);
         assert!(results.get("polling").is_none(), "one policy was asked for: {results}");
-        assert_accounted(&results["transports"], 15);
+        assert_explained(&results["transports"], 15);
     }
 }
 
@@ -92,17 +92,17 @@ fn several_rates_give_a_list_and_all_processes_stay_where_they_are_pinned() {
     for one in list {
         assert_eq!((&one["policy"], &one["load"]), (&Value::from("poll"), &Value::from(false)));
         assert_eq!(one["cpus"], Value::from(vec![first_processor()]));
-        assert_accounted(&one["transports"], 6);
+        assert_explained(&one["transports"], 6);
     }
 }
 
 #[test]
-fn a_loaded_machine_is_said() {
+fn a_loaded_machine_is_reported() {
     let system = System::new(EXECUTABLE);
     let options = "--peers floor --rate 100 --samples 3 --rounds 3 --policy block --load";
     let (results, text) = bench(&system, &options.split(' ').collect::<Vec<_>>());
     assert_eq!(results["load"], true);
-    assert_accounted(&results["transports"], 3);
+    assert_explained(&results["transports"], 3);
     assert!(text.contains("every processor busy"), "{text}");
 }
 
@@ -125,7 +125,7 @@ fn peers_that_are_not_built_are_skipped_with_the_command_that_builds_them() {
 #[test]
 fn wrong_options_are_refused_with_what_is_allowed() {
     let system = System::new(EXECUTABLE);
-    for (arguments, words) in [
+    for (arguments, parts) in [
         (["--peers", "dds"], ["unknown peer `dds`", "zenoh-shm"]),
         (["--rate", "0"], ["--rate", "0.5 to 5000"]),
         (["--payload", "1000"], ["--payload", "4194304"]),
@@ -135,7 +135,7 @@ fn wrong_options_are_refused_with_what_is_allowed() {
         let output = system.run(&[&["bench", "transport"], &arguments[..]].concat());
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(words.iter().all(|word| message.contains(word)), "{words:?}: {message}");
+        assert!(parts.iter().all(|part| message.contains(part)), "{parts:?}: {message}");
     }
     let output = system.run(&["bench", "transport", "--help"]);
     assert_eq!(output.status.code(), Some(0));

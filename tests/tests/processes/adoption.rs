@@ -1,4 +1,4 @@
-//! The orchestrator is killed: the robot drives on, another one takes over, or all comes to rest and ends by itself.
+//! The orchestrator is killed: the robot drives on and is adopted, or it comes to rest and all processes end.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::process::{Command, Stdio};
@@ -6,12 +6,12 @@ use std::process::{Command, Stdio};
 use emulator::Outcome;
 use report::Report;
 use rustix::process::Signal;
-use scanloop_tests::{System, Watch};
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System, Watch};
 use session::control::Status;
 use shared_types::{Role, Truth};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
 /// True wheels are blocked at the latest three scan periods after the last actuation.
 const MAX_BLIND_S: f64 = 0.3;
@@ -41,11 +41,6 @@ fn pid_of(status: &Status, role: Role) -> i32 {
     status.processes.iter().find(|process| process.role == role.name()).unwrap().pid
 }
 
-fn wait_for_truth(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
-    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
-    watch.newest().unwrap()
-}
-
 /// Waits for the end of an adopted run that reaches its goal.
 fn assert_reached(mut system: System) -> Report {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -65,14 +60,13 @@ fn stderr(output: &std::process::Output) -> String {
 #[test]
 fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     let before = pids(&system.status().unwrap());
     let watch = Watch::new(&system);
     system.kill_orchestrator();
-    let from = wait_for_truth(&system, &watch, "the truth goes on", |_| true);
-    let later = wait_for_truth(&system, &watch, "ten scans", |truth| {
-        truth.header.scan_id >= from.header.scan_id + 10
-    });
+    let from = watch.wait_for(&system, "the truth continues", |_| true);
+    let later =
+        watch.wait_for(&system, "ten scans", |truth| truth.header.scan_id >= from.header.scan_id + 10);
     assert!(later.blocked == 0 && later.speed_mps > 0.5 && later.x_m > from.x_m + 0.5, "{later:?}");
     system.adopt(&[]);
     assert_eq!(pids(&system.status().unwrap()), before);
@@ -85,7 +79,7 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
 
 #[test]
 fn an_adopted_run_is_supervised_like_any_other() {
-    // Roles that find back without the state of the one before: a busy machine takes longer than half a second.
+    // These roles recover without a state: on a busy machine it may be older than half a second.
     let (mut system, watch) = orphaned(&["endless", "--set", "timeout_s=600"]);
     system.adopt(&[]);
     let restarted = |system: &System, role: Role, before: i32| {
@@ -112,8 +106,8 @@ fn an_adopted_run_is_supervised_like_any_other() {
     restarted(&system, Role::Controller, controller);
     let swapped = system.run(&["swap", "actuator", "--to", "actuation", "--shadow-scans", "3"]);
     assert_eq!(swapped.status.code(), Some(0), "{}", stderr(&swapped));
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
-    // And once more, with processes of which some were adopted twice.
+    watch.wait_for(&system, "it drives", |truth| truth.blocked == 0 && truth.speed_mps > 0.5);
+    // Again, with processes of which some were adopted twice.
     let before = pids(&system.status().unwrap());
     system.kill_orchestrator();
     system.adopt(&[]);
@@ -132,15 +126,15 @@ fn an_adopted_run_is_supervised_like_any_other() {
 
 #[test]
 fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
-    let (mut system, watch) = orphaned(&["corridor"]);
+    let (mut system, watch) = orphaned(&SHORT_CORRIDOR);
     let controller = pid_of(&orphaned_status(&system), Role::Controller);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(controller, Signal::KILL);
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert!(blocked.longest_blind_s <= MAX_BLIND_S);
     system.adopt(&[]);
-    // The orchestrator that had its state is gone.
+    // Its state was lost with the orchestrator.
     let log = system.folder().join("out/logs/controller.log");
     system.wait_until("it says what it waits for", |_| {
         std::fs::read_to_string(&log).is_ok_and(|log| log.contains("the robot has to rest first"))
@@ -155,12 +149,12 @@ fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_
     // At 5 Hz a hang is found after 0.6 s; the state was young when it began.
     system.start(&["corridor", "--set", "rate_hz=5"]);
     let watch = Watch::new(&system);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let pid = system.pid(Role::Controller);
     system.signal(pid, Signal::STOP);
     let rests = |truth: &Truth| truth.blocked == 1 && truth.speed_mps == 0.0;
-    let rest = wait_for_truth(&system, &watch, "it rests", rests);
-    wait_for_truth(&system, &watch, "it drives again", |truth| {
+    let rest = watch.wait_for(&system, "it rests", rests);
+    watch.wait_for(&system, "it drives again", |truth| {
         truth.header.scan_id > rest.header.scan_id && truth.blocked == 0 && truth.speed_mps > 0.5
     });
     let log = std::fs::read_to_string(system.folder().join("out/logs/controller.log")).unwrap();
@@ -174,7 +168,7 @@ fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_
 }
 
 #[test]
-fn there_is_nothing_to_adopt_or_someone_drives_already() {
+fn adopt_is_refused_without_a_run_and_while_an_orchestrator_drives() {
     let mut system = System::new(EXECUTABLE);
     for arguments in [["adopt", "--quiet"], ["run", "--adopt"]] {
         let output = system.run(&arguments);
@@ -199,11 +193,11 @@ fn there_is_nothing_to_adopt_or_someone_drives_already() {
 
 #[test]
 fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
-    let (mut system, watch) = orphaned(&["corridor"]);
+    let (mut system, watch) = orphaned(&SHORT_CORRIDOR);
     let controller = pid_of(&orphaned_status(&system), Role::Controller);
     system.signal(controller, Signal::KILL);
-    wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
-    // What is left of it in the list now names a process of another system, with its true start time.
+    watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
+    // Its entry in the list now names a process of another system, with its true start time.
     let mut stranger = Command::new("sleep");
     stranger.arg("600").env("SCANLOOP_RUN_ID", "anotherrun").env("SCANLOOP_INCARNATION", "4");
     let mut stranger = stranger.stdin(Stdio::null()).spawn().unwrap();
@@ -215,9 +209,9 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     std::fs::write(&list, format!("{before}pid = {}\nstart_ticks = {ticks}\n{after}", stranger.id()))
         .unwrap();
     system.adopt(&[]);
-    let said = system.stderr();
+    let printed = system.stderr();
     let name = format!("controller: process {} is a stranger: its SCANLOOP_RUN_ID is", stranger.id());
-    assert!(said.contains(&name), "{said}");
+    assert!(printed.contains(&name), "{printed}");
     assert!(
         system.status().unwrap().processes.iter().all(|process| process.pid != stranger.id().cast_signed())
     );
@@ -228,9 +222,9 @@ fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
     stranger.wait().unwrap();
 }
 
-/// Kills the orchestrator when the exchange of the controller is as far as `state` says; returns both process ids,
+/// Kills the orchestrator when the swap of the controller has reached this state; returns both process ids,
 /// the one in charge first.
-fn kill_within_exchange(system: &mut System, state: &str) -> [i32; 2] {
+fn kill_within_swap(system: &mut System, state: &str) -> [i32; 2] {
     let mut swap = system.command(&["swap", "controller", "--to", "nmpc", "--standby-scans", "50"]);
     let mut swap = swap.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let rows = |system: &System| -> Vec<(i32, String)> {
@@ -245,29 +239,33 @@ fn kill_within_exchange(system: &mut System, state: &str) -> [i32; 2] {
     [rows[0].0, rows[1].0]
 }
 
+/// A swap whose orchestrator was killed in this state ends with the process in charge.
+fn ends_with_the_process_in_charge(state: &str) {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&SHORT_CORRIDOR);
+    let [in_charge, other] = kill_within_swap(&mut system, state);
+    system.adopt(&[]);
+    assert_eq!(system.pid(Role::Controller), in_charge);
+    system.wait_until("the other one has ended", |system| !system.processes().contains(&other));
+    assert!(system.stderr().contains(&format!("controller {other} fills no role")), "{}", system.stderr());
+    let report = assert_reached(system);
+    assert_eq!((report.scans.lost, report.scans.duplicates), (0, 0), "{:?}", report.scans);
+}
+
 #[test]
-fn an_exchange_that_lost_its_orchestrator_ends_with_who_is_in_charge() {
-    for state in ["shadow", "standby"] {
-        let mut system = System::new(EXECUTABLE);
-        system.start(&["corridor"]);
-        let [in_charge, other] = kill_within_exchange(&mut system, state);
-        system.adopt(&[]);
-        assert_eq!(system.pid(Role::Controller), in_charge, "{state}");
-        system.wait_until("the other one has ended", |system| !system.processes().contains(&other));
-        assert!(
-            system.stderr().contains(&format!("controller {other} fills no role")),
-            "{}",
-            system.stderr()
-        );
-        let report = assert_reached(system);
-        assert_eq!((report.scans.lost, report.scans.duplicates), (0, 0), "{state}: {:?}", report.scans);
-    }
+fn a_swap_that_lost_its_orchestrator_in_shadow_ends_with_the_process_in_charge() {
+    ends_with_the_process_in_charge("shadow");
+}
+
+#[test]
+fn a_swap_that_lost_its_orchestrator_in_standby_ends_with_the_process_in_charge() {
+    ends_with_the_process_in_charge("standby");
 }
 
 #[test]
 fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
     let mut system = System::new(EXECUTABLE);
-    system.launch(&["run", "--quiet", "--out", "out", "free"], &[]);
+    system.launch(&[&["run", "--quiet", "--out", "out"], &SHORT_FREE[..]].concat(), &[]);
     system.wait_until("some process", |system| !system.processes().is_empty());
     system.wait_until("it was written down", |system| {
         system.find().is_some_and(|domain| domain.folder().contains(runtime::PROCESSES_FILE))
@@ -282,7 +280,7 @@ fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
 #[test]
 fn status_and_stop_work_without_an_orchestrator() {
     let (system, watch) = orphaned(&["corridor"]);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let status = orphaned_status(&system);
     assert_eq!((status.state.as_str(), status.scenario.as_str()), ("driverless", "corridor"));
     assert!(status.scan > 3);
@@ -297,7 +295,7 @@ fn status_and_stop_work_without_an_orchestrator() {
     assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
     let stopped = system.run(&["stop"]);
     assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));
-    let last = wait_for_truth(&system, &watch, "it rests", |truth| truth.speed_mps <= 0.0);
+    let last = watch.wait_for(&system, "it rests", |truth| truth.speed_mps <= 0.0);
     assert_eq!((last.blocked, last.speed_mps, last.collided), (1, 0.0, 0));
     assert!(last.longest_blind_s <= MAX_BLIND_S);
     drop(watch);
@@ -309,7 +307,7 @@ fn status_and_stop_work_without_an_orchestrator() {
 #[test]
 fn a_new_run_stops_the_robot_of_an_old_one_first() {
     let (system, watch) = orphaned(&["corridor"]);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let new = system.run(&["run", "--quiet", "--out", "new", "--lockstep", "free"]);
     assert_eq!(new.status.code(), Some(0), "{}", stderr(&new));
     assert!(stderr(&new).contains("an earlier run lost its orchestrator"), "{}", stderr(&new));
@@ -319,10 +317,10 @@ fn a_new_run_stops_the_robot_of_an_old_one_first() {
 }
 
 #[test]
-fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
+fn without_an_adoption_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
     let (system, watch) = orphaned(&["endless", "--set", "orphan_timeout_s=2"]);
-    wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
-    wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
+    watch.wait_for(&system, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
     system.wait_until("all processes have ended", |system| system.processes().is_empty());
     let last = watch.newest().unwrap();
     assert_eq!((last.blocked, last.collided), (1, 0));
@@ -344,11 +342,11 @@ fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
 fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans() {
     let (system, watch) = orphaned(&["corridor"]);
     let status = orphaned_status(&system);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
         system.signal(pid_of(&status, role), Signal::KILL);
     }
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (0, 0), "the actuator did it");
     assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");
@@ -360,9 +358,9 @@ fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans
 fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
     let (system, watch) = orphaned(&["corridor"]);
     let actuator = pid_of(&orphaned_status(&system), Role::Actuator);
-    wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(actuator, Signal::KILL);
-    let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
+    let blocked = watch.wait_for(&system, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 3, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (1, 0));
     assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");
@@ -371,9 +369,9 @@ fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
 }
 
 /// The built-in system with a controller that does `what`, and some keys more in its entry.
-fn with_odd_controller(system: &System, what: &[&str], keys: &str) -> String {
+fn with_faulty_controller(system: &System, what: &[&str], keys: &str) -> String {
     let path = system.folder().join("system.toml");
-    let command: Vec<String> = what.iter().map(|word| format!("{word:?}")).collect();
+    let command: Vec<String> = what.iter().map(|argument| format!("{argument:?}")).collect();
     let roles =
         [("robot", "emulator"), ("estimator", "ekf"), ("obstacles", "ellipses"), ("actuator", "actuation")];
     let mut text = String::new();
@@ -385,10 +383,10 @@ fn with_odd_controller(system: &System, what: &[&str], keys: &str) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// Runs with such a controller until the run fails because of it; returns what was said.
+/// Runs with such a controller until the run fails because of it; returns standard error.
 fn fails(what: &[&str], keys: &str) -> String {
     let mut system = System::new(EXECUTABLE);
-    let file = with_odd_controller(&system, what, keys);
+    let file = with_faulty_controller(&system, what, keys);
     system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", &file], &[]);
     assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
     let report = system.report();
@@ -401,15 +399,15 @@ fn fails(what: &[&str], keys: &str) -> String {
 
 #[test]
 fn a_process_that_is_ready_and_dies_again_and_again_ends_the_run() {
-    let said = fails(&[ODD, "exit-after", "2"], "restart_limit = 2\nrestart_window_s = 30.0");
-    assert!(said.contains("died 3 times within 30 s, last: exit code 1"), "{said}");
+    let printed = fails(&[FAULTY, "exit-after", "2"], "restart_limit = 2\nrestart_window_s = 30.0");
+    assert!(printed.contains("died 3 times within 30 s, last: exit code 1"), "{printed}");
 }
 
 #[test]
-fn a_process_that_works_and_says_nothing_ends_the_run() {
-    let said = fails(&[ODD, "mute"], "start_limit = 2\nstart_timeout_s = 0.6");
+fn a_process_that_publishes_nothing_ends_the_run() {
+    let printed = fails(&[FAULTY, "mute"], "start_limit = 2\nstart_timeout_s = 0.6");
     assert!(
-        said.contains("died 2 times before its first output, last: had no output within 600 ms"),
-        "{said}"
+        printed.contains("died 2 times before its first output, last: had no output within 600 ms"),
+        "{printed}"
     );
 }

@@ -9,12 +9,12 @@ use scanloop_tests::{System, is_ignored, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 
 /// A system in which `role` is filled by a faulty program.
 fn system_with(role: Role, fault: &str) -> System {
     let system = System::new(EXECUTABLE);
-    std::fs::write(system.folder().join("system.toml"), system_file(10, &[role], ODD, &[fault])).unwrap();
+    std::fs::write(system.folder().join("system.toml"), system_file(10, &[role], FAULTY, &[fault])).unwrap();
     system
 }
 
@@ -26,7 +26,7 @@ fn log_of(system: &System, role: Role) -> String {
     std::fs::read_to_string(system.folder().join("out/logs").join(format!("{role}.log"))).unwrap()
 }
 
-/// Drives live with a faulty controller until the wheels were blocked for a second; the only row of what was dropped.
+/// Drives with a faulty controller until the wheels were blocked for a second; returns the only row of dropped samples.
 fn dropped_commands(fault: &str, rule: &str, block: &str) -> RefusedRow {
     let mut system = system_with(Role::Controller, fault);
     system.start(&["--system", "system.toml", "--set", "stop_final_s=2"]);
@@ -35,18 +35,22 @@ fn dropped_commands(fault: &str, rule: &str, block: &str) -> RefusedRow {
         refused.iter().any(|row| row.writer == "controller" && row.reader == "actuator" && row.rule == rule)
     });
     let table = String::from_utf8_lossy(&system.run(&["status"]).stderr).into_owned();
-    let words = rule.replace('_', " ");
-    assert!(table.contains("dropped by actuator") && table.contains(&words), "{table}");
+    let expected = rule.replace('_', " ");
+    assert!(table.contains("dropped by actuator") && table.contains(&expected), "{table}");
     assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Stopped, "{}", report.reason);
-    assert!(report.reason.contains("of controller") && report.reason.contains(&words), "{}", report.reason);
+    assert!(
+        report.reason.contains("of controller") && report.reason.contains(&expected),
+        "{}",
+        report.reason
+    );
     assert!(report.stop_reasons.contains_key(block), "{:?}", report.stop_reasons);
     let warnings = system.stderr();
-    assert!(warnings.contains("controller (") && warnings.contains(&words), "{warnings}");
+    assert!(warnings.contains("controller (") && warnings.contains(&expected), "{warnings}");
     let log = log_of(&system, Role::Actuator);
     let lines = log.lines().filter(|line| line.contains("dropped") && line.contains("controller"));
-    assert!(log.contains(&words), "{log}");
+    assert!(log.contains(&expected), "{log}");
     assert!((1..=2).contains(&lines.count()), "one line, not one per sample: {log}");
     assert_eq!(state_of(&report, Role::Actuator), "exited");
     system.assert_nothing_left();
@@ -73,7 +77,7 @@ fn commands_outside_the_bounds_are_laid_to_the_controller_with_key_and_value() {
 
 #[test]
 fn in_lockstep_the_run_ends_with_the_writer_of_a_dropped_sample_and_the_rule() {
-    for (role, fault, words) in [
+    for (role, fault, expected) in [
         (
             Role::Controller,
             "unverified",
@@ -89,7 +93,11 @@ fn in_lockstep_the_run_ends_with_the_writer_of_a_dropped_sample_and_the_rule() {
         let report = system.report();
         assert_eq!(report.outcome, Outcome::Failed, "{}", report.reason);
         assert!(report.reason.starts_with(&format!("{role} (")), "{}", report.reason);
-        assert!(report.reason.contains(words) && message.contains(words), "{} {message}", report.reason);
+        assert!(
+            report.reason.contains(expected) && message.contains(expected),
+            "{} {message}",
+            report.reason
+        );
         assert_eq!(state_of(&report, role), "failed");
         let failed = report.processes.iter().filter(|process| process.state == "failed").count();
         assert_eq!(failed, 1, "{:?}", report.processes);
@@ -119,8 +127,8 @@ fn a_process_that_had_to_drop_all_its_inputs_is_not_blamed_for_having_no_output(
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(4), "{message}");
     let report = system.report();
-    for words in ["estimator (", "had no valid output within 1500 ms", "its pose for scan", "not finite"] {
-        assert!(report.reason.contains(words), "{words}: {}", report.reason);
+    for expected in ["estimator (", "had no valid output within 1500 ms", "its pose for scan", "not finite"] {
+        assert!(report.reason.contains(expected), "{expected}: {}", report.reason);
     }
     assert_eq!(state_of(&report, Role::Estimator), "failed");
     assert_eq!(
@@ -167,7 +175,7 @@ fn an_interrupt_at_any_moment_of_the_start_leaves_nothing() {
         while started.elapsed().as_micros() < delay_us {
             std::hint::spin_loop();
         }
-        // Who is started in the background of a script is started deaf to INT, until its handlers are there.
+        // A background process of a script ignores INT until it has installed its handlers.
         let signal = if is_ignored(Signal::INT) { Signal::TERM } else { Signal::INT };
         system.signal(system.orchestrator(), signal);
         let status = system.wait();

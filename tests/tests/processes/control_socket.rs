@@ -1,4 +1,4 @@
-//! What clients do to the control socket holds up neither the loop nor other clients.
+//! No client of the control socket can delay the loop or other clients.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::io::{Read, Write};
@@ -20,7 +20,7 @@ fn connect(system: &System) -> UnixStream {
     stream
 }
 
-/// Ends the run and checks that no scan was lost meanwhile.
+/// Ends the run and checks that it lost no scan.
 fn end(mut system: System) {
     system.signal(system.orchestrator(), Signal::INT);
     assert_eq!(system.wait().code(), Some(1));

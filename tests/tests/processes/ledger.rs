@@ -1,4 +1,4 @@
-//! The books of a run: nothing hidden stays hidden, nothing clean is suspected, and time is put where it went.
+//! The ledger of a run: it names each planted fault, raises no false alarm, and attributes time to the right stage.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::cell::RefCell;
@@ -12,7 +12,7 @@ use scanloop_tests::{Place, STAGES, System, plan, system_file};
 use shared_types::{Actuation, Header, Role, Topic};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-role");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-role");
 
 /// What can be wrong with a sample, and how it is named: in real time, and in lock-step, where a sample that is held
 /// back stops the loop.
@@ -47,13 +47,13 @@ impl Dice {
     }
 }
 
-/// Hides one fault in a run; scan and number of the sample that it really befell, if any, and the report.
+/// Plants one fault in a run; returns scan and number of the sample that it affected, if any, and the report.
 fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Option<[u64; 2]>, Report) {
     let mut system = System::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
     let rate_hz = if lockstep { 10 } else { 100 };
     let arguments = [fault, topic.name(), &scan.to_string()];
-    std::fs::write(&file, system_file(rate_hz, &[role], ODD, &arguments)).unwrap();
+    std::fs::write(&file, system_file(rate_hz, &[role], FAULTY, &arguments)).unwrap();
     let file = file.to_str().unwrap();
     let report = if lockstep {
         system.lockstep(&["--system", file, "--duration", "2"])
@@ -66,14 +66,14 @@ fn hide(fault: &str, topic: Topic, role: Role, scan: u64, lockstep: bool) -> (Op
     (log(&system, role, "wrong").first().map(|line| [line[0], line[1]]), report)
 }
 
-/// Numbers in the lines of a role's log that begin with a word: `word scan 17 ns 25` has 17 and 25.
-fn log(system: &System, role: Role, word: &str) -> Vec<Vec<u64>> {
+/// Numbers in the lines of a role's log with a prefix: `prefix scan 17 ns 25` has 17 and 25.
+fn log(system: &System, role: Role, prefix: &str) -> Vec<Vec<u64>> {
     let text = std::fs::read_to_string(system.folder().join(format!("out/logs/{role}.log"))).unwrap();
-    let lines = text.lines().filter(|line| line.starts_with(word));
+    let lines = text.lines().filter(|line| line.starts_with(prefix));
     lines.map(|line| line.split(' ').filter_map(|number| number.parse().ok()).collect()).collect()
 }
 
-/// Hides one random fault and checks that the report names exactly it.
+/// Plants one random fault and checks that the report names exactly it.
 fn finds_one(dice: &mut Dice, lockstep: bool) {
     let (fault, live_kind, lockstep_kind) = FAULTS[dice.roll(6) as usize];
     let (topic, role) = TOPICS[dice.roll(7) as usize];
@@ -164,7 +164,7 @@ fn answers(system: &System) -> BTreeMap<u64, Header> {
     headers.into_inner()
 }
 
-/// When one stage waited per scan, as it says itself: from, to [ns].
+/// When one stage waited per scan, from its own log: from, to [ns].
 fn planted(system: &System, role: Role) -> BTreeMap<u64, (u64, u64)> {
     log(system, role, "planted").into_iter().map(|line| (line[0], (line[1], line[2]))).collect()
 }
@@ -176,14 +176,14 @@ fn median(mut values: Vec<u64>) -> u64 {
 
 /// Every stage waits 1, 5 and 20 ms before it takes, in its computation, before it publishes, and between publication
 /// and wake-up, one of these per scan. The header of the actuation divides the way of a scan among stages and places
-/// without gap or overlap; what the stage says of its wait has to lie wholly within the part of that stage and place. No
+/// without gap or overlap; the logged wait of the stage must lie wholly within the part of that stage and place. No
 /// limit of time is needed for that; what else was in those parts is printed.
 #[test]
 fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
     let mut system = System::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
-    std::fs::write(&file, system_file(10, &STAGES, ODD, &["delay"])).unwrap();
-    system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "15"]);
+    std::fs::write(&file, system_file(10, &STAGES, FAULTY, &["delay"])).unwrap();
+    system.start(&["endless", "--system", file.to_str().unwrap(), "--duration", "11"]);
     let headers = answers(&system);
     system.wait();
     let planted = STAGES.map(|role| planted(&system, role));
@@ -208,7 +208,7 @@ fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
                 ((stamps.computed_ns, stamps.published_ns), attribution.stages[index].publish_ns)
             }
             Place::Deliver => match next {
-                // A reader that looked by itself before it was woken had nothing to wait for.
+                // A subscriber that polled before it was woken did not wait.
                 Some(next) if next.woken_ns >= to_ns => {
                     ((stamps.published_ns, next.taken_ns), attribution.stages[index + 1].hop_ns)
                 }
@@ -224,7 +224,7 @@ fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
         assert_eq!(part.1 - part.0, attributed_ns, "{what}, scan {scan}");
         others.entry(what).or_default().push(attributed_ns - (to_ns - from_ns));
     }
-    // The actuator is the last; nobody waits for what it delivers.
+    // The actuator is the last stage; no other waits for its delivery.
     assert!(others.len() >= 40, "{others:?}");
     for (what, others) in others {
         eprintln!("{what}: and {} us of its own", median(others) / 1000);

@@ -38,7 +38,7 @@ fn survives(role: Role, signal: Signal) {
     assert_eq!(process.restarts, 1, "{report:?}");
     assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
     let [.., before, last] = report.trajectory.as_slice() else { panic!("no trajectory") };
-    // It has gone on well beyond the place where the process died.
+    // It has driven well beyond the place where the process died.
     assert!(last[1] > 3.0, "{last:?} {before:?}");
 }
 
@@ -67,11 +67,11 @@ fn a_controller_that_hangs_is_killed_and_restarted() {
     survives(Role::Controller, Signal::STOP);
 }
 
-/// A host that pauses its guest, a debugger, a lid that is closed: the orchestrator wakes first and has heard of nobody.
+/// As when a host suspends its guest: the orchestrator wakes first and has received no heartbeat.
 #[test]
-fn a_machine_that_stood_still_kills_nobody() {
+fn a_machine_that_was_suspended_restarts_no_process() {
     let mut system = System::new(EXECUTABLE);
-    // So slow that a hang is 600 ms long: who is let go on has the time to say so.
+    // At 5 Hz a hang is 600 ms: a resumed process has the time to publish a heartbeat.
     system.start(&["--duration", "6", "--set", "rate_hz=5"]);
     let all: Vec<i32> = [Role::Robot, Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator]
         .map(|role| system.pid(role))
@@ -145,7 +145,7 @@ fn processes_without_an_orchestrator_stop_and_end_by_themselves() {
 }
 
 #[test]
-fn a_second_run_of_the_same_system_is_refused_and_the_first_goes_on() {
+fn a_second_run_of_the_same_system_is_refused_and_the_first_drives_on() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["--duration", "2"]);
     let second = system.run(&["run", "--quiet", "--out", "second"]);
@@ -158,7 +158,7 @@ fn a_second_run_of_the_same_system_is_refused_and_the_first_goes_on() {
 }
 
 #[test]
-fn a_running_system_can_be_looked_at_restarted_and_stopped() {
+fn a_running_system_can_be_inspected_restarted_and_stopped() {
     let mut system = System::new(EXECUTABLE);
     system.start(&[]);
     let status: serde_json::Value =
@@ -209,7 +209,7 @@ fn a_running_system_can_be_looked_at_restarted_and_stopped() {
 }
 
 #[test]
-fn who_drives_waits_for_no_disk() {
+fn driving_processes_wait_for_no_disk() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["--duration", "5"]);
     for role in Role::ALL {

@@ -1,7 +1,7 @@
-//! Systems of real processes that drive, are disturbed, exchanged, stopped and left alone.
+//! Systems of real processes that drive, are disturbed, swapped, stopped and orphaned.
 //!
-//! One program, so that it is linked once and the tests of all files wait for their robots side by side. Tests that load the
-//! machine on purpose stand elsewhere.
+//! One program, so that it is linked once and the tests of all files wait for their robots at the same time. Tests
+//! that load the machine on purpose are in `load.rs`.
 
 mod adoption;
 mod blame;

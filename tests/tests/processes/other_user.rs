@@ -1,7 +1,7 @@
-//! Another local user: what he plants, replaces, locks or watches neither runs nor is followed, and stops no one.
+//! Another local user: nothing that it plants, replaces or locks is executed, followed or able to stop a system.
 //!
-//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where the test
-//! does not run as root, or may not mount, it says what it skipped.
+//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where
+//! the test does not run as root, or may not mount, it prints what it skipped.
 
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions, Permissions};
@@ -18,7 +18,7 @@ use scanloop_tests::stranger::{
     HOME, PLACE, PLACE_OF_STRANGER, STRANGER, as_stranger, assert_refused, is_driving, kill, make_folder,
     of_stranger, shared_memory, system, text, tree,
 };
-use scanloop_tests::{System, among_users, processes_of};
+use scanloop_tests::{SHORT_FREE, System, among_users, processes_of};
 use shared_types::Role;
 
 /// That a drive of root works.
@@ -32,7 +32,8 @@ fn a_directory_that_another_user_made_beforehand_is_refused_and_none_of_its_comm
     among_users!("a_directory_that_another_user_made_beforehand_is_refused_and_none_of_its_commands_runs");
     for mode in [0o755, 0o777] {
         let system = system();
-        // A genuine run that could be adopted: he let it run, killed its orchestrator, and moved the directory here.
+        // A genuine run that could be adopted: the other user started it, killed its orchestrator, and moved the
+        // directory here.
         let (ran_as, table) = (format!("{HOME}/ran_as_{mode}"), format!("{HOME}/system.toml"));
         let script = format!("id -u >> {ran_as}; exec sleep 60");
         let mut run = of_stranger(system.id(), &["run", "--quiet", "--system", &table]);
@@ -75,9 +76,9 @@ fn a_link_in_the_place_of_the_directory_is_refused_and_its_target_stays() {
     make_folder(precious.parent().unwrap(), 0o700);
     std::fs::write(&precious, "stays").unwrap();
     as_stranger(|| symlink("/tmp/tree", PLACE).unwrap());
-    let words = [PLACE, "is a symbolic link of user 65534", "remove it"];
-    assert_refused(&system.run(&["run", "--lockstep", "--quiet", "free"]), &words);
-    assert_refused(&system.run(&["run", "--adopt-or-start", "--quiet", "free"]), &words);
+    let parts = [PLACE, "is a symbolic link of user 65534", "remove it"];
+    assert_refused(&system.run(&["run", "--lockstep", "--quiet", "free"]), &parts);
+    assert_refused(&system.run(&["run", "--adopt-or-start", "--quiet", "free"]), &parts);
     assert_refused(&system.run(&["stop"]), &[]);
     assert_eq!(std::fs::read_to_string(&precious).unwrap(), "stays");
     assert_eq!(tree(Path::new("/tmp/tree")).len(), 3);
@@ -158,7 +159,7 @@ fn a_socket_of_another_user_in_the_place_of_ours_receives_no_command() {
     system.assert_nothing_left();
 }
 
-/// Ends what another user tries, also when the test fails meanwhile.
+/// Ends the processes of another user, also when the test fails.
 struct Over<'a>(&'a AtomicBool);
 
 impl Drop for Over<'_> {
@@ -167,7 +168,7 @@ impl Drop for Over<'_> {
     }
 }
 
-/// The files of buses that another user saw, and what he achieved on them: he opens, renames and removes what he finds.
+/// Opens, renames and removes all files of buses as another user; returns the files and what succeeded.
 fn grab(until: &AtomicBool) -> (BTreeSet<String>, BTreeSet<String>) {
     let (mut seen, mut achieved) = (BTreeSet::new(), BTreeSet::new());
     while !until.load(Ordering::Relaxed) {
@@ -201,12 +202,12 @@ fn no_file_of_the_bus_can_be_opened_by_another_user_while_a_run_starts_and_drive
         other.join().unwrap()
     });
     assert!(seen.len() > 100, "{seen:?}");
-    // The segment that iceoryx2 makes writable for everyone has a name that the run does not use, for milliseconds.
+    // The segment that iceoryx2 makes writable for all users has a name that the run does not use, for milliseconds.
     let wrong: Vec<_> = achieved.iter().filter(|name| !name.contains("_seed")).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
-/// Takes, as soon as a run shows its id, all names that files of an earlier run had after theirs; how many.
+/// Takes all names of files that an earlier run had, as soon as a run shows its id; returns how many.
 fn squat(names: &[String], known: &str, until: &AtomicBool) -> usize {
     let mut taken = 0;
     while !until.load(Ordering::Relaxed) {
@@ -263,7 +264,7 @@ fn names_that_another_user_takes_while_a_run_starts_are_never_used() {
         drop(end);
         assert!(other.join().unwrap() >= names.len(), "he was too slow");
     });
-    // A drive over none of his files, or a start that fails and says why; never a signal.
+    // A drive over none of these files, or a start that fails with the reason; never a signal.
     assert_maps_nothing_of_strangers(&second);
     let status = second.wait();
     assert!(matches!(status.code(), Some(1 | 4 | 5)), "{status} {}", second.stderr());
@@ -277,7 +278,7 @@ fn locks_of_another_user_keep_the_owner_from_nothing() {
     among_users!("locks_of_another_user_keep_the_owner_from_nothing");
     let mut system = system();
     system.start(&["long"]);
-    // Everything that he can open at all: no file of the system, but the directories around.
+    // All that the other user can open: no file of the system, only the directories around it.
     let places = ["/tmp", "/dev/shm", PLACE];
     let all: Vec<PathBuf> = places.iter().flat_map(|place| tree(Path::new(place))).collect();
     let own = |path: &Path| path.starts_with(PLACE) || path.to_string_lossy().contains("/scanloop-");
@@ -299,7 +300,7 @@ fn locks_of_another_user_keep_the_owner_from_nothing() {
     system.assert_nothing_left();
 }
 
-/// The stranger's run of a system of that id, which drives.
+/// A run of the other user of a system of that id, which drives.
 fn drive_of_stranger(system: &System, arguments: &[&str]) -> std::process::Child {
     let before = system.processes().len();
     let all = [&["run", "--quiet", "--out", "out"], arguments].concat();
@@ -316,8 +317,8 @@ fn drive_of_stranger(system: &System, arguments: &[&str]) -> std::process::Child
 fn two_users_drive_systems_of_the_same_id_at_the_same_time() {
     among_users!("two_users_drive_systems_of_the_same_id_at_the_same_time");
     let mut system = system();
-    let mut other = drive_of_stranger(&system, &["free"]);
-    system.start(&["free"]);
+    let mut other = drive_of_stranger(&system, &SHORT_FREE);
+    system.start(&SHORT_FREE);
     assert!(system.wait().success(), "{}", system.stderr());
     assert!(other.wait().unwrap().success());
     assert!(system.report().processes.iter().all(|process| process.restarts == 0));
@@ -348,14 +349,14 @@ fn each_user_stops_his_own_system_and_root_one_of_another_user_when_he_names_him
 }
 
 #[test]
-fn a_forged_stop_word_does_not_lead_root_to_a_process_of_its_own() {
-    among_users!("a_forged_stop_word_does_not_lead_root_to_a_process_of_its_own");
+fn a_forged_stop_word_does_not_lead_root_to_one_of_its_own_processes() {
+    among_users!("a_forged_stop_word_does_not_lead_root_to_one_of_its_own_processes");
     let system = system();
-    // The page says that this test, a process of root, is the orchestrator of a run of the other user.
+    // The page claims that this test, a process of root, is the orchestrator of a run of the other user.
     let id = system.id();
     let mut his = as_stranger(|| {
-        let word = StopWord::create("forgedruna", 100_000_000).unwrap();
-        word.hand_down().unwrap();
+        let stop_word = StopWord::create("forgedruna", 100_000_000).unwrap();
+        stop_word.hand_down().unwrap();
         let mut sleep = std::process::Command::new("sleep");
         sleep.arg("60").uid(STRANGER).gid(STRANGER).env(runtime::SYSTEM_ID_VARIABLE, id);
         sleep.env(runtime::RUN_ID_VARIABLE, "forgedruna").env(runtime::INCARNATION_VARIABLE, "1");

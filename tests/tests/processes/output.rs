@@ -1,4 +1,4 @@
-//! What the orchestrator writes holds up no drive: terminals that are not read, full disks, readers that go.
+//! Output that cannot be written does not delay a drive: terminals that are not read, full disks, readers that end.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs::File;
@@ -39,7 +39,7 @@ fn drives_and_ends(output: OwnedFd) {
     let mut system = System::new(EXECUTABLE);
     system.launch_into(output.into(), &["run", "--out", "out", "endless"], &[]);
     system.wait_until_driving();
-    // Some lines of progress more.
+    // Some more lines of progress.
     system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > 30));
     system.signal(system.orchestrator(), Signal::INT);
     let interrupted = Instant::now();
@@ -87,7 +87,7 @@ fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
     let mut system = System::new(EXECUTABLE);
     system.launch_into(far.into(), &SHORT, &[]);
     let mut shown = Vec::new();
-    // Once all others have closed it, reading fails.
+    // When all writers have closed it, reading fails.
     while let Ok(1..) = File::from(near.try_clone().unwrap()).by_ref().take(4096).read_to_end(&mut shown) {}
     assert_eq!(system.wait().code(), Some(0));
     let shown = String::from_utf8_lossy(&shown);
@@ -99,8 +99,8 @@ fn a_terminal_that_is_read_shows_a_live_line_and_then_the_summary() {
 
 #[test]
 fn a_drive_whose_output_cannot_be_written_reaches_its_goal() {
-    let gone = || std::io::pipe().unwrap().1.into();
-    let full = || File::options().write(true).open("/dev/full").unwrap().into();
+    let gone = || Stdio::from(std::io::pipe().unwrap().1);
+    let full = || Stdio::from(File::options().write(true).open("/dev/full").unwrap());
     for stderr in [gone(), full()] {
         let mut system = System::new(EXECUTABLE);
         system.launch_into(stderr, &SHORT, &[]);

@@ -1,7 +1,7 @@
-//! Where a system lives is closed to others, whatever the umask and the variables of the session.
+//! The directory of a system is closed to other users, whatever the umask and the variables of the session.
 //!
-//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where the test
-//! does not run as root, or may not mount, it says what it skipped.
+//! Each test has `/tmp`, `/dev/shm` and `/run/user` of its own in a mount namespace, and a real second user. Where
+//! the test does not run as root, or may not mount, it prints what it skipped.
 
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, symlink};
 use std::path::Path;
@@ -14,7 +14,7 @@ use scanloop_tests::stranger::{
 };
 use scanloop_tests::{System, among_users};
 
-/// What the files of a running system let anyone but the owner do, from the walk of its directory and its shared memory.
+/// Permissions of other users for the files of a running system, in its directory and in shared memory.
 fn assert_private(system: &System) {
     let domain = system.domain();
     let of_run = shared_memory().filter(|name| name.contains(domain.run_id()));

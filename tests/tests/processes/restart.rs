@@ -1,8 +1,8 @@
 //! Processes restarted by command while the robot drives: the old one is ended last.
 
 use emulator::Outcome;
-use scanloop_tests::exchange::{assert_every_scan_answered_once, restart, restart_all, rows};
-use scanloop_tests::{STAGES, System, system_file};
+use scanloop_tests::swaps::{assert_every_scan_answered_once, restart, restart_all, rows};
+use scanloop_tests::{SHORT_CORRIDOR, STAGES, System, system_file};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -10,7 +10,7 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 #[test]
 fn a_restart_loses_no_scan_and_is_no_swap() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORT_CORRIDOR);
     restart_all(&system);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
@@ -35,12 +35,12 @@ fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
     let by_script = system_file(10, &[Role::Controller], "sh", &[]);
     let by_script = by_script.replace("[\"sh\", \"controller\"]", &format!("[\"sh\", {script:?}]"));
     std::fs::write(&file, by_script).unwrap();
-    system.start(&["corridor", "--system", file.to_str().unwrap()]);
+    system.start(&[&SHORT_CORRIDOR[..], &["--system", file.to_str().unwrap()]].concat());
     let before = rows(&system, Role::Controller);
-    let (code, said) = restart(&system, Role::Controller);
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("controller was not restarted, the old process keeps driving"), "{said}");
-    assert!(said.contains("no room for another one"), "{said}");
+    let (code, printed) = restart(&system, Role::Controller);
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(printed.contains("controller was not restarted, the old process keeps driving"), "{printed}");
+    assert!(printed.contains("no room for another one"), "{printed}");
     assert_eq!(rows(&system, Role::Controller), before);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
@@ -53,13 +53,16 @@ fn a_restart_whose_process_does_not_come_up_leaves_the_old_one_driving() {
 #[test]
 fn a_restart_whose_state_cannot_be_written_leaves_the_old_one_driving() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     // As on a full disk, nothing can be written to a folder.
     std::fs::create_dir(system.domain().directory().join("controller.checkpoint")).unwrap();
     let before = rows(&system, Role::Controller);
-    let (code, said) = restart(&system, Role::Controller);
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("could not be started") && said.contains("controller.checkpoint"), "{said}");
+    let (code, printed) = restart(&system, Role::Controller);
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(
+        printed.contains("could not be started") && printed.contains("controller.checkpoint"),
+        "{printed}"
+    );
     assert_eq!(rows(&system, Role::Controller), before);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert_every_scan_answered_once(&system);
@@ -72,8 +75,8 @@ fn a_restart_in_lock_step_changes_no_bit_of_the_drive() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless", "--lockstep", "--duration", "120"]);
     for role in STAGES {
-        let (code, said) = restart(&system, role);
-        assert_eq!(code, Some(0), "{said}");
+        let (code, printed) = restart(&system, role);
+        assert_eq!(code, Some(0), "{printed}");
     }
     system.wait();
     let report = system.report();

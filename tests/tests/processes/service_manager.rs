@@ -1,4 +1,4 @@
-//! What systemd and its journal are told.
+//! Messages to systemd and lines for its journal.
 
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;
@@ -12,27 +12,27 @@ use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
-/// The next word to the service manager; panics when none comes.
+/// The next message to the service manager; panics when none comes.
 fn next(socket: &UnixDatagram) -> String {
     let mut bytes = [0; 512];
-    let length = socket.recv(&mut bytes).expect("a word of the orchestrator");
+    let length = socket.recv(&mut bytes).expect("a message of the orchestrator");
     String::from_utf8_lossy(&bytes[..length]).trim_end().to_owned()
 }
 
-/// Words up to the first that `is_last` accepts.
-fn words_until(socket: &UnixDatagram, is_last: impl Fn(&str) -> bool) -> Vec<String> {
-    let (started, mut words) = (Instant::now(), Vec::new());
+/// Messages up to the first that `is_last` accepts.
+fn messages_until(socket: &UnixDatagram, is_last: impl Fn(&str) -> bool) -> Vec<String> {
+    let (started, mut messages) = (Instant::now(), Vec::new());
     loop {
-        words.push(next(socket));
-        if words.last().is_some_and(|word| is_last(word)) {
-            return words;
+        messages.push(next(socket));
+        if messages.last().is_some_and(|message| is_last(message)) {
+            return messages;
         }
-        assert!(started.elapsed() < DEADLINE, "{words:?}");
+        assert!(started.elapsed() < DEADLINE, "{messages:?}");
     }
 }
 
 #[test]
-fn the_service_manager_hears_readiness_status_life_and_stop_also_of_who_adopts() {
+fn the_service_manager_is_notified_of_readiness_status_life_and_stop_also_after_an_adoption() {
     let mut system = System::new(EXECUTABLE);
     let path = system.folder().join("notify.sock");
     let socket = UnixDatagram::bind(&path).unwrap();
@@ -40,25 +40,26 @@ fn the_service_manager_hears_readiness_status_life_and_stop_also_of_who_adopts()
     let environment =
         [("NOTIFY_SOCKET", path.to_str().unwrap()), ("WATCHDOG_USEC", "300000"), ("WATCHDOG_PID", "")];
     system.launch(&["run", "--adopt-or-start", "--quiet", "--out", "out", "endless"], &environment);
-    let before = words_until(&socket, |word| word == "READY=1");
+    let before = messages_until(&socket, |message| message == "READY=1");
     assert!(!before.contains(&"STOPPING=1".to_owned()), "{before:?}");
     system.wait_until_driving();
-    words_until(&socket, |word| word == "WATCHDOG=1");
-    let status =
-        words_until(&socket, |word| word.starts_with("STATUS=") && word.contains("m/s")).pop().unwrap();
+    messages_until(&socket, |message| message == "WATCHDOG=1");
+    let status = messages_until(&socket, |message| message.starts_with("STATUS=") && message.contains("m/s"))
+        .pop()
+        .unwrap();
     assert!(status.contains("goal") && status.contains("con"), "{status}");
 
-    // A service that was killed is started again, and goes on with the robot that drives.
+    // A service that was killed is started again, and adopts the driving robot.
     let controller = system.pid(Role::Controller);
     system.kill_orchestrator();
     system.launch(&["run", "--adopt-or-start", "--quiet", "--out", "out", "endless"], &environment);
-    words_until(&socket, |word| word == "READY=1");
+    messages_until(&socket, |message| message == "READY=1");
     assert_eq!(system.pid(Role::Controller), controller);
-    // What is for the orchestrator is not handed on: only it may speak for the service.
+    // Its variables are not handed on: only the orchestrator may notify the manager.
     let inherited = std::fs::read(format!("/proc/{controller}/environ")).unwrap();
     assert!(!String::from_utf8_lossy(&inherited).contains("NOTIFY_SOCKET"));
     system.signal(system.orchestrator(), Signal::TERM);
-    words_until(&socket, |word| word == "STOPPING=1");
+    messages_until(&socket, |message| message == "STOPPING=1");
     assert_eq!(system.wait().code(), Some(1));
     system.assert_nothing_left();
 }

@@ -1,17 +1,17 @@
-//! Processes in the shadow of the live ones: compared, and never felt.
+//! Processes in the shadow of the live ones: compared, and without effect on the drive.
 
 use handover::shadow::ShadowOutcome;
 use rustix::process::Signal;
-use scanloop_tests::System;
-use scanloop_tests::exchange::{
+use scanloop_tests::swaps::{
     BUILT_IN, assert_every_scan_answered_once, begin_shadow, more_scans, rows, shadow, shadow_report,
 };
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
-/// That the run reached its goal as if there had been no shadow, and left nothing.
+/// Asserts that the run reached its goal as without a shadow, and left nothing.
 fn assert_undisturbed(mut system: System) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert_every_scan_answered_once(&system);
@@ -21,9 +21,9 @@ fn assert_undisturbed(mut system: System) {
 }
 
 #[test]
-fn a_shadow_of_each_role_at_once_says_the_same_as_the_live_process() {
+fn a_shadow_of_each_role_at_once_publishes_the_same_as_the_live_process() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     let shadows = BUILT_IN
         .map(|(role, name)| (role, begin_shadow(&system, &[role.name(), "--to", name, "--for", "4s"])));
     system.wait_until("all shadows", |system| {
@@ -36,7 +36,7 @@ fn a_shadow_of_each_role_at_once_says_the_same_as_the_live_process() {
         assert_eq!((report.invalid, report.repeated), (0, 0), "{report}");
         for difference in &report.differences {
             assert!(difference.mean_interval.is_some(), "{report}");
-            // Of one kind, they differ by what they do not know of the time before.
+            // Both run the same code; they differ because the shadow started later.
             assert!(difference.mean.abs() < 0.02, "{report}");
         }
         assert!(report.reaction_ms.shadow_p50 > 0.0 && report.compute_ms.ratio_p50_interval.is_some());
@@ -45,11 +45,11 @@ fn a_shadow_of_each_role_at_once_says_the_same_as_the_live_process() {
 }
 
 #[test]
-fn one_that_steers_more_is_found_out_and_drives_nothing() {
+fn a_shadow_that_steers_more_is_found_and_drives_nothing() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["slalom"]);
-    // The time may stand at the very end.
-    let report = shadow(&system, &["controller", "--", ODD, "steer", "--for", "5s"]);
+    // The option `--for` may be the last argument.
+    let report = shadow(&system, &["controller", "--", FAULTY, "steer", "--for", "5s"]);
     assert_eq!(report.outcome, ShadowOutcome::Completed, "{report}");
     let steering =
         report.differences.iter().find(|difference| difference.quantity == "steering angle").unwrap();
@@ -62,8 +62,8 @@ fn one_that_steers_more_is_found_out_and_drives_nothing() {
 #[test]
 fn a_shadow_that_floods_its_topic_costs_no_scan() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let report = shadow(&system, &["controller", "--for", "4s", "--", ODD, "flood"]);
+    system.start(&SHORT_CORRIDOR);
+    let report = shadow(&system, &["controller", "--for", "4s", "--", FAULTY, "flood"]);
     assert_eq!(report.outcome, ShadowOutcome::Completed, "{report}");
     assert!(report.repeated > 10_000, "thousands a second: {report}");
     assert!(report.answered_share > 0.95, "{report}");
@@ -71,9 +71,9 @@ fn a_shadow_that_floods_its_topic_costs_no_scan() {
 }
 
 #[test]
-fn one_that_hangs_or_dies_is_reported_and_costs_no_scan() {
+fn a_shadow_that_hangs_or_dies_is_reported_and_costs_no_scan() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORTENED_LONG);
     let child = begin_shadow(&system, &["controller", "--to", "nmpc", "--for", "4s"]);
     system.wait_until("a shadow", |system| rows(system, Role::Controller).len() == 2);
     more_scans(&system, 8);
@@ -82,14 +82,14 @@ fn one_that_hangs_or_dies_is_reported_and_costs_no_scan() {
     assert_eq!(report.outcome, ShadowOutcome::Silent, "{report}");
     assert!(report.reason.starts_with("no output in the last "), "{report}");
     assert!(report.answered > 0 && report.answered_share < 0.8, "{report}");
-    let report = shadow(&system, &["controller", "--", ODD, "exit-after", "5"]);
+    let report = shadow(&system, &["controller", "--", FAULTY, "exit-after", "5"]);
     assert_eq!((report.outcome, report.answered), (ShadowOutcome::Died, 5), "{report}");
     assert!(report.reason.contains("exit code 1"), "{report}");
     let report = shadow(&system, &["controller", "--", "scanloop-no-such-command"]);
     assert!(report.reason.contains("was not found"), "{report}");
     let report = shadow(&system, &["controller", "--for", "1s", "--", "sleep", "60"]);
     assert_eq!((report.outcome, report.reason.as_str()), (ShadowOutcome::Silent, "it gave no output"));
-    let report = shadow(&system, &["controller", "--for", "1s", "--", ODD, "nan"]);
+    let report = shadow(&system, &["controller", "--for", "1s", "--", FAULTY, "nan"]);
     assert!(report.invalid > 0 && report.compared == 0, "{report}");
     assert_undisturbed(system);
 }
@@ -97,7 +97,7 @@ fn one_that_hangs_or_dies_is_reported_and_costs_no_scan() {
 #[test]
 fn an_interrupt_ends_it_early_with_the_report_so_far_and_so_does_the_end_of_the_run() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     let child = begin_shadow(&system, &["estimator", "--to", "ekf", "--for", "1h"]);
     system.wait_until("a shadow", |system| rows(system, Role::Estimator).len() == 2);
     more_scans(&system, 10);
@@ -114,7 +114,7 @@ fn an_interrupt_ends_it_early_with_the_report_so_far_and_so_does_the_end_of_the_
 }
 
 #[test]
-fn a_role_has_one_process_beside_it_at_most() {
+fn a_role_has_one_candidate_at_most() {
     let mut system = System::new(EXECUTABLE);
     let refusal = |system: &System, arguments: &[&str]| {
         let output = system.run(arguments);
@@ -122,7 +122,7 @@ fn a_role_has_one_process_beside_it_at_most() {
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
     assert!(refusal(&system, &["shadow", "controller", "--to", "nmpc"]).contains("is not running"));
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     let child = begin_shadow(&system, &["controller", "--to", "nmpc", "--for", "1h"]);
     system.wait_until("a shadow", |system| rows(system, Role::Controller).len() == 2);
     for (arguments, message) in [
@@ -136,8 +136,8 @@ fn a_role_has_one_process_beside_it_at_most() {
         (vec!["shadow", "estimator", "--to", "ekf", "--for", "0s"], "0s is not allowed: 1s to 24h"),
         (vec!["shadow", "estimator"], "required"),
     ] {
-        let said = refusal(&system, &arguments);
-        assert!(said.contains(message), "{said}");
+        let printed = refusal(&system, &arguments);
+        assert!(printed.contains(message), "{printed}");
     }
     system.signal(child.id().cast_signed(), Signal::INT);
     shadow_report(&child.wait_with_output().unwrap());

@@ -1,4 +1,5 @@
-//! Shared memory or the directory of the system full: an error with what is missing, never a signal, and the robot drives.
+//! Shared memory or the directory of the system full: an error with what is missing, never a signal, and the robot
+//! drives.
 //!
 //! Each test has file systems of its own in a mount namespace of its own, for which it starts itself again.
 
@@ -9,8 +10,8 @@ use std::path::{Path, PathBuf};
 use handover::swap::{Certificate, SwapOutcome};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::process::Signal;
-use scanloop_tests::exchange::{assert_reached, assert_seamless, begin, certificate, rows, swap};
-use scanloop_tests::{System, namespace};
+use scanloop_tests::swaps::{assert_reached, assert_seamless, begin, certificate, rows, swap};
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System, namespace};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -18,7 +19,7 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// Fits one system with its reserve, and not two.
 const ROOMY: &str = "24m";
 
-/// Whether this is the test among file systems of its own, of these sizes at these places; else it is run there.
+/// Whether the test runs with file systems of its own, of these sizes at these places; else it is started there.
 fn is_inside(test: &str, mounts: &[(&str, &Path)]) -> bool {
     let mount = |(size, place): &(&str, &Path)| {
         let place = place.display();
@@ -63,11 +64,11 @@ fn free_bytes(place: &Path) -> u64 {
 
 /// The sum in a message that ends with `N KiB are missing`.
 fn missing_kib(text: &str) -> u64 {
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let end = words.windows(4).rposition(|words| words[1..] == ["KiB", "are", "missing"]);
+    let parts: Vec<&str> = text.split_whitespace().collect();
+    let end = parts.windows(4).rposition(|parts| parts[1..] == ["KiB", "are", "missing"]);
     let end = end
-        .or_else(|| words.windows(4).rposition(|words| words[1] == "KiB" && words[3].starts_with("missing")));
-    end.and_then(|index| words[index].parse().ok()).unwrap_or_else(|| panic!("no sum in: {text}"))
+        .or_else(|| parts.windows(4).rposition(|parts| parts[1] == "KiB" && parts[3].starts_with("missing")));
+    end.and_then(|index| parts[index].parse().ok()).unwrap_or_else(|| panic!("no sum in: {text}"))
 }
 
 fn swapped(system: &System) -> Certificate {
@@ -147,7 +148,7 @@ fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
         wait_for_reserve(&system, held);
         let ballast = Ballast::leave(free, place);
         certificates.push(swapped(&system));
-        // What the old one had is free now: enough to hold the reserve again.
+        // The memory of the old process is free now: enough for the reserve.
         wait_for_reserve(&system, free + (1 << 20));
         drop(ballast);
     }
@@ -156,16 +157,18 @@ fn a_swap_finds_the_reserve_however_full_shared_memory_is() {
 }
 
 #[test]
-fn a_swap_without_room_is_refused_with_what_is_missing_and_nobody_notices() {
+fn a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on() {
     let place = Path::new(SHARED_MEMORY);
-    if !is_inside("a_swap_without_room_is_refused_with_what_is_missing_and_nobody_notices", &[(ROOMY, place)])
-    {
+    if !is_inside(
+        "a_swap_without_room_is_refused_with_what_is_missing_and_the_robot_drives_on",
+        &[(ROOMY, place)],
+    ) {
         return;
     }
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORTENED_LONG);
     let mut certificates = Vec::new();
-    // The reserve is free while a process starts that takes nothing of it.
+    // While a process starts, the reserve is free; this process takes nothing of it.
     let sleeper = begin(&system, &["controller", "--", "sleep", "60"]);
     system.wait_until("it starts", |system| rows(system, Role::Controller).len() == 2);
     let ballast = Ballast::leave(0, place);
@@ -174,7 +177,7 @@ fn a_swap_without_room_is_refused_with_what_is_missing_and_nobody_notices() {
     let refusal = refused(&system, "KiB are missing");
     assert!((2_000..5_000).contains(&missing_kib(&refusal.reason)), "{}", refusal.reason);
     certificates.push(refusal);
-    // One that looks on would make the processes take memory that is not there.
+    // An observer would make the processes take memory that is not there.
     let observer = system.run(&["topic", "hz", "pose", "--duration", "1"]);
     let text = String::from_utf8_lossy(&observer.stderr);
     assert_eq!(observer.status.code(), Some(4), "{text}");
@@ -191,7 +194,7 @@ fn a_restart_after_a_death_finds_room_in_full_shared_memory() {
         return;
     }
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORT_CORRIDOR);
     let _ballast = Ballast::leave(0, place);
     for role in [Role::Obstacles, Role::Controller] {
         let old = system.pid(role);
@@ -207,9 +210,9 @@ fn a_restart_after_a_death_finds_room_in_full_shared_memory() {
 }
 
 #[test]
-fn a_process_whose_memory_is_cut_off_says_so_before_it_ends() {
+fn a_process_whose_memory_is_cut_off_reports_it_before_it_ends() {
     let place = Path::new(SHARED_MEMORY);
-    if !is_inside("a_process_whose_memory_is_cut_off_says_so_before_it_ends", &[(ROOMY, place)]) {
+    if !is_inside("a_process_whose_memory_is_cut_off_reports_it_before_it_ends", &[(ROOMY, place)]) {
         return;
     }
     let mut system = System::new(EXECUTABLE);
@@ -234,7 +237,7 @@ fn a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file() {
         return;
     }
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORT_CORRIDOR);
     let mut certificates = vec![];
     // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.
     for (free, name) in

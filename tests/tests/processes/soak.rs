@@ -5,17 +5,17 @@ use scanloop_tests::soak::{faults, swap_in_lockstep, swap_live};
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 #[test]
-fn a_hundred_exchanges_in_lock_step_change_no_bit() {
+fn a_hundred_swaps_in_lock_step_change_no_bit() {
     assert_eq!(swap_in_lockstep(EXECUTABLE, 100, 1).lockstep_swaps, 100);
 }
 
 #[test]
-fn exchanges_at_random_moments_of_a_drive_are_as_certified() {
+fn swaps_at_random_moments_of_a_drive_are_as_certified() {
     assert_eq!(swap_live(EXECUTABLE, 10, 1).live_swaps, 10);
 }
 
 #[test]
-fn whatever_is_killed_or_stopped_the_robot_goes_on_or_rests() {
+fn whatever_is_killed_or_stopped_the_robot_drives_on_or_rests() {
     let tally = faults(EXECUTABLE, 24, 10, 1);
     assert_eq!((tally.kills, tally.stops), (24, 10));
     assert_eq!(tally.went_on + tally.came_to_rest, 34);

@@ -1,19 +1,19 @@
-//! `scanloop stop` blocks the wheels whatever the orchestrator does, and each way out of the orchestrator does what
-//! docs/supervision.md says.
+//! `scanloop stop` blocks the wheels whatever the orchestrator does, and each end of the orchestrator is as
+//! docs/supervision.md describes it.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::os::unix::process::ExitStatusExt;
-use std::process::Output;
+use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use emulator::Outcome;
 use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::{System, Watch, is_ignored, pause, system_file};
-use shared_types::{Actuation, Role, Truth};
+use shared_types::{Actuation, Role};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty");
 /// The command returns after a second at the latest when wheels are blocked [ms].
 const LIMIT_MS: u64 = 1000;
 
@@ -22,17 +22,12 @@ fn driving(arguments: &[&str]) -> (System, Watch) {
     let mut system = System::new(EXECUTABLE);
     system.start(&[&["endless"], arguments].concat());
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     (system, watch)
 }
 
-fn wait_for(system: &System, watch: &Watch, what: &str, condition: impl Fn(&Truth) -> bool) -> Truth {
-    system.wait_until(what, |_| watch.newest().is_some_and(|truth| condition(&truth)));
-    watch.newest().unwrap()
-}
-
 fn wait_for_rest(system: &System, watch: &Watch) {
-    let rest = wait_for(system, watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
+    let rest = watch.wait_for(system, "it rests", |truth| truth.blocked == 1 && truth.speed_mps <= 0.0);
     assert_eq!(rest.collided, 0);
 }
 
@@ -52,7 +47,7 @@ fn stop(system: &System) -> String {
 }
 
 #[test]
-fn a_run_is_stopped_and_its_report_says_so() {
+fn a_stopped_run_has_the_reason_in_its_report() {
     let (mut system, watch) = driving(&[]);
     stop(&system);
     wait_for_rest(&system, &watch);
@@ -65,13 +60,13 @@ fn a_run_is_stopped_and_its_report_says_so() {
 }
 
 #[test]
-fn an_orchestrator_that_is_suspended_keeps_nobody_from_stopping() {
+fn a_suspended_orchestrator_does_not_prevent_a_stop() {
     for signal in [Signal::STOP, Signal::TSTP] {
         let (mut system, watch) = driving(&[]);
         system.signal(system.orchestrator(), signal);
         stop(&system);
         wait_for_rest(&system, &watch);
-        // It is woken by what the command leaves in the background, and ends its run itself.
+        // A background process of the command wakes it, and it ends its run itself.
         assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
         assert_eq!(system.report().reason, "stopped by command");
         drop(watch);
@@ -122,7 +117,7 @@ fn a_stop_is_never_taken_back() {
 }
 
 #[test]
-fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
+fn a_crashed_orchestrator_has_stopped_its_run_and_reports_it() {
     for signal in [Signal::SEGV, Signal::BUS, Signal::ILL] {
         let (mut system, watch) = driving(&["--set", "orphan_timeout_s=3"]);
         system.signal(system.orchestrator(), signal);
@@ -140,7 +135,7 @@ fn a_crashed_orchestrator_has_stopped_its_run_and_says_so() {
 
 #[test]
 fn a_closed_terminal_and_a_quit_key_end_the_run_in_order() {
-    // Under `nohup` a hang-up is ignored, by who is started there as well.
+    // Under `nohup` a hang-up is ignored, also by the processes that are started.
     let signals = [Signal::HUP, Signal::QUIT, Signal::TERM];
     for signal in signals.into_iter().filter(|signal| !is_ignored(*signal)) {
         let (mut system, watch) = driving(&[]);
@@ -169,7 +164,7 @@ fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() 
         let alone_s = blocked.time_s - killed.time_s;
         assert!((1.2..3.0).contains(&alone_s), "it drove on for {alone_s} s");
         system.adopt(&[]);
-        wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+        watch.wait_for(&system, "it drives on", |truth| truth.speed_mps > 0.5);
         stop(&system);
         system.wait();
         drop(watch);
@@ -178,12 +173,12 @@ fn without_directives_the_robot_rests_after_orphan_stop_s_until_it_is_adopted() 
 }
 
 #[test]
-fn a_run_that_was_suspended_goes_on() {
+fn a_run_that_was_suspended_drives_on() {
     let (mut system, watch) = driving(&["--set", "orphan_stop_s=0.5", "--set", "timeout_s=600"]);
     system.signal(system.orchestrator(), Signal::STOP);
     wait_for_rest(&system, &watch);
     system.signal(system.orchestrator(), Signal::CONT);
-    wait_for(&system, &watch, "it drives on", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives on", |truth| truth.speed_mps > 0.5);
     stop(&system);
     system.wait();
     drop(watch);
@@ -216,7 +211,7 @@ fn a_process_that_does_not_see_the_stop_word_is_ended_and_the_block_is_confirmed
         let file = without_stop_word(&system, &[role]);
         system.start(&["endless", "--system", &file]);
         let watch = Watch::new(&system);
-        wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+        watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
         system.signal(system.orchestrator(), Signal::STOP);
         stop(&system);
         wait_for_rest(&system, &watch);
@@ -232,11 +227,11 @@ fn a_block_that_no_process_acknowledges_is_not_confirmed_and_names_what_lives() 
     let file = without_stop_word(&system, &[Role::Actuator, Role::Robot]);
     system.start(&["endless", "--system", &file]);
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(system.orchestrator(), Signal::STOP);
     let output = system.run(&["stop"]);
     let text = stderr(&output);
-    // The robot may end, at rest, before the time is over: then it has no wheels any more.
+    // The robot may rest and end before the limit: then there are no wheels to block.
     match output.status.code() {
         Some(4) => assert!(text.contains("is not confirmed") && text.contains("alive: "), "{text}"),
         code => assert_eq!(code, Some(0), "{text}"),
@@ -254,7 +249,7 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
     system.launch(&arguments, &[]);
     system.wait_until_driving();
     let watch = Watch::new(&system);
-    wait_for(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
+    watch.wait_for(&system, "it drives", |truth| truth.speed_mps > 0.5);
     let pid = Pid::from_raw(system.orchestrator()).unwrap();
     let is_over = AtomicBool::new(false);
     let status = std::thread::scope(|scope| {
@@ -288,7 +283,7 @@ fn a_service_whose_orchestrator_hung_stays_stopped_once() {
 #[test]
 fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() {
     let mut system = System::new(EXECUTABLE);
-    let text = system_file(10, &[Role::Robot], ODD, &["stubborn"]);
+    let text = system_file(10, &[Role::Robot], FAULTY, &["stubborn"]);
     let path = system.folder().join("system.toml");
     std::fs::write(&path, text).unwrap();
     system.launch(&["run", "--quiet", "--out", "out", "endless", "--system", path.to_str().unwrap()], &[]);
@@ -311,8 +306,7 @@ fn a_robot_that_tells_nothing_of_its_wheels_is_not_killed_at_the_end_of_a_run() 
 #[test]
 fn a_wrong_id_names_the_systems_that_run() {
     let (mut system, watch) = driving(&[]);
-    let output =
-        std::process::Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
+    let output = Command::new(EXECUTABLE).args(["--system-id", "none-such", "stop"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains(&format!("`{}`", system.id())), "{}", stderr(&output));
     stop(&system);
@@ -339,11 +333,13 @@ fn a_program_that_is_replaced_while_it_drives_still_starts_processes_and_stops()
     let folder = std::env::temp_dir().join(format!("scanloop-replaced-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let program = folder.join("scanloop");
-    std::fs::copy(EXECUTABLE, &program).unwrap();
+    // By another process: a file that a test thread writes is busy while others start programs.
+    let copy = || assert!(Command::new("cp").arg(EXECUTABLE).arg(&program).status().unwrap().success());
+    copy();
     let mut system = System::new(program.to_str().unwrap());
     system.start(&["endless"]);
     std::fs::remove_file(&program).unwrap();
-    std::fs::copy(EXECUTABLE, &program).unwrap();
+    copy();
     let restarted = system.run(&["restart", "estimator"]);
     assert_eq!(restarted.status.code(), Some(0), "{}", stderr(&restarted));
     stop(&system);

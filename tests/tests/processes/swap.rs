@@ -1,55 +1,52 @@
-//! Processes exchanged while the robot drives: without a missed scan, or not at all.
+//! Processes swapped while the robot drives: without a missed scan, or not at all.
 
 use std::time::{Duration, Instant};
 
 use handover::swap::SwapOutcome;
 use rustix::process::Signal;
-use scanloop_tests::System;
 use scanloop_tests::audit::{Audit, audit};
-use scanloop_tests::exchange::{
-    BUILT_IN, assert_reached, assert_seamless, begin, certificate, rows, standby, stop, swap,
+use scanloop_tests::swaps::{
+    BUILT_IN, assert_reached, assert_seamless, assert_seamless_swap, begin, certificate,
+    rolls_back_a_hang_in_charge, rows, standby, stop, survives_the_death_of_the_standby, swap_in_vain,
+    swap_seamlessly,
 };
+use scanloop_tests::{SHORT_CORRIDOR, SHORTENED_LONG, System};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-controller");
 
 #[test]
-fn the_controller_is_exchanged_within_three_seconds_and_no_scan_is_missed() {
+fn the_controller_is_swapped_within_three_seconds_and_no_scan_is_missed() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     let old = system.pid(Role::Controller);
     let started = Instant::now();
-    let certificate = swap(&system, &["controller", "--to", "nmpc"]);
+    let certificate = swap_seamlessly(&system, &["controller", "--to", "nmpc"]);
     assert!(started.elapsed() < Duration::from_secs(3), "{:?}", started.elapsed());
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
     assert_eq!((certificate.from.as_str(), certificate.to.as_str()), ("nmpc", "nmpc"));
     assert_eq!(certificate.shadow_scans, 10);
-    assert_seamless(&certificate);
-    // What the controller itself may change in a scan.
+    // The controller itself may change a command by this much in a scan.
     assert!(certificate.command_jump_rad < 0.03 && certificate.command_jump_mps < 0.3, "{certificate:?}");
     assert_ne!(system.pid(Role::Controller), old);
     assert_reached(system, &[certificate]);
 }
 
 #[test]
-fn all_roles_are_exchanged_one_after_the_other_and_their_certificates_are_true() {
+fn all_roles_are_swapped_one_after_the_other_and_their_certificates_are_true() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["long"]);
     let observer = Audit::start(&system.domain());
     let mut certificates = Vec::new();
     for (role, implementation) in BUILT_IN {
-        let certificate = swap(&system, &[role.name(), "--to", implementation]);
-        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
-        assert_seamless(&certificate);
-        certificates.push(certificate);
+        certificates.push(swap_seamlessly(&system, &[role.name(), "--to", implementation]));
     }
     let recording = observer.stop();
     for certificate in &certificates {
         audit(certificate, &recording).unwrap();
         let first = certificate.first_scan_new.unwrap();
         let role: Role = certificate.role.parse().unwrap();
-        assert!(recording.party(role, first).is_some(), "{role}: nobody saw scan {first}");
+        assert!(recording.party(role, first).is_some(), "{role}: no output recorded for scan {first}");
     }
     assert_reached(system, &certificates);
 }
@@ -57,37 +54,32 @@ fn all_roles_are_exchanged_one_after_the_other_and_their_certificates_are_true()
 #[test]
 fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORTENED_LONG);
     let mut certificates = Vec::new();
     for (command, reason) in [
         (vec!["scanloop-no-such-command"], "command `scanloop-no-such-command` was not found"),
         (vec!["false"], "the new process ended: exit code 1"),
         (vec!["sleep", "60"], "no output within 3 s"),
-        (vec![ODD, "steer"], "steering angle differs by"),
-        (vec![ODD, "nan"], "steering_rad is not finite"),
-        (vec![ODD, "late"], "late: "),
-        (vec![ODD, "flood"], "not the first for that scan"),
-        (vec![ODD, "exit-after", "3"], "the new process ended: exit code 1"),
-        (vec![ODD, "hang-after", "3"], "late: no output for scan"),
+        (vec![FAULTY, "steer"], "steering angle differs by"),
+        (vec![FAULTY, "nan"], "steering_rad is not finite"),
+        (vec![FAULTY, "late"], "late: "),
+        (vec![FAULTY, "flood"], "not the first for that scan"),
+        (vec![FAULTY, "exit-after", "3"], "the new process ended: exit code 1"),
+        (vec![FAULTY, "hang-after", "3"], "late: no output for scan"),
     ] {
-        let certificate = swap(&system, &[vec!["controller", "--"], command].concat());
-        assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
-        assert!(certificate.reason.contains(reason), "{certificate:?}");
-        assert_seamless(&certificate);
-        certificates.push(certificate);
+        let arguments = [vec!["controller", "--"], command].concat();
+        certificates.push(swap_in_vain(&system, &arguments, SwapOutcome::Refused, reason));
     }
     assert_reached(system, &certificates);
 }
 
 #[test]
-fn bounds_are_widened_for_one_that_drives_differently_on_purpose() {
+fn the_tolerance_can_be_raised_for_a_controller_that_drives_differently() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let arguments = ["controller", "--gate-scans", "5", "--tolerance", "1000", "--", ODD, "steer"];
-    let certificate = swap(&system, &arguments);
+    system.start(&SHORT_CORRIDOR);
+    let arguments = ["controller", "--gate-scans", "5", "--tolerance", "1000", "--", FAULTY, "steer"];
+    let certificate = swap_seamlessly(&system, &arguments);
     assert_eq!(certificate.shadow_scans, 5);
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
-    assert_seamless(&certificate);
     system.wait();
     system.assert_nothing_left();
 }
@@ -115,38 +107,20 @@ fn the_old_one_answers_the_scan_in_which_the_new_one_is_killed() {
 }
 
 #[test]
-fn one_that_hangs_in_charge_is_rolled_back_before_the_wheels_are_blocked() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let arguments = ["controller", "--standby-scans", "40", "--", ODD, "hang-after", "30"];
-    let certificate = swap(&system, &arguments);
-    assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
-    assert!(certificate.reason.starts_with("hangs: no output for scan"), "{}", certificate.reason);
-    assert_seamless(&certificate);
-    assert!(certificate.command_jump_mps < 0.3, "the wheels were blocked: {certificate:?}");
-    assert_reached(system, &[certificate]);
+fn a_process_that_hangs_in_charge_is_rolled_back_before_the_wheels_are_blocked() {
+    rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Controller, FAULTY);
 }
 
 #[test]
-fn the_new_one_stays_when_the_old_one_is_killed_while_it_stands_by() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let (child, new, old) = standby(&system, Role::Controller, &["--to", "nmpc"]);
-    system.signal(old, Signal::KILL);
-    let certificate = certificate(&child.wait_with_output().unwrap());
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
-    assert_eq!(certificate.reason, "the old process ended: killed by signal 9 (SIGKILL)");
-    assert_seamless(&certificate);
-    assert_eq!(rows(&system, Role::Controller), [(new, "ready".to_owned())]);
-    assert_reached(system, &[certificate]);
+fn the_new_process_stays_when_the_old_one_is_killed_during_its_standby() {
+    survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Controller, "nmpc");
 }
 
 #[test]
-fn one_that_took_over_is_supervised_like_the_one_before() {
+fn a_process_that_took_over_is_supervised_like_the_one_before() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
-    let certificate = swap(&system, &["controller", "--", ODD, "none"]);
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    system.start(&SHORT_CORRIDOR);
+    swap_seamlessly(&system, &["controller", "--", FAULTY, "none"]);
     let pid = system.pid(Role::Controller);
     system.signal(pid, Signal::KILL);
     system.wait_until("it is started again", |system| {
@@ -154,14 +128,14 @@ fn one_that_took_over_is_supervised_like_the_one_before() {
     });
     let status = system.status().unwrap();
     let process = status.processes.iter().find(|process| process.role == "controller").unwrap();
-    assert!(process.implementation.ends_with("odd-controller none"), "{}", process.implementation);
+    assert!(process.implementation.ends_with("faulty-controller none"), "{}", process.implementation);
     assert_eq!(process.restarts, 1);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     system.assert_nothing_left();
 }
 
 #[test]
-fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
+fn wrong_usage_has_exit_code_2_and_disturbs_no_process() {
     let mut system = System::new(EXECUTABLE);
     let exit = |system: &System, arguments: &[&str]| {
         let output = system.run(&[&["swap"], arguments].concat());
@@ -170,7 +144,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
     let (code, message) = exit(&system, &["controller", "--to", "nmpc"]);
     assert_eq!(code, Some(2));
     assert!(message.contains("is not running"), "{message}");
-    system.start(&["corridor"]);
+    system.start(&SHORT_CORRIDOR);
     for (arguments, message) in [
         (vec!["pilot", "--to", "nmpc"], "unknown role `pilot`"),
         (vec!["robot", "--to", "ekf"], "one of emulator for role robot"),
@@ -185,9 +159,9 @@ fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
         ),
         (vec!["controller", "--to", "nmpc", "--tolerance", "1001"], "--tolerance 1001 is not allowed"),
     ] {
-        let (code, said) = exit(&system, &arguments);
-        assert_eq!(code, Some(2), "{said}");
-        assert!(said.contains(message), "{said}");
+        let (code, printed) = exit(&system, &arguments);
+        assert_eq!(code, Some(2), "{printed}");
+        assert!(printed.contains(message), "{printed}");
     }
     let first = begin(&system, &["controller", "--to", "nmpc"]);
     system.wait_until("a shadow", |system| {
@@ -198,7 +172,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
     assert!(message.contains("another exchange is going on"), "{message}");
     assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(2));
     let certificate = certificate(&first.wait_with_output().unwrap());
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    assert_seamless_swap(&certificate);
     assert_reached(system, &[certificate]);
 }
 
@@ -213,7 +187,7 @@ fn a_run_that_ends_takes_the_new_process_with_it() {
     assert_eq!((certificate.outcome, certificate.reason.as_str()), (SwapOutcome::Refused, "the run ended"));
     system.wait();
     system.assert_nothing_left();
-    // In charge, it has the last word.
+    // When it is in charge, its last message blocks the wheels.
     system.start(&["corridor"]);
     let (child, ..) = standby(&system, Role::Actuator, &["--to", "actuation"]);
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
@@ -224,22 +198,19 @@ fn a_run_that_ends_takes_the_new_process_with_it() {
 }
 
 #[test]
-fn exchanges_in_lock_step_miss_no_scan_and_change_no_bit_of_the_drive() {
+fn swaps_in_lock_step_miss_no_scan_and_change_no_bit_of_the_drive() {
     let undisturbed = System::new(EXECUTABLE).lockstep(&["endless", "--duration", "300"]);
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless", "--lockstep", "--duration", "300"]);
     let mut certificates = Vec::new();
     for (role, implementation) in [BUILT_IN, BUILT_IN].concat() {
-        let certificate = swap(&system, &[role.name(), "--to", implementation]);
-        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
-        assert_seamless(&certificate);
-        certificates.push(certificate);
+        certificates.push(swap_seamlessly(&system, &[role.name(), "--to", implementation]));
     }
     system.wait();
     let report = system.report();
     assert_eq!(report.swaps, certificates);
     assert_eq!(report.trajectory, undisturbed.trajectory);
-    assert_eq!(report.digests, undisturbed.digests, "all samples of all topics but who made them");
+    assert_eq!(report.digests, undisturbed.digests, "all samples of all topics, except their incarnations");
     assert_eq!((report.scans.lost, report.scans.duplicates, report.scans.unaccounted), (0, 0, 0));
     system.assert_nothing_left();
 }
@@ -250,14 +221,12 @@ fn bad_processes_are_refused_or_rolled_back_in_lock_step_too() {
     system.start(&["endless", "--lockstep", "--duration", "9000"]);
     for (command, outcome) in [
         (vec!["false"], SwapOutcome::Refused),
-        (vec![ODD, "nan"], SwapOutcome::Refused),
-        (vec![ODD, "hang-after", "20"], SwapOutcome::RolledBack),
-        (vec![ODD, "exit-after", "20"], SwapOutcome::RolledBack),
+        (vec![FAULTY, "nan"], SwapOutcome::Refused),
+        (vec![FAULTY, "hang-after", "20"], SwapOutcome::RolledBack),
+        (vec![FAULTY, "exit-after", "20"], SwapOutcome::RolledBack),
     ] {
         let standby = ["controller", "--standby-scans", "40", "--"];
-        let certificate = swap(&system, &[standby.to_vec(), command].concat());
-        assert_eq!(certificate.outcome, outcome, "{certificate:?}");
-        assert_seamless(&certificate);
+        swap_in_vain(&system, &[standby.to_vec(), command].concat(), outcome, "");
     }
     stop(&mut system);
 }

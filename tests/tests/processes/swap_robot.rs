@@ -1,16 +1,18 @@
-//! The robot itself exchanged while it drives: it goes on where it is, or the old one does.
+//! The robot itself swapped while it drives: the new or the old process continues where it is.
 
 use handover::swap::SwapOutcome;
 use report::Report;
-use rustix::process::Signal;
-use scanloop_tests::System;
-use scanloop_tests::exchange::{assert_reached, assert_seamless, certificate, rows, standby, stop, swap};
+use scanloop_tests::swaps::{
+    assert_reached, rolls_back_a_hang_in_charge, stop, survives_the_death_of_the_standby, swap_in_vain,
+    swap_seamlessly,
+};
+use scanloop_tests::{SHORT_CORRIDOR, System};
 use shared_types::Role;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
-const ODD: &str = env!("CARGO_BIN_EXE_odd-robot");
+const FAULTY: &str = env!("CARGO_BIN_EXE_faulty-robot");
 
-/// Noise, drift and play, so that a state that were not whole would show; and an obstacle that waits for the robot.
+/// Noise, drift and play, so that an incomplete state is detected; and an obstacle that waits for the robot.
 const EVENTFUL: [&str; 9] = [
     "imperfect-robot",
     "--set",
@@ -36,23 +38,20 @@ fn leap_at(report: &Report, scan: u64) -> f64 {
 }
 
 #[test]
-fn the_robot_goes_on_where_it_is() {
+fn a_swapped_robot_continues_where_it_is() {
     let mut system = System::new(EXECUTABLE);
     system.start(&EVENTFUL);
     let old = system.pid(Role::Robot);
     let mut certificates = Vec::new();
     for _ in 0..2 {
-        let certificate = swap(&system, &["robot", "--to", "emulator"]);
-        assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
-        assert_seamless(&certificate);
-        certificates.push(certificate);
+        certificates.push(swap_seamlessly(&system, &["robot", "--to", "emulator"]));
     }
     assert_ne!(system.pid(Role::Robot), old);
     system.wait();
     let report = system.report();
     assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
     for certificate in &certificates {
-        // What a scan period of another speed or direction makes, and no more.
+        // At most the effect of another speed or direction during one scan period.
         let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
         assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.01, "{leap_m} {certificate:?}");
     }
@@ -73,8 +72,7 @@ fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_las
     let undisturbed = System::new(EXECUTABLE).lockstep(&arguments);
     let mut system = System::new(EXECUTABLE);
     system.start(&[&["--lockstep"], &arguments[..]].concat());
-    let certificate = swap(&system, &["robot", "--to", "emulator"]);
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);
+    let certificate = swap_seamlessly(&system, &["robot", "--to", "emulator"]);
     system.wait();
     let report = system.report();
     assert!(report.trajectory.len() as u64 > certificate.first_scan_new.unwrap());
@@ -86,7 +84,7 @@ fn in_lock_step_noise_drift_and_what_waits_for_the_robot_are_the_same_to_the_las
 #[test]
 fn a_bad_robot_is_refused_with_the_reason() {
     let mut system = System::new(EXECUTABLE);
-    system.start(&["long"]);
+    system.start(&SHORT_CORRIDOR);
     let mut certificates = Vec::new();
     for (fault, reason) in [
         (vec!["nan"], "odometry is not finite"),
@@ -94,38 +92,20 @@ fn a_bad_robot_is_refused_with_the_reason() {
         (vec!["exit-after", "3"], "the new process ended: exit code 1: "),
         (vec!["hang-after", "3"], "late: no output for scan"),
     ] {
-        let certificate = swap(&system, &[vec!["robot", "--", ODD], fault].concat());
-        assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
-        assert!(certificate.reason.contains(reason), "{certificate:?}");
-        assert_seamless(&certificate);
-        certificates.push(certificate);
+        let arguments = [vec!["robot", "--", FAULTY], fault].concat();
+        certificates.push(swap_in_vain(&system, &arguments, SwapOutcome::Refused, reason));
     }
     assert_reached(system, &certificates);
 }
 
 #[test]
 fn a_robot_that_hangs_in_charge_is_rolled_back_and_no_scan_is_missed() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let certificate = swap(&system, &["robot", "--standby-scans", "40", "--", ODD, "hang-after", "30"]);
-    assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
-    assert!(certificate.reason.starts_with("hangs: no output for scan"), "{}", certificate.reason);
-    assert_seamless(&certificate);
-    assert!(certificate.command_jump_mps < 0.3, "the wheels were blocked: {certificate:?}");
-    assert_reached(system, &[certificate]);
+    rolls_back_a_hang_in_charge(System::new(EXECUTABLE), Role::Robot, FAULTY);
 }
 
 #[test]
-fn the_new_robot_stays_when_the_old_one_is_killed_while_it_stands_by() {
-    let mut system = System::new(EXECUTABLE);
-    system.start(&["corridor"]);
-    let (child, new, old) = standby(&system, Role::Robot, &["--to", "emulator"]);
-    system.signal(old, Signal::KILL);
-    let certificate = certificate(&child.wait_with_output().unwrap());
-    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
-    assert_seamless(&certificate);
-    assert_eq!(rows(&system, Role::Robot), [(new, "ready".to_owned())]);
-    assert_reached(system, &[certificate]);
+fn the_new_robot_stays_when_the_old_one_is_killed_during_its_standby() {
+    survives_the_death_of_the_standby(System::new(EXECUTABLE), Role::Robot, "emulator");
 }
 
 #[test]
@@ -133,10 +113,8 @@ fn a_robot_that_fails_in_lock_step_is_rolled_back_too() {
     let mut system = System::new(EXECUTABLE);
     system.start(&["endless", "--lockstep", "--duration", "9000"]);
     for fault in [["hang-after", "20"], ["exit-after", "20"]] {
-        let standby = ["robot", "--standby-scans", "40", "--", ODD];
-        let certificate = swap(&system, &[&standby[..], &fault].concat());
-        assert_eq!(certificate.outcome, SwapOutcome::RolledBack, "{certificate:?}");
-        assert_seamless(&certificate);
+        let standby = ["robot", "--standby-scans", "40", "--", FAULTY];
+        swap_in_vain(&system, &[&standby[..], &fault].concat(), SwapOutcome::RolledBack, "");
     }
     stop(&mut system);
 }

@@ -89,7 +89,7 @@ fn sample(topic: Topic, seed: u64) -> Vec<u8> {
 }
 
 /// What another language has to print of all samples: topic, path, offset, size, value.
-fn account(seed: u64) -> String {
+fn listing(seed: u64) -> String {
     let mut text = String::new();
     for topic in TOPICS {
         for (number, leaf) in leaves(topic).iter().enumerate() {
@@ -110,7 +110,7 @@ fn compare(folder: &Path, command: &mut Command) {
     }
     let output = command.current_dir(folder).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let (printed, expected) = (String::from_utf8(output.stdout).unwrap(), account(MINE));
+    let (printed, expected) = (String::from_utf8(output.stdout).unwrap(), listing(MINE));
     for (theirs, mine) in printed.lines().zip(expected.lines()) {
         assert_eq!(theirs, mine);
     }

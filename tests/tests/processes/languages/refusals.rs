@@ -1,11 +1,11 @@
-//! A process built against another layout does not join, and says which field differs.
+//! A process built against another layout does not join, and names the field that differs.
 
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use handover::swap::{Certificate, SwapOutcome};
-use scanloop_tests::System;
+use scanloop_tests::{SHORT_FREE, System};
 use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 
 use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
@@ -25,29 +25,29 @@ int main(int count, char **words) {
 }
 "#;
 
-/// Another version of the samples: changes in the generated header, and what a process of a role says of it.
+/// Another version of the samples: changes in the generated header, and the message of a process of that role.
 struct Version {
     role: Role,
-    /// What stands there once, and what stands there instead.
+    /// Texts that occur once, and their replacements.
     changes: &'static [(&'static str, &'static str)],
-    says: &'static str,
+    message: &'static str,
 }
 
 const VERSIONS: [Version; 9] = [
     Version {
         role: Role::Obstacles,
         changes: &[("uint16_t ranges_mm[682];", "uint16_t ranges_mm[726];")],
-        says: "topic scan: field ranges_mm has 726 elements in this process, 682 in the system",
+        message: "topic scan: field ranges_mm has 726 elements in this process, 682 in the system",
     },
     Version {
         role: Role::Estimator,
         changes: &[("double dx_m;", "double step_m;"), ("\"dx_m\", dx_m", "\"step_m\", step_m")],
-        says: "topic odometry: field dx_m is called step_m in this process",
+        message: "topic odometry: field dx_m is called step_m in this process",
     },
     Version {
         role: Role::Estimator,
         changes: &[("double nis;", "uint64_t nis;")],
-        says: "topic pose: field nis is of type u64 in this process, f64 in the system",
+        message: "topic pose: field nis is of type u64 in this process, f64 in the system",
     },
     Version {
         role: Role::Obstacles,
@@ -59,12 +59,12 @@ const VERSIONS: [Version; 9] = [
                  SCANLOOP_VALUE(\"obstacles\", scanloop_obstacles, \"items.unseen_s\"",
             ),
         ],
-        says: "topic obstacles: field items.belief is not in the samples of the system",
+        message: "topic obstacles: field items.belief is not in the samples of the system",
     },
     Version {
         role: Role::Controller,
         changes: &[("int32_t side;", "uint32_t side;")],
-        says: "topic command: field side is of type u32 in this process, i32 in the system",
+        message: "topic command: field side is of type u32 in this process, i32 in the system",
     },
     Version {
         role: Role::Actuator,
@@ -72,12 +72,12 @@ const VERSIONS: [Version; 9] = [
             ("uint32_t answers;", ""),
             ("    SCANLOOP_VALUE(\"actuation\", scanloop_actuation, \"answers\", answers),\n", ""),
         ],
-        says: "topic actuation: field answers is missing in this process",
+        message: "topic actuation: field answers is missing in this process",
     },
     Version {
         role: Role::Actuator,
         changes: &[("uint32_t state;", "uint64_t state;")],
-        says: "topic heartbeat: field state is of type u64 in this process, u32 in the system",
+        message: "topic heartbeat: field state is of type u64 in this process, u32 in the system",
     },
     Version {
         role: Role::Controller,
@@ -86,12 +86,12 @@ const VERSIONS: [Version; 9] = [
             ("uint32_t previous;", "uint32_t incarnation;"),
             ("uint32_t later;", "uint32_t previous;"),
         ],
-        says: "topic directive: field authority.incarnation begins at byte 228 in this process, at 224 in the system",
+        message: "topic directive: field authority.incarnation begins at byte 228 in this process, at 224 in the system",
     },
     Version {
         role: Role::Estimator,
         changes: &[("uint8_t bytes[8192];", "uint8_t bytes[4096];")],
-        says: "topic checkpoint: field bytes has 4096 elements in this process, 8192 in the system",
+        message: "topic checkpoint: field bytes has 4096 elements in this process, 8192 in the system",
     },
 ];
 
@@ -106,12 +106,12 @@ impl Version {
     }
 }
 
-fn refused(system: &System, arguments: &[&str], says: &str) {
+fn refused(system: &System, arguments: &[&str], message: &str) {
     let output = system.run(&[&["swap", "--json"], arguments].concat());
     let certificate: Certificate = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
     assert!(certificate.reason.starts_with("the new process ended: exit code 2"), "{}", certificate.reason);
-    assert!(certificate.reason.contains(says), "{}", certificate.reason);
+    assert!(certificate.reason.contains(message), "{}", certificate.reason);
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (0, 0));
 }
 
@@ -132,15 +132,15 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
             folder.join("joins")
         })
         .collect();
-    system.start(&["free"]);
+    system.start(&SHORT_FREE);
     for (version, program) in VERSIONS.iter().zip(&programs) {
         refused(
             &system,
             &[version.role.name(), "--", program.to_str().unwrap(), &version.role.wire().to_string()],
-            version.says,
+            version.message,
         );
     }
-    assert_eq!(system.wait().code(), Some(0), "nobody has noticed: {}", system.stderr());
+    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
     system.assert_nothing_left();
 }
 
@@ -148,8 +148,8 @@ fn a_c_program_of_another_version_is_refused_with_the_field_in_the_certificate()
 fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certificate() {
     let Some(python) = python("a_python_program_of_another_version_is_refused") else { return };
     let mut system = System::new(EXECUTABLE);
-    system.start(&["free"]);
-    for (index, (old, new, says)) in [
+    system.start(&SHORT_FREE);
+    for (index, (old, new, message)) in [
         (
             "(\"predicted_x_m\", ctypes.c_double)",
             "(\"x_ahead_m\", ctypes.c_double)",
@@ -181,9 +181,9 @@ fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certific
         std::fs::write(folder.join("scanloop_types.py"), types.replace(old, new)).unwrap();
         let program = folder.join("pure_pursuit.py");
         let command = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
-        refused(&system, &[&["controller", "--"][..], &command].concat(), says);
+        refused(&system, &[&["controller", "--"][..], &command].concat(), message);
     }
-    assert_eq!(system.wait().code(), Some(0), "nobody has noticed: {}", system.stderr());
+    assert_eq!(system.wait().code(), Some(0), "the drive was disturbed: {}", system.stderr());
     system.assert_nothing_left();
 }
 
@@ -254,8 +254,8 @@ fn mutations() -> Vec<Layouts> {
 }
 
 #[test]
-fn python_finds_the_same_difference_in_the_same_words_as_rust() {
-    let Some(python) = python("python_finds_the_same_difference_in_the_same_words_as_rust") else { return };
+fn python_describes_a_difference_of_layouts_like_rust() {
+    let Some(python) = python("python_describes_a_difference_of_layouts_like_rust") else { return };
     let system = System::new(EXECUTABLE);
     let theirs = Layouts::built_in();
     let (mut tables, mut expected) = (Vec::new(), String::new());
@@ -273,9 +273,9 @@ fn python_finds_the_same_difference_in_the_same_words_as_rust() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let said = String::from_utf8(output.stdout).unwrap();
-    for (theirs, mine) in said.lines().zip(expected.lines()) {
+    let printed = String::from_utf8(output.stdout).unwrap();
+    for (theirs, mine) in printed.lines().zip(expected.lines()) {
         assert_eq!(theirs, mine);
     }
-    assert_eq!(said.lines().count(), expected.lines().count());
+    assert_eq!(printed.lines().count(), expected.lines().count());
 }

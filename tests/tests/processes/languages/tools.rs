@@ -27,7 +27,7 @@ fn profile_folder() -> &'static Path {
 
 /// Compiles a C program with the header in `types` and links it with the C library.
 pub(crate) fn compile(source: &Path, types: &Path, program: &Path) {
-    // The tests depend on the library, so cargo has built it beside their other dependencies.
+    // The tests depend on the library, so cargo has built it with their other dependencies.
     let library = profile_folder().join("deps");
     let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".to_owned());
     let output = Command::new(compiler)
@@ -45,7 +45,7 @@ pub(crate) fn compile(source: &Path, types: &Path, program: &Path) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The interpreter with the packages of the examples; `None`, said aloud, when they can't be had.
+/// The interpreter with the packages of the examples; `None`, with a printed note, when they can't be installed.
 pub(crate) fn python(skipped: &str) -> Option<PathBuf> {
     static FOLDER: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
@@ -63,10 +63,10 @@ pub(crate) fn python(skipped: &str) -> Option<PathBuf> {
     match folder {
         Ok(folder) => Some(folder.join("bin/python")),
         Err(error) => {
-            let said = format!("SKIPPED {skipped}: the Python packages could not be installed: {error}\n");
-            assert!(std::env::var("CI").as_deref() != Ok("true"), "{said}");
+            let printed = format!("SKIPPED {skipped}: the Python packages could not be installed: {error}\n");
+            assert!(std::env::var("CI").as_deref() != Ok("true"), "{printed}");
             // Past the capture of the test harness, which shows nothing of a test that passes.
-            let _ = std::io::stderr().lock().write_all(said.as_bytes());
+            let _ = std::io::stderr().lock().write_all(printed.as_bytes());
             None
         }
     }

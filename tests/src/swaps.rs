@@ -1,13 +1,14 @@
-//! Exchanges and shadows, asked for as a user does.
+//! Swaps and shadows, started by command as a user does.
 
 use std::process::{Child, Output, Stdio};
 
 use emulator::Outcome;
 use handover::shadow::ShadowReport;
 use handover::swap::{Certificate, SwapOutcome};
+use rustix::process::Signal;
 use shared_types::Role;
 
-use crate::{STAGES, System};
+use crate::{SHORT_CORRIDOR, STAGES, System};
 
 /// Built-in implementations of the roles.
 pub const BUILT_IN: [(Role, &str); 5] = [
@@ -18,12 +19,28 @@ pub const BUILT_IN: [(Role, &str); 5] = [
     (Role::Robot, "emulator"),
 ];
 
-/// Exchanges one process; the exit code must be that of the outcome.
+/// Swaps one process; the exit code must be that of the outcome.
 pub fn swap(system: &System, arguments: &[&str]) -> Certificate {
     certificate(&system.run(&with_json("swap", arguments)))
 }
 
-/// Begins an exchange and does not wait for its end.
+/// Swaps one process, which must succeed without a missed scan.
+pub fn swap_seamlessly(system: &System, arguments: &[&str]) -> Certificate {
+    let certificate = swap(system, arguments);
+    assert_seamless_swap(&certificate);
+    certificate
+}
+
+/// Swaps one process, which must be refused or rolled back without a missed scan, for a reason that has this text.
+pub fn swap_in_vain(system: &System, arguments: &[&str], outcome: SwapOutcome, reason: &str) -> Certificate {
+    let certificate = swap(system, arguments);
+    assert_eq!(certificate.outcome, outcome, "{certificate:?}");
+    assert!(certificate.reason.contains(reason), "{certificate:?}");
+    assert_seamless(&certificate);
+    certificate
+}
+
+/// Begins a swap and does not wait for its end.
 pub fn begin(system: &System, arguments: &[&str]) -> Child {
     spawn(system, "swap", arguments)
 }
@@ -53,7 +70,7 @@ pub fn shadow_report(output: &Output) -> ShadowReport {
     report
 }
 
-/// That nobody but the one who asked has noticed the exchange.
+/// Asserts that no scan was missed or answered twice because of the swap.
 pub fn assert_seamless(certificate: &Certificate) {
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (0, 0), "{certificate:?}");
     if let (Some(last), Some(first)) = (certificate.last_scan_old, certificate.first_scan_new) {
@@ -61,7 +78,13 @@ pub fn assert_seamless(certificate: &Certificate) {
     }
 }
 
-/// That the run reached its goal, answered every scan once and knows of its exchanges.
+/// Asserts that the swap was completed and that no scan was missed or answered twice.
+pub fn assert_seamless_swap(certificate: &Certificate) {
+    assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{certificate:?}");
+    assert_seamless(certificate);
+}
+
+/// Asserts that the run reached its goal, answered every scan once and reports its swaps.
 pub fn assert_reached(mut system: System, certificates: &[Certificate]) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
@@ -72,7 +95,7 @@ pub fn assert_reached(mut system: System, certificates: &[Certificate]) {
     system.assert_nothing_left();
 }
 
-/// That the run that has ended answered every scan once.
+/// Asserts that the run, which has ended, answered every scan once.
 pub fn assert_every_scan_answered_once(system: &System) {
     let report = system.report();
     let scans = &report.scans;
@@ -88,7 +111,7 @@ pub fn stop(system: &mut System) {
     system.assert_nothing_left();
 }
 
-/// Rows of `status` of one role: process id and state, who is in charge first.
+/// Rows of `status` of one role: process id and state, the process in charge first.
 pub fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
     let processes = system.status().map(|status| status.processes).unwrap_or_default();
     processes
@@ -105,7 +128,7 @@ pub fn more_scans(system: &System, count: u64) {
         .wait_until("more scans", |system| system.status().is_some_and(|status| status.scan >= scan + count));
 }
 
-/// Begins an exchange with a long standby and waits until the new process is in charge; returns both ids.
+/// Begins a swap with a long standby and waits until the new process is in charge; returns both ids.
 pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
     let all = [&[role.name(), "--standby-scans", "40"], arguments].concat();
     let child = begin(system, &all);
@@ -113,12 +136,34 @@ pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, 
         rows(system, role).get(1).is_some_and(|(_, state)| state == "standby")
     });
     let rows = rows(system, role);
-    // It is not only named but has answered.
+    // The new process has not only authority but has answered.
     more_scans(system, 4);
     (child, rows[0].0, rows[1].0)
 }
 
-/// Restarts a role; exit code, and what was said.
+/// A process that hangs while it is in charge is rolled back before the wheels are blocked.
+pub fn rolls_back_a_hang_in_charge(mut system: System, role: Role, faulty: &str) {
+    system.start(&SHORT_CORRIDOR);
+    let arguments = [role.name(), "--standby-scans", "40", "--", faulty, "hang-after", "30"];
+    let certificate = swap_in_vain(&system, &arguments, SwapOutcome::RolledBack, "");
+    assert!(certificate.reason.starts_with("hangs: no output for scan"), "{}", certificate.reason);
+    assert!(certificate.command_jump_mps < 0.3, "the wheels were blocked: {certificate:?}");
+    assert_reached(system, &[certificate]);
+}
+
+/// The new process stays when the old one is killed during its standby.
+pub fn survives_the_death_of_the_standby(mut system: System, role: Role, implementation: &str) {
+    system.start(&SHORT_CORRIDOR);
+    let (child, new, old) = standby(&system, role, &["--to", implementation]);
+    system.signal(old, Signal::KILL);
+    let certificate = certificate(&child.wait_with_output().expect("the command ends"));
+    assert_seamless_swap(&certificate);
+    assert_eq!(certificate.reason, "the old process ended: killed by signal 9 (SIGKILL)");
+    assert_eq!(rows(&system, role), [(new, "ready".to_owned())]);
+    assert_reached(system, &[certificate]);
+}
+
+/// Restarts a role; returns exit code and standard error.
 pub fn restart(system: &System, role: Role) -> (Option<i32>, String) {
     let output = system.run(&["restart", role.name()]);
     (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
@@ -128,11 +173,11 @@ pub fn restart(system: &System, role: Role) -> (Option<i32>, String) {
 pub fn restart_all(system: &System) {
     for role in STAGES {
         let before = system.pid(role);
-        let (code, said) = restart(system, role);
-        assert_eq!(code, Some(0), "{said}");
+        let (code, printed) = restart(system, role);
+        assert_eq!(code, Some(0), "{printed}");
         let is_seamless =
-            said.contains(&format!("{role} was restarted")) && said.contains("; 0 scans missed");
-        assert!(is_seamless, "{said}");
+            printed.contains(&format!("{role} was restarted")) && printed.contains("; 0 scans missed");
+        assert!(is_seamless, "{printed}");
         let [(now, state)] = rows(system, role).try_into().expect("one process");
         assert!(now != before && state == "ready", "{role} is {state}");
     }

@@ -1,4 +1,4 @@
-//! An estimator that does by itself what the runtime does for others, and leaves one thing out.
+//! An estimator without the `Process` of the crate `runtime`, which omits one of its duties.
 
 use runtime::{Bus, INCARNATION_VARIABLE, Observer, Publisher, Shutdown, monotonic_ns};
 use shared_types::{Directive, Heartbeat, Odometry, Phase, Pose, ProcessState, Role, StageStamps};
@@ -18,7 +18,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let mut poses = Publisher::<Pose>::new(&bus)?;
     let mut heart = Publisher::<Heartbeat>::new(&bus)?;
     if fault == "litters" {
-        std::fs::write(format!("/dev/shm/{}odd", domain.shared_memory_prefix()), "left")?;
+        std::fs::write(format!("/dev/shm/{}faulty", domain.shared_memory_prefix()), "left")?;
     }
     let (mut state, mut directive) = (ProcessState::Attached, Directive::default());
     let (mut received_ns, mut beat_ns, mut activations, mut orchestrator) = (monotonic_ns(), 0, 0, 0);

@@ -1,14 +1,14 @@
-//! The controller with a fault, for tests of exchanges.
+//! The controller with a fault, for tests of swaps.
 //!
-//! `odd-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
+//! `faulty-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
 
 use runtime::{Handover, Process, RuntimeError, join, wait_for};
 use shared_types::{Command, Obstacles, Pose, Role};
 
-/// How long the late one waits before it answers: more than half a period of 100 ms, less than a whole one [ns].
+/// Delay of the fault `late`: more than half a period of 100 ms, less than a whole one [ns].
 const LATE_NS: u64 = 70_000_000;
 
-/// How often the one that floods repeats itself while it waits: ten thousand times a second [ns].
+/// Interval of the fault `flood`: ten thousand samples a second [ns].
 const FLOOD_NS: u64 = 100_000;
 
 /// What is wrong with it.
@@ -27,7 +27,7 @@ enum Fault {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let fault = fault(&arguments)
-        .ok_or("usage: odd-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
+        .ok_or("usage: faulty-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
     run(fault)
 }
 
@@ -62,7 +62,7 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
     }
     let (mut count, mut last) = (0, None::<Command>);
     while process.wait((fault == Fault::Floods).then(|| process.clock().now_ns() + FLOOD_NS))? {
-        // A timer may be late by half of that; twice makes up for it.
+        // A timer may be late by half of that, so each is published twice.
         for command in last.iter_mut().filter(|_| fault == Fault::Floods) {
             commands.publish(command)?;
             commands.publish(command)?;
@@ -88,7 +88,7 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Deaf to everything but a kill.
+/// Ignores everything but a kill.
 fn hang() -> ! {
     loop {
         wait_for(&[], 100_000_000);

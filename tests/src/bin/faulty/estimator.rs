@@ -5,9 +5,9 @@ use shared_types::{Actuation, Header, Odometry, Pose, Role};
 
 use crate::{Outcome, everything};
 
-/// Faults of what comes out: `skips`, `twice`, `late`, `header`, `nan`, `infinite`, `random`, `stateless`, `amnesia`, `guesses`,
-/// `off`, `behind`, `uncorrected`, `gullible`, `sure`. Of what goes in: `trusts` (who wrote it, how old it is, whether
-/// it came before), `believes` (what stands in it), `stays` (with the first producer), `invents`.
+/// Faults of its outputs: `skips`, `twice`, `late`, `header`, `nan`, `infinite`, `random`, `stateless`, `amnesia`,
+/// `guesses`, `off`, `behind`, `uncorrected`, `gullible`, `sure`. Of inputs that are not checked: `trusts` (writer,
+/// age, repetition), `believes` (content), `stays` (with the first producer), `invents`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Estimator)?;
     let mut config = process.settings::<estimator::Config>("estimator")?;
@@ -69,7 +69,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         for measured in asked {
             last = measured;
             let now = process.clock().now_ns();
-            // What is not even looked at is answered with what stands in it.
+            // What is not even checked is answered with its content.
             let plain = Pose {
                 header: measured.header.answer(),
                 x_m: measured.x_m,
@@ -92,7 +92,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     Ok(())
 }
 
-/// Changes what is published; false when nothing is.
+/// Changes a pose before it is published; false when it is not published.
 fn spoil(fault: &str, pose: &mut Pose, process: &Process) -> bool {
     match fault {
         "skips" => return !pose.header.scan_id.is_multiple_of(5),

@@ -1,18 +1,18 @@
-//! The emulated robot with a fault, for tests of exchanges.
+//! The emulated robot with a fault, for tests of swaps.
 //!
-//! `odd-robot none | nan | jump | hang-after N | exit-after N`
+//! `faulty-robot none | nan | jump | hang-after N | exit-after N`
 
 use emulator::service::run_with;
 use shared_types::{Odometry, Scan, Truth};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let fault: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let mut count = 0;
-    match words[..] {
+    match fault[..] {
         ["none"] => run_with(|_, _, _| {}),
         ["nan"] => run_with(|_, odometry: &mut Odometry, _| odometry.x_m = f64::NAN),
-        // It believes to stand beside its place.
+        // It measures itself 0.1 m beside its true position.
         ["jump"] => run_with(|_, odometry: &mut Odometry, truth: &mut Truth| {
             odometry.y_m += 0.1;
             truth.y_m += 0.1;
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }
             })
         }
-        _ => return Err("usage: odd-robot none|nan|jump|hang-after N|exit-after N".into()),
+        _ => return Err("usage: faulty-robot none|nan|jump|hang-after N|exit-after N".into()),
     }?;
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The built-in roles, step by step, with an outlet that can do wrong.
+//! The built-in roles, step by step, with an outlet that can mistreat a sample.
 
 use std::error::Error;
 
@@ -94,7 +94,7 @@ pub(crate) fn estimator(trouble: Trouble) -> Ended {
     Ok(())
 }
 
-/// The obstacle description.
+/// The obstacle detector.
 pub(crate) fn obstacles(trouble: Trouble) -> Ended {
     let mut process = Process::attach(Role::Obstacles)?;
     let mut detector = obstacles::ObstacleDetector::new(process.settings("obstacles")?)?;

@@ -6,8 +6,9 @@ use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan, Truth}
 
 use crate::{Outcome, everything};
 
-/// Faults of what comes out: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`, and
-/// `stubborn`, which is truthless and does not end either. Of what it is told: `mirrored`, `rolls`, `tireless`, `trusts`, `believes`, `repeats`.
+/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`, and
+/// `stubborn`, which is truthless and does not end either. Of its inputs: `mirrored`, `rolls`, `tireless`,
+/// `trusts`, `believes`, `repeats`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Robot)?;
     let scenario = process.settings::<Scenario>("scenario")?;
@@ -101,7 +102,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     }
 }
 
-/// Changes what the robot was told.
+/// Changes an actuation before the robot obeys it.
 fn obey(fault: &str, actuation: &mut Actuation) {
     match fault {
         "mirrored" => actuation.sent_steering_rad *= -1.0,

@@ -1,9 +1,9 @@
-//! Any role of the loop with something hidden wrong about one of its samples, for tests of the ledger.
+//! Any role of the loop with a fault of one of its samples, for tests of the ledger.
 //!
-//! `odd-role ROLE FAULT TOPIC SCAN` does wrong with the first sample for that scan or a later one, see [`Fault`], and
+//! `faulty-role ROLE FAULT TOPIC SCAN` mistreats the first sample for that scan or a later one, see [`Fault`], and
 //! writes to its log which scan and which number it was.
-//! `odd-role ROLE delay` waits in the middle of its work where [`scanloop_tests::planted`] says, and writes to its log
-//! from when to when it really was.
+//! `faulty-role ROLE delay` waits where [`scanloop_tests::planted`] plans it, and writes to its log
+//! from when to when it really waited.
 //!
 //! The work itself is that of the built-in implementation.
 
@@ -28,7 +28,7 @@ enum Trouble {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let (role, trouble) = parse(&arguments)
-        .ok_or("usage: odd-role ROLE drop|omit|repeat|double|swap|mix TOPIC SCAN | delay")?;
+        .ok_or("usage: faulty-role ROLE drop|omit|repeat|double|swap|mix TOPIC SCAN | delay")?;
     match role {
         Role::Robot => roles::robot(trouble),
         Role::Estimator => roles::estimator(trouble),

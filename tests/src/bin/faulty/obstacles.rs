@@ -1,4 +1,4 @@
-//! Descriptions of obstacles with a fault.
+//! Obstacle detectors with a fault.
 
 use runtime::{Process, join};
 use shared_types::{Obstacles, Pose, Role, Scan};

@@ -1,6 +1,6 @@
 //! Implementations of all roles with one fault each, to show that `scanloop conformance` finds it.
 //!
-//! `odd ROLE FAULT`; the faults of a role stand in its file, `loner` has those that a process on the crate `runtime`
+//! `faulty ROLE FAULT`; the faults of a role are in its file, `loner` has those that a process on the crate `runtime`
 //! cannot have. The table of faults and of the cases that find them is in `tests/conformance.rs`.
 
 mod actuator;
@@ -25,7 +25,7 @@ fn main() -> Outcome {
         ["controller", fault] => controller::run(fault),
         ["actuator", fault] => actuator::run(fault),
         ["robot", fault] => robot::run(fault),
-        _ => Err("usage: odd loner|estimator|obstacles|controller|actuator|robot FAULT".into()),
+        _ => Err("usage: faulty loner|estimator|obstacles|controller|actuator|robot FAULT".into()),
     }
 }
 
@@ -34,9 +34,9 @@ fn domain() -> Result<Domain, Box<dyn std::error::Error>> {
     Ok(Domain::of_this_process()?)
 }
 
-/// Reads a topic without looking at who wrote what.
+/// Reads a topic without a check of the writer.
 fn everything<S: Sample>() -> Result<(Bus, Observer<S>), Box<dyn std::error::Error>> {
-    let bus = Bus::open(&domain()?, "odd")?;
+    let bus = Bus::open(&domain()?, "faulty")?;
     let observer = Observer::new(&bus)?;
     Ok((bus, observer))
 }

@@ -1,4 +1,4 @@
-//! An output that can do wrong.
+//! An output that can mistreat a sample.
 
 use std::rc::Rc;
 use std::str::FromStr;
@@ -9,7 +9,7 @@ use shared_types::{Role, Sample};
 
 use crate::Trouble;
 
-/// What is done wrong with one sample.
+/// How one sample is mistreated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fault {
     /// It gets a number and is not sent.
@@ -65,7 +65,7 @@ impl<S: Sample> Outlet<S> {
         self.wait_at(Place::Compute, scan_id);
     }
 
-    /// Publishes a sample, or does it wrong.
+    /// Publishes a sample, or mistreats it.
     pub(crate) fn publish(&mut self, sample: &mut S) -> Result<(), RuntimeError> {
         let scan_id = sample.header().scan_id;
         match self.trouble {
@@ -117,7 +117,7 @@ impl<S: Sample> Outlet<S> {
         Ok(())
     }
 
-    /// Waits there if it is planned, and says from when to when it really was [ns].
+    /// Waits there if it is planned, and logs from when to when it really waited [ns].
     fn wait_at(&self, place: Place, scan_id: u64) {
         if !matches!(self.trouble, Trouble::Delay) {
             return;
