@@ -268,11 +268,11 @@ fn needed(scene: &Scene) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, Goal};
+    use crate::config::Config;
     use crate::side::{Passing, Sides, hold};
     use nalgebra::Vector2;
-    use vehicle::State;
     use vehicle::geometry::Rectangle;
+    use vehicle::{Goal, State};
 
     fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
