@@ -8,7 +8,7 @@ use criterion::{BenchmarkGroup, Criterion, SamplingMode};
 use emulator::Emulator;
 use estimator::Estimator;
 use nmpc::{Budget, Controller};
-use obstacles::Describer;
+use obstacles::ObstacleDetector;
 use pipeline::{Pipeline, Step};
 use scanloop_bench::Lap;
 use shared_types::{CommandKind, Odometry, Scan, Truth};
@@ -74,12 +74,12 @@ fn estimator_step(group: &mut Group<'_>, lap: &Lap) {
 /// Turn the ranges of a scan into ellipses.
 fn obstacles_step(group: &mut Group<'_>, lap: &Lap) {
     let config = lap.tuning().obstacles;
-    let fresh = || Describer::new(config).expect("default settings are valid");
+    let fresh = || ObstacleDetector::new(config).expect("default settings are valid");
     group.bench_function("obstacles", |bencher| {
         bencher.iter_custom(|iterations| {
-            lap.time(iterations, fresh, every, |describer, step| {
+            lap.time(iterations, fresh, every, |detector, step| {
                 if let Some(pose) = &step.pose {
-                    black_box(describer.step(black_box(&step.scan), pose));
+                    black_box(detector.step(black_box(&step.scan), pose));
                 }
             })
         });

@@ -24,7 +24,7 @@ const YAW_RATE_RADPS: f64 = 0.01;
 /// Nearer than this a run has landed.
 const LANDED_M: f64 = 0.1;
 /// Three times what a lap takes.
-const MOST_SCANS: usize = 400;
+const MAX_SCANS: usize = 400;
 
 fn main() {
     println!("lap,x1,x2,x3,x4,x5");
@@ -44,7 +44,7 @@ fn drive(lap: u64) -> Vec<State> {
     let mut truth = State::default();
     let mut before: Option<Trajectory> = None;
     let mut states = Vec::new();
-    while states.len() < MOST_SCANS {
+    while states.len() < MAX_SCANS {
         let measured = if lap == 1 { truth } else { blurred(&truth, &mut random) };
         let case = Case { state: measured, ..Case::default() };
         if case.goal[0] - measured.x < LANDED_M {

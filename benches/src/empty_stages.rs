@@ -165,8 +165,8 @@ fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
         return Ok(());
     }
     // As the real one, which looks at its watch ten times a period.
-    let look_ns = process.period_ns() / 10;
-    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+    let poll_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         while let Some(command) = commands.take() {
             let header = command.header.answer();
             if taken.take(header.scan_id)? {

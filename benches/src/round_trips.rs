@@ -7,13 +7,13 @@
 use std::process::{Child, Command as Program, Stdio};
 use std::thread::JoinHandle;
 
-use runtime::{Bus, Domain, Observer, RuntimeError, Voice};
+use runtime::{Bus, Domain, Observer, Publisher, RuntimeError};
 use shared_types::{Command, Pose, Sample};
 
 /// Tells the other end to end.
 const END: u64 = u64::MAX;
 /// A lost wake-up costs this much, and an answer that does not come is asked for again after it [ns].
-const PATIENCE_NS: u64 = 100_000_000;
+const TIMEOUT_NS: u64 = 100_000_000;
 /// The other end gives up when it was asked nothing for so many time-outs: ten seconds.
 const LONELY: u32 = 100;
 
@@ -28,7 +28,7 @@ pub enum Peer {
 /// The asking end; ends the other one and removes the bus when dropped.
 pub struct Echo {
     // Fields are dropped in this order: ports before the bus, the bus before its files.
-    poses: Voice<Pose>,
+    poses: Publisher<Pose>,
     commands: Observer<Command>,
     _bus: Bus,
     files: Files,
@@ -53,7 +53,7 @@ impl Echo {
         let files = Files(Domain::create(system_id)?);
         let bus = Bus::create(&files.0)?;
         let mut echo = Self {
-            poses: Voice::new(&bus)?,
+            poses: Publisher::new(&bus)?,
             commands: Observer::waking(&bus)?,
             _bus: bus,
             files,
@@ -81,7 +81,7 @@ impl Echo {
         let mut pose = Pose::default();
         pose.header.scan_id = self.asked;
         loop {
-            self.poses.say(&mut pose, true)?;
+            self.poses.publish(&mut pose, true)?;
             let mut woken = true;
             while woken {
                 woken = wait_on(&self.commands);
@@ -105,7 +105,7 @@ impl Drop for Echo {
         let mut end = Pose::default();
         end.header.scan_id = END;
         // Where this fails the other end notices that it is lonely.
-        let _ = self.poses.say(&mut end, true);
+        let _ = self.poses.publish(&mut end, true);
         match self.other.take() {
             Some(Other::Thread(thread)) => drop(thread.join()),
             Some(Other::Process(mut process)) => drop(process.wait()),
@@ -126,7 +126,7 @@ impl Drop for Files {
 /// Errors of the bus.
 pub fn echo_until_told(system_id: &str) -> Result<(), RuntimeError> {
     let bus = Bus::open(&Domain::existing(system_id)?, "echo")?;
-    let (poses, mut commands) = (Observer::<Pose>::waking(&bus)?, Voice::<Command>::new(&bus)?);
+    let (poses, mut commands) = (Observer::<Pose>::waking(&bus)?, Publisher::<Command>::new(&bus)?);
     let mut lonely = 0;
     while lonely < LONELY {
         lonely = if wait_on(&poses) { 0 } else { lonely + 1 };
@@ -135,7 +135,7 @@ pub fn echo_until_told(system_id: &str) -> Result<(), RuntimeError> {
         match newest {
             Some(header) if header.scan_id == END => return Ok(()),
             Some(header) => {
-                commands.say(&mut Command { header: header.answer(), ..Command::default() }, true)?
+                commands.publish(&mut Command { header: header.answer(), ..Command::default() }, true)?
             }
             None => {}
         }
@@ -145,7 +145,7 @@ pub fn echo_until_told(system_id: &str) -> Result<(), RuntimeError> {
 
 /// Sleeps until a sample may have come; false after the time-out.
 fn wait_on<S: Sample>(observer: &Observer<S>) -> bool {
-    observer.wait(PATIENCE_NS)
+    observer.wait(TIMEOUT_NS)
 }
 
 #[cfg(test)]

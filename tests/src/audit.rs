@@ -16,7 +16,7 @@ use runtime::{Bus, Domain, Observer, RuntimeError, wait_for};
 use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
 
 /// Time between two looks at the bus [ns]; topics hold sixteen samples.
-const LOOK_NS: u64 = 1_000_000;
+const POLL_NS: u64 = 1_000_000;
 /// Scans before and after a change that are looked at.
 const AROUND: u64 = 3;
 
@@ -228,11 +228,11 @@ fn watch(domain: &Domain, stop: &AtomicBool, ready: &AtomicBool) -> Result<Recor
                 && let Ok(state) = checkpoint.state::<RobotState>()
                 && state.answered == checkpoint.header.scan_id
             {
-                recording.heard.entry(state.answered).or_insert(state.heard_incarnation);
+                recording.heard.entry(state.answered).or_insert(state.received_incarnation);
             }
         })?;
         ready.store(true, Ordering::Release);
-        wait_for(&[], LOOK_NS);
+        wait_for(&[], POLL_NS);
     }
     Ok(recording)
 }

@@ -10,7 +10,7 @@ use std::rc::Rc;
 use bytemuck::{Pod, Zeroable};
 use runtime::{
     Bus, ClockKind, DIRECTORY_VARIABLE, Domain, INCARNATION_VARIABLE, Input, Observer, Output, Process,
-    RUN_ID_VARIABLE, RunSettings, RuntimeError, SYSTEM_ID_VARIABLE, Voice, settings_file,
+    Publisher, RUN_ID_VARIABLE, RunSettings, RuntimeError, SYSTEM_ID_VARIABLE, settings_file,
 };
 use shared_types::{
     Authority, Checkpoint, Command, Described, Directive, Fault, Field, Header, Heartbeat, Kind, Obstacles,
@@ -137,7 +137,7 @@ impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
         Some(Arrival::now(Stamp { sequence: self.header.scan_id, sent_ns }))
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.wait(0);
         self.input.as_ref().is_some_and(|input| input.next_scan().is_some())
     }
@@ -233,7 +233,7 @@ pub(crate) fn open(setup: &Setup) -> Result<Box<dyn Stage>, HopError> {
 /// What the orchestrator does for a system, as far as a chain needs it: topics, settings, directives.
 pub(crate) struct System {
     // Fields are dropped in this order: ports before the bus, the bus before its files.
-    directives: Voice<Directive>,
+    directives: Publisher<Directive>,
     heartbeats: Observer<Heartbeat>,
     _bus: Bus,
     domain: Domain,
@@ -264,7 +264,7 @@ impl System {
         }
         let bus = create(&domain, payload).map_err(error)?;
         Ok(Self {
-            directives: Voice::new(&bus).map_err(error)?,
+            directives: Publisher::new(&bus).map_err(error)?,
             heartbeats: Observer::new(&bus).map_err(error)?,
             _bus: bus,
             domain,
@@ -311,7 +311,7 @@ impl System {
         for (index, authority) in directive.authority.iter_mut().enumerate() {
             *authority = Authority { incarnation: incarnation(index), previous: 0, from_scan: 0 };
         }
-        self.directives.say(&mut directive, true).map_err(error)
+        self.directives.publish(&mut directive, true).map_err(error)
     }
 }
 

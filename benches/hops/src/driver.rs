@@ -23,7 +23,7 @@ const LATE: Duration = Duration::from_secs(1);
 /// How long processes may take to end before they are killed.
 const END: Duration = Duration::from_secs(3);
 /// Time between two looks at processes that start or end.
-const LOOK: Duration = Duration::from_millis(2);
+const POLL: Duration = Duration::from_millis(2);
 
 /// One chain's latencies, in the order of sending.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,7 +116,7 @@ impl<'a> Chain<'a> {
             self.wiring.assist()?;
             match self.listener.accept() {
                 Ok((stream, _)) => self.ends.push(End { stream, heard: Vec::new(), index: None }),
-                Err(error) if error.kind() == ErrorKind::WouldBlock => std::thread::sleep(LOOK),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => std::thread::sleep(POLL),
                 Err(error) => return Err(HopError::system("listen to the processes")(error)),
             }
             for end in self.ends.iter_mut().filter(|end| end.index.is_none()) {
@@ -213,7 +213,7 @@ impl Drop for Chain<'_> {
         while asked.elapsed() < END
             && self.children.iter_mut().any(|child| matches!(child.try_wait(), Ok(None)))
         {
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL);
         }
         for child in &mut self.children {
             // The whole group: what a process has started must not outlive it.
@@ -259,7 +259,7 @@ impl End {
         match self.stream.read(&mut bytes) {
             Ok(0) => {
                 // Its process ends, which the next check reports; no hurry until then.
-                std::thread::sleep(LOOK);
+                std::thread::sleep(POLL);
                 Ok(false)
             }
             Ok(count) => {

@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::thread::futex;
 
 use crate::message::{Arrival, Stamp};
-use crate::policy::LONGEST_WAIT_NS;
+use crate::policy::MAX_WAIT_NS;
 use crate::ring::Ring;
 use crate::stage::Stage;
 use crate::{HopError, Setup};
@@ -72,7 +72,7 @@ impl End {
                 }
             }
             (None, longest_ns) => {
-                let longest = time(longest_ns.unwrap_or(LONGEST_WAIT_NS));
+                let longest = time(longest_ns.unwrap_or(MAX_WAIT_NS));
                 let bell = &self.ring.bell().strokes;
                 let _ = futex::wait(bell, futex::Flags::empty(), strokes, Some(&longest));
             }
@@ -96,7 +96,7 @@ impl Stage for Floor {
         inlet.ring.read(inlet.payload, Stamp::read)?.map(Arrival::now)
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.inlet.as_ref().is_some_and(|inlet| inlet.ring.has_message())
     }
 

@@ -18,7 +18,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 use runtime::Domain;
 
 use crate::message::{Arrival, Stamp};
-use crate::policy::LONGEST_WAIT_NS;
+use crate::policy::MAX_WAIT_NS;
 use crate::setup::HOPS;
 use crate::stage::Stage;
 use crate::{HopError, Setup};
@@ -126,13 +126,13 @@ impl Stage for StockListener {
         Stamp::read(message.payload()).map(Arrival::now)
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.inlet.as_ref().is_some_and(|(subscriber, _)| subscriber.has_samples().unwrap_or(false))
     }
 
     fn block(&mut self, longest_ns: Option<u64>) {
         if let Some((_, listener)) = &self.inlet {
-            let longest = Duration::from_nanos(longest_ns.unwrap_or(LONGEST_WAIT_NS));
+            let longest = Duration::from_nanos(longest_ns.unwrap_or(MAX_WAIT_NS));
             // A signal ends the wait as a notification does.
             let _ = listener.timed_wait(|_| {}, longest);
         }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Longest sleep: how late a process notices at most that the chain is closed. No multiple of a usual period, so that
 /// time-outs and messages do not meet.
-pub(crate) const LONGEST_WAIT_NS: u64 = 230_000_000;
+pub(crate) const MAX_WAIT_NS: u64 = 230_000_000;
 /// How long a process polls before and after the time at which a message is due [us]. Twice what a timer and a
 /// wake-up are late by, and less than half a period at 1 kHz.
 pub(crate) const POLL_US: u64 = 200;

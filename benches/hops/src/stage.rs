@@ -6,7 +6,7 @@ use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
 use crate::control::{Control, Word};
 use crate::message::{Arrival, Stamp, monotonic_ns};
-use crate::policy::{LONGEST_WAIT_NS, POLL_US};
+use crate::policy::{MAX_WAIT_NS, POLL_US};
 use crate::{HopError, Policy, Setup};
 
 /// Time between two messages while the chain connects.
@@ -24,7 +24,7 @@ pub trait Stage {
     fn take(&mut self) -> Option<Arrival>;
 
     /// Whether a message has come, without sleeping; [`Stage::take`] then has it.
-    fn look(&mut self) -> bool;
+    fn poll(&mut self) -> bool;
 
     /// Sleeps until a time of CLOCK_MONOTONIC: the first process, until its next message is due.
     fn sleep_until(&mut self, time_ns: u64) {
@@ -125,7 +125,7 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
 fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
     let before = monotonic_ns();
     wait(stage, setup.policy, due_ns);
-    monotonic_ns() - before > LONGEST_WAIT_NS / 3
+    monotonic_ns() - before > MAX_WAIT_NS / 3
 }
 
 /// Waits once, for a message that is due at `due_ns`; the caller looks whether there is one.
@@ -138,7 +138,7 @@ fn wait(stage: &mut dyn Stage, policy: Policy, due_ns: u64) {
     if now < early {
         return stage.block(Some(early - now));
     }
-    while !stage.look() && monotonic_ns() < due_ns + 1000 * POLL_US {
+    while !stage.poll() && monotonic_ns() < due_ns + 1000 * POLL_US {
         std::thread::yield_now();
     }
 }

@@ -13,7 +13,7 @@ use rustix::net::{RecvFlags, SendFlags, recv, send};
 
 use crate::floor::inherited;
 use crate::message::{Arrival, Stamp};
-use crate::policy::LONGEST_WAIT_NS;
+use crate::policy::MAX_WAIT_NS;
 use crate::stage::Stage;
 use crate::{HopError, Setup};
 
@@ -36,7 +36,7 @@ impl UnixSocket {
             address.and_then(|text| text.split(',').nth(place)).map(inherited).transpose()
         };
         let (inlet, outlet) = (end(setup.inlet(), 1)?, end(setup.outlet(), 0)?);
-        let longest = Some(Duration::from_nanos(LONGEST_WAIT_NS));
+        let longest = Some(Duration::from_nanos(MAX_WAIT_NS));
         for (socket, timeout) in [(&inlet, Timeout::Recv), (&outlet, Timeout::Send)] {
             if let Some(socket) = socket {
                 set_socket_timeout(socket, timeout, longest)
@@ -83,7 +83,7 @@ impl Stage for UnixSocket {
         self.arrived.take()
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.arrived = self.receive(RecvFlags::DONTWAIT);
         self.arrived.is_some()
     }
@@ -99,7 +99,7 @@ impl Stage for UnixSocket {
         };
         let Some(inlet) = &self.inlet else { return };
         if matches!(poll(&mut [PollFd::new(inlet, PollFlags::IN)], Some(&longest)), Ok(1)) {
-            self.look();
+            self.poll();
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What became of every scan, here; and of every sample of every topic, in [`Books`].
+//! What became of every scan, here; and of every sample of every topic, in [`SampleAudit`].
 //!
 //! Scans are numbered without gaps from the first on, so each number between the first and the newest seen is a
 //! scan that was published. It was *commanded* when an actuation answered it, *late* too when that came after
@@ -11,10 +11,10 @@
 //!
 //! Only the newest [`WINDOW`] scans are kept one by one; older ones are added up and take no memory.
 
-mod books;
 mod fault;
 mod refused;
 mod rows;
+mod sample_audit;
 mod stream;
 mod sweep;
 mod topic;
@@ -23,15 +23,15 @@ use std::collections::BTreeMap;
 
 use shared_types::Role;
 
-pub use self::books::{ACCOUNTS, Books};
 pub use self::fault::{Fault, Kind};
 pub use self::refused::{NewRefusal, RefusedRow};
 pub use self::rows::{LedgerReport, LedgerRow, ScanReport};
-pub use self::topic::{TopicLedger, Word};
+pub use self::sample_audit::{ACCOUNTS, SampleAudit};
+pub use self::topic::{InputReport, TopicLedger};
 
 /// A sample that has been on its way for this long does not come any more: four heartbeats, and four times the
 /// longest sleep of a process [ns].
-pub const PATIENCE_NS: u64 = 400_000_000;
+pub const TIMEOUT_NS: u64 = 400_000_000;
 
 /// Reason of scans whose way led through a process that had died or hung.
 pub const PROCESS_RESTARTED: &str = "process_restarted";

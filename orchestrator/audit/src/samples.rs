@@ -12,11 +12,11 @@ use shared_types::{
     Sample, Scan, Truth, YOUNG_NS,
 };
 
-use crate::ledger::Books;
+use crate::ledger::SampleAudit;
 
 /// A scan without an answer is given up when this many newer scans have been published, and at high rates as many as
 /// may come late together.
-const PATIENCE_SCANS: u64 = 3;
+const TIMEOUT_SCANS: u64 = 3;
 
 /// Actuations that are kept for a process that starts: more than can be sent while one that hangs is found out, as
 /// repetitions are not kept.
@@ -46,7 +46,7 @@ impl<S: Sample> Queue<S> {
     fn poll(
         &mut self,
         directive: &Directive,
-        books: &mut Books,
+        sample_audit: &mut SampleAudit,
         refused: &mut Vec<(u64, Rule)>,
     ) -> Result<u64, RuntimeError> {
         let Self { observer, waiting, aside, filter } = self;
@@ -64,7 +64,7 @@ impl<S: Sample> Queue<S> {
             Admission::Foreign => {}
         };
         kept.iter().for_each(|sample| put(sample, true));
-        look(observer, directive, books, refused, |sample| put(sample, false))
+        look(observer, directive, sample_audit, refused, |sample| put(sample, false))
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
@@ -81,17 +81,17 @@ impl<S: Sample> Queue<S> {
 fn look<S: Sample>(
     observer: &Observer<S>,
     directive: &Directive,
-    books: &mut Books,
+    sample_audit: &mut SampleAudit,
     refused: &mut Vec<(u64, Rule)>,
     mut each: impl FnMut(&S),
 ) -> Result<u64, RuntimeError> {
     let now_ns = monotonic_ns();
     let (mut came, mut invalid) = (0, 0);
-    books.look(S::TOPIC, now_ns);
-    observer.look(|sample, check| {
+    sample_audit.poll(S::TOPIC, now_ns);
+    observer.poll_checked(|sample, check| {
         came += 1;
         if !matches!(check, Err(Fault::Layout { .. })) {
-            books.see(sample, now_ns);
+            sample_audit.see(sample, now_ns);
         }
         match check {
             Ok(()) => each(sample),
@@ -104,7 +104,7 @@ fn look<S: Sample>(
         }
     })?;
     if came >= buffer(S::TOPIC) {
-        books.overflowed(S::TOPIC);
+        sample_audit.overflowed(S::TOPIC);
     }
     Ok(invalid)
 }
@@ -146,7 +146,7 @@ pub struct Samples {
     actuations: Queue<Actuation>,
     /// The newest of them without repetitions, also when their scans were handed out.
     recent: VecDeque<Actuation>,
-    patience_scans: u64,
+    timeout_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
     invalid: u64,
@@ -171,7 +171,7 @@ impl Samples {
             commands,
             actuations,
             recent: VecDeque::with_capacity(RECENT),
-            patience_scans: PATIENCE_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
+            timeout_scans: TIMEOUT_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
             invalid: 0,
@@ -194,22 +194,26 @@ impl Samples {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    pub fn poll(&mut self, directive: &Directive, books: &mut Books) -> Result<(), RuntimeError> {
+    pub fn poll(
+        &mut self,
+        directive: &Directive,
+        sample_audit: &mut SampleAudit,
+    ) -> Result<(), RuntimeError> {
         let Self { refused, .. } = self;
-        self.invalid += self.truths.poll(directive, books, refused)?;
-        self.invalid += look(&self.scans, directive, books, refused, |_| ())?;
-        self.invalid += look(&self.odometries, directive, books, refused, |_| ())?;
+        self.invalid += self.truths.poll(directive, sample_audit, refused)?;
+        self.invalid += look(&self.scans, directive, sample_audit, refused, |_| ())?;
+        self.invalid += look(&self.odometries, directive, sample_audit, refused, |_| ())?;
         // Against the stream: when an answer is there, so is all that it came from.
         let before = self.actuations.waiting.len();
-        self.invalid += self.actuations.poll(directive, books, refused)?;
+        self.invalid += self.actuations.poll(directive, sample_audit, refused)?;
         self.actuations
             .waiting
             .iter()
             .skip(before)
             .for_each(|actuation| remember(&mut self.recent, actuation));
-        self.invalid += self.commands.poll(directive, books, refused)?;
-        self.invalid += self.obstacles.poll(directive, books, refused)?;
-        self.invalid += self.poses.poll(directive, books, refused)?;
+        self.invalid += self.commands.poll(directive, sample_audit, refused)?;
+        self.invalid += self.obstacles.poll(directive, sample_audit, refused)?;
+        self.invalid += self.poses.poll(directive, sample_audit, refused)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }
@@ -250,7 +254,7 @@ impl Samples {
     pub fn next(&mut self, flush: bool) -> Option<ScanRecord> {
         let scan_id = self.truths.waiting.front()?.header.scan_id;
         let answered = self.answered_scan >= scan_id;
-        if !answered && !flush && self.newest_scan < scan_id + self.patience_scans {
+        if !answered && !flush && self.newest_scan < scan_id + self.timeout_scans {
             return None;
         }
         let truth = self.truths.waiting.pop_front()?;

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::{ACCOUNTS, Books, Fault, Kind};
+use audit::ledger::{ACCOUNTS, Fault, Kind, SampleAudit};
 use proptest::prelude::*;
 use runtime::{KEPT, buffer};
 use shared_types::{
@@ -76,7 +76,7 @@ struct Port {
 
 /// Five processes and the orchestrator's view of them.
 struct Model {
-    books: Books,
+    sample_audit: SampleAudit,
     processes: Vec<Process>,
     bus: BTreeMap<Topic, VecDeque<Header>>,
     late: BTreeMap<Topic, Header>,
@@ -197,7 +197,7 @@ impl Process {
 impl Model {
     fn new(hidden: Option<(Topic, u64, Hidden)>) -> Self {
         let mut model = Self {
-            books: Books::new(false),
+            sample_audit: SampleAudit::new(false),
             processes: Role::ALL.iter().zip(1..).map(|(role, number)| Process::new(*role, number)).collect(),
             bus: BTreeMap::new(),
             late: BTreeMap::new(),
@@ -208,9 +208,9 @@ impl Model {
             away_until: 0,
         };
         for process in &model.processes {
-            model.books.hear(&process.heartbeat(ProcessState::Connected, 1), 1);
+            model.sample_audit.receive(&process.heartbeat(ProcessState::Connected, 1), 1);
         }
-        model.books.driving();
+        model.sample_audit.driving();
         model
     }
 
@@ -237,15 +237,15 @@ impl Model {
         if self.away_until > self.scan {
             return;
         }
-        self.look();
+        self.poll();
         let now_ns = self.now_ns();
         for process in &self.processes {
             if process.busy_until <= self.scan && process.mute_until <= self.scan {
-                self.books.hear(&process.heartbeat(ProcessState::Ready, now_ns), now_ns);
+                self.sample_audit.receive(&process.heartbeat(ProcessState::Ready, now_ns), now_ns);
             }
         }
         if self.scan.is_multiple_of(10) {
-            self.books.close(false);
+            self.sample_audit.close(false);
         }
     }
 
@@ -323,14 +323,14 @@ impl Model {
         }
     }
 
-    fn look(&mut self) {
+    fn poll(&mut self) {
         let now_ns = self.now_ns();
         for topic in ACCOUNTS {
-            self.books.look(topic, now_ns);
+            self.sample_audit.poll(topic, now_ns);
             let came = self.bus.remove(&topic).unwrap_or_default();
-            came.iter().for_each(|header| see(&mut self.books, topic, *header, now_ns));
+            came.iter().for_each(|header| see(&mut self.sample_audit, topic, *header, now_ns));
             if came.len() >= buffer(topic) {
-                self.books.overflowed(topic);
+                self.sample_audit.overflowed(topic);
             }
         }
     }
@@ -341,25 +341,25 @@ impl Model {
             Event::Stall(index, scans) => self.processes[index].busy_until = self.scan + scans,
             Event::Mute(index, scans) => self.processes[index].mute_until = self.scan + scans,
             Event::Kill(index) => {
-                self.books.ended(self.processes[index].incarnation, self.now_ns());
+                self.sample_audit.ended(self.processes[index].incarnation, self.now_ns());
                 self.processes[index] = Process::new(self.processes[index].role, self.next_incarnation);
                 self.next_incarnation += 1;
                 let heartbeat = self.processes[index].heartbeat(ProcessState::Connected, self.now_ns());
-                self.books.hear(&heartbeat, self.now_ns());
+                self.sample_audit.receive(&heartbeat, self.now_ns());
             }
         }
     }
 
     /// Ends the run and returns what was found.
     fn end(mut self) -> Vec<Fault> {
-        self.books.run_ended();
+        self.sample_audit.run_ended();
         let now_ns = self.now_ns();
         for process in &self.processes {
-            self.books.hear(&process.heartbeat(ProcessState::Ending, now_ns), now_ns);
+            self.sample_audit.receive(&process.heartbeat(ProcessState::Ending, now_ns), now_ns);
         }
-        self.look();
-        self.books.close(true);
-        let report = self.books.report();
+        self.poll();
+        self.sample_audit.close(true);
+        let report = self.sample_audit.report();
         for row in &report.topics {
             let sum = row.used + row.replaced + row.lost + row.in_flight + row.residual;
             assert_eq!(row.published, sum, "{row:?}");
@@ -382,20 +382,22 @@ fn push(waiting: &mut VecDeque<Header>, topic: Topic, header: Header) {
     waiting.push_back(header);
 }
 
-fn see(books: &mut Books, topic: Topic, header: Header, now_ns: u64) {
-    fn of<S: Sample + Default>(books: &mut Books, header: Header, now_ns: u64) {
+fn see(sample_audit: &mut SampleAudit, topic: Topic, header: Header, now_ns: u64) {
+    fn of<S: Sample + Default>(sample_audit: &mut SampleAudit, header: Header, now_ns: u64) {
         let mut sample = S::default();
         *sample.header_mut() = header;
-        books.see(&sample, now_ns);
+        sample_audit.see(&sample, now_ns);
     }
     match topic {
-        Topic::Scan => of::<Scan>(books, header, now_ns),
-        Topic::Odometry => of::<Odometry>(books, header, now_ns),
-        Topic::Pose => of::<Pose>(books, header, now_ns),
-        Topic::Obstacles => of::<Obstacles>(books, header, now_ns),
-        Topic::Command => of::<Command>(books, header, now_ns),
-        Topic::Actuation => books.see(&Actuation { header, answers: 1, ..Actuation::default() }, now_ns),
-        _ => of::<Truth>(books, header, now_ns),
+        Topic::Scan => of::<Scan>(sample_audit, header, now_ns),
+        Topic::Odometry => of::<Odometry>(sample_audit, header, now_ns),
+        Topic::Pose => of::<Pose>(sample_audit, header, now_ns),
+        Topic::Obstacles => of::<Obstacles>(sample_audit, header, now_ns),
+        Topic::Command => of::<Command>(sample_audit, header, now_ns),
+        Topic::Actuation => {
+            sample_audit.see(&Actuation { header, answers: 1, ..Actuation::default() }, now_ns)
+        }
+        _ => of::<Truth>(sample_audit, header, now_ns),
     }
 }
 

@@ -11,8 +11,8 @@ use super::drive::Course;
 use super::lifecycle::end;
 use super::message::Message;
 use super::ranges::SENT;
-use super::stand::{ANSWER_NS, Stand};
 use super::suite::{Setup, Suite};
+use super::test_bench::{ANSWER_NS, TestBench};
 
 /// Where in the drive the cases begin: the commands drive.
 const FIRST_SCAN: u64 = 20;
@@ -105,14 +105,14 @@ pub(crate) const CASES: [Case; 10] = [
 ];
 
 fn limits(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
+    let mut bench = driving(suite)?;
     let bad = [(0.5, 0.2), (0.5, -0.2), (3.0, 0.0), (-0.5, 0.0)];
     for (velocity, steering) in bad {
-        let scan_id = with_command(&mut stand, |command| {
+        let scan_id = with_command(&mut bench, |command| {
             (command.velocity_mps, command.steering_rad) = (velocity, steering);
         })?;
-        stand.rounds(2)?;
-        stand.require_no_answer(scan_id, &format!("a command of {velocity} m/s and {steering} rad"))?;
+        bench.rounds(2)?;
+        bench.require_no_answer(scan_id, &format!("a command of {velocity} m/s and {steering} rad"))?;
     }
     Ok(format!("{} commands outside the limits", bad.len()))
 }
@@ -126,12 +126,12 @@ fn calibration(suite: &Suite) -> Verdict {
 }
 
 fn sends(suite: &Suite, course: Course) -> Verdict {
-    let mut stand = suite.started(Setup { course, first_scan: FIRST_SCAN, ..Setup::default() })?;
-    let correction = stand.drive.settings.tuning.actuator.calibration.correction();
+    let mut bench = suite.started(Setup { course, first_scan: FIRST_SCAN, ..Setup::default() })?;
+    let correction = bench.drive.settings.tuning.actuator.calibration.correction();
     let mut driven = 0;
-    for heard in stand.rounds(SCANS)? {
-        let actuation = actuation(&heard.message)?;
-        let Some(command) = stand.drive.step(actuation.header.scan_id).command else { continue };
+    for received in bench.rounds(SCANS)? {
+        let actuation = actuation(&received.message)?;
+        let Some(command) = bench.drive.step(actuation.header.scan_id).command else { continue };
         if actuation.kind != ActuationKind::Drive.wire() || command.kind != CommandKind::Drive.wire() {
             continue;
         }
@@ -156,15 +156,15 @@ fn sends(suite: &Suite, course: Course) -> Verdict {
 fn obeys_stop(suite: &Suite) -> Verdict {
     for (kind, reason) in [(CommandKind::Stop, StopReason::Blocked), (CommandKind::Land, StopReason::Landed)]
     {
-        let mut stand = driving(suite)?;
-        let scan_id = with_command(&mut stand, |command| {
+        let mut bench = driving(suite)?;
+        let scan_id = with_command(&mut bench, |command| {
             command.kind = kind.wire();
             command.level = CommandLevel::Stop.wire();
             command.reason = reason.wire();
             command.verified = 0;
             (command.velocity_mps, command.steering_rad) = (0.0, 0.0);
         })?;
-        let answer = stand.answer(scan_id)?;
+        let answer = bench.answer(scan_id)?;
         let answer = actuation(&answer.message)?;
         require(answer.kind == ActuationKind::Block.wire(), || format!("it drives after `{kind}`"))?;
         require(answer.stop_reason == reason.wire(), || {
@@ -175,39 +175,42 @@ fn obeys_stop(suite: &Suite) -> Verdict {
 }
 
 fn stop_wins(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    let before = stand.scan_id;
-    stand.direct(|directive| directive.stop = 1)?;
-    stand.rounds(6)?;
-    for heard in stand.heard.iter().filter(|heard| heard.message.scan_id() > before) {
-        require(heard.message.is_harmless(), || {
+    let mut bench = driving(suite)?;
+    let before = bench.scan_id;
+    bench.direct(|directive| directive.stop = 1)?;
+    bench.rounds(6)?;
+    for received in bench.received.iter().filter(|received| received.message.scan_id() > before) {
+        require(received.message.is_harmless(), || {
             format!(
                 "it drives by scan {}, {} scans after the stop",
-                heard.message.scan_id(),
-                heard.message.scan_id() - before
+                received.message.scan_id(),
+                received.message.scan_id() - before
             )
         })?;
     }
-    let blocked =
-        stand.heard.iter().any(|heard| heard.message.scan_id() >= before && heard.message.is_harmless());
+    let blocked = bench
+        .received
+        .iter()
+        .any(|received| received.message.scan_id() >= before && received.message.is_harmless());
     require(blocked, || "it says nothing that blocks the wheels".to_owned())?;
-    stand.direct(|directive| directive.stop = 0)?;
-    let after = stand.rounds(4)?;
-    let drives = after.last().is_some_and(|heard| !heard.message.is_harmless());
+    bench.direct(|directive| directive.stop = 0)?;
+    let after = bench.rounds(4)?;
+    let drives = after.last().is_some_and(|received| !received.message.is_harmless());
     require(drives, || "it does not drive again when the stop is over".to_owned())?;
     Ok("blocked while the directive says stop".to_owned())
 }
 
 fn silence(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    let last = stand.round()?;
+    let mut bench = driving(suite)?;
+    let last = bench.round()?;
     let from_ns = last.message.header().stage(suite.role).published_ns;
-    let heard = stand.heard.len();
-    let blocks =
-        |stand: &Stand<'_>| stand.heard[heard..].iter().position(|heard| heard.message.is_harmless());
-    stand.until(ANSWER_NS, |stand| blocks(stand).is_some())?;
-    let Some(index) = blocks(&stand) else { return failed("it drives on without a command") };
-    let block = &stand.heard[heard + index].message;
+    let received = bench.received.len();
+    let blocks = |bench: &TestBench<'_>| {
+        bench.received[received..].iter().position(|received| received.message.is_harmless())
+    };
+    bench.until(ANSWER_NS, |bench| blocks(bench).is_some())?;
+    let Some(index) = blocks(&bench) else { return failed("it drives on without a command") };
+    let block = &bench.received[received + index].message;
     let after = block.header().stage(suite.role).published_ns.saturating_sub(from_ns);
     let periods = after as f64 / suite.period_ns as f64;
     let text = format!("blocked {periods:.2} periods after the last command");
@@ -215,14 +218,16 @@ fn silence(suite: &Suite) -> Verdict {
 }
 
 fn two_after_silence(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    let heard = stand.heard.len();
-    let blocks = |stand: &Stand<'_>| stand.heard[heard..].iter().any(|heard| heard.message.is_harmless());
-    if !stand.until(ANSWER_NS, blocks)? {
+    let mut bench = driving(suite)?;
+    let received = bench.received.len();
+    let blocks = |bench: &TestBench<'_>| {
+        bench.received[received..].iter().any(|received| received.message.is_harmless())
+    };
+    if !bench.until(ANSWER_NS, blocks)? {
         return failed("it drives on without a command");
     }
-    stand.begin();
-    let kinds: Vec<bool> = stand.rounds(3)?.iter().map(|heard| !heard.message.is_harmless()).collect();
+    bench.begin();
+    let kinds: Vec<bool> = bench.rounds(3)?.iter().map(|received| !received.message.is_harmless()).collect();
     require(kinds == [false, true, true], || {
         let names = kinds.iter().map(|drives| if *drives { "drive" } else { "block" });
         format!("{} after the silence", names.collect::<Vec<_>>().join(", "))
@@ -231,55 +236,55 @@ fn two_after_silence(suite: &Suite) -> Verdict {
 }
 
 fn future(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
+    let mut bench = driving(suite)?;
     let period_ns = suite.period_ns;
-    let scan_id = with_command(&mut stand, |command| command.header.acquired_ns += 5 * period_ns)?;
-    stand.rounds(2)?;
-    stand.require_no_answer(scan_id, "a command five periods ahead")?;
+    let scan_id = with_command(&mut bench, |command| command.header.acquired_ns += 5 * period_ns)?;
+    bench.rounds(2)?;
+    bench.require_no_answer(scan_id, "a command five periods ahead")?;
     Ok("1 command five periods ahead".to_owned())
 }
 
 fn last_word(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.may_end = true;
-    end(&mut stand)?;
-    let last = stand.heard.last().map(|heard| heard.message.is_harmless());
+    let mut bench = driving(suite)?;
+    bench.may_end = true;
+    end(&mut bench)?;
+    let last = bench.received.last().map(|received| received.message.is_harmless());
     require(last == Some(true), || "its last word drives".to_owned())?;
     Ok("its last word blocks the wheels".to_owned())
 }
 
 fn first_word(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.replace()?;
-    stand.heard.clear();
-    stand.spawn(true, None)?;
-    stand.wait_for_state(shared_types::ProcessState::Connected)?;
-    if !stand.until(ANSWER_NS, |stand| !stand.heard.is_empty())? {
+    let mut bench = driving(suite)?;
+    bench.replace()?;
+    bench.received.clear();
+    bench.spawn(true, None)?;
+    bench.wait_for_state(shared_types::ProcessState::Connected)?;
+    if !bench.until(ANSWER_NS, |bench| !bench.received.is_empty())? {
         return failed("it says nothing without a command");
     }
-    require(stand.heard[0].message.is_harmless(), || "its first word drives".to_owned())?;
+    require(bench.received[0].message.is_harmless(), || "its first word drives".to_owned())?;
     Ok("its first word blocks the wheels".to_owned())
 }
 
 /// A candidate that has been commanded to drive, and does.
-fn driving(suite: &Suite) -> Result<Stand<'_>, Trouble> {
-    let mut stand = suite.started(Setup { first_scan: FIRST_SCAN, ..Setup::default() })?;
-    let last = stand.rounds(5)?.pop();
-    let drives = last.is_some_and(|heard| !heard.message.is_harmless());
+fn driving(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
+    let mut bench = suite.started(Setup { first_scan: FIRST_SCAN, ..Setup::default() })?;
+    let last = bench.rounds(5)?.pop();
+    let drives = last.is_some_and(|received| !received.message.is_harmless());
     require(drives, || "it blocks the wheels after five commands to drive".to_owned())?;
-    Ok(stand)
+    Ok(bench)
 }
 
 /// Says the next command, changed; returns its scan.
-fn with_command(stand: &mut Stand<'_>, change: impl FnOnce(&mut Command)) -> Result<u64, Trouble> {
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    let mut message = stand.message(Topic::Command, scan_id)?;
+fn with_command(bench: &mut TestBench<'_>, change: impl FnOnce(&mut Command)) -> Result<u64, Trouble> {
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    let mut message = bench.message(Topic::Command, scan_id)?;
     if let Message::Command(command) = &mut message {
         change(command);
     }
-    stand.say(&mut message)?;
-    stand.scan_id += 1;
+    bench.publish(&mut message)?;
+    bench.scan_id += 1;
     Ok(scan_id)
 }
 

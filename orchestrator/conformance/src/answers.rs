@@ -6,8 +6,8 @@ use shared_types::{CHECKPOINT_BYTES, Checkpoint, Header, Role};
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require, skipped};
 use super::drive::Course;
 use super::ranges::valid;
-use super::stand::{ANSWER_NS, Heard, Stand, asking};
 use super::suite::{Setup, Suite};
+use super::test_bench::{ANSWER_NS, Received, TestBench, asking};
 
 /// Scans of a case that counts answers.
 const SCANS: usize = 20;
@@ -89,34 +89,34 @@ pub(crate) const LOST_STATE: Case = Case {
 };
 
 fn every_scan(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.rounds(SCANS)?;
-    stand.listen(3.0)?;
-    let answers: Vec<_> = stand.heard.iter().filter(|heard| heard.message.is_answer()).collect();
-    let ids: Vec<u64> = answers.iter().map(|heard| heard.message.scan_id()).collect();
+    let mut bench = suite.started(Setup::default())?;
+    bench.rounds(SCANS)?;
+    bench.receive_for(3.0)?;
+    let answers: Vec<_> = bench.received.iter().filter(|received| received.message.is_answer()).collect();
+    let ids: Vec<u64> = answers.iter().map(|received| received.message.scan_id()).collect();
     let expected: Vec<u64> = (1..=SCANS as u64).collect();
     require(ids == expected, || format!("{} answers to {SCANS} scans: {}", ids.len(), runs(&ids)))?;
-    for (index, heard) in stand.heard.iter().enumerate() {
-        let sequence = heard.message.header().sequence;
+    for (index, received) in bench.received.iter().enumerate() {
+        let sequence = received.message.header().sequence;
         require(sequence == index as u64 + 1, || format!("sequence {sequence} on sample {}", index + 1))?;
     }
     Ok(format!("{SCANS} scans, {SCANS} answers"))
 }
 
 fn in_time(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
+    let mut bench = suite.started(Setup::default())?;
     // The first answer may take longer: caches are cold, libraries are loaded.
-    stand.round()?;
-    stand.begin();
+    bench.round()?;
+    bench.begin();
     let (mut late, mut longest_ns) = (0, 0);
     for _ in 0..SCANS {
-        let scan_id = stand.ask()?;
+        let scan_id = bench.ask()?;
         let asked_ns = runtime::monotonic_ns();
-        let answer = stand.answer(scan_id)?;
+        let answer = bench.answer(scan_id)?;
         let took_ns = published(&answer, suite.role).saturating_sub(asked_ns);
         longest_ns = longest_ns.max(took_ns);
         late += usize::from(took_ns > suite.period_ns);
-        stand.conclude(scan_id)?;
+        bench.conclude(scan_id)?;
     }
     require(late <= SCANS / 10, || {
         format!("{late} of {SCANS} answers late; the slowest took {:.1} ms", longest_ns as f64 * 1e-6)
@@ -125,22 +125,22 @@ fn in_time(suite: &Suite) -> Verdict {
 }
 
 fn header(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
     for _ in 0..10 {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
-        let mut inputs = stand.inputs(scan_id)?;
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
+        let mut inputs = bench.inputs(scan_id)?;
         for message in &mut inputs {
-            stand.say(message)?;
+            bench.publish(message)?;
         }
-        stand.scan_id += 1;
-        let answer = stand.answer(scan_id)?;
-        stand.conclude(scan_id)?;
+        bench.scan_id += 1;
+        let answer = bench.answer(scan_id)?;
+        bench.conclude(scan_id)?;
         let expected = inputs
             .iter()
             .skip(1)
             .fold(inputs[0].header().answer(), |header, input| header.answer_both(input.header()));
-        carries_on(suite.role, answer.message.header(), &expected, stand.incarnation)?;
+        carries_on(suite.role, answer.message.header(), &expected, bench.incarnation)?;
     }
     Ok("10 headers".to_owned())
 }
@@ -178,24 +178,24 @@ pub(crate) fn own_stamps(role: Role, header: &Header, asked_ns: u64) -> Result<(
 fn valid_values(suite: &Suite) -> Verdict {
     // With a box in view, beside and behind.
     let first_scan = suite.drive(Course::Corridor)?.scan_at(3.2);
-    let mut stand = suite.started(Setup { first_scan, ..Setup::default() })?;
-    stand.rounds(SCANS)?;
-    valid(&stand.heard)?;
-    Ok(format!("{} samples", stand.heard.len()))
+    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
+    bench.rounds(SCANS)?;
+    valid(&bench.received)?;
+    Ok(format!("{} samples", bench.received.len()))
 }
 
 fn repeatable(suite: &Suite) -> Verdict {
     let mut runs = Vec::new();
     for _ in 0..2 {
-        let mut stand = suite.started(Setup { lockstep: true, ..Setup::default() })?;
-        runs.push(stand.rounds(SAME_SCANS)?);
+        let mut bench = suite.started(Setup { lockstep: true, ..Setup::default() })?;
+        runs.push(bench.rounds(SAME_SCANS)?);
     }
     same(&runs[0], &runs[1])?;
     Ok(format!("{SAME_SCANS} scans twice, same bits"))
 }
 
 /// That two runs gave the same answers.
-pub(crate) fn same(one: &[Heard], other: &[Heard]) -> Result<(), Trouble> {
+pub(crate) fn same(one: &[Received], other: &[Received]) -> Result<(), Trouble> {
     let different =
         one.iter().zip(other).find(|(one, other)| one.message.content() != other.message.content());
     require(different.is_none() && one.len() == other.len(), || {
@@ -205,28 +205,28 @@ pub(crate) fn same(one: &[Heard], other: &[Heard]) -> Result<(), Trouble> {
 }
 
 fn state(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    let scans = stand.rounds(10)?;
-    let of = |stand: &Stand<'_>, scan_id: u64| {
-        stand.checkpoints.iter().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
+    let mut bench = suite.started(Setup::default())?;
+    let scans = bench.rounds(10)?;
+    let of = |bench: &TestBench<'_>, scan_id: u64| {
+        bench.checkpoints.iter().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
     };
-    let last = scans.last().map_or(0, |heard| heard.message.scan_id());
-    stand.until(ANSWER_NS / 5, |stand| of(stand, last).is_some())?;
-    for heard in &scans {
-        let scan_id = heard.message.scan_id();
-        let Some(checkpoint) = of(&stand, scan_id) else {
+    let last = scans.last().map_or(0, |received| received.message.scan_id());
+    bench.until(ANSWER_NS / 5, |bench| of(bench, last).is_some())?;
+    for received in &scans {
+        let scan_id = received.message.scan_id();
+        let Some(checkpoint) = of(&bench, scan_id) else {
             return failed(format!("no state after scan {scan_id}"));
         };
-        sound(&stand, &checkpoint)?;
+        sound(&bench, &checkpoint)?;
     }
-    let length = stand.checkpoints.last().map_or(0, |checkpoint| checkpoint.length);
+    let length = bench.checkpoints.last().map_or(0, |checkpoint| checkpoint.length);
     Ok(format!("10 states of {length} bytes"))
 }
 
-fn sound(stand: &Stand<'_>, checkpoint: &Checkpoint) -> Result<(), Trouble> {
+fn sound(bench: &TestBench<'_>, checkpoint: &Checkpoint) -> Result<(), Trouble> {
     let Checkpoint { header, role, length, state_layout, .. } = checkpoint;
     let whose = (*role, header.incarnation);
-    require(whose == (stand.suite.role.wire(), stand.incarnation), || {
+    require(whose == (bench.suite.role.wire(), bench.incarnation), || {
         format!("state of role {role}, incarnation {}", header.incarnation)
     })?;
     require((1..=CHECKPOINT_BYTES as u32).contains(length) && *state_layout != 0, || {
@@ -236,56 +236,56 @@ fn sound(stand: &Stand<'_>, checkpoint: &Checkpoint) -> Result<(), Trouble> {
 
 fn resume(suite: &Suite) -> Verdict {
     let setup = Setup { lockstep: true, ..Setup::default() };
-    let mut stand = suite.started(setup)?;
-    let whole = stand.rounds(HANDOVER + 10)?;
-    drop(stand);
-    let mut stand = suite.started(setup)?;
-    stand.rounds(HANDOVER)?;
-    let checkpoint = newest_state(&mut stand, HANDOVER as u64)?;
-    stand.replace()?;
-    stand.spawn(true, Some(&checkpoint))?;
-    stand.wait_for_state(shared_types::ProcessState::Connected)?;
+    let mut bench = suite.started(setup)?;
+    let whole = bench.rounds(HANDOVER + 10)?;
+    drop(bench);
+    let mut bench = suite.started(setup)?;
+    bench.rounds(HANDOVER)?;
+    let checkpoint = newest_state(&mut bench, HANDOVER as u64)?;
+    bench.replace()?;
+    bench.spawn(true, Some(&checkpoint))?;
+    bench.wait_for_state(shared_types::ProcessState::Connected)?;
     // What was said after the state was taken is said again to the successor.
-    stand.conclude(HANDOVER as u64)?;
-    let rest = stand.rounds(10)?;
+    bench.conclude(HANDOVER as u64)?;
+    let rest = bench.rounds(10)?;
     same(&whole[HANDOVER..], &rest)?;
     Ok(format!("{} bytes of state, 10 scans with the same bits", checkpoint.length))
 }
 
 /// The state after a scan.
-fn newest_state(stand: &mut Stand<'_>, scan_id: u64) -> Result<Checkpoint, Trouble> {
-    let of = |stand: &Stand<'_>| {
-        stand.checkpoints.iter().rev().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
+fn newest_state(bench: &mut TestBench<'_>, scan_id: u64) -> Result<Checkpoint, Trouble> {
+    let of = |bench: &TestBench<'_>| {
+        bench.checkpoints.iter().rev().find(|checkpoint| checkpoint.header.scan_id == scan_id).copied()
     };
-    stand.until(ANSWER_NS / 5, |stand| of(stand).is_some())?;
-    of(stand).map_or_else(|| skipped("it publishes no state"), Ok)
+    bench.until(ANSWER_NS / 5, |bench| of(bench).is_some())?;
+    of(bench).map_or_else(|| skipped("it publishes no state"), Ok)
 }
 
 fn lost_state(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
-    stand.rounds(3)?;
-    let scan_id = stand.scan_id - 1;
-    newest_state(&mut stand, scan_id)?;
-    stand.replace()?;
-    stand.spawn(true, None)?;
-    stand.wait_for_state(shared_types::ProcessState::Connected)?;
-    stand.begin();
-    stand.heard.clear();
+    let mut bench = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
+    bench.rounds(3)?;
+    let scan_id = bench.scan_id - 1;
+    newest_state(&mut bench, scan_id)?;
+    bench.replace()?;
+    bench.spawn(true, None)?;
+    bench.wait_for_state(shared_types::ProcessState::Connected)?;
+    bench.begin();
+    bench.received.clear();
     for _ in 0..5 {
-        let scan_id = stand.ask()?;
-        stand.conclude(scan_id)?;
+        let scan_id = bench.ask()?;
+        bench.conclude(scan_id)?;
     }
-    stand.listen(3.0)?;
-    require(stand.heard.is_empty(), || {
-        format!("{} answers to 5 scans after its state was lost", stand.heard.len())
+    bench.receive_for(3.0)?;
+    require(bench.received.is_empty(), || {
+        format!("{} answers to 5 scans after its state was lost", bench.received.len())
     })?;
     Ok("no answer to 5 scans".to_owned())
 }
 
-fn published(heard: &Heard, role: Role) -> u64 {
+fn published(received: &Received, role: Role) -> u64 {
     // A stamp that lies ahead of when it was heard is not believed.
-    let stamp = heard.message.header().stage(role).published_ns;
-    if stamp == 0 { heard.at_ns } else { stamp.min(heard.at_ns) }
+    let stamp = received.message.header().stage(role).published_ns;
+    if stamp == 0 { received.at_ns } else { stamp.min(received.at_ns) }
 }
 
 /// Numbers as ranges: `1-4 6 6 7`.

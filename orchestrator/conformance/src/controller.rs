@@ -7,8 +7,8 @@ use shared_types::{
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::Stand;
 use super::suite::{Setup, Suite};
+use super::test_bench::TestBench;
 
 /// Scans of a case.
 const SCANS: usize = 12;
@@ -92,17 +92,17 @@ pub(crate) const CASES: [Case; 9] = [
 ];
 
 fn drives(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
-    let driven = count_drives(&stand.rounds(SCANS)?)?;
+    let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
+    let driven = count_drives(&bench.rounds(SCANS)?)?;
     require(driven * 10 >= SCANS * 9, || format!("{driven} of {SCANS} commands drive"))?;
     Ok(format!("{driven} of {SCANS} commands drive"))
 }
 
 fn verified(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
     let mut driven = 0;
-    for heard in stand.rounds(SCANS)? {
-        let command = command(&heard.message)?;
+    for received in bench.rounds(SCANS)? {
+        let command = command(&received.message)?;
         if command.kind == CommandKind::Drive.wire() {
             require(command.verified == 1, || {
                 format!("scan {}: `verified` is {}", command.header.scan_id, command.verified)
@@ -128,20 +128,20 @@ fn stops_before_a_barrier(suite: &Suite) -> Verdict {
 /// Commands to a robot that stands before a barrier; a controller may look twice before it believes what it sees.
 fn before_a_barrier(suite: &Suite) -> Result<Vec<Command>, Trouble> {
     let first_scan = suite.drive(Course::Barrier)?.ended as u64 - SCANS as u64;
-    let mut stand = suite.started(Setup { course: Course::Barrier, first_scan, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { course: Course::Barrier, first_scan, ..Setup::default() })?;
     let mut commands = Vec::new();
     for _ in 0..SCANS {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
-        let x_m = stand.drive.step(scan_id).pose.map_or(0.0, |pose| pose.predicted_x_m);
-        for mut message in stand.inputs(scan_id)? {
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
+        let x_m = bench.drive.step(scan_id).pose.map_or(0.0, |pose| pose.predicted_x_m);
+        for mut message in bench.inputs(scan_id)? {
             if let Message::Obstacles(obstacles) = &mut message {
                 bring(obstacles, x_m + IN_FRONT_M);
             }
-            stand.say(&mut message)?;
+            bench.publish(&mut message)?;
         }
-        commands.push(command(&stand.answer(scan_id)?.message)?);
-        stand.scan_id += 1;
+        commands.push(command(&bench.answer(scan_id)?.message)?);
+        bench.scan_id += 1;
     }
     Ok(commands.split_off(2))
 }
@@ -161,13 +161,13 @@ fn lands(suite: &Suite) -> Verdict {
     let landed =
         |step: &pipeline::Step| step.command.is_some_and(|command| command.kind == CommandKind::Land.wire());
     let landing = drive.steps.iter().position(landed).unwrap_or(0) as u64 + 1;
-    let mut stand =
+    let mut bench =
         suite.started(Setup { course: Course::Free, first_scan: landing - 5, ..Setup::default() })?;
     // Half a metre before the goal, and the standing robot after it.
-    let heard = stand.rounds(5 + SCANS)?;
-    let last = command(&heard[heard.len() - 1].message)?;
+    let received = bench.rounds(5 + SCANS)?;
+    let last = command(&received[received.len() - 1].message)?;
     let kind = CommandKind::try_from(last.kind).map_or("nothing known", CommandKind::name);
-    let distance_m = stand.drive.step(last.header.scan_id).truth.goal_distance_m;
+    let distance_m = bench.drive.step(last.header.scan_id).truth.goal_distance_m;
     let text = format!("`{kind}` at {distance_m:.3} m from the goal");
     if last.kind == CommandKind::Land.wire() { Ok(text) } else { failed(text) }
 }
@@ -194,32 +194,32 @@ fn obeys_alarm(suite: &Suite) -> Verdict {
 }
 
 /// That inputs spoilt in one way are not driven on.
-fn not_driven_on(suite: &Suite, what: &str, spoil: fn(&Stand<'_>, &mut Message)) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
-    let before = stand.rounds(3)?;
+fn not_driven_on(suite: &Suite, what: &str, spoil: fn(&TestBench<'_>, &mut Message)) -> Verdict {
+    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let before = bench.rounds(3)?;
     require(count_drives(&before)? > 0, || format!("it does not drive even before {what}"))?;
     for _ in 0..3 {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
-        for mut message in stand.inputs(scan_id)? {
-            spoil(&stand, &mut message);
-            stand.say(&mut message)?;
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
+        for mut message in bench.inputs(scan_id)? {
+            spoil(&bench, &mut message);
+            bench.publish(&mut message)?;
         }
-        stand.scan_id += 1;
+        bench.scan_id += 1;
     }
-    let last = stand.scan_id;
+    let last = bench.scan_id;
     // When this one is answered, so are those before it.
-    stand.round()?;
+    bench.round()?;
     for scan_id in last - 3..last {
-        stand.require_no_answer(scan_id, what)?;
+        bench.require_no_answer(scan_id, what)?;
     }
     Ok("no drive command in 3 scans".to_owned())
 }
 
 /// Replaces all obstacles by one that stands where the robot is.
-fn inside(stand: &Stand<'_>, message: &mut Message) {
+fn inside(bench: &TestBench<'_>, message: &mut Message) {
     if let Message::Obstacles(obstacles) = message {
-        let Some(pose) = stand.drive.step(obstacles.header.scan_id).pose else { return };
+        let Some(pose) = bench.drive.step(obstacles.header.scan_id).pose else { return };
         obstacles.items = Default::default();
         obstacles.count = 1;
         obstacles.items[0] = Obstacle {
@@ -240,10 +240,10 @@ fn inside(stand: &Stand<'_>, message: &mut Message) {
 }
 
 fn names_its_reason(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
     let mut all = before_a_barrier(suite)?;
-    for heard in stand.rounds(SCANS)? {
-        all.push(command(&heard.message)?);
+    for received in bench.rounds(SCANS)? {
+        all.push(command(&received.message)?);
     }
     for command in &all {
         let drives = command.kind == CommandKind::Drive.wire();
@@ -260,15 +260,15 @@ fn names_its_reason(suite: &Suite) -> Verdict {
 }
 
 fn plan(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
     let mut plans = 0;
-    for heard in stand.rounds(SCANS)? {
-        let command = command(&heard.message)?;
+    for received in bench.rounds(SCANS)? {
+        let command = command(&received.message)?;
         if command.kind != CommandKind::Drive.wire() {
             continue;
         }
         let (Some(node), Some(pose)) =
-            (command.nodes().first(), stand.drive.step(command.header.scan_id).pose)
+            (command.nodes().first(), bench.drive.step(command.header.scan_id).pose)
         else {
             return failed(format!("scan {}: no plan", command.header.scan_id));
         };
@@ -287,10 +287,10 @@ fn plan(suite: &Suite) -> Verdict {
     Ok(format!("{plans} plans"))
 }
 
-fn count_drives(heard: &[super::stand::Heard]) -> Result<usize, Trouble> {
+fn count_drives(received: &[super::test_bench::Received]) -> Result<usize, Trouble> {
     let mut count = 0;
-    for heard in heard {
-        count += usize::from(command(&heard.message)?.kind == CommandKind::Drive.wire());
+    for received in received {
+        count += usize::from(command(&received.message)?.kind == CommandKind::Drive.wire());
     }
     Ok(count)
 }

@@ -72,10 +72,10 @@ fn corrects_odometry(suite: &Suite) -> Verdict {
 
 /// Poses beside the truth, from the start of the drive.
 fn follow(suite: &Suite, course: Course) -> Verdict {
-    let mut stand = suite.started(Setup { course, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { course, ..Setup::default() })?;
     let (mut position_m, mut yaw_rad) = (0.0_f64, 0.0_f64);
-    for heard in stand.rounds(SCANS * scale(suite))? {
-        let (pose, truth) = (pose(&heard.message)?, stand.drive.step(heard.message.scan_id()).truth);
+    for received in bench.rounds(SCANS * scale(suite))? {
+        let (pose, truth) = (pose(&received.message)?, bench.drive.step(received.message.scan_id()).truth);
         position_m = position_m.max((pose.x_m - truth.x_m).hypot(pose.y_m - truth.y_m));
         yaw_rad = yaw_rad.max(wrap_angle(pose.yaw_rad - truth.yaw_rad).abs());
     }
@@ -86,11 +86,11 @@ fn follow(suite: &Suite, course: Course) -> Verdict {
 }
 
 fn looks_ahead(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Exact, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { course: Course::Exact, ..Setup::default() })?;
     let mut worst_m = 0.0_f64;
     let mut lead_ms = 0.0_f64;
-    for heard in stand.rounds(SCANS * scale(suite))? {
-        let pose = pose(&heard.message)?;
+    for received in bench.rounds(SCANS * scale(suite))? {
+        let pose = pose(&received.message)?;
         let scan_ns = pose.header.scan_published_ns();
         let lead_ns = pose.predicted_ns as f64 - scan_ns as f64;
         lead_ms = lead_ms.max(lead_ns * 1e-6);
@@ -105,8 +105,8 @@ fn looks_ahead(suite: &Suite) -> Verdict {
         let periods =
             pose.predicted_ns.saturating_sub(pose.header.acquired_ns) as f64 / suite.period_ns as f64;
         let (x_m, y_m) = truth_at(
-            &stand.drive.step(pose.header.scan_id).truth,
-            |ahead| stand.drive.step(pose.header.scan_id + ahead).truth,
+            &bench.drive.step(pose.header.scan_id).truth,
+            |ahead| bench.drive.step(pose.header.scan_id + ahead).truth,
             periods,
         );
         worst_m = worst_m.max((pose.predicted_x_m - x_m).hypot(pose.predicted_y_m - y_m));
@@ -127,34 +127,34 @@ fn truth_at(now: &Truth, later: impl Fn(u64) -> Truth, periods: f64) -> (f64, f6
 }
 
 fn outlier(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Exact, ..Setup::default() })?;
-    stand.rounds(10)?;
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    let mut message = stand.message(shared_types::Topic::Odometry, scan_id)?;
+    let mut bench = suite.started(Setup { course: Course::Exact, ..Setup::default() })?;
+    bench.rounds(10)?;
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    let mut message = bench.message(shared_types::Topic::Odometry, scan_id)?;
     if let Message::Odometry(odometry) = &mut message {
         let Odometry { y_m, dy_m, .. } = &mut **odometry;
         *y_m += 1.0;
         *dy_m += 1.0;
     }
-    stand.say(&mut message)?;
-    let answer = stand.answer(scan_id)?;
-    let (pose, truth) = (pose(&answer.message)?, stand.drive.step(scan_id).truth);
+    bench.publish(&mut message)?;
+    let answer = bench.answer(scan_id)?;
+    let (pose, truth) = (pose(&answer.message)?, bench.drive.step(scan_id).truth);
     let off_m = (pose.x_m - truth.x_m).hypot(pose.y_m - truth.y_m);
     let text = format!("the estimate moved by {off_m:.3} m; {OUTLIER_M} m are allowed");
     if off_m < OUTLIER_M { Ok(text) } else { failed(text) }
 }
 
 fn covariance(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    let heard = stand.rounds(10)?;
-    for heard in &heard {
-        let all = pose(&heard.message)?.covariance;
+    let mut bench = suite.started(Setup::default())?;
+    let received = bench.rounds(10)?;
+    for received in &received {
+        let all = pose(&received.message)?.covariance;
         let positive = [all[0], all[4], all[8]].iter().all(|variance| *variance > 0.0);
         let symmetric =
             [(1, 3), (2, 6), (5, 7)].iter().all(|(one, other)| (all[*one] - all[*other]).abs() <= 1e-9);
         require(positive && symmetric, || {
-            format!("covariance of scan {}: {all:?}", heard.message.scan_id())
+            format!("covariance of scan {}: {all:?}", received.message.scan_id())
         })?;
     }
     Ok("10 covariances".to_owned())

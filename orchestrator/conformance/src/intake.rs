@@ -8,8 +8,8 @@ use shared_types::{Authority, Fault, Heartbeat, Topic};
 use super::answers::joins;
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::message::Message;
-use super::stand::{ANSWER_NS, STRANGER, Stand, asking, speaker};
 use super::suite::{Setup, Suite};
+use super::test_bench::{ANSWER_NS, STRANGER, TestBench, asking, speaker};
 
 /// Where in the drive the cases begin: the robot drives, the box is in view.
 const FIRST_SCAN: u64 = 20;
@@ -81,47 +81,47 @@ pub(crate) const MISSING_INPUT: Case = Case {
 };
 
 fn authority(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
+    let mut bench = mid_drive(suite)?;
     for topic in asking(suite.role) {
-        with_one_bad(&mut stand, *topic, "a sample without authority", |stand, message| {
+        with_one_bad(&mut bench, *topic, "a sample without authority", |bench, message| {
             message.header_mut().incarnation = STRANGER;
-            stand.say(message)
+            bench.publish(message)
         })?;
     }
     Ok(format!("{} samples without authority", asking(suite.role).len()))
 }
 
 fn exchange(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
-    let change = stand.scan_id + 4;
+    let mut bench = mid_drive(suite)?;
+    let change = bench.scan_id + 4;
     for topic in asking(suite.role) {
         let writer = topic.writer().map_or(0, |writer| writer.index());
-        let previous = stand.directive.authority[writer].incarnation;
-        stand.directive.authority[writer] =
+        let previous = bench.directive.authority[writer].incarnation;
+        bench.directive.authority[writer] =
             Authority { incarnation: STRANGER + 1, previous, from_scan: change };
     }
-    stand.direct(|_| {})?;
-    stand.listen(1.0)?;
-    stand.begin();
-    stand.heard.clear();
+    bench.direct(|_| {})?;
+    bench.receive_for(1.0)?;
+    bench.begin();
+    bench.received.clear();
     for _ in 0..8 {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
         let (new, old) = (STRANGER + 1, None);
         // First the one that does not count: who takes it has answered too early.
         let counts = if scan_id < change { old } else { Some(new) };
         let other = if scan_id < change { Some(new) } else { old };
-        say_all(&mut stand, scan_id, other)?;
-        stand.listen(0.3)?;
-        stand.require_no_answer(scan_id, "the sample of the producer that does not count")?;
-        say_all(&mut stand, scan_id, counts)?;
-        stand.answer(scan_id)?;
-        stand.conclude(scan_id)?;
-        stand.scan_id += 1;
+        publish_all(&mut bench, scan_id, other)?;
+        bench.receive_for(0.3)?;
+        bench.require_no_answer(scan_id, "the sample of the producer that does not count")?;
+        publish_all(&mut bench, scan_id, counts)?;
+        bench.answer(scan_id)?;
+        bench.conclude(scan_id)?;
+        bench.scan_id += 1;
     }
-    stand.listen(2.0)?;
+    bench.receive_for(2.0)?;
     for scan_id in change - 4..change + 4 {
-        let count = stand.answers(scan_id).count();
+        let count = bench.answers(scan_id).count();
         require(count == 1, || {
             format!("{count} answers to scan {scan_id}; authority changed at scan {change}")
         })?;
@@ -130,77 +130,77 @@ fn exchange(suite: &Suite) -> Verdict {
 }
 
 fn repeated(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
+    let mut bench = mid_drive(suite)?;
     let mut said = Vec::new();
     for _ in 0..3 {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
-        let mut messages = stand.inputs(scan_id)?;
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
+        let mut messages = bench.inputs(scan_id)?;
         for message in &mut messages {
-            stand.say(message)?;
+            bench.publish(message)?;
         }
-        stand.answer(scan_id)?;
-        stand.conclude(scan_id)?;
-        stand.scan_id += 1;
+        bench.answer(scan_id)?;
+        bench.conclude(scan_id)?;
+        bench.scan_id += 1;
         said.push(messages);
     }
     // The last one again, then the one before it: repeated and reordered.
     for messages in said.iter().skip(1).rev() {
         for message in messages {
-            stand.say_exactly(message)?;
+            bench.publish_exactly(message)?;
         }
-        stand.listen(0.3)?;
+        bench.receive_for(0.3)?;
     }
-    let first = stand.round()?.message.scan_id() - 3;
-    stand.listen(2.0)?;
+    let first = bench.round()?.message.scan_id() - 3;
+    bench.receive_for(2.0)?;
     for scan_id in first..first + 4 {
-        let count = stand.answers(scan_id).filter(|heard| !heard.message.is_harmless()).count();
+        let count = bench.answers(scan_id).filter(|received| !received.message.is_harmless()).count();
         require(count <= 1, || format!("{count} answers to scan {scan_id} after its samples came again"))?;
     }
     Ok("2 scans repeated".to_owned())
 }
 
 fn stale(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    for mut message in stand.inputs(scan_id)? {
+    let mut bench = mid_drive(suite)?;
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    for mut message in bench.inputs(scan_id)? {
         message.header_mut().acquired_ns -= 4 * suite.period_ns;
-        stand.say(&mut message)?;
+        bench.publish(&mut message)?;
     }
-    stand.listen(1.0)?;
-    stand.require_no_answer(scan_id, "samples four periods old")?;
-    stand.scan_id += 1;
-    stand.begin();
-    stand.rounds(2)?;
-    stand.require_no_answer(scan_id, "samples four periods old")?;
+    bench.receive_for(1.0)?;
+    bench.require_no_answer(scan_id, "samples four periods old")?;
+    bench.scan_id += 1;
+    bench.begin();
+    bench.rounds(2)?;
+    bench.require_no_answer(scan_id, "samples four periods old")?;
     Ok("1 scan four periods old".to_owned())
 }
 
 fn garbage(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
+    let mut bench = mid_drive(suite)?;
     let mut count = 0;
     for topic in asking(suite.role) {
-        let scan_id = stand.scan_id;
-        stand.wait_until_due(scan_id)?;
-        let good = stand.inputs(scan_id)?;
+        let scan_id = bench.scan_id;
+        bench.wait_until_due(scan_id)?;
+        let good = bench.inputs(scan_id)?;
         for message in good.iter().filter(|message| message.topic() != *topic) {
-            stand.say(&mut message.clone())?;
+            bench.publish(&mut message.clone())?;
         }
-        let kinds = stand.message(*topic, scan_id)?.spoilt();
+        let kinds = bench.message(*topic, scan_id)?.spoilt();
         for mut message in kinds.into_iter().cycle().take(BURST) {
-            say_spoilt(&mut stand, &mut message)?;
+            publish_spoilt(&mut bench, &mut message)?;
             count += 1;
         }
-        stand.listen(0.5)?;
-        stand.require_no_answer(scan_id, "broken samples")?;
-        stand.scan_id += 1;
-        stand.begin();
-        let scan_id = stand.round()?.message.scan_id();
-        stand.require_no_answer(scan_id - 1, "broken samples")?;
+        bench.receive_for(0.5)?;
+        bench.require_no_answer(scan_id, "broken samples")?;
+        bench.scan_id += 1;
+        bench.begin();
+        let scan_id = bench.round()?.message.scan_id();
+        bench.require_no_answer(scan_id - 1, "broken samples")?;
     }
     // Valid again, not just alive.
-    let answer = stand.round()?;
+    let answer = bench.round()?;
     if let Err(fault) = answer.message.check() {
         return failed(format!("the answer after the burst: {fault}"));
     }
@@ -208,45 +208,45 @@ fn garbage(suite: &Suite) -> Verdict {
 }
 
 fn counts(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
-    stand.listen(2.0)?;
-    let before = stand.heartbeats.last().copied().unwrap_or_default();
+    let mut bench = mid_drive(suite)?;
+    bench.receive_for(2.0)?;
+    let before = bench.heartbeats.last().copied().unwrap_or_default();
     let topic = asking(suite.role)[0];
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    let mut foreign = stand.message(topic, scan_id)?;
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    let mut foreign = bench.message(topic, scan_id)?;
     foreign.header_mut().incarnation = STRANGER;
-    stand.say(&mut foreign)?;
-    let mut messages = stand.inputs(scan_id)?;
+    bench.publish(&mut foreign)?;
+    let mut messages = bench.inputs(scan_id)?;
     for message in &mut messages {
-        stand.say(message)?;
+        bench.publish(message)?;
     }
-    stand.answer(scan_id)?;
-    stand.conclude(scan_id)?;
-    stand.scan_id += 1;
-    stand.round()?;
-    let mut again = stand.message(topic, scan_id + 2)?;
-    stand.say(&mut again)?;
-    stand.say_exactly(&again)?;
+    bench.answer(scan_id)?;
+    bench.conclude(scan_id)?;
+    bench.scan_id += 1;
+    bench.round()?;
+    let mut again = bench.message(topic, scan_id + 2)?;
+    bench.publish(&mut again)?;
+    bench.publish_exactly(&again)?;
     // Two that change places, and the number that was used ahead of time once more.
     let mut ahead = again.clone();
     ahead.header_mut().sequence += 2;
-    stand.say_exactly(&ahead)?;
-    let mut late = stand.message(topic, scan_id + 2)?;
-    stand.say(&mut late)?;
-    stand.say(&mut late)?;
-    let mut old = stand.message(topic, scan_id + 3)?;
+    bench.publish_exactly(&ahead)?;
+    let mut late = bench.message(topic, scan_id + 2)?;
+    bench.publish(&mut late)?;
+    bench.publish(&mut late)?;
+    let mut old = bench.message(topic, scan_id + 3)?;
     old.header_mut().acquired_ns -= 5 * suite.period_ns;
-    stand.say(&mut old)?;
-    let mut broken = stand.message(topic, scan_id + 3)?.spoilt().swap_remove(1);
-    stand.say(&mut broken)?;
-    let missing = |stand: &Stand<'_>| -> Vec<&str> {
-        let now = dropped(&stand.heartbeats.last().copied().unwrap_or_default());
+    bench.publish(&mut old)?;
+    let mut broken = bench.message(topic, scan_id + 3)?.spoilt().swap_remove(1);
+    bench.publish(&mut broken)?;
+    let missing = |bench: &TestBench<'_>| -> Vec<&str> {
+        let now = dropped(&bench.heartbeats.last().copied().unwrap_or_default());
         let both = now.into_iter().zip(dropped(&before));
         both.filter(|((_, now), (_, before))| now <= before).map(|((kind, _), _)| kind).collect()
     };
-    stand.until(ANSWER_NS / 5, |stand| missing(stand).is_empty())?;
-    let missing = missing(&stand);
+    bench.until(ANSWER_NS / 5, |bench| missing(bench).is_empty())?;
+    let missing = missing(&bench);
     require(missing.is_empty(), || format!("not counted: {}", missing.join(", ")))?;
     Ok("one of each kind counted".to_owned())
 }
@@ -263,93 +263,93 @@ fn dropped(beat: &Heartbeat) -> [(&'static str, u64); 5] {
 }
 
 fn missing_input(suite: &Suite) -> Verdict {
-    let mut stand = mid_drive(suite)?;
+    let mut bench = mid_drive(suite)?;
     let mut incomplete = Vec::new();
     for topic in asking(suite.role) {
         for _ in 0..3 {
-            let scan_id = stand.scan_id;
-            stand.wait_until_due(scan_id)?;
-            for mut message in stand.inputs(scan_id)? {
+            let scan_id = bench.scan_id;
+            bench.wait_until_due(scan_id)?;
+            for mut message in bench.inputs(scan_id)? {
                 if message.topic() != *topic {
-                    stand.say(&mut message)?;
+                    bench.publish(&mut message)?;
                 }
             }
             incomplete.push(scan_id);
-            stand.scan_id += 1;
+            bench.scan_id += 1;
         }
-        stand.begin();
-        stand.round()?;
+        bench.begin();
+        bench.round()?;
     }
     if joins(suite.role) {
-        incomplete.extend(contradiction(&mut stand)?);
+        incomplete.extend(contradiction(&mut bench)?);
     }
-    let newest = stand.scan_id;
-    stand.listen(2.0)?;
+    let newest = bench.scan_id;
+    bench.receive_for(2.0)?;
     for scan_id in &incomplete {
-        stand.require_no_answer(*scan_id, "one of its inputs was kept back")?;
+        bench.require_no_answer(*scan_id, "one of its inputs was kept back")?;
     }
-    let ahead = stand.heard.iter().find(|heard| heard.message.scan_id() >= newest);
+    let ahead = bench.received.iter().find(|received| received.message.scan_id() >= newest);
     require(ahead.is_none(), || format!("an answer to scan {newest}, which nobody has published"))?;
     Ok(format!("{} scans without one of the inputs", incomplete.len()))
 }
 
 /// Two inputs of different scans: no scan is complete.
-fn contradiction(stand: &mut Stand<'_>) -> Result<[u64; 2], Trouble> {
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    for (index, mut message) in stand.inputs(scan_id)?.into_iter().enumerate() {
+fn contradiction(bench: &mut TestBench<'_>) -> Result<[u64; 2], Trouble> {
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    for (index, mut message) in bench.inputs(scan_id)?.into_iter().enumerate() {
         message.header_mut().scan_id = scan_id + index as u64;
-        stand.say(&mut message)?;
+        bench.publish(&mut message)?;
     }
-    stand.scan_id += 2;
-    stand.begin();
-    stand.round()?;
+    bench.scan_id += 2;
+    bench.begin();
+    bench.round()?;
     Ok([scan_id, scan_id + 1])
 }
 
 /// A candidate that has answered some scans of the drive.
-fn mid_drive(suite: &Suite) -> Result<Stand<'_>, Trouble> {
-    let mut stand = suite.started(Setup { first_scan: FIRST_SCAN, ..Setup::default() })?;
-    stand.rounds(3)?;
-    Ok(stand)
+fn mid_drive(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
+    let mut bench = suite.started(Setup { first_scan: FIRST_SCAN, ..Setup::default() })?;
+    bench.rounds(3)?;
+    Ok(bench)
 }
 
 /// One scan with a bad sample of one topic, which must not be answered, and then with a good one, which must.
 fn with_one_bad(
-    stand: &mut Stand<'_>,
+    bench: &mut TestBench<'_>,
     topic: Topic,
     what: &str,
-    bad: impl Fn(&mut Stand<'_>, &mut Message) -> Result<(), Trouble>,
+    bad: impl Fn(&mut TestBench<'_>, &mut Message) -> Result<(), Trouble>,
 ) -> Result<(), Trouble> {
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    for mut message in stand.inputs(scan_id)? {
-        if message.topic() == topic { bad(stand, &mut message)? } else { stand.say(&mut message)? }
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    for mut message in bench.inputs(scan_id)? {
+        if message.topic() == topic { bad(bench, &mut message)? } else { bench.publish(&mut message)? }
     }
-    stand.listen(0.5)?;
-    stand.require_no_answer(scan_id, what)?;
-    let mut good = stand.message(topic, scan_id)?;
-    stand.say(&mut good)?;
-    stand.answer(scan_id)?;
-    stand.conclude(scan_id)?;
-    stand.scan_id += 1;
-    stand.listen(1.0)?;
-    let count = stand.answers(scan_id).count();
+    bench.receive_for(0.5)?;
+    bench.require_no_answer(scan_id, what)?;
+    let mut good = bench.message(topic, scan_id)?;
+    bench.publish(&mut good)?;
+    bench.answer(scan_id)?;
+    bench.conclude(scan_id)?;
+    bench.scan_id += 1;
+    bench.receive_for(1.0)?;
+    let count = bench.answers(scan_id).count();
     require(count == 1, || format!("{count} answers to scan {scan_id} after {what} and a good one"))
 }
 
 /// Says all inputs of a scan as another incarnation, or as the usual one.
-fn say_all(stand: &mut Stand<'_>, scan_id: u64, incarnation: Option<u32>) -> Result<(), Trouble> {
-    for mut message in stand.inputs(scan_id)? {
+fn publish_all(bench: &mut TestBench<'_>, scan_id: u64, incarnation: Option<u32>) -> Result<(), Trouble> {
+    for mut message in bench.inputs(scan_id)? {
         let writer = message.topic().writer();
         message.header_mut().incarnation = incarnation.or(writer.map(speaker)).unwrap_or(0);
-        stand.say(&mut message)?;
+        bench.publish(&mut message)?;
     }
     Ok(())
 }
 
 /// Says a broken sample; one of another layout keeps that, which an ordinary publication would mend.
-fn say_spoilt(stand: &mut Stand<'_>, message: &mut Message) -> Result<(), Trouble> {
+fn publish_spoilt(bench: &mut TestBench<'_>, message: &mut Message) -> Result<(), Trouble> {
     let foreign_layout = matches!(message.check(), Err(Fault::Layout { .. }));
-    if foreign_layout { stand.say_exactly(message) } else { stand.say(message) }
+    if foreign_layout { bench.publish_exactly(message) } else { bench.publish(message) }
 }

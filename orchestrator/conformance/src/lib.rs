@@ -24,8 +24,8 @@ mod obstacles;
 mod ranges;
 mod report;
 mod robot;
-mod stand;
 mod suite;
+mod test_bench;
 mod trouble;
 
 use std::ffi::OsString;

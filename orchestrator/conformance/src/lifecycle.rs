@@ -6,8 +6,8 @@ use rustix::process::{Pid, Signal, getpgid, kill_process_group};
 use shared_types::{Phase, ProcessState, Role};
 
 use super::case::{Case, LIVE, Level, Verdict, failed, require};
-use super::stand::{ANSWER_NS, Stand};
 use super::suite::{Setup, Suite};
+use super::test_bench::{ANSWER_NS, TestBench};
 
 /// Time between the request to end and the kill, the default of `grace_ms` in a system file [ms].
 const GRACE_MS: u64 = 1000;
@@ -92,31 +92,31 @@ pub(crate) const CASES: [Case; 8] = [
 ];
 
 fn states(suite: &Suite) -> Verdict {
-    let mut stand = suite.stand(Setup::default())?;
-    stand.spawn(false, None)?;
-    stand.attach()?;
+    let mut bench = suite.bench(Setup::default())?;
+    bench.spawn(false, None)?;
+    bench.attach()?;
     // Time enough to run ahead of the barrier.
-    stand.listen(2.0)?;
-    let early = stand.heartbeats.iter().find(|beat| beat.state != ProcessState::Attached.wire());
+    bench.receive_for(2.0)?;
+    let early = bench.heartbeats.iter().find(|beat| beat.state != ProcessState::Attached.wire());
     require(early.is_none(), || "it said more than `attached` in the phase `starting`".to_owned())?;
-    stand.announce(Phase::Connecting)?;
-    stand.wait_for_state(ProcessState::Connected)?;
-    stand.listen(1.0)?;
-    require(stand.heard.is_empty(), || {
-        format!("it published {} samples before the phase `driving`", stand.heard.len())
+    bench.announce(Phase::Connecting)?;
+    bench.wait_for_state(ProcessState::Connected)?;
+    bench.receive_for(1.0)?;
+    require(bench.received.is_empty(), || {
+        format!("it published {} samples before the phase `driving`", bench.received.len())
     })?;
     let ready =
-        |stand: &Stand<'_>| stand.heartbeats.iter().any(|beat| beat.state == ProcessState::Ready.wire());
-    require(!ready(&stand), || "it said `ready` before its first output".to_owned())?;
-    stand.announce(Phase::Driving)?;
-    stand.round()?;
-    if !stand.until(ANSWER_NS, ready)? {
+        |bench: &TestBench<'_>| bench.heartbeats.iter().any(|beat| beat.state == ProcessState::Ready.wire());
+    require(!ready(&bench), || "it said `ready` before its first output".to_owned())?;
+    bench.announce(Phase::Driving)?;
+    bench.round()?;
+    if !bench.until(ANSWER_NS, ready)? {
         return failed("it did not say `ready` after its first output");
     }
-    let backwards = stand.heartbeats.windows(2).find(|pair| pair[1].state < pair[0].state);
+    let backwards = bench.heartbeats.windows(2).find(|pair| pair[1].state < pair[0].state);
     require(backwards.is_none(), || "its state went back".to_owned())?;
-    let pid = stand.child.as_ref().map_or(0, |child| child.pid());
-    for beat in &stand.heartbeats {
+    let pid = bench.child.as_ref().map_or(0, |child| child.pid());
+    for beat in &bench.heartbeats {
         require(beat.role == suite.role.wire(), || {
             format!("role {} in the heartbeat instead of {}", beat.role, suite.role.wire())
         })?;
@@ -127,15 +127,15 @@ fn states(suite: &Suite) -> Verdict {
             format!("process id {} in the heartbeat is none of process {pid} and its children", beat.pid)
         })?;
     }
-    Ok(format!("{} heartbeats, states in order", stand.heartbeats.len()))
+    Ok(format!("{} heartbeats, states in order", bench.heartbeats.len()))
 }
 
 fn heartbeats(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.round()?;
-    stand.heartbeats.clear();
-    stand.until(2 * BEATS as u64 * 100_000_000, |stand| stand.heartbeats.len() >= BEATS)?;
-    let beats = &stand.heartbeats;
+    let mut bench = suite.started(Setup::default())?;
+    bench.round()?;
+    bench.heartbeats.clear();
+    bench.until(2 * BEATS as u64 * 100_000_000, |bench| bench.heartbeats.len() >= BEATS)?;
+    let beats = &bench.heartbeats;
     require(beats.len() >= BEATS, || {
         format!("{} heartbeats in 2 s without input, {BEATS} are the least", beats.len())
     })?;
@@ -158,45 +158,45 @@ fn heartbeats(suite: &Suite) -> Verdict {
 }
 
 fn joins_late(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
-    stand.rounds(3)?;
-    stand.replace()?;
-    stand.heard.clear();
-    stand.spawn(false, None)?;
-    stand.wait_for_state(ProcessState::Connected)?;
+    let mut bench = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
+    bench.rounds(3)?;
+    bench.replace()?;
+    bench.received.clear();
+    bench.spawn(false, None)?;
+    bench.wait_for_state(ProcessState::Connected)?;
     if suite.role == Role::Robot {
         // A robot that comes back begins with scan 1 again.
-        stand.scan_id = 1;
+        bench.scan_id = 1;
     } else {
-        stand.begin();
+        bench.begin();
     }
-    let first = stand.scan_id;
-    stand.rounds(5)?;
+    let first = bench.scan_id;
+    bench.rounds(5)?;
     Ok(format!("took part from scan {first} on"))
 }
 
 fn pause(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
-    stand.rounds(5)?;
+    let mut bench = suite.started(Setup { first_scan: 30, ..Setup::default() })?;
+    bench.rounds(5)?;
     let periods = (PAUSE_S * 1e9 / suite.period_ns as f64) as usize;
-    send(&stand, Signal::STOP)?;
+    send(&bench, Signal::STOP)?;
     if suite.role == Role::Robot {
-        stand.listen(periods as f64)?;
+        bench.receive_for(periods as f64)?;
     } else {
         for _ in 0..periods {
-            stand.ask()?;
+            bench.ask()?;
         }
     }
-    stand.turn()?;
-    let before = stand.heard.len();
-    send(&stand, Signal::CONT)?;
-    stand.rounds(5)?;
+    bench.turn()?;
+    let before = bench.received.len();
+    send(&bench, Signal::CONT)?;
+    bench.rounds(5)?;
     let limit_ns = 4 * suite.period_ns;
     let mut oldest_ns = 0;
-    for heard in &stand.heard[before..] {
-        let header = heard.message.header();
+    for received in &bench.received[before..] {
+        let header = received.message.header();
         let age_ns = header.stage(suite.role).published_ns.saturating_sub(header.acquired_ns);
-        if !heard.message.is_harmless() {
+        if !received.message.is_harmless() {
             oldest_ns = oldest_ns.max(age_ns);
             require(age_ns <= limit_ns, || {
                 format!(
@@ -215,27 +215,27 @@ fn pause(suite: &Suite) -> Verdict {
 }
 
 fn ends_on_request(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.rounds(3)?;
-    stand.may_end = true;
-    let took = end(&mut stand)?;
+    let mut bench = suite.started(Setup::default())?;
+    bench.rounds(3)?;
+    bench.may_end = true;
+    let took = end(&mut bench)?;
     Ok(format!("ended after {} ms", took.as_millis()))
 }
 
 /// Asks the candidate to end and waits for it.
-pub(crate) fn end(stand: &mut Stand<'_>) -> Result<Duration, super::case::Trouble> {
+pub(crate) fn end(bench: &mut TestBench<'_>) -> Result<Duration, super::case::Trouble> {
     let started = std::time::Instant::now();
-    if let Some(child) = &stand.child {
+    if let Some(child) = &bench.child {
         child.terminate()?;
     }
     loop {
-        stand.turn()?;
-        if let Some(exit) = stand.exit()? {
+        bench.turn()?;
+        if let Some(exit) = bench.exit()? {
             // What it said last may be on its way.
-            stand.turn()?;
+            bench.turn()?;
             return match exit {
                 supervision::supervisor::Exit::Code(_) => Ok(started.elapsed()),
-                other => failed(format!("it did not end by itself: {other}{}", stand.words())),
+                other => failed(format!("it did not end by itself: {other}{}", bench.words())),
             };
         }
         if started.elapsed() > Duration::from_millis(GRACE_MS) {
@@ -246,13 +246,13 @@ pub(crate) fn end(stand: &mut Stand<'_>) -> Result<Duration, super::case::Troubl
 }
 
 fn ends_as_orphan(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { orphan_ns: ORPHAN_NS, ..Setup::default() })?;
-    stand.rounds(3)?;
-    stand.mute = true;
-    stand.may_end = true;
+    let mut bench = suite.started(Setup { orphan_ns: ORPHAN_NS, ..Setup::default() })?;
+    bench.rounds(3)?;
+    bench.mute = true;
+    bench.may_end = true;
     let started = std::time::Instant::now();
-    while stand.exit()?.is_none() {
-        stand.turn()?;
+    while bench.exit()?.is_none() {
+        bench.turn()?;
         if started.elapsed() > Duration::from_nanos(ORPHAN_NS + ANSWER_NS) {
             return failed(format!(
                 "it still ran {} s after the last directive",
@@ -273,33 +273,33 @@ fn ends_as_orphan(suite: &Suite) -> Verdict {
 }
 
 fn survives_a_new_orchestrator(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { orphan_ns: 10 * ORPHAN_NS, ..Setup::default() })?;
-    stand.rounds(3)?;
-    stand.mute = true;
-    stand.rounds(5)?;
-    stand.mute = false;
-    stand.renew_voice()?;
-    stand.rounds(5)?;
+    let mut bench = suite.started(Setup { orphan_ns: 10 * ORPHAN_NS, ..Setup::default() })?;
+    bench.rounds(3)?;
+    bench.mute = true;
+    bench.rounds(5)?;
+    bench.mute = false;
+    bench.renew_publisher()?;
+    bench.rounds(5)?;
     Ok("13 scans, 5 of them without an orchestrator".to_owned())
 }
 
 fn leaves_nothing(suite: &Suite) -> Verdict {
-    let mut stand = suite.stand(Setup::default())?;
-    let before = stand.shared_memory()?;
-    stand.start()?;
-    stand.rounds(3)?;
-    let group = stand.child.as_ref().and_then(|child| Pid::from_raw(child.pid().cast_signed()));
-    stand.kill()?;
+    let mut bench = suite.bench(Setup::default())?;
+    let before = bench.shared_memory()?;
+    bench.start()?;
+    bench.rounds(3)?;
+    let group = bench.child.as_ref().and_then(|child| Pid::from_raw(child.pid().cast_signed()));
+    bench.kill()?;
     let started = std::time::Instant::now();
     let left = loop {
         // Whoever spoke to it gives its end of a connection back when he speaks again.
         for topic in suite.role.reads() {
-            let mut message = stand.message(*topic, stand.scan_id)?;
-            stand.say(&mut message)?;
+            let mut message = bench.message(*topic, bench.scan_id)?;
+            bench.publish(&mut message)?;
         }
-        stand.bus.clean_up_dead_processes();
-        stand.listen(0.2)?;
-        let left: Vec<_> = stand.shared_memory()?.difference(&before).cloned().collect();
+        bench.bus.clean_up_dead_processes();
+        bench.receive_for(0.2)?;
+        let left: Vec<_> = bench.shared_memory()?.difference(&before).cloned().collect();
         if left.is_empty() || started.elapsed() > Duration::from_nanos(ANSWER_NS / 2) {
             break left;
         }
@@ -310,8 +310,8 @@ fn leaves_nothing(suite: &Suite) -> Verdict {
     Ok("nothing left".to_owned())
 }
 
-fn send(stand: &Stand<'_>, signal: Signal) -> Result<(), super::case::Trouble> {
-    let group = stand.child.as_ref().and_then(|child| Pid::from_raw(child.pid().cast_signed()));
+fn send(bench: &TestBench<'_>, signal: Signal) -> Result<(), super::case::Trouble> {
+    let group = bench.child.as_ref().and_then(|child| Pid::from_raw(child.pid().cast_signed()));
     if let Some(group) = group {
         kill_process_group(group, signal).map_err(std::io::Error::from)?;
     }

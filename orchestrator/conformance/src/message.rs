@@ -1,6 +1,6 @@
 //! A sample of any topic of the loop, and the mouths and ears that the stand has for all of them.
 
-use runtime::{Bus, Observer, RuntimeError, Voice, wait_for};
+use runtime::{Bus, Observer, Publisher, RuntimeError, wait_for};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Fault, Header, Obstacles, Odometry, Pose, Role, Sample,
     Scan, Topic, Truth,
@@ -133,35 +133,35 @@ impl Message {
 }
 
 /// Publishers of all topics that processes of the loop read.
-pub(crate) struct Mouths {
-    scan: Voice<Scan>,
-    odometry: Voice<Odometry>,
-    pose: Voice<Pose>,
-    obstacles: Voice<Obstacles>,
-    command: Voice<Command>,
-    actuation: Voice<Actuation>,
+pub(crate) struct Publishers {
+    scan: Publisher<Scan>,
+    odometry: Publisher<Odometry>,
+    pose: Publisher<Pose>,
+    obstacles: Publisher<Obstacles>,
+    command: Publisher<Command>,
+    actuation: Publisher<Actuation>,
 }
 
-impl Mouths {
+impl Publishers {
     pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
         Ok(Self {
-            scan: Voice::new(bus)?,
-            odometry: Voice::new(bus)?,
-            pose: Voice::new(bus)?,
-            obstacles: Voice::new(bus)?,
-            command: Voice::new(bus)?,
-            actuation: Voice::new(bus)?,
+            scan: Publisher::new(bus)?,
+            odometry: Publisher::new(bus)?,
+            pose: Publisher::new(bus)?,
+            obstacles: Publisher::new(bus)?,
+            command: Publisher::new(bus)?,
+            actuation: Publisher::new(bus)?,
         })
     }
 
     /// Publishes; `exactly` leaves layout and sequence as they are, else they are filled and kept in the message.
-    pub(crate) fn say(&mut self, message: &mut Message, exactly: bool) -> Result<(), RuntimeError> {
+    pub(crate) fn publish(&mut self, message: &mut Message, exactly: bool) -> Result<(), RuntimeError> {
         fn through<S: Sample>(
-            voice: &mut Voice<S>,
+            voice: &mut Publisher<S>,
             sample: &mut S,
             exactly: bool,
         ) -> Result<(), RuntimeError> {
-            if exactly { voice.say_as_it_is(sample, true) } else { voice.say(sample, true) }
+            if exactly { voice.publish_unchanged(sample, true) } else { voice.publish(sample, true) }
         }
         match message {
             Message::Scan(sample) => through(&mut self.scan, sample, exactly),
@@ -177,7 +177,7 @@ impl Mouths {
 }
 
 /// Readers of all topics that a role writes.
-pub(crate) struct Ears {
+pub(crate) struct Subscribers {
     scan: Option<Observer<Scan>>,
     odometry: Option<Observer<Odometry>>,
     truth: Option<Observer<Truth>>,
@@ -187,7 +187,7 @@ pub(crate) struct Ears {
     actuation: Option<Observer<Actuation>>,
 }
 
-impl Ears {
+impl Subscribers {
     pub(crate) fn new(bus: &Bus, role: Role) -> Result<Self, RuntimeError> {
         fn of<S: Sample>(bus: &Bus, role: Role) -> Result<Option<Observer<S>>, RuntimeError> {
             let writes = role.writes().contains(&S::TOPIC) || S::TOPIC.writer() == Some(role);
@@ -218,7 +218,7 @@ impl Ears {
     }
 
     /// Hands everything that was said since the last call to `each`.
-    pub(crate) fn hear(&self, mut each: impl FnMut(Message)) -> Result<(), RuntimeError> {
+    pub(crate) fn receive(&self, mut each: impl FnMut(Message)) -> Result<(), RuntimeError> {
         fn all<S: Sample>(ear: &Option<Observer<S>>, mut each: impl FnMut(S)) -> Result<(), RuntimeError> {
             let Some(ear) = ear else { return Ok(()) };
             while let Some((sample, _)) = ear.next()? {

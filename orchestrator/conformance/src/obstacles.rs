@@ -5,8 +5,8 @@ use shared_types::{Obstacle, Obstacles, Topic};
 use super::case::{Case, LIVE, Level, Trouble, Verdict, failed, require};
 use super::drive::Course;
 use super::message::Message;
-use super::stand::{Heard, Stand};
 use super::suite::{Setup, Suite};
+use super::test_bench::{Received, TestBench};
 
 /// The box of the default drive: centre, length and width [m].
 const BOX_M: [f64; 4] = [5.0, 0.0, 0.1, 0.4];
@@ -72,9 +72,9 @@ pub(crate) const CASES: [Case; 6] = [
 
 fn sees_a_box(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut stand = suite.started(Setup { first_scan, ..Setup::default() })?;
-    for heard in stand.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&heard.message)?;
+    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
+    for received in bench.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = description(&received.message)?;
         require(obstacles.list().iter().any(covers_the_box), || {
             let near = obstacles.list().iter().map(|item| {
                 format!("({:.2}, {:.2}) with {:.2} m x {:.2} m", item.x_m, item.y_m, item.a_m, item.b_m)
@@ -99,50 +99,50 @@ fn covers_the_box(item: &Obstacle) -> bool {
 }
 
 fn no_phantoms(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
-    for heard in stand.rounds(2 * SCANS)? {
-        let count = description(&heard.message)?.count;
+    let mut bench = suite.started(Setup { course: Course::Free, ..Setup::default() })?;
+    for received in bench.rounds(2 * SCANS)? {
+        let count = description(&received.message)?.count;
         require(count == 0, || {
-            format!("scan {}: {count} ellipses where nothing stands", heard.message.scan_id())
+            format!("scan {}: {count} ellipses where nothing stands", received.message.scan_id())
         })?;
     }
     Ok(format!("{} scans of an empty track", 2 * SCANS))
 }
 
 fn blind_scan(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
-    stand.rounds(3)?;
+    let mut bench = suite.started(Setup { first_scan: 20, ..Setup::default() })?;
+    bench.rounds(3)?;
     for _ in 0..3 {
-        let answer = blind_round(&mut stand)?;
+        let answer = blind_round(&mut bench)?;
         if let Err(fault) = answer.message.check() {
             return failed(format!("the answer to a sweep without returns: {fault}"));
         }
     }
-    stand.rounds(2)?;
+    bench.rounds(2)?;
     Ok("3 sweeps without a return".to_owned())
 }
 
 /// One scan whose beams all got lost.
-fn blind_round(stand: &mut Stand<'_>) -> Result<Heard, Trouble> {
-    let scan_id = stand.scan_id;
-    stand.wait_until_due(scan_id)?;
-    for mut message in stand.inputs(scan_id)? {
+fn blind_round(bench: &mut TestBench<'_>) -> Result<Received, Trouble> {
+    let scan_id = bench.scan_id;
+    bench.wait_until_due(scan_id)?;
+    for mut message in bench.inputs(scan_id)? {
         if let Message::Scan(scan) = &mut message {
             scan.ranges_mm.fill(0);
         }
-        stand.say(&mut message)?;
+        bench.publish(&mut message)?;
     }
-    stand.scan_id += 1;
-    stand.answer(scan_id)
+    bench.scan_id += 1;
+    bench.answer(scan_id)
 }
 
 fn nearest_first(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Two)?.scan_at(1.5);
-    let mut stand = suite.started(Setup { course: Course::Two, first_scan, ..Setup::default() })?;
-    let heard = stand.rounds(2 * SCANS)?;
+    let mut bench = suite.started(Setup { course: Course::Two, first_scan, ..Setup::default() })?;
+    let received = bench.rounds(2 * SCANS)?;
     let mut both = 0;
-    for heard in heard.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&heard.message)?;
+    for received in received.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = description(&received.message)?;
         let at = |x_m: f64, y_m: f64| {
             obstacles.list().iter().position(|item| (item.x_m - x_m).hypot(item.y_m - y_m) < 0.6)
         };
@@ -159,10 +159,10 @@ fn nearest_first(suite: &Suite) -> Verdict {
 
 fn keeps_identity(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut stand = suite.started(Setup { first_scan, ..Setup::default() })?;
+    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
     let mut ids = Vec::new();
-    for heard in stand.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
-        let obstacles = description(&heard.message)?;
+    for received in bench.rounds(SCANS)?.iter().skip(FIRST_SIGHTINGS) {
+        let obstacles = description(&received.message)?;
         ids.extend(obstacles.list().iter().find(|item| covers_the_box(item)).map(|item| item.id));
     }
     let scans = ids.len();
@@ -173,10 +173,10 @@ fn keeps_identity(suite: &Suite) -> Verdict {
 
 fn remembers(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Corridor)?.scan_at(BOX_M[0] - 2.5);
-    let mut stand = suite.started(Setup { first_scan, ..Setup::default() })?;
-    stand.rounds(SCANS)?;
+    let mut bench = suite.started(Setup { first_scan, ..Setup::default() })?;
+    bench.rounds(SCANS)?;
     for _ in 0..2 {
-        let obstacles = description(&blind_round(&mut stand)?.message)?;
+        let obstacles = description(&blind_round(&mut bench)?.message)?;
         let known = obstacles.list().iter().any(covers_the_box);
         require(known, || format!("scan {}: the box is forgotten", obstacles.header.scan_id))?;
     }

@@ -7,7 +7,7 @@ use vehicle::Bounds;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use super::message::Message;
-use super::stand::Heard;
+use super::test_bench::Received;
 use super::trouble::{Trouble, failed};
 
 /// Rounding of a solver, as in the actuator [m/s, rad].
@@ -16,8 +16,8 @@ const ROUNDING: f64 = 1e-6;
 pub(crate) const SENT: f64 = 1e-6;
 
 /// That every sample passes the check of its type and the ranges of its topic.
-pub(crate) fn valid(heard: &[Heard]) -> Result<(), Trouble> {
-    for Heard { message, .. } in heard {
+pub(crate) fn valid(received: &[Received]) -> Result<(), Trouble> {
+    for Received { message, .. } in received {
         let scan_id = message.scan_id();
         if let Err(fault) = message.check() {
             return failed(format!("{} of scan {scan_id}: {fault}", message.topic()));

@@ -8,8 +8,8 @@ use super::answers::{own_stamps, same};
 use super::case::{Case, LIVE, LOCKSTEP, Level, Trouble, Verdict, failed, require};
 use super::message::Message;
 use super::ranges::valid;
-use super::stand::{ANSWER_NS, Heard, Order, STRANGER, Stand};
 use super::suite::{Setup, Suite};
+use super::test_bench::{ANSWER_NS, Order, Received, STRANGER, TestBench};
 
 /// Scans of a case.
 const SCANS: usize = 15;
@@ -137,12 +137,12 @@ pub(crate) const CASES: [Case; 14] = [
 ];
 
 fn scans(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    let odometry = stand.rounds(SCANS)?;
-    stand.listen(0.5)?;
+    let mut bench = suite.started(Setup::default())?;
+    let odometry = bench.rounds(SCANS)?;
+    bench.receive_for(0.5)?;
     let ids = |topic: Topic| -> Vec<u64> {
-        let of = stand.heard.iter().filter(|heard| heard.message.topic() == topic);
-        of.map(|heard| heard.message.scan_id()).collect()
+        let of = bench.received.iter().filter(|received| received.message.topic() == topic);
+        of.map(|received| received.message.scan_id()).collect()
     };
     let (scans, odometries) = (ids(Topic::Scan), ids(Topic::Odometry));
     require(scans == odometries, || format!("scans {scans:?}, but odometry {odometries:?}"))?;
@@ -157,12 +157,12 @@ fn scans(suite: &Suite) -> Verdict {
 }
 
 fn header(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.rounds(SCANS)?;
+    let mut bench = suite.started(Setup::default())?;
+    bench.rounds(SCANS)?;
     let mut oldest_ns = 0;
-    for heard in stand.heard.iter().filter(|heard| heard.message.topic() != Topic::Truth) {
-        let header = heard.message.header();
-        require(header.incarnation == stand.incarnation, || format!("incarnation {}", header.incarnation))?;
+    for received in bench.received.iter().filter(|received| received.message.topic() != Topic::Truth) {
+        let header = received.message.header();
+        require(header.incarnation == bench.incarnation, || format!("incarnation {}", header.incarnation))?;
         own_stamps(suite.role, header, header.acquired_ns)?;
         let later = header.chain.iter().skip(1).any(|stamps| stamps.published_ns != 0);
         require(!later, || format!("scan {} carries stamps of stages behind it", header.scan_id))?;
@@ -176,15 +176,15 @@ fn header(suite: &Suite) -> Verdict {
 }
 
 fn valid_values(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.rounds(SCANS)?;
-    valid(&stand.heard)?;
-    Ok(format!("{} samples", stand.heard.len()))
+    let mut bench = suite.started(Setup::default())?;
+    bench.rounds(SCANS)?;
+    valid(&bench.received)?;
+    Ok(format!("{} samples", bench.received.len()))
 }
 
 fn increments(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    let all: Vec<Odometry> = stand.rounds(SCANS)?.iter().filter_map(odometry).collect();
+    let mut bench = suite.started(Setup::default())?;
+    let all: Vec<Odometry> = bench.rounds(SCANS)?.iter().filter_map(odometry).collect();
     for pair in all.windows(2) {
         let (before, now) = (&pair[0], &pair[1]);
         let dt_s = (now.header.acquired_ns - before.header.acquired_ns) as f64 * 1e-9;
@@ -197,9 +197,9 @@ fn increments(suite: &Suite) -> Verdict {
 }
 
 fn drives(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    stand.order = Order::Drive(0.7, 0.05);
-    let all: Vec<Odometry> = stand.rounds(2 * SCANS)?.iter().filter_map(odometry).collect();
+    let mut bench = suite.started(Setup::default())?;
+    bench.order = Order::Drive(0.7, 0.05);
+    let all: Vec<Odometry> = bench.rounds(2 * SCANS)?.iter().filter_map(odometry).collect();
     let (first, last) = (&all[0], &all[all.len() - 1]);
     let text = format!(
         "{:.2} m/s, {:.2} m forward, {:.3} rad to the left",
@@ -212,35 +212,35 @@ fn drives(suite: &Suite) -> Verdict {
 }
 
 fn blocks(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.order = Order::Block;
-    let said = stand.round()?;
+    let mut bench = driving(suite)?;
+    bench.order = Order::Block;
+    let said = bench.round()?;
     let from_ns = said.at_ns;
-    let speeds = coast(&mut stand, from_ns + STOPPING_NS)?;
+    let speeds = coast(&mut bench, from_ns + STOPPING_NS)?;
     let rising = speeds.windows(2).any(|pair| pair[1] > pair[0] + STANDSTILL_MPS);
     require(!rising, || format!("its speed rises with blocked wheels: {speeds:?}"))?;
     stands(&speeds, "after blocking the wheels")
 }
 
 fn dead_man(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.order = Order::Silence;
-    let from_ns = stand.round()?.at_ns;
-    let speeds = coast(&mut stand, from_ns + 2 * suite.period_ns + STOPPING_NS)?;
+    let mut bench = driving(suite)?;
+    bench.order = Order::Silence;
+    let from_ns = bench.round()?.at_ns;
+    let speeds = coast(&mut bench, from_ns + 2 * suite.period_ns + STOPPING_NS)?;
     stands(&speeds, "after two periods without an actuation")
 }
 
 fn authority(suite: &Suite) -> Verdict {
-    let mut stand = standing(suite)?;
+    let mut bench = standing(suite)?;
     for _ in 0..8 {
-        say_changed(&mut stand, |message| message.header_mut().incarnation = STRANGER)?;
+        publish_changed(&mut bench, |message| message.header_mut().incarnation = STRANGER)?;
     }
-    stood(&mut stand, "an actuation without authority")?;
-    moves_when_told(&mut stand)
+    stood(&mut bench, "an actuation without authority")?;
+    moves_when_told(&mut bench)
 }
 
 fn nonsense(suite: &Suite) -> Verdict {
-    let mut stand = standing(suite)?;
+    let mut bench = standing(suite)?;
     let kinds: [fn(&mut Message); 5] = [
         |message| change(message, |actuation| actuation.sent_velocity_mps = f64::NAN),
         |message| change(message, |actuation| actuation.sent_velocity_mps = 50.0),
@@ -249,17 +249,17 @@ fn nonsense(suite: &Suite) -> Verdict {
         |message| change(message, |actuation| actuation.kind = 77),
     ];
     for kind in kinds {
-        say_changed(&mut stand, kind)?;
-        say_changed(&mut stand, kind)?;
+        publish_changed(&mut bench, kind)?;
+        publish_changed(&mut bench, kind)?;
     }
-    stood(&mut stand, "nonsense")?;
-    moves_when_told(&mut stand)?;
-    stand.order = Order::Silence;
-    let from_ns = stand.round()?.at_ns;
+    stood(&mut bench, "nonsense")?;
+    moves_when_told(&mut bench)?;
+    bench.order = Order::Silence;
+    let from_ns = bench.round()?.at_ns;
     let mut speeds = Vec::new();
     let until_ns = from_ns + 2 * suite.period_ns + STOPPING_NS;
     for kind in kinds.iter().cycle() {
-        let odometry = say_changed(&mut stand, kind)?;
+        let odometry = publish_changed(&mut bench, kind)?;
         speeds.push(odometry.speed_mps);
         if odometry.header.acquired_ns > until_ns {
             break;
@@ -269,52 +269,52 @@ fn nonsense(suite: &Suite) -> Verdict {
 }
 
 fn repeated(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.order = Order::Silence;
-    let last = stand.round()?;
+    let mut bench = driving(suite)?;
+    bench.order = Order::Silence;
+    let last = bench.round()?;
     let from_ns = last.at_ns;
-    let again = stand.last_actuation.clone();
+    let again = bench.last_actuation.clone();
     let mut speeds = Vec::new();
     loop {
-        let Some(odometry) = odometry(&stand.round()?) else { continue };
+        let Some(odometry) = odometry(&bench.round()?) else { continue };
         speeds.push(odometry.speed_mps);
         if odometry.header.acquired_ns > from_ns + 2 * suite.period_ns + STOPPING_NS {
             break;
         }
         if let Some(again) = &again {
-            stand.say_exactly(again)?;
+            bench.publish_exactly(again)?;
         }
     }
     stands(&speeds, "with nothing but the same actuation for two periods")?;
     let old_ns = 5 * suite.period_ns;
     for _ in 0..5 {
-        say_changed(&mut stand, |message| message.header_mut().acquired_ns -= old_ns)?;
+        publish_changed(&mut bench, |message| message.header_mut().acquired_ns -= old_ns)?;
     }
-    stood(&mut stand, "an actuation five periods old")?;
-    moves_when_told(&mut stand)
+    stood(&mut bench, "an actuation five periods old")?;
+    moves_when_told(&mut bench)
 }
 
 fn stopping(suite: &Suite) -> Verdict {
-    let mut stand = driving(suite)?;
-    stand.announce(Phase::Stopping)?;
-    stand.listen(1.5)?;
-    stand.heard.clear();
-    stand.listen(4.0)?;
-    let scans = stand.heard.iter().filter(|heard| heard.message.topic() == Topic::Scan).count();
+    let mut bench = driving(suite)?;
+    bench.announce(Phase::Stopping)?;
+    bench.receive_for(1.5)?;
+    bench.received.clear();
+    bench.receive_for(4.0)?;
+    let scans = bench.received.iter().filter(|received| received.message.topic() == Topic::Scan).count();
     require(scans == 0, || format!("{scans} scans in the phase `stopping`"))?;
     Ok("no scan in four periods".to_owned())
 }
 
 fn truth(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup::default())?;
-    for heard in stand.rounds(SCANS)? {
-        let scan_id = heard.message.scan_id();
-        let of = |stand: &Stand<'_>| {
-            stand.heard.iter().any(
-                |heard| matches!(&heard.message, Message::Truth(truth) if truth.header.scan_id == scan_id),
+    let mut bench = suite.started(Setup::default())?;
+    for received in bench.rounds(SCANS)? {
+        let scan_id = received.message.scan_id();
+        let of = |bench: &TestBench<'_>| {
+            bench.received.iter().any(
+                |received| matches!(&received.message, Message::Truth(truth) if truth.header.scan_id == scan_id),
             )
         };
-        if !stand.until(ANSWER_NS / 5, of)? {
+        if !bench.until(ANSWER_NS / 5, of)? {
             return failed(format!("no truth of scan {scan_id}"));
         }
     }
@@ -322,74 +322,76 @@ fn truth(suite: &Suite) -> Verdict {
 }
 
 fn grants(suite: &Suite) -> Verdict {
-    let mut stand = suite.started(Setup { lockstep: true, ..Setup::default() })?;
-    let newest = |stand: &Stand<'_>| {
-        let of = stand.heard.iter().filter(|heard| heard.message.topic() == Topic::Scan);
-        of.map(|heard| heard.message.scan_id()).max().unwrap_or(0)
+    let mut bench = suite.started(Setup { lockstep: true, ..Setup::default() })?;
+    let newest = |bench: &TestBench<'_>| {
+        let of = bench.received.iter().filter(|received| received.message.topic() == Topic::Scan);
+        of.map(|received| received.message.scan_id()).max().unwrap_or(0)
     };
-    stand.listen(2.0)?;
-    require(newest(&stand) == 0, || "a scan that was not granted".to_owned())?;
-    stand.round()?;
-    stand.listen(2.0)?;
-    require(newest(&stand) == 1, || format!("scan {} after scan 1 alone was granted", newest(&stand)))?;
+    bench.receive_for(2.0)?;
+    require(newest(&bench) == 0, || "a scan that was not granted".to_owned())?;
+    bench.round()?;
+    bench.receive_for(2.0)?;
+    require(newest(&bench) == 1, || format!("scan {} after scan 1 alone was granted", newest(&bench)))?;
     // The second scan is granted, and its answer is kept back.
-    stand.order = Order::Silence;
-    stand.round()?;
-    stand.direct(|directive| directive.granted_scan = 10)?;
-    stand.listen(2.0)?;
-    require(newest(&stand) == 2, || format!("scan {} before scan 2 was answered", newest(&stand)))?;
+    bench.order = Order::Silence;
+    bench.round()?;
+    bench.direct(|directive| directive.granted_scan = 10)?;
+    bench.receive_for(2.0)?;
+    require(newest(&bench) == 2, || format!("scan {} before scan 2 was answered", newest(&bench)))?;
     Ok("2 scans granted, 2 published".to_owned())
 }
 
 fn repeatable(suite: &Suite) -> Verdict {
     let mut runs = Vec::new();
     for _ in 0..2 {
-        let mut stand = suite.started(Setup { lockstep: true, ..Setup::default() })?;
-        let last = stand.rounds(2 * SCANS)?.len() as u64;
-        let mut heard = std::mem::take(&mut stand.heard);
-        heard.retain(|heard| heard.message.topic() != Topic::Truth && heard.message.scan_id() <= last);
-        heard.sort_by_key(|heard| (heard.message.scan_id(), heard.message.topic().name()));
-        runs.push(heard);
+        let mut bench = suite.started(Setup { lockstep: true, ..Setup::default() })?;
+        let last = bench.rounds(2 * SCANS)?.len() as u64;
+        let mut received = std::mem::take(&mut bench.received);
+        received.retain(|received| {
+            received.message.topic() != Topic::Truth && received.message.scan_id() <= last
+        });
+        received.sort_by_key(|received| (received.message.scan_id(), received.message.topic().name()));
+        runs.push(received);
     }
     same(&runs[0], &runs[1])?;
     Ok(format!("{} scans twice, same bits", 2 * SCANS))
 }
 
 /// A robot that drives.
-fn driving(suite: &Suite) -> Result<Stand<'_>, Trouble> {
-    let mut stand = suite.started(Setup::default())?;
-    moves_when_told(&mut stand)?;
-    Ok(stand)
+fn driving(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
+    let mut bench = suite.started(Setup::default())?;
+    moves_when_told(&mut bench)?;
+    Ok(bench)
 }
 
 /// A robot that has not been told anything yet.
-fn standing(suite: &Suite) -> Result<Stand<'_>, Trouble> {
-    let mut stand = suite.started(Setup::default())?;
-    stand.order = Order::Silence;
-    stand.round()?;
-    Ok(stand)
+fn standing(suite: &Suite) -> Result<TestBench<'_>, Trouble> {
+    let mut bench = suite.started(Setup::default())?;
+    bench.order = Order::Silence;
+    bench.round()?;
+    Ok(bench)
 }
 
 /// That the robot drives when it is told to.
-fn moves_when_told(stand: &mut Stand<'_>) -> Verdict {
-    stand.order = Order::Drive(0.7, 0.0);
-    let speed = stand.rounds(8)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
+fn moves_when_told(bench: &mut TestBench<'_>) -> Verdict {
+    bench.order = Order::Drive(0.7, 0.0);
+    let speed = bench.rounds(8)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
     require(speed > 0.1, || format!("{speed:.3} m/s after eight actuations to drive"))?;
     Ok(format!("{speed:.2} m/s"))
 }
 
 /// That the robot has not moved.
-fn stood(stand: &mut Stand<'_>, what: &str) -> Result<(), Trouble> {
-    stand.order = Order::Silence;
-    let speed = stand.rounds(2)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
+fn stood(bench: &mut TestBench<'_>, what: &str) -> Result<(), Trouble> {
+    bench.order = Order::Silence;
+    let speed = bench.rounds(2)?.last().and_then(odometry).map_or(0.0, |odometry| odometry.speed_mps);
     require(speed.abs() <= STANDSTILL_MPS, || format!("{speed:.3} m/s after {what}"))
 }
 
 /// Speeds until a time on the machine's clock [m/s].
-fn coast(stand: &mut Stand<'_>, until_ns: u64) -> Result<Vec<f64>, Trouble> {
+fn coast(bench: &mut TestBench<'_>, until_ns: u64) -> Result<Vec<f64>, Trouble> {
     let mut speeds = Vec::new();
     loop {
-        let Some(odometry) = odometry(&stand.round()?) else { continue };
+        let Some(odometry) = odometry(&bench.round()?) else { continue };
         speeds.push(odometry.speed_mps);
         if odometry.header.acquired_ns > until_ns {
             return Ok(speeds);
@@ -405,17 +407,17 @@ fn stands(speeds: &[f64], when: &str) -> Verdict {
 }
 
 /// One scan, answered by a changed actuation to drive.
-fn say_changed(stand: &mut Stand<'_>, change: impl Fn(&mut Message)) -> Result<Odometry, Trouble> {
-    stand.order = Order::Silence;
-    let heard = stand.round()?;
-    stand.order = Order::Drive(0.7, 0.0);
-    let actuation = stand.actuation(&heard.message);
-    stand.order = Order::Silence;
+fn publish_changed(bench: &mut TestBench<'_>, change: impl Fn(&mut Message)) -> Result<Odometry, Trouble> {
+    bench.order = Order::Silence;
+    let received = bench.round()?;
+    bench.order = Order::Drive(0.7, 0.0);
+    let actuation = bench.actuation(&received.message);
+    bench.order = Order::Silence;
     if let Some(mut actuation) = actuation {
         change(&mut actuation);
-        stand.say(&mut actuation)?;
+        bench.publish(&mut actuation)?;
     }
-    odometry(&heard).map_or_else(|| failed("no odometry"), Ok)
+    odometry(&received).map_or_else(|| failed("no odometry"), Ok)
 }
 
 fn change(message: &mut Message, change: impl Fn(&mut shared_types::Actuation)) {
@@ -425,8 +427,8 @@ fn change(message: &mut Message, change: impl Fn(&mut shared_types::Actuation)) 
     }
 }
 
-fn odometry(heard: &Heard) -> Option<Odometry> {
-    match &heard.message {
+fn odometry(received: &Received) -> Option<Odometry> {
+    match &received.message {
         Message::Odometry(odometry) => Some(**odometry),
         _ => None,
     }

@@ -41,7 +41,7 @@ pub struct View {
 
 /// The state of one process in a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ProcessWord<'a> {
+pub struct ProcessLabel<'a> {
     /// Its role.
     pub role: Role,
     /// Its state: `ready`, or anything else, which is then shown.
@@ -95,7 +95,7 @@ impl Progress {
     }
 
     /// Shows the state of the loop; ten calls a second are as good as more.
-    pub fn update(&mut self, now: Instant, view: &View, processes: &[ProcessWord<'_>]) {
+    pub fn update(&mut self, now: Instant, view: &View, processes: &[ProcessLabel<'_>]) {
         match self {
             Self::Live(pace) => {
                 if pace.is_due(now) {
@@ -168,7 +168,7 @@ impl Drop for Steps {
 }
 
 /// The line for a state of the loop, at most `columns` wide.
-pub fn line(view: &View, processes: &[ProcessWord<'_>], columns: usize) -> String {
+pub fn line(view: &View, processes: &[ProcessLabel<'_>], columns: usize) -> String {
     let figures = figures(view);
     let time = format!("{:6.1} s", view.time_s);
     let candidates = [
@@ -193,7 +193,7 @@ fn figures(view: &View) -> String {
 }
 
 /// `controller●` for a process that is ready, else its state in words: `controller hung`.
-fn names(processes: &[ProcessWord<'_>], letters: usize) -> String {
+fn names(processes: &[ProcessLabel<'_>], letters: usize) -> String {
     let words = processes.iter().map(|process| {
         let name: String = process.role.name().chars().take(letters).collect();
         if process.state == "ready" { format!("{name}\u{25cf}") } else { format!("{name} {}", process.state) }
@@ -205,9 +205,9 @@ fn names(processes: &[ProcessWord<'_>], letters: usize) -> String {
 mod tests {
     use super::*;
 
-    fn processes(controller: &str) -> [ProcessWord<'_>; 5] {
+    fn processes(controller: &str) -> [ProcessLabel<'_>; 5] {
         [Role::Robot, Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator].map(|role| {
-            ProcessWord { role, state: if role == Role::Controller { controller } else { "ready" } }
+            ProcessLabel { role, state: if role == Role::Controller { controller } else { "ready" } }
         })
     }
 

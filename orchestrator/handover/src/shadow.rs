@@ -13,7 +13,7 @@ use figures::bootstrap;
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
 
-use crate::swap::agreement::{Gist, differences, quantities};
+use crate::swap::agreement::{OutputSummary, differences, quantities};
 use crate::swap::{LATE_NS, Output, Party};
 
 /// Scans that wait for the other output; a shadow may be late by that many and still be compared.
@@ -292,7 +292,7 @@ impl Study {
         }
     }
 
-    fn compare(&mut self, live: &Gist, shadow: &Gist, kept: bool) {
+    fn compare(&mut self, live: &OutputSummary, shadow: &OutputSummary, kept: bool) {
         let Some(differences) = differences(live, shadow) else {
             self.counts.kind_differs += 1;
             return;

@@ -26,11 +26,11 @@
 //! agreement. When neither has an output the cause lies before both, so nobody is judged.
 //!
 //! In lock-step stamps say nothing of this machine: lateness is not judged, and who does not answer within
-//! [`LOCKSTEP_PATIENCE_NS`] of its clock hangs. The session lets the loop wait meanwhile.
+//! [`LOCKSTEP_TIMEOUT_NS`] of its clock hangs. The session lets the loop wait meanwhile.
 
-mod account;
 pub mod agreement;
 mod certificate;
+mod scan_record;
 #[cfg(test)]
 mod tests;
 mod verdict;
@@ -40,10 +40,10 @@ use std::collections::BTreeMap;
 
 use shared_types::{Authority, Role};
 
-use account::Account;
-pub use account::Recorded;
-pub use agreement::{Disagreement, Gist};
+pub use agreement::{Disagreement, OutputSummary};
 pub use certificate::{Certificate, SwapOutcome};
+pub use scan_record::Recorded;
+use scan_record::ScanRecord;
 use verdict::Verdict;
 
 /// A process that has no output by then will not have one [ns].
@@ -58,14 +58,14 @@ pub const FORGIVEN_LATE: u32 = 2;
 /// Of many scans one in so many more: a busy machine delays whom it likes.
 pub const FORGIVEN_SHARE: u32 = 10;
 /// With this factor on the bounds agreement is not judged at all: validity and timing only.
-pub const MOST_TOLERANCE: f64 = 1000.0;
+pub const MAX_TOLERANCE: f64 = 1000.0;
 /// Half a period is late, but nothing below this: a process that waits for a processor waits that long [ns].
 pub const LATE_NS: u64 = 3_000_000;
 /// A fifth of a period beyond its end is a hang, but nothing below this; with less, at 100 Hz and more, each turn
 /// that another process has on the processor would be one. Three scans wait at the readers, so none is lost [ns].
 pub const HANG_NS: u64 = 4_000_000;
 /// In lock-step, how long an output is waited for [ns].
-pub const LOCKSTEP_PATIENCE_NS: u64 = 500_000_000;
+pub const LOCKSTEP_TIMEOUT_NS: u64 = 500_000_000;
 /// Scans between the newest one and the first of the new process: the directive is everywhere by then.
 const NOTICE_SCANS: u64 = 2;
 /// Recorded scans are waited for this long after the decision [ns].
@@ -125,7 +125,7 @@ pub struct Output {
     /// The same of all samples that it is made of, by which answers that rest on it are known [ns].
     pub stamps_ns: [u64; 2],
     /// What it says, or what is wrong with it.
-    pub content: Result<Gist, String>,
+    pub content: Result<OutputSummary, String>,
 }
 
 /// Something that happened.
@@ -201,7 +201,7 @@ pub struct Swap {
     last_output_ns: u64,
     last_fault: String,
     standby_good: u64,
-    account: Account,
+    scan_record: ScanRecord,
     certificate: Certificate,
 }
 
@@ -244,7 +244,7 @@ impl Swap {
             last_output_ns: 0,
             last_fault: String::new(),
             standby_good: 0,
-            account: Account::default(),
+            scan_record: ScanRecord::default(),
             certificate,
         }
     }
@@ -260,7 +260,7 @@ impl Swap {
     }
 
     /// The incarnation that is not to be listened to.
-    pub fn beside(&self) -> u32 {
+    pub fn candidate(&self) -> u32 {
         let new_is_in_charge = match self.stage {
             Stage::Standby => self.newest >= self.from_scan,
             Stage::Settling | Stage::Over => self.certificate.outcome == SwapOutcome::Swapped,
@@ -413,15 +413,15 @@ impl Swap {
         if self.stage == Stage::Shadowing && self.streak >= self.plan.shadow_scans {
             self.take_over(actions);
         }
-        let patience_ns =
+        let timeout_ns =
             FIRST_OUTPUT_NS.saturating_add(self.plan.shadow_scans.saturating_mul(10 * self.plan.period_ns));
         if self.stage == Stage::Shadowing
             && !self.plan.lockstep
-            && now_ns.saturating_sub(self.first_output_ns) > patience_ns
+            && now_ns.saturating_sub(self.first_output_ns) > timeout_ns
         {
             let (scans, last) = (self.plan.shadow_scans, &self.last_fault);
             let reason =
-                format!("not {scans} good scans in a row in {} s; {last}", patience_ns / 1_000_000_000);
+                format!("not {scans} good scans in a row in {} s; {last}", timeout_ns / 1_000_000_000);
             return self.refuse(reason, actions);
         }
         if self.stage == Stage::Standby && self.standby_good >= self.plan.standby_scans {
@@ -480,8 +480,8 @@ impl Swap {
     fn settle(&mut self, now_ns: u64, from_scan: u64, outcome: SwapOutcome, reason: String) {
         self.stage = Stage::Settling;
         self.since_ns = now_ns;
-        self.settled_at = Account::settled_at(from_scan);
-        if self.account.reaches(self.settled_at) {
+        self.settled_at = ScanRecord::settled_at(from_scan);
+        if self.scan_record.reaches(self.settled_at) {
             self.settled_at = 0;
         }
         self.certificate.outcome = outcome;
@@ -496,7 +496,7 @@ impl Swap {
 
     fn over(&mut self, actions: &mut Vec<Action>) {
         self.stage = Stage::Over;
-        self.account.fill(&mut self.certificate);
+        self.scan_record.fill(&mut self.certificate);
         actions.push(Action::Finish(Box::new(self.certificate.clone())));
     }
 
@@ -516,7 +516,7 @@ impl Swap {
 
     fn recorded(&mut self, recorded: &Recorded) {
         let party = self.answered_by(recorded);
-        self.account.record(recorded, party);
+        self.scan_record.record(recorded, party);
         if self.stage == Stage::Settling && recorded.scan >= self.settled_at {
             self.settled_at = 0;
         }

@@ -49,7 +49,7 @@ pub struct RunInfo {
 
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Ending {
+pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
     /// Why, in words; empty when the outcome says it all.
@@ -242,7 +242,7 @@ impl Recorder {
     }
 
     /// The report of the run.
-    pub fn report(&self, ending: &Ending) -> Report {
+    pub fn report(&self, ending: &RunResult) -> Report {
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),
@@ -382,7 +382,7 @@ mod tests {
 
     #[test]
     fn the_report_holds_what_the_samples_said() {
-        let report = drive(false).report(&Ending { outcome: Outcome::Timeout, ..Ending::default() });
+        let report = drive(false).report(&RunResult { outcome: Outcome::Timeout, ..RunResult::default() });
         assert_eq!(
             (report.outcome, report.scenario.as_str(), report.duration_s),
             (Outcome::Timeout, "corridor", 0.4)
@@ -396,7 +396,7 @@ mod tests {
 
     #[test]
     fn equal_runs_give_equal_bytes() {
-        let report = |recorder: &Recorder| recorder.report(&Ending::default()).to_json().unwrap();
+        let report = |recorder: &Recorder| recorder.report(&RunResult::default()).to_json().unwrap();
         assert_eq!(report(&drive(true)), report(&drive(true)));
     }
 
@@ -404,7 +404,7 @@ mod tests {
     fn in_lockstep_the_report_has_no_times_of_this_computer() {
         let mut recorder = drive(true);
         recorder.command(&Command { status: 1, iterations: 4, solve_ns: 5000, ..Command::default() });
-        let report = recorder.report(&Ending::default());
+        let report = recorder.report(&RunResult::default());
         assert_eq!((report.latency_us.scan_to_actuation.count, report.controller.solve_us.count), (0, 0));
         assert_eq!((report.controller.iterations.p50, report.scans.commanded), (4.0, 5));
         assert_eq!(recorder.view().reaction_ms, None);
@@ -417,7 +417,7 @@ mod tests {
         let mut block = Actuation { reason: BlockReason::InvalidCommand.wire(), ..Actuation::default() };
         block.header.scan_id = 6;
         recorder.actuation(&block);
-        let scans = recorder.report(&Ending::default()).scans;
+        let scans = recorder.report(&RunResult::default()).scans;
         assert_eq!((scans.lost, scans.lost_reasons["invalid_command"]), (1, 1));
     }
 
@@ -437,7 +437,7 @@ mod tests {
         let mut recorder = Recorder::new(info(false));
         recorder.pose(&pose(1, 7.0, 4.0));
         assert_eq!(recorder.view().goal_distance_m, Some(5.0));
-        let drive = recorder.report(&Ending::default()).drive;
+        let drive = recorder.report(&RunResult::default()).drive;
         assert_eq!((drive.final_distance_m, drive.min_clearance_m), (5.0, crate::report::NO_OBSTACLE_M));
     }
 

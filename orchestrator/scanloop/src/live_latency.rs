@@ -11,7 +11,7 @@ use session::control::{Reply, Request, ask};
 use shared_types::Actuation;
 
 /// Longest sleep between two looks: of actuations 256 wait, a quarter of a second at 1 kHz.
-const LOOK_NS: u64 = 20_000_000;
+const POLL_NS: u64 = 20_000_000;
 /// Time between two tables.
 const TABLE_NS: u64 = 1_000_000_000;
 
@@ -33,7 +33,7 @@ pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Res
     let end = started.saturating_add((duration_s * 1e9) as u64);
     let mut next = started + TABLE_NS;
     while monotonic_ns() < end && !shutdown.requested() {
-        wait_for(&[shutdown.descriptor()], LOOK_NS);
+        wait_for(&[shutdown.descriptor()], POLL_NS);
         actuations.poll(|actuation| {
             if actuation.answers == 1 {
                 all.record(&actuation.header);

@@ -12,7 +12,7 @@ use session::control::{Reply, Request, ShadowRequest, ask};
 use crate::successor::{SuccessorArguments, begin};
 
 /// Time between two looks at a shadow [ns].
-const LOOK_NS: u64 = 50_000_000;
+const POLL_NS: u64 = 50_000_000;
 /// How long a shadow runs when nothing is said.
 const DEFAULT: Duration = Duration::from_secs(30);
 /// Shortest and longest time that can be asked for.
@@ -58,7 +58,7 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
             Ok(_) => {
                 let signal = [shutdown.descriptor()];
-                runtime::wait_for(if told { &[] } else { &signal }, LOOK_NS);
+                runtime::wait_for(if told { &[] } else { &signal }, POLL_NS);
             }
             Err(error) => {
                 note!("the system ended before the shadow did: {error:#}");

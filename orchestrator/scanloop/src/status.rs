@@ -7,7 +7,7 @@ use console::note;
 use console::output::data;
 use runtime::{Domain, RuntimeError};
 use session::control::{Reply, Request, Status, ask};
-use session::driverless::{self, DRIVERLESS};
+use session::orphaned::{self, ORPHANED};
 
 /// Prints the state of the system.
 ///
@@ -17,7 +17,7 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
     let status = match ask(domain, &Request::Status) {
         Ok(Reply::Status(status)) => *status,
         Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
-        Err(error) => match driverless::status(domain) {
+        Err(error) => match orphaned::status(domain) {
             Some(status) if is_not_running(&error) => status,
             _ => return Err(error),
         },
@@ -26,7 +26,7 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
         data(&serde_json::to_string_pretty(&status)?)?;
     } else {
         note!("{}", table(&status));
-        if status.state == DRIVERLESS {
+        if status.state == ORPHANED {
             note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
         }
     }

@@ -4,7 +4,7 @@ use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
 use console::output::data;
-use handover::swap::{Certificate, MOST_TOLERANCE, SwapOutcome};
+use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use runtime::Domain;
 use session::control::{Reply, Request, SwapRequest, ask};
 use shared_types::Role;
@@ -12,7 +12,7 @@ use shared_types::Role;
 use crate::successor::{SuccessorArguments, begin};
 
 /// Time between two looks at an exchange: a fifth of a scan period.
-const SWAP_LOOK: std::time::Duration = std::time::Duration::from_millis(20);
+const SWAP_POLL: std::time::Duration = std::time::Duration::from_millis(20);
 
 /// Arguments of `swap`.
 #[derive(Debug, Args)]
@@ -42,9 +42,9 @@ pub struct SwapArguments {
 pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
     let tolerance = arguments.tolerance;
     // JSON has no word for NaN, so the orchestrator could not say what is wrong with it.
-    if !(0.0..=MOST_TOLERANCE).contains(&tolerance) {
+    if !(0.0..=MAX_TOLERANCE).contains(&tolerance) {
         return Err(Failure::bad_input(format!(
-            "--tolerance {tolerance} is not allowed: 0 to {MOST_TOLERANCE}"
+            "--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"
         )));
     }
     let request = SwapRequest {
@@ -89,7 +89,7 @@ fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificat
         match ask(domain, &Request::SwapResult { number }) {
             Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
-            Ok(_) => std::thread::sleep(SWAP_LOOK),
+            Ok(_) => std::thread::sleep(SWAP_POLL),
             Err(error) => {
                 note!("the system ended before the swap did: {error:#}");
                 return Ok(None);

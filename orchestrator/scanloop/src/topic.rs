@@ -14,10 +14,10 @@ use shared_types::{
 };
 
 /// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
-const LOOK_NS: u64 = 20_000_000;
+const POLL_NS: u64 = 20_000_000;
 
 /// Arrays of bytes up to this length hold texts [bytes].
-const LONGEST_TEXT: usize = 64;
+const MAX_TEXT: usize = 64;
 
 /// The table of topics as text.
 pub(crate) fn list() -> String {
@@ -88,7 +88,7 @@ pub(crate) fn hz(system_id: &str, topic: &str, duration_s: f64) -> anyhow::Resul
     let end = started + Duration::from_secs_f64(duration_s).as_nanos() as u64;
     let (mut next, mut before) = (started + 1_000_000_000, 0);
     while monotonic_ns() < end && watch.sleep() {
-        watch.look(&mut |_| true)?;
+        watch.poll(&mut |_| true)?;
         if monotonic_ns() >= next {
             let rate_hz = (watch.seen - before) as f64;
             if !data(&format!("{topic}: {rate_hz:.2} Hz, {} samples, {} lost", watch.seen, watch.lost))? {
@@ -112,7 +112,7 @@ pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool
     while left > 0 && watch.sleep() {
         let fields = watch.topic.fields();
         let mut written = Ok(true);
-        watch.look(&mut |bytes| {
+        watch.poll(&mut |bytes| {
             if left > 0 {
                 written = data(&format!("{}", decode_struct(fields, bytes, short)));
                 left = if matches!(written, Ok(true)) { left - 1 } else { 0 };
@@ -163,12 +163,12 @@ impl Watch {
 
     /// Sleeps until the next look; false when the user wants to end.
     fn sleep(&self) -> bool {
-        wait_for(&[self.shutdown.descriptor()], LOOK_NS);
+        wait_for(&[self.shutdown.descriptor()], POLL_NS);
         !self.shutdown.requested()
     }
 
     /// Hands the bytes of all samples that are there to `each` until it returns false.
-    fn look(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
+    fn poll(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
         while let Some(bytes) = (self.next)()? {
             self.seen += 1;
             let header: shared_types::Header =
@@ -233,7 +233,7 @@ fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
 }
 
 fn is_text(kind: &Kind) -> bool {
-    matches!(kind, Kind::Array(Kind::Scalar("u8"), ..=LONGEST_TEXT))
+    matches!(kind, Kind::Array(Kind::Scalar("u8"), ..=MAX_TEXT))
 }
 
 fn decode(kind: &Kind, bytes: &[u8], short: bool) -> Value {

@@ -18,10 +18,10 @@ use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
-use crate::beginning::{Beginning, Manner};
+use crate::process_registry::{ProcessRegistry, RunFile};
 use crate::results::conclude;
-use crate::roster::{Roster, RunFile};
 use crate::session::Session;
+use crate::startup::{RunOptions, Startup};
 use crate::survivors::Survivors;
 
 /// Takes over the processes of a run and drives it to its end.
@@ -70,7 +70,7 @@ pub(crate) fn take_over(
             "a run in lock-step ends with its orchestrator, as a gap changes the result".into(),
         ));
     }
-    if survivors.roster.role.is_empty() {
+    if survivors.process_registry.role.is_empty() {
         return Err(refused("nobody wrote down who fills its roles".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
@@ -95,11 +95,11 @@ pub(crate) fn take_over(
     for stranger in &survivors.strangers {
         print(Priority::Warning, &format!("{stranger}; it is left alone"));
     }
-    let Survivors { roster, listed, unlisted, .. } = survivors;
+    let Survivors { process_registry, listed, unlisted, .. } = survivors;
     let dismissed_ns = monotonic_ns() + (3 * plan.system.period_ns()).max(MIN_HANG_AFTER_MS * 1_000_000);
     let mut processes: Vec<(ProcessRow, Child)> =
         listed.into_iter().filter_map(|(row, process)| Some((row, Child::adopt(process)?))).collect();
-    let mut directive = directive_of(&roster);
+    let mut directive = directive_of(&process_registry);
     let mut events = Vec::new();
     for role in Role::ALL.iter().copied() {
         let authority = &mut directive.authority[role.index()];
@@ -113,7 +113,7 @@ pub(crate) fn take_over(
             *authority = Authority { incarnation: authority.previous, ..Authority::default() };
             Some(previous)
         });
-        let Some(row) = roster.of(role) else { continue };
+        let Some(row) = process_registry.of(role) else { continue };
         let restarts = row.restarts;
         let (pid, incarnation) = match chosen.map(|index| processes.swap_remove(index)) {
             Some((ProcessRow { identity, entry, .. }, child)) => {
@@ -139,18 +139,18 @@ pub(crate) fn take_over(
         fleet.dismiss_adopted(role, entry, identity.incarnation, child, kill_ns);
     }
     unlisted.iter().for_each(|process| process.signal(rustix::process::Signal::KILL));
-    let phase = Phase::try_from(roster.phase).unwrap_or(Phase::Stopping);
-    events.push(Event::Resume { phase, last_incarnation: roster.last_incarnation });
+    let phase = Phase::try_from(process_registry.phase).unwrap_or(Phase::Stopping);
+    events.push(Event::Resume { phase, last_incarnation: process_registry.last_incarnation });
 
-    let manner = Manner {
+    let manner = RunOptions {
         lockstep: false,
         duration_s: arguments.duration.or(run.duration_s),
         quiet: arguments.quiet,
         out: out.clone(),
     };
-    let beginning = Beginning { bus, word, fleet, shutdown, events, directive, first_scan: 0 };
-    let mut session = Session::new(domain, &plan, manner, beginning)?;
-    session.resume_end(roster.outcome, roster.reason);
+    let startup = Startup { bus, word, fleet, shutdown, events, directive, first_scan: 0 };
+    let mut session = Session::new(domain, &plan, manner, startup)?;
+    session.resume_end(process_registry.outcome, process_registry.reason);
     conclude(session, &plan.scenario, &out)
 }
 
@@ -171,15 +171,15 @@ fn stop_word(domain: &Domain) -> anyhow::Result<StopWord> {
 }
 
 /// What everyone was told last, as the word of another orchestrator.
-fn directive_of(roster: &Roster) -> Directive {
+fn directive_of(process_registry: &ProcessRegistry) -> Directive {
     let mut directive = Directive {
         // The supervisor announces it again when it has ended everyone.
-        phase: roster.phase,
-        stop: roster.stop,
-        authority: roster.authority(),
+        phase: process_registry.phase,
+        stop: process_registry.stop,
+        authority: process_registry.authority(),
         ..Directive::default()
     };
     // Readers take news of another producer whatever its number, and repeats of the same one never.
-    directive.header.incarnation = roster.generation + 1;
+    directive.header.incarnation = process_registry.generation + 1;
     directive
 }

@@ -1,6 +1,6 @@
 //! What all processes are told: published when it changes, and from time to time for those who missed it.
 
-use runtime::{Bus, RuntimeError, Voice};
+use runtime::{Bus, Publisher, RuntimeError};
 use shared_types::{Directive, Phase};
 
 /// The directive is repeated this often for those who missed it [ns].
@@ -12,14 +12,14 @@ pub(crate) struct Directives {
     pub(crate) current: Directive,
     /// Whether it is to be published without delay.
     pub(crate) changed: bool,
-    voice: Voice<Directive>,
+    voice: Publisher<Directive>,
     said_ns: u64,
 }
 
 impl Directives {
     pub(crate) fn new(bus: &Bus, first: Directive) -> Result<Self, RuntimeError> {
         let current = Directive { orchestrator_pid: u64::from(std::process::id()), ..first };
-        Ok(Self { current, changed: true, voice: Voice::new(bus)?, said_ns: 0 })
+        Ok(Self { current, changed: true, voice: Publisher::new(bus)?, said_ns: 0 })
     }
 
     /// The wheels are to be blocked.
@@ -51,9 +51,9 @@ impl Directives {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    pub(crate) fn say(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
+    pub(crate) fn publish(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
         self.current.issued_ns = now_ns;
-        self.voice.say(&mut self.current, self.changed)?;
+        self.voice.publish(&mut self.current, self.changed)?;
         self.changed = false;
         self.said_ns = now_ns;
         Ok(())

@@ -2,16 +2,16 @@
 
 pub mod adopt;
 pub mod arguments;
-pub mod beginning;
 pub mod control;
 mod directives;
-pub mod driverless;
+pub mod orphaned;
+mod process_registry;
 mod results;
-mod roster;
 pub mod run;
 mod service_manager;
 mod session;
 pub mod start;
+pub mod startup;
 mod survivors;
 mod vitals;
 

@@ -9,9 +9,9 @@ use supervision::lock::{Claim, clear};
 
 use crate::adopt;
 use crate::arguments::{AdoptArguments, RunArguments, check_duration, out_folder};
-use crate::beginning::Manner;
 use crate::results::conclude;
 use crate::start::start;
+use crate::startup::RunOptions;
 use crate::survivors::Survivors;
 
 /// Drives a scenario and writes its report.
@@ -47,7 +47,7 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
     let (domain, lock) = Claim::take_new(system_id)?;
-    let manner = Manner { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
+    let manner = RunOptions { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
     if shutdown.requested() {
         runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
         return Ok(Exit::NotReached);

@@ -4,47 +4,47 @@
 //! reap processes, answer commands, let the supervisor and the referee decide, speak to the processes.
 //! Nothing of the driving depends on it: the processes talk to each other, and go on when it hangs or dies.
 
-mod account;
 mod candidate;
 mod conclusion;
 mod refusals;
+mod registry_file;
 mod requests;
 mod shadowing;
 mod status;
 mod swapping;
 
 use audit::digest::Digests;
-use audit::ledger::{Books, PROCESS_RESTARTED};
+use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::{Referee, Scenario};
 use plan::Plan;
-use report::recorder::{Ending, Recorder, RunInfo};
+use report::recorder::{Recorder, RunInfo, RunResult};
 use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
 use shared_types::{Authority, Phase, ProcessState, Role};
 use supervision::fleet::Fleet;
 use supervision::supervisor::{Action, Event, Severity, Supervisor, VisibleState};
 
-use crate::beginning::{Beginning, Manner};
 use crate::control::ControlSocket;
 use crate::directives::Directives;
 use crate::service_manager::ServiceManager;
+use crate::startup::{RunOptions, Startup};
 use crate::vitals::Vitals;
 
-pub(crate) use account::Account;
 pub(crate) use conclusion::Conclusion;
 use conclusion::Step;
+pub(crate) use registry_file::RegistryFile;
 pub(crate) use shadowing::Shadows;
 pub(crate) use swapping::Swaps;
 
 /// In lock-step the robot may be this many scans ahead of what was recorded: half of what topics can hold.
 const GRANT_AHEAD: u64 = 8;
 /// In lock-step a scan that is not answered within this time of the machine's clock ends the run [ns].
-const LOCKSTEP_PATIENCE_NS: u64 = 20_000_000_000;
+const LOCKSTEP_TIMEOUT_NS: u64 = 20_000_000_000;
 
 /// Is told of every scan that was recorded.
-pub(crate) type ScanListener = Box<dyn FnMut(&ScanRecord)>;
+pub(crate) type ScanObserver = Box<dyn FnMut(&ScanRecord)>;
 
 /// Everything a run is made of.
 pub struct Session {
@@ -63,17 +63,17 @@ pub struct Session {
     pub(crate) referee: Referee,
     pub(crate) samples: Samples,
     /// The account of all samples, and when it was closed last [ns].
-    pub(crate) books: Books,
+    pub(crate) sample_audit: SampleAudit,
     pub(crate) closed_ns: u64,
     pub(crate) digests: Digests,
     pub(crate) vitals: Vitals,
     pub(crate) directives: Directives,
-    pub(crate) account: Account,
+    pub(crate) registry_file: RegistryFile,
     pub(crate) swaps: Swaps,
     /// What the supervisor is told first: to start all, or who is there already.
-    pub(crate) beginning: Vec<Event>,
+    pub(crate) startup: Vec<Event>,
     /// Sees every recorded scan: for benches.
-    pub(crate) on_scan: Option<ScanListener>,
+    pub(crate) on_scan: Option<ScanObserver>,
     pub(crate) shadows: Shadows,
     pub(crate) conclusion: Conclusion,
     pub(crate) moved_ns: u64,
@@ -90,11 +90,11 @@ impl Session {
     pub(crate) fn new(
         domain: &Domain,
         plan: &Plan,
-        manner: Manner,
-        beginning: Beginning,
+        manner: RunOptions,
+        startup: Startup,
     ) -> anyhow::Result<Self> {
         let Plan { scenario, system } = plan;
-        let Beginning { bus, word, fleet, shutdown, events, directive, first_scan } = beginning;
+        let Startup { bus, word, fleet, shutdown, events, directive, first_scan } = startup;
         shutdown.latch_also(&word)?;
         let control = ControlSocket::open(domain)?;
         let period_ns = system.period_ns();
@@ -114,7 +114,11 @@ impl Session {
         };
         Ok(Self {
             samples: Samples::new(&bus, period_ns)?,
-            books: if first_scan == 0 { Books::midway() } else { Books::new(manner.lockstep) },
+            sample_audit: if first_scan == 0 {
+                SampleAudit::midway()
+            } else {
+                SampleAudit::new(manner.lockstep)
+            },
             closed_ns: 0,
             vitals: Vitals::new(&bus)?,
             directives: Directives::new(&bus, directive)?,
@@ -128,9 +132,9 @@ impl Session {
             scenario: scenario.clone(),
             lockstep: manner.lockstep,
             duration_s: manner.duration_s,
-            account: Account::default(),
+            registry_file: RegistryFile::default(),
             swaps: Swaps::default(),
-            beginning: events,
+            startup: events,
             on_scan: None,
             shadows: Shadows::default(),
             conclusion: Conclusion::new(manner.lockstep, period_ns),
@@ -161,15 +165,15 @@ impl Session {
     ///
     /// # Errors
     /// Errors of the bus. The processes are then killed when the session is dropped.
-    pub fn drive(&mut self) -> anyhow::Result<Ending> {
+    pub fn drive(&mut self) -> anyhow::Result<RunResult> {
         self.moved_ns = monotonic_ns();
-        for event in std::mem::take(&mut self.beginning) {
+        for event in std::mem::take(&mut self.startup) {
             self.handle(event)?;
         }
         while !self.supervisor.is_finished() {
             self.sleep();
             self.heed_stop();
-            self.samples.poll(&self.directives.current, &mut self.books)?;
+            self.samples.poll(&self.directives.current, &mut self.sample_audit)?;
             self.observe_swap()?;
             self.observe_shadows()?;
             self.take_heartbeats()?;
@@ -184,15 +188,15 @@ impl Session {
             self.take_heartbeats()?;
             self.excuse_starved()?;
             self.handle(Event::Tick)?;
-            self.keep_account();
+            self.update_registry();
             self.keep_room();
             self.speak()?;
             self.show();
         }
         self.take_heartbeats()?;
-        self.samples.poll(&self.directives.current, &mut self.books)?;
+        self.samples.poll(&self.directives.current, &mut self.sample_audit)?;
         self.record(true)?;
-        self.close_books(true);
+        self.reconcile(true);
         self.progress.finish();
         Ok(self.ending())
     }
@@ -221,12 +225,13 @@ impl Session {
 
     fn take_heartbeats(&mut self) -> anyhow::Result<()> {
         let mut events = Vec::new();
-        let beside: Vec<u32> = self.swaps.beside().into_iter().chain(self.shadows.incarnations()).collect();
-        self.vitals.poll(&beside, &mut self.books, |event| events.push(event))?;
+        let candidate: Vec<u32> =
+            self.swaps.candidate().into_iter().chain(self.shadows.incarnations()).collect();
+        self.vitals.poll(&candidate, &mut self.sample_audit, |event| events.push(event))?;
         for event in events {
             if let Event::StateReported { incarnation, state, .. } = event {
-                self.swap_heard(incarnation, state);
-                self.shadow_heard(incarnation, state);
+                self.swap_received(incarnation, state);
+                self.shadow_received(incarnation, state);
                 if state >= ProcessState::Connected {
                     self.fleet.connected(incarnation);
                 }
@@ -251,10 +256,10 @@ impl Session {
     fn reap(&mut self) -> anyhow::Result<()> {
         let ended = self.fleet.reap();
         for incarnation in self.fleet.take_departed() {
-            self.books.ended(incarnation, monotonic_ns());
+            self.sample_audit.ended(incarnation, monotonic_ns());
         }
         for (role, incarnation, exit) in ended {
-            self.books.ended(incarnation, monotonic_ns());
+            self.sample_audit.ended(incarnation, monotonic_ns());
             if self.shadow_ended(role, incarnation, exit) || self.swap_ended(role, incarnation, exit)? {
                 continue;
             }
@@ -344,7 +349,7 @@ impl Session {
         if self.lockstep
             && self.conclusion.is_open()
             && self.supervisor.phase() == Phase::Driving
-            && now.saturating_sub(self.moved_ns) > LOCKSTEP_PATIENCE_NS
+            && now.saturating_sub(self.moved_ns) > LOCKSTEP_TIMEOUT_NS
         {
             let scan = self.samples.newest_scan();
             self.decide(
@@ -358,7 +363,7 @@ impl Session {
             Some(Step::EndScans) => self.directives.enter(Phase::Stopping),
             Some(Step::EndProcesses) => {
                 self.recorder.run_ended();
-                self.books.run_ended();
+                self.sample_audit.run_ended();
                 self.handle(Event::StopRequested)?;
             }
             None => {}
@@ -409,7 +414,7 @@ impl Session {
             Action::Spawn { role, incarnation } => {
                 self.recorder.outage_ended(role);
                 let answer = self.fleet.spawn(role, incarnation, self.left_behind(role).as_ref());
-                self.keep_account();
+                self.update_registry();
                 return Ok(Some(answer));
             }
             Action::Terminate { role } => self.fleet.signal(role, false),
@@ -424,7 +429,7 @@ impl Session {
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.books.driving();
+                    self.sample_audit.driving();
                     self.directives.grant(GRANT_AHEAD);
                     self.moved_ns = monotonic_ns();
                 }
@@ -437,7 +442,7 @@ impl Session {
                     self.decide(Outcome::Failed, &reason);
                 } else if self.conclusion.fail(reason) {
                     self.recorder.run_ended();
-                    self.books.run_ended();
+                    self.sample_audit.run_ended();
                     self.directives.stop();
                 }
                 self.speak()?;
@@ -484,15 +489,15 @@ impl Session {
         let now = monotonic_ns();
         if self.directives.is_due(now) {
             match self.directives.changed {
-                true => self.keep_account(),
+                true => self.update_registry(),
                 false => self.fleet.trim_logs(),
             }
-            self.directives.say(now)?;
+            self.directives.publish(now)?;
         }
         Ok(())
     }
 
-    fn ending(&mut self) -> Ending {
+    fn ending(&mut self) -> RunResult {
         let undecided = (Outcome::Failed, "the processes ended");
         let (outcome, reason) = self.conclusion.decided().unwrap_or(undecided);
         let reason = reason.to_owned();
@@ -512,6 +517,12 @@ impl Session {
             })
             .collect();
         processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        Ending { outcome, reason, processes, swaps: self.swaps.certificates(), ledger: self.books.report() }
+        RunResult {
+            outcome,
+            reason,
+            processes,
+            swaps: self.swaps.certificates(),
+            ledger: self.sample_audit.report(),
+        }
     }
 }

@@ -7,9 +7,9 @@ use supervision::fleet::Fleet;
 use supervision::lock::SystemLock;
 use supervision::supervisor::Event;
 
-use crate::beginning::{Beginning, Manner};
-use crate::roster::RunFile;
+use crate::process_registry::RunFile;
 use crate::session::Session;
+use crate::startup::{RunOptions, Startup};
 
 /// A run with nothing behind it, which no process has joined yet. Logs go to `logs` below `manner.out`.
 ///
@@ -18,14 +18,14 @@ use crate::session::Session;
 pub fn start(
     domain: &Domain,
     plan: &Plan,
-    manner: Manner,
+    manner: RunOptions,
     lock: SystemLock,
     shutdown: Shutdown,
 ) -> anyhow::Result<Session> {
     let word = StopWord::create(domain.run_id(), plan.system.period_ns())?;
     latch_on_crash(&word);
     plan.write_settings(domain, manner.lockstep)?;
-    let Manner { out, lockstep, duration_s, .. } = manner.clone();
+    let RunOptions { out, lockstep, duration_s, .. } = manner.clone();
     let Plan { scenario, system } = plan.clone();
     RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
     let bus = Bus::create(domain)?;
@@ -45,6 +45,6 @@ pub fn start(
         domain,
         plan,
         manner,
-        Beginning { bus, word, fleet, shutdown, events: vec![Event::Start], directive, first_scan: 1 },
+        Startup { bus, word, fleet, shutdown, events: vec![Event::Start], directive, first_scan: 1 },
     )
 }

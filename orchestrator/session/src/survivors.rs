@@ -6,13 +6,13 @@
 use runtime::{Domain, Identified, NotOurs, identify, processes_of};
 use supervision::entry::ProcessRow;
 
-use crate::roster::Roster;
+use crate::process_registry::ProcessRegistry;
 
 /// Processes without an orchestrator.
 #[derive(Debug, Default)]
 pub(crate) struct Survivors {
     /// What the run wrote down last.
-    pub roster: Roster,
+    pub process_registry: ProcessRegistry,
     /// Processes that were written down and live.
     pub listed: Vec<(ProcessRow, Identified)>,
     /// Processes of the system that were not written down and belong to no group of one that was.
@@ -24,8 +24,9 @@ pub(crate) struct Survivors {
 impl Survivors {
     /// Looks for processes of a system. Only for the one who holds its lock, or just wants to know.
     pub(crate) fn find(domain: &Domain) -> Self {
-        let mut found = Self { roster: Roster::read(domain).unwrap_or_default(), ..Self::default() };
-        for row in found.roster.process.clone() {
+        let mut found =
+            Self { process_registry: ProcessRegistry::read(domain).unwrap_or_default(), ..Self::default() };
+        for row in found.process_registry.process.clone() {
             match identify(&row.identity) {
                 Ok(process) => found.listed.push((row, process)),
                 Err(NotOurs::Ended(_)) => {}

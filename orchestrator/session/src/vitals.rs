@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::Books;
+use audit::ledger::SampleAudit;
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{Checkpoint, Heartbeat, ProcessState, Role};
 use supervision::supervisor::Event;
@@ -47,14 +47,14 @@ impl Vitals {
     /// The state of the incarnations `beside` is nobody's to go on from: they do not count, or not any more.
     pub(crate) fn poll(
         &mut self,
-        beside: &[u32],
-        books: &mut Books,
+        candidate: &[u32],
+        sample_audit: &mut SampleAudit,
         mut each: impl FnMut(Event),
     ) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
         self.checkpoints.poll(|checkpoint| {
             if let Ok(role) = Role::try_from(checkpoint.role)
-                && !beside.contains(&checkpoint.header.incarnation)
+                && !candidate.contains(&checkpoint.header.incarnation)
             {
                 newest.insert(role, *checkpoint);
             }
@@ -66,7 +66,7 @@ impl Vitals {
             else {
                 return;
             };
-            books.hear(heartbeat, monotonic_ns());
+            sample_audit.receive(heartbeat, monotonic_ns());
             let incarnation = heartbeat.header.incarnation;
             if !pulses.contains_key(&incarnation) {
                 pulses.retain(|_, pulse| heartbeat.issued_ns.saturating_sub(pulse.beat_ns) < FORGET_NS);

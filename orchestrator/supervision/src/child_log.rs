@@ -21,7 +21,7 @@ pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 pub const KEEP_BYTES: u64 = 64 << 10;
 
 /// Longest line that [`ChildLog::last_lines`] gives [characters]; the file keeps the whole line.
-const LONGEST_LINE: usize = 400;
+const MAX_LINE: usize = 400;
 
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
@@ -152,9 +152,8 @@ impl ChildLog {
 
 /// A line without what could move the cursor or colour the terminal, and not too long.
 fn printable(line: &str) -> String {
-    let mut clean: String =
-        line.chars().filter(|c| !c.is_control() || *c == '\t').take(LONGEST_LINE).collect();
-    if line.chars().nth(LONGEST_LINE).is_some() {
+    let mut clean: String = line.chars().filter(|c| !c.is_control() || *c == '\t').take(MAX_LINE).collect();
+    if line.chars().nth(MAX_LINE).is_some() {
         clean.push_str("...");
     }
     clean
@@ -214,7 +213,7 @@ pub(crate) mod tests {
         (&log.append).write_all(b"\x1b[31mred\x07\tand \xff bad\r\n").unwrap();
         assert_eq!(log.last_lines(1).unwrap(), ["[31mred\tand \u{fffd} bad"]);
         write(&log, &format!("{}\n", "x".repeat(1000)));
-        assert_eq!(log.last_lines(1).unwrap()[0].len(), LONGEST_LINE + 3);
+        assert_eq!(log.last_lines(1).unwrap()[0].len(), MAX_LINE + 3);
     }
 
     #[test]

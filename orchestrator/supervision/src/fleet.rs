@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use runtime::{
-    BESIDE_VARIABLE, Bus, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
+    Bus, CANDIDATE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
     RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, Realtime, RuntimeError, STOP_FD_VARIABLE,
     SYSTEM_ID_VARIABLE, StopWord, monotonic_ns, write_handover,
 };
@@ -27,7 +27,7 @@ use crate::runs::LivingRun;
 use crate::supervisor::{Event, Exit};
 
 /// How many of its last lines are shown when a process dies.
-const LAST_WORDS: usize = 10;
+const LAST_LOG_LINES: usize = 10;
 /// A log on a disk that does not answer is not waited for longer than this.
 const LOG_LIMIT: Duration = Duration::from_millis(50);
 /// A share of a processor is measured over at least this long, however often it is asked for [ns].
@@ -42,7 +42,7 @@ pub struct Fleet {
     domain: Domain,
     word: StopWord,
     members: BTreeMap<Role, Member>,
-    beside: Vec<Candidate>,
+    candidate: Vec<Candidate>,
     leaving: Vec<Leaving>,
     /// Incarnations that no role needed and that have ended.
     departed: Vec<u32>,
@@ -142,13 +142,13 @@ impl Fleet {
             };
             members.insert(role, member);
         }
-        let (beside, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
+        let (candidate, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
         let (left, changed) = (false, false);
         Ok(Self {
             domain,
             word,
             members,
-            beside,
+            candidate,
             leaving,
             departed,
             left,
@@ -193,14 +193,14 @@ impl Fleet {
         let members = self.members.iter().filter_map(|(role, member)| {
             row(role, &member.entry, member.child.as_ref()?, member.incarnation)
         });
-        let beside = self.beside.iter().filter_map(|candidate| {
+        let candidate = self.candidate.iter().filter_map(|candidate| {
             row(&candidate.role, &candidate.entry, &candidate.child, candidate.incarnation)
         });
         let leaving = self
             .leaving
             .iter()
             .filter_map(|leaving| row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation));
-        members.chain(beside).chain(leaving).collect()
+        members.chain(candidate).chain(leaving).collect()
     }
 
     /// How a role is started.
@@ -252,7 +252,7 @@ impl Fleet {
         entry: &ProcessEntry,
         incarnation: u32,
         restart: bool,
-        beside: Option<u32>,
+        candidate: Option<u32>,
         handover: Option<&HandoverData>,
     ) -> anyhow::Result<Child> {
         let member = self.members.get(&role).context("no process of this role")?;
@@ -266,7 +266,7 @@ impl Fleet {
         self.room.make()?;
         write_handover(&self.domain, role, handover)?;
         let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
-        environment.extend(beside.map(|running| variable(BESIDE_VARIABLE, running.to_string())));
+        environment.extend(candidate.map(|running| variable(CANDIDATE_VARIABLE, running.to_string())));
         let (log, text) =
             (Arc::clone(&member.log), format!("{role} incarnation {incarnation}: {}", entry.label()));
         // Before the process writes, if the disk allows; a full one keeps no process from being started.
@@ -293,7 +293,7 @@ impl Fleet {
     ///
     /// # Errors
     /// A command that can't be started, and memory or a file system without room.
-    pub fn spawn_beside(
+    pub fn spawn_candidate(
         &mut self,
         role: Role,
         entry: ProcessEntry,
@@ -303,13 +303,13 @@ impl Fleet {
         let running = self.members.get(&role).map(|member| member.incarnation);
         let child = self.launch(role, &entry, incarnation, true, running, handover)?;
         let usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
-        self.beside.push(Candidate { role, entry, child, incarnation, usage });
+        self.candidate.push(Candidate { role, entry, child, incarnation, usage });
         Ok(())
     }
 
     /// The process of that incarnation fills its role from now on; the one before it is asked to end. Returns its id.
     pub fn promote(&mut self, incarnation: u32) -> Option<u32> {
-        let Candidate { role, entry, child, usage, .. } = self.take_beside(incarnation)?;
+        let Candidate { role, entry, child, usage, .. } = self.take_candidate(incarnation)?;
         let member = self.members.get_mut(&role)?;
         let pid = child.pid();
         if let Some(old) = member.child.replace(child) {
@@ -326,22 +326,22 @@ impl Fleet {
 
     /// Kills the process of that incarnation, if it runs beside another.
     pub fn dismiss(&mut self, incarnation: u32) {
-        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.take_beside(incarnation) {
+        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.take_candidate(incarnation) {
             let _ = child.kill();
             self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns: monotonic_ns() });
         }
     }
 
     /// Process id, implementation and load of the process of that incarnation, if it runs beside another.
-    pub fn beside(&mut self, incarnation: u32) -> Option<(u32, String, Load)> {
-        let found = self.beside.iter_mut().find(|candidate| candidate.incarnation == incarnation);
+    pub fn candidate(&mut self, incarnation: u32) -> Option<(u32, String, Load)> {
+        let found = self.candidate.iter_mut().find(|candidate| candidate.incarnation == incarnation);
         let Candidate { entry, child, usage, .. } = found?;
         Some((child.pid(), entry.label(), load_of(child, usage)))
     }
 
-    fn take_beside(&mut self, incarnation: u32) -> Option<Candidate> {
-        let index = self.beside.iter().position(|candidate| candidate.incarnation == incarnation)?;
-        Some(self.beside.remove(index))
+    fn take_candidate(&mut self, incarnation: u32) -> Option<Candidate> {
+        let index = self.candidate.iter().position(|candidate| candidate.incarnation == incarnation)?;
+        Some(self.candidate.remove(index))
     }
 
     /// Incarnations that no role needed any more and that have ended since the last call.
@@ -360,9 +360,9 @@ impl Fleet {
     /// keep those it waits for from running.
     pub fn connected(&mut self, incarnation: u32) {
         let member = self.members.values().find(|member| member.incarnation == incarnation);
-        let beside = self.beside.iter().find(|candidate| candidate.incarnation == incarnation);
+        let candidate = self.candidate.iter().find(|candidate| candidate.incarnation == incarnation);
         let child =
-            member.and_then(|member| member.child.as_ref()).or(beside.map(|candidate| &candidate.child));
+            member.and_then(|member| member.child.as_ref()).or(candidate.map(|candidate| &candidate.child));
         if let Some(pid) = child.map(Child::pid) {
             self.machine.take_in(pid);
         }
@@ -380,7 +380,7 @@ impl Fleet {
     /// Holds shared memory for one more process, unless one of a role starts, or another comes or leaves; what is
     /// missing is returned once.
     pub fn keep_room(&mut self, bus: &Bus, starts: bool) -> Option<RuntimeError> {
-        self.room.keep(bus, starts || !self.beside.is_empty() || !self.leaving.is_empty())
+        self.room.keep(bus, starts || !self.candidate.is_empty() || !self.leaving.is_empty())
     }
 
     /// Asks a process to end, or kills it.
@@ -404,7 +404,7 @@ impl Fleet {
             }
         }
         let left = &mut self.left;
-        self.beside.retain_mut(|Candidate { role, child, incarnation, .. }| {
+        self.candidate.retain_mut(|Candidate { role, child, incarnation, .. }| {
             let Ok(Some(exit)) = child.try_wait() else { return true };
             ended.push((*role, *incarnation, exit));
             *left = true;
@@ -426,7 +426,7 @@ impl Fleet {
     }
 
     /// Last lines that were written for a role.
-    pub fn newest_words(&self, role: Role) -> Vec<String> {
+    pub fn newest_log_lines(&self, role: Role) -> Vec<String> {
         self.members.get(&role).map_or_else(Vec::new, |member| last_lines(&self.disk, &member.log))
     }
 
@@ -439,8 +439,8 @@ impl Fleet {
     /// Descriptors that become readable when a process ends.
     pub fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
         let members = self.members.values().filter_map(|member| member.child.as_ref());
-        let beside = self.beside.iter().map(|candidate| &candidate.child);
-        members.chain(beside).chain(self.leaving.iter().map(|leaving| &leaving.child)).map(AsFd::as_fd)
+        let candidate = self.candidate.iter().map(|candidate| &candidate.child);
+        members.chain(candidate).chain(self.leaving.iter().map(|leaving| &leaving.child)).map(AsFd::as_fd)
     }
 
     /// Last lines of the process of a role before it ended.
@@ -542,7 +542,7 @@ fn variable(name: &str, value: String) -> (OsString, OsString) {
 /// The last lines of a log, none when the disk does not give them in time.
 fn last_lines(disk: &Background, log: &Arc<ChildLog>) -> Vec<String> {
     let log = Arc::clone(log);
-    disk.call(LOG_LIMIT, move || log.last_lines(LAST_WORDS)).and_then(Result::ok).unwrap_or_default()
+    disk.call(LOG_LIMIT, move || log.last_lines(LAST_LOG_LINES)).and_then(Result::ok).unwrap_or_default()
 }
 
 /// Processor share since `before`, which is brought up to date, and memory.

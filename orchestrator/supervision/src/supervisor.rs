@@ -52,7 +52,7 @@ pub use slot::{ProcessView, VisibleState};
 use shared_types::{Phase, ProcessState, Role};
 
 use policy::nanoseconds;
-use slot::{Alive, Ending, Life, Refused, Slot};
+use slot::{Alive, EndReason, Life, Refused, Slot};
 
 /// A process in lock-step is called hung after this time at the earliest [ms].
 const LOCKSTEP_HANG_AFTER_MS: u64 = 5_000;
@@ -147,8 +147,8 @@ impl Supervisor {
     pub fn next_deadline(&self) -> Option<u64> {
         let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
             // Who looks at the last moment that counts is late, and then nothing of the time counts.
-            let look_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
-            Some(slot.hang_deadline_ns()?.min(look_ns))
+            let poll_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
+            Some(slot.hang_deadline_ns()?.min(poll_ns))
         });
         self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
     }
@@ -395,7 +395,7 @@ impl Supervisor {
         }
         match &mut slot.life {
             Life::Alive(alive) if alive.ending.is_none() => {
-                alive.ending = Some(Ending::Restart);
+                alive.ending = Some(EndReason::Restart);
                 alive.start_deadline_ns = None;
                 alive.kill_ns = Some(now_ns.saturating_add(nanoseconds(slot.policy.grace_ms)));
                 actions.push(Action::Terminate { role });

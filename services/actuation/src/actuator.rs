@@ -18,7 +18,7 @@ use shared_types::{Actuation, ActuationKind, BlockReason, Command, Fault, Header
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
 
-use crate::verdict::{Wish, block_reason, judge};
+use crate::verdict::{DesiredCommand, block_reason, judge};
 use crate::{ActuatorState, Config};
 
 /// Decides what is sent to the robot.
@@ -89,14 +89,14 @@ impl Actuator {
                 self.refuse(fault);
                 self.block(block_reason(&fault), stop_reason)
             }
-            Ok(wish) => {
+            Ok(desired) => {
                 self.accept(now_ns);
-                match wish {
-                    Wish::Block(reason) => self.block(reason, stop_reason),
-                    Wish::Drive(_) if self.state.silenced.is_set() => {
+                match desired {
+                    DesiredCommand::Block(reason) => self.block(reason, stop_reason),
+                    DesiredCommand::Drive(_) if self.state.silenced.is_set() => {
                         self.block(BlockReason::NoCommand, stop_reason)
                     }
-                    Wish::Drive(desired) => self.drive(desired, stop_reason),
+                    DesiredCommand::Drive(desired) => self.drive(desired, stop_reason),
                 }
             }
         }

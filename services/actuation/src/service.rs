@@ -28,9 +28,9 @@ pub fn run() -> anyhow::Result<()> {
         commands.skip_to(scan_id);
     }
     // The watch is looked at ten times a period, so it is late by a tenth at most.
-    let look_ns = process.period_ns() / 10;
+    let poll_ns = process.period_ns() / 10;
     let mut dropped = 0;
-    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         let stop = process.directive().stop == 1;
         if stop && !actuator.is_stopped() {
             actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;

@@ -6,7 +6,7 @@ use vehicle::{Bounds, Control};
 
 /// What a valid command asks for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Wish {
+pub(crate) enum DesiredCommand {
     /// Turn the wheels; the control is finite and within the limits.
     Drive(Control),
     /// Block the wheels.
@@ -17,7 +17,7 @@ pub(crate) enum Wish {
 ///
 /// A command to stop or land needs no verification and no limits, but its numbers must be numbers: where they are
 /// not, its producer is broken, and the wheels are blocked for that reason.
-pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
+pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand, Fault> {
     let kind = CommandKind::try_from(command.kind)?;
     Level::try_from(command.level)?;
     SolveStatus::try_from(command.status)?;
@@ -26,10 +26,12 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<Wish, Fault> {
     finite("velocity_mps", &[desired.velocity])?;
     finite("steering_rad", &[desired.steering])?;
     match kind {
-        CommandKind::Stop => Ok(Wish::Block(BlockReason::Commanded)),
-        CommandKind::Land => Ok(Wish::Block(BlockReason::Landed)),
+        CommandKind::Stop => Ok(DesiredCommand::Block(BlockReason::Commanded)),
+        CommandKind::Land => Ok(DesiredCommand::Block(BlockReason::Landed)),
         CommandKind::Drive if command.verified != 1 => Err(Fault::NotVerified { value: command.verified }),
-        CommandKind::Drive if bounds.contains(desired, ROUNDING) => Ok(Wish::Drive(bounds.clamp(desired))),
+        CommandKind::Drive if bounds.contains(desired, ROUNDING) => {
+            Ok(DesiredCommand::Drive(bounds.clamp(desired)))
+        }
         CommandKind::Drive => Err(outside(desired, bounds)),
     }
 }

@@ -33,7 +33,7 @@ const MIN_WAY_M: f64 = 3.0;
 const STANDSTILL_MPS: f64 = 0.01;
 
 /// Longest time between two rows [s]; the yaw in between is taken as its mean.
-const LONGEST_GAP_S: f64 = 0.5;
+const MAX_GAP_S: f64 = 0.5;
 
 /// A larger remainder than this is not the error that the model describes [m].
 const LARGEST_REMAINDER_M: f64 = 0.1;
@@ -153,9 +153,9 @@ fn check(run: &[SineRow]) -> Result<(), Refusal> {
         }
     }
     // (7.38) begins with the motion: a later first row would have lost its beginning.
-    within(&run[0].place, "time_s", run[0].time_s, 0.0..=LONGEST_GAP_S)?;
+    within(&run[0].place, "time_s", run[0].time_s, 0.0..=MAX_GAP_S)?;
     for pair in run.windows(2) {
-        let (low, high) = (pair[0].time_s + 1e-3, pair[0].time_s + LONGEST_GAP_S);
+        let (low, high) = (pair[0].time_s + 1e-3, pair[0].time_s + MAX_GAP_S);
         within(&pair[1].place, "time_s", pair[1].time_s, low..=high)?;
         way += pair[0].speed_mps * (pair[1].time_s - pair[0].time_s);
     }

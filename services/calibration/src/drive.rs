@@ -55,7 +55,7 @@ const SINE_S: f64 = 60.0;
 const SINE_MARK_S: f64 = 1.0;
 
 /// Longest that a run is waited for [s]: a robot that hardly moves ends it.
-const PATIENCE_S: f64 = 600.0;
+const TIMEOUT_S: f64 = 600.0;
 
 /// Straight runs with a flying start, timed between two fixed points.
 pub fn straight_runs(robot: &Scenario, seed: u64) -> Vec<StraightRun> {
@@ -201,7 +201,7 @@ impl Drive {
 
     /// Time at which a place is reached, between two milliseconds the later one [s].
     fn until(&mut self, reached: impl Fn(Vector2<f64>) -> bool) -> Option<f64> {
-        let end_ns = self.emulator.now_ns() + (PATIENCE_S * 1e9) as u64;
+        let end_ns = self.emulator.now_ns() + (TIMEOUT_S * 1e9) as u64;
         while !reached(self.place()) {
             if self.emulator.now_ns() > end_ns {
                 return None;
@@ -215,7 +215,7 @@ impl Drive {
     fn way(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
         let (mut places, mut way) = (vec![self.place()], 0.0);
         while way < length {
-            if places.len() as f64 > PATIENCE_S * 1e3 {
+            if places.len() as f64 > TIMEOUT_S * 1e3 {
                 return None;
             }
             self.tick();

@@ -36,9 +36,9 @@ plain_state! {
         /// The scan answered last
         pub answered: u64,
         /// Sequence number of the actuation heard last
-        pub heard_sequence: u64,
+        pub received_sequence: u64,
         /// Incarnation that it came from
-        pub heard_incarnation: u32,
+        pub received_incarnation: u32,
         /// Unused, zero
         pub reserved: u32,
         /// The robot and all around it
@@ -229,7 +229,7 @@ impl Robot {
         self.origin_ns = state.origin_ns;
         self.next_scan = state.next_scan;
         self.answered = state.answered;
-        self.heard = (state.heard_incarnation, state.heard_sequence);
+        self.heard = (state.received_incarnation, state.received_sequence);
         Ok(())
     }
 
@@ -340,8 +340,8 @@ impl Robot {
             origin_ns: self.origin_ns,
             next_scan: self.next_scan,
             answered: self.answered,
-            heard_sequence: self.heard.1,
-            heard_incarnation: self.heard.0,
+            received_sequence: self.heard.1,
+            received_incarnation: self.heard.0,
             reserved: 0,
             emulator,
         };

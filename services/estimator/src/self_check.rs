@@ -6,7 +6,7 @@
 //! (a command that came late, a wheel that slipped), and under the right model it has a standard deviation of
 //! 0.28. A sudden jump does not wait for a window: three measurements in a row that the gate refuses are enough.
 //!
-//! While a residual is off the alarm is [`Alarm::Slow`]; when it has lasted for [`PATIENCE_S`], or the estimate had to
+//! While a residual is off the alarm is [`Alarm::Slow`]; when it has lasted for [`TIMEOUT_S`], or the estimate had to
 //! begin anew from what it refused, it is [`Alarm::Stop`] and stays: where the robot is, is not known then.
 //!
 //! Assumptions: the noise is at most what R says (less noise makes it slower to notice, more makes it cry); the speed
@@ -35,7 +35,7 @@ const YAW_TOLERANCE: f64 = 3.0;
 pub const JUMP: u64 = 3;
 
 /// How long an alarm may last before the robot is to stop [s].
-pub const PATIENCE_S: f64 = 2.0;
+pub const TIMEOUT_S: f64 = 2.0;
 
 /// Speeds below this say nothing about a factor [m/s].
 const SLOWEST_MPS: f64 = 0.15;
@@ -133,7 +133,7 @@ impl SelfCheckState {
             self.alarm = Alarm::Slow.wire();
         }
         let lasted_s = evidence.acquired_ns.saturating_sub(self.since_ns) as f64 * 1e-9;
-        if evidence.began_anew || lasted_s >= PATIENCE_S {
+        if evidence.began_anew || lasted_s >= TIMEOUT_S {
             self.alarm = Alarm::Stop.wire();
         }
     }

@@ -4,7 +4,7 @@ use ocp::SolverSettings;
 use serde::{Deserialize, Serialize};
 use vehicle::{Bounds, Invalid, Parameters, require};
 
-use crate::guide::GuideSettings;
+use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
@@ -113,7 +113,7 @@ pub struct Config {
     /// Weights of the objective.
     pub weights: WeightSettings,
     /// The guide.
-    pub guide: GuideSettings,
+    pub guide: LatticeSettings,
     /// The stop rule.
     pub stop: StopSettings,
     /// The solver of the optimal control problem.
@@ -144,7 +144,7 @@ impl Default for Config {
             parameters: Parameters::default(),
             bounds: Bounds::default(),
             weights: WeightSettings::default(),
-            guide: GuideSettings::default(),
+            guide: LatticeSettings::default(),
             stop: StopSettings::default(),
             solver: SolverSettings::default(),
         }

@@ -15,12 +15,12 @@ use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, Pl
 use vehicle::{Control, Invalid, State};
 
 use crate::config::Config;
-use crate::guide::Guide;
-use crate::hazard::{self, Hazard};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::planner::{Choice, Planner, Task};
+use crate::predicted_obstacle::{self, PredictedObstacle};
 use crate::query::Query;
+use crate::reference_path::ReferencePath;
 use crate::scene::Scene;
 use crate::side::{Passing, Sides};
 use crate::state::{Arrival, ControllerState};
@@ -30,7 +30,7 @@ use crate::warm;
 /// Velocities at which a way past moving bodies is looked for, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
 /// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
-const LONGEST_LEAD_S: f64 = 1.0;
+const MAX_LEAD_S: f64 = 1.0;
 /// How far outside of its bounds a robot may start [m]. Further means the track and the pose contradict.
 const FAR_OUTSIDE_M: f64 = 1.0;
 /// How deep the body may overlap a described box [m]: more is a contradiction, as the robot is not inside.
@@ -46,8 +46,8 @@ pub struct Controller {
     planner: Planner,
     state: ControllerState,
     sides: Sides,
-    hazards: Vec<Hazard>,
-    guide: Guide,
+    predicted_obstacles: Vec<PredictedObstacle>,
+    reference_path: ReferencePath,
 }
 
 impl Controller {
@@ -57,15 +57,15 @@ impl Controller {
     /// [`Invalid`] with the first setting that is not allowed.
     pub fn new(config: Config) -> Result<Self, Invalid> {
         config.validate()?;
-        let mut guide = Guide::default();
-        guide.set_line(0.0, config.goal.y_m, config.cruise_mps);
+        let mut reference_path = ReferencePath::default();
+        reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
             search: Search::new(config.guide),
             planner: Planner::new(&config),
             state: ControllerState::default(),
             sides: Sides::default(),
-            hazards: Vec::with_capacity(shared_types::MAX_OBSTACLES),
-            guide,
+            predicted_obstacles: Vec::with_capacity(shared_types::MAX_OBSTACLES),
+            reference_path,
             config,
         })
     }
@@ -147,18 +147,18 @@ impl Controller {
         command.side = self.nearest_side(&initial);
         self.wait_for_a_way()?;
 
-        let Self { config, hazards, guide, state, planner, .. } = self;
+        let Self { config, predicted_obstacles, reference_path, state, planner, .. } = self;
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let scene = Scene::new(config, hazards, initial);
-        let task = Task { scene, guide, last: state, start_ns: pose.predicted_ns, fastest_mps };
+        let scene = Scene::new(config, predicted_obstacles, initial);
+        let task = Task { scene, reference_path, last: state, start_ns: pose.predicted_ns, fastest_mps };
         let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
-            let blocked = !guide.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
+            let blocked = !reference_path.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
             return Err(if blocked { StopReason::Blocked } else { StopReason::Unverified });
         };
         let way = &planner.driven.way;
-        let guided = guide.clear && warm::agrees(&scene, guide, way);
-        if !guided && is_blocked(&scene, way, command.slack, config.stop.slack) {
+        let follows_reference = reference_path.clear && warm::agrees(&scene, reference_path, way);
+        if !follows_reference && is_blocked(&scene, way, command.slack, config.stop.slack) {
             return Err(StopReason::Blocked);
         }
         Ok(choice)
@@ -212,19 +212,19 @@ impl Controller {
             && initial.yaw.abs() < 10.0
             && initial.yaw_rate.abs() < 10.0
             && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
-            && (0.0..=LONGEST_LEAD_S).contains(&lead_s)
+            && (0.0..=MAX_LEAD_S).contains(&lead_s)
             && pose.header.scan_id == obstacles.header.scan_id;
-        if !sound || !hazard::read(obstacles, lead_s, &mut self.hazards) {
+        if !sound || !predicted_obstacle::read(obstacles, lead_s, &mut self.predicted_obstacles) {
             return Err(StopReason::BadInput);
         }
-        let body = Scene::new(&self.config, &self.hazards, initial).body_at(&initial);
+        let body = Scene::new(&self.config, &self.predicted_obstacles, initial).body_at(&initial);
         let reach = body.length + body.width;
-        let overlaps = |hazard: &Hazard| {
-            let distance = (hazard.body.centre - body.centre).norm();
-            distance < reach + hazard.body.length + hazard.body.width
-                && body.distance_to_rectangle(&hazard.body) < -OVERLAP_M
+        let overlaps = |predicted_obstacle: &PredictedObstacle| {
+            let distance = (predicted_obstacle.body.centre - body.centre).norm();
+            distance < reach + predicted_obstacle.body.length + predicted_obstacle.body.width
+                && body.distance_to_rectangle(&predicted_obstacle.body) < -OVERLAP_M
         };
-        if self.hazards.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
+        if self.predicted_obstacles.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
     }
 
     /// Finds the guide, and with it the sides.
@@ -234,17 +234,17 @@ impl Controller {
         let reach = initial.x + config.guide.range_m;
         let (low, high) = (initial.y.min(goal.y_m) - 0.1, initial.y.max(goal.y_m) + 0.1);
         let margin = config.ellipse_margin_m + config.guide.comfort_m;
-        let in_the_way = |hazard: &Hazard| {
-            let [x, y] = hazard.centre;
-            hazard.moves()
-                || (x - hazard.a < reach
-                    && x + hazard.a + margin > initial.x
-                    && y - hazard.b - margin < high
-                    && y + hazard.b + margin > low)
+        let in_the_way = |predicted_obstacle: &PredictedObstacle| {
+            let [x, y] = predicted_obstacle.centre;
+            predicted_obstacle.moves()
+                || (x - predicted_obstacle.a < reach
+                    && x + predicted_obstacle.a + margin > initial.x
+                    && y - predicted_obstacle.b - margin < high
+                    && y + predicted_obstacle.b + margin > low)
         };
-        if self.hazards.iter().any(in_the_way) {
+        if self.predicted_obstacles.iter().any(in_the_way) {
             let full = Control { velocity: config.cruise_mps, steering: config.bounds.steering_max_rad };
-            let moving = self.hazards.iter().any(Hazard::moves);
+            let moving = self.predicted_obstacles.iter().any(PredictedObstacle::moves);
             for share in SLOWER {
                 let query = Query {
                     start: *initial,
@@ -254,32 +254,37 @@ impl Controller {
                     curvature: vehicle::model::steady_turn(&config.parameters, &full).1 / full.velocity,
                     margin: config.ellipse_margin_m,
                     speed: (config.cruise_mps * share).max(config.bounds.velocity_min_mps),
-                    hazards: &self.hazards,
+                    predicted_obstacles: &self.predicted_obstacles,
                     sides: &self.sides,
                 };
-                self.search.find(&query, &mut self.guide);
-                if self.guide.clear || !moving {
+                self.search.find(&query, &mut self.reference_path);
+                if self.reference_path.clear || !moving {
                     break;
                 }
             }
         } else {
-            self.guide.set_line(initial.x, goal.y_m, config.cruise_mps);
+            self.reference_path.set_line(initial.x, goal.y_m, config.cruise_mps);
         }
-        let guide = &self.guide;
-        self.sides.renew(&self.hazards, |hazard| guide.side_of(hazard));
+        let reference_path = &self.reference_path;
+        self.sides.renew(&self.predicted_obstacles, |predicted_obstacle| {
+            reference_path.side_of(predicted_obstacle)
+        });
     }
 
     /// Side on which the nearest obstacle that the line leads through is passed.
     fn nearest_side(&self, initial: &State) -> i32 {
         let line = self.config.goal.y_m;
-        let in_the_way = |hazard: &&Hazard| {
-            hazard.centre[0] > initial.x
-                && (hazard.centre[1] - line).abs() < hazard.b
-                && self.sides.held(hazard).is_some()
+        let in_the_way = |predicted_obstacle: &&PredictedObstacle| {
+            predicted_obstacle.centre[0] > initial.x
+                && (predicted_obstacle.centre[1] - line).abs() < predicted_obstacle.b
+                && self.sides.held(predicted_obstacle).is_some()
         };
-        let nearest =
-            self.hazards.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-        nearest.and_then(|hazard| self.sides.held(hazard)).map_or(0, Passing::wire)
+        let nearest = self
+            .predicted_obstacles
+            .iter()
+            .filter(in_the_way)
+            .min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
+        nearest.and_then(|predicted_obstacle| self.sides.held(predicted_obstacle)).map_or(0, Passing::wire)
     }
 
     /// After a stop in front of a blocked path: waits until a way was clear for a while.
@@ -287,7 +292,8 @@ impl Controller {
         if self.state.blocked_scans == 0 {
             return Ok(());
         }
-        self.state.clear_scans = if self.guide.clear { self.state.clear_scans.saturating_add(1) } else { 0 };
+        self.state.clear_scans =
+            if self.reference_path.clear { self.state.clear_scans.saturating_add(1) } else { 0 };
         let stop = &self.config.stop;
         if self.state.blocked_scans < stop.hold_scans || self.state.clear_scans < stop.resume_scans {
             return Err(StopReason::Blocked);

@@ -10,14 +10,14 @@
 //! represented; a robot that stands across the track gets no clear guide. Obstacles are looked at twice per
 //! arc, every 0.2 m, so a corner of an ellipse may be cut by millimetres: the margin covers that.
 
-use crate::guide::{Guide, GuideSettings, SINE_MAX, rise};
-use crate::hazard::Hazard;
-use crate::hurdles::{HARD, Hurdles};
+use crate::obstacle_cost::{HARD, ObstacleCost};
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
+use crate::reference_path::{LatticeSettings, ReferencePath, SINE_MAX, rise};
 use crate::scene::excess;
 
 /// Cosine of the largest course from which a guide starts: SINE_MAX and a little.
-const LEAST_COSINE: f64 = 0.55;
+const MIN_COSINE: f64 = 0.55;
 /// Curvatures of an arc: this many to each side, and straight.
 const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
@@ -42,24 +42,30 @@ impl Cell {
 /// The search with its buffers.
 #[derive(Debug, Clone)]
 pub(crate) struct Search {
-    settings: GuideSettings,
+    settings: LatticeSettings,
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
     rises: Vec<f64>,
-    hurdles: Hurdles,
+    obstacle_cost: ObstacleCost,
 }
 
 impl Search {
     /// A search with empty buffers.
-    pub(crate) fn new(settings: GuideSettings) -> Self {
+    pub(crate) fn new(settings: LatticeSettings) -> Self {
         let empty = Vec::new;
-        Self { settings, cells: Vec::new(), active: empty(), rises: Vec::new(), hurdles: Hurdles::default() }
+        Self {
+            settings,
+            cells: Vec::new(),
+            active: empty(),
+            rises: Vec::new(),
+            obstacle_cost: ObstacleCost::default(),
+        }
     }
 
     /// Puts the cheapest path of `query` into `guide`.
     ///
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
-    pub(crate) fn find(&mut self, query: &Query, guide: &mut Guide) {
+    pub(crate) fn find(&mut self, query: &Query, reference_path: &mut ReferencePath) {
         let settings = self.settings;
         let length = (query.goal_x - query.start.x).clamp(0.05, settings.range_m);
         let length = length.min(self.needed(query));
@@ -68,7 +74,7 @@ impl Search {
         let bend = query.curvature * settings.curvature_share / f64::from(BENDS);
         let grid = Grid::new(query, bend * step);
 
-        self.hurdles.measure(&settings, query, layers, step);
+        self.obstacle_cost.measure(&settings, query, layers, step);
         self.tabulate(&grid, step);
         self.reserve(layers, &grid);
         // Most searches find a clear path; only those that do not look at paths through obstacles at all.
@@ -80,14 +86,14 @@ impl Search {
             for layer in 0..layers {
                 self.expand(layer, query, &grid, &arc);
             }
-            let found = self.read(query, layers, step, &grid, guide);
+            let found = self.read(query, layers, step, &grid, reference_path);
             self.forget();
             if found {
                 return;
             }
         }
-        guide.set_line(query.start.x, query.line, query.speed);
-        guide.clear = false;
+        reference_path.set_line(query.start.x, query.line, query.speed);
+        reference_path.clear = false;
     }
 
     /// How far there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
@@ -95,10 +101,14 @@ impl Search {
         if query.goal_x - query.start.x < self.settings.range_m {
             return f64::INFINITY;
         }
-        let behind = |hazard: &Hazard| {
-            if hazard.moves() { f64::INFINITY } else { hazard.centre[0] + hazard.a - query.start.x }
+        let behind = |predicted_obstacle: &PredictedObstacle| {
+            if predicted_obstacle.moves() {
+                f64::INFINITY
+            } else {
+                predicted_obstacle.centre[0] + predicted_obstacle.a - query.start.x
+            }
         };
-        query.hazards.iter().map(behind).fold(SHORTEST_M, f64::max)
+        query.predicted_obstacles.iter().map(behind).fold(SHORTEST_M, f64::max)
     }
 
     fn reserve(&mut self, layers: usize, grid: &Grid) {
@@ -137,7 +147,7 @@ impl Search {
         let settings = self.settings;
         let sources = std::mem::take(&mut self.active[layer]);
         let base = layer * grid.layer_cells();
-        let crossed = self.hurdles.has_crossing(layer);
+        let crossed = self.obstacle_cost.has_crossing(layer);
         for &source in &sources {
             let Cell { cost, y, .. } = self.cells[source as usize];
             let course = ((source as usize - base) / grid.cells) as i32;
@@ -161,10 +171,10 @@ impl Search {
                 if total >= self.cells[target].cost {
                     continue;
                 }
-                total += self.hurdles.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0);
-                total += self.hurdles.cost(&settings, 2 * layer + 2, y_next, step / 2.0);
+                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0);
+                total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0);
                 if crossed {
-                    total += settings.switch_cost * self.hurdles.switches(layer, y, y_next);
+                    total += settings.switch_cost * self.obstacle_cost.switches(layer, y, y_next);
                 }
                 let outside = excess(y_next, query.y_range) - allowed;
                 if outside > 1e-9 {
@@ -184,7 +194,14 @@ impl Search {
 
     /// Follows the cheapest path back from its end.
     /// False when no path comes to the end.
-    fn read(&self, query: &Query, layers: usize, step: f64, grid: &Grid, guide: &mut Guide) -> bool {
+    fn read(
+        &self,
+        query: &Query,
+        layers: usize,
+        step: f64,
+        grid: &Grid,
+        reference_path: &mut ReferencePath,
+    ) -> bool {
         let at_goal = query.start.x + step * layers as f64 >= query.goal_x - 1e-6;
         let mut best = (f64::INFINITY, 0usize);
         for &cell in &self.active[layers] {
@@ -200,18 +217,19 @@ impl Search {
         if best.0 == f64::INFINITY {
             return false;
         }
-        (guide.start_x, guide.step, guide.speed) = (query.start.x, step, query.speed);
-        guide.clear = best.0 < HARD && (query.start.yaw + query.start.sideslip).cos() > LEAST_COSINE;
-        guide.y.clear();
-        guide.sine.clear();
+        (reference_path.start_x, reference_path.step, reference_path.speed) =
+            (query.start.x, step, query.speed);
+        reference_path.clear = best.0 < HARD && (query.start.yaw + query.start.sideslip).cos() > MIN_COSINE;
+        reference_path.y.clear();
+        reference_path.sine.clear();
         let mut cell = best.1;
         for layer in (0..=layers).rev() {
-            guide.y.push(self.cells[cell].y);
-            guide.sine.push(grid.sine(((cell - layer * grid.layer_cells()) / grid.cells) as i32));
+            reference_path.y.push(self.cells[cell].y);
+            reference_path.sine.push(grid.sine(((cell - layer * grid.layer_cells()) / grid.cells) as i32));
             cell = self.cells[cell].parent as usize;
         }
-        guide.y.reverse();
-        guide.sine.reverse();
+        reference_path.y.reverse();
+        reference_path.sine.reverse();
         true
     }
 }
@@ -278,12 +296,12 @@ mod tests {
     use vehicle::State;
     use vehicle::geometry::Rectangle;
 
-    fn hazard(id: u32, x: f64, y: f64, b: f64) -> Hazard {
+    fn predicted_obstacle(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
-        Hazard { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
+        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
     }
 
-    fn find(start: State, hazards: &[Hazard], sides: &Sides) -> Guide {
+    fn find(start: State, predicted_obstacles: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
         let query = Query {
             start,
             line: 0.0,
@@ -292,50 +310,50 @@ mod tests {
             curvature: 0.324,
             margin: 0.02,
             speed: 1.0,
-            hazards,
+            predicted_obstacles,
             sides,
         };
-        let mut guide = Guide::default();
-        Search::new(GuideSettings::default()).find(&query, &mut guide);
-        guide
+        let mut reference_path = ReferencePath::default();
+        Search::new(LatticeSettings::default()).find(&query, &mut reference_path);
+        reference_path
     }
 
     #[test]
     fn a_centred_obstacle_is_passed_outside_of_its_ellipse() {
-        let obstacle = hazard(1, 4.5, 0.0, 0.9);
-        let guide = find(State::default(), &[obstacle], &Sides::default());
-        assert!(guide.clear);
+        let obstacle = predicted_obstacle(1, 4.5, 0.0, 0.9);
+        let reference_path = find(State::default(), &[obstacle], &Sides::default());
+        assert!(reference_path.clear);
         for step in 0..60 {
             let x = f64::from(step) * 0.1;
-            let (y, _, curvature) = guide.at(x);
+            let (y, _, curvature) = reference_path.at(x);
             assert!(obstacle.value(0.0, x, y) > 0.99, "{x} {y}");
             assert!(y.abs() <= 1.5 && curvature.abs() <= 0.3241);
         }
-        assert_ne!(guide.side_of(&obstacle), None);
+        assert_ne!(reference_path.side_of(&obstacle), None);
     }
 
     #[test]
     fn a_closed_side_is_not_taken() {
-        let obstacle = hazard(1, 4.5, 0.7, 0.9);
+        let obstacle = predicted_obstacle(1, 4.5, 0.7, 0.9);
         assert_eq!(
             find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
             Some(Passing::Right)
         );
-        let wide = hazard(1, 4.5, 0.0, 1.6);
+        let wide = predicted_obstacle(1, 4.5, 0.0, 1.6);
         assert!(!find(State::default(), &[wide], &Sides::default()).clear);
     }
 
     #[test]
     fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
-        let pair = [hazard(1, 4.5, 0.75, 0.7), hazard(2, 4.5, -0.75, 0.7)];
+        let pair = [predicted_obstacle(1, 4.5, 0.75, 0.7), predicted_obstacle(2, 4.5, -0.75, 0.7)];
         assert!(find(State::default(), &pair, &Sides::default()).clear);
-        let closed = [hazard(1, 4.5, 0.7, 0.85), hazard(2, 4.5, -0.7, 0.85)];
+        let closed = [predicted_obstacle(1, 4.5, 0.7, 0.85), predicted_obstacle(2, 4.5, -0.7, 0.85)];
         assert!(!find(State::default(), &closed, &Sides::default()).clear);
     }
 
     #[test]
     fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
-        let obstacle = hazard(1, 4.5, 0.03, 0.8);
+        let obstacle = predicted_obstacle(1, 4.5, 0.03, 0.8);
         assert_eq!(
             find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
             Some(Passing::Right)
@@ -347,6 +365,6 @@ mod tests {
 
     #[test]
     fn an_obstacle_too_near_has_no_clear_path() {
-        assert!(!find(State::default(), &[hazard(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
+        assert!(!find(State::default(), &[predicted_obstacle(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
     }
 }

@@ -6,14 +6,14 @@
 
 mod config;
 mod controller;
-mod guide;
-mod hazard;
-mod hurdles;
 mod landing;
 mod lattice;
+mod obstacle_cost;
 mod planner;
+mod predicted_obstacle;
 mod query;
 mod reference;
+mod reference_path;
 mod rollout;
 mod scene;
 pub mod service;
@@ -26,8 +26,8 @@ mod weights;
 
 pub use config::{Config, Goal, StopSettings, Track};
 pub use controller::Controller;
-pub use guide::GuideSettings;
 pub use ocp::Budget;
+pub use reference_path::LatticeSettings;
 pub use side::Side;
 pub use state::ControllerState;
 pub use weights::WeightSettings;

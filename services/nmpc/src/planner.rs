@@ -14,16 +14,16 @@ use shared_types::{Command, Level, PlanNode, SolveStatus};
 use vehicle::{Control, State};
 
 use crate::config::Config;
-use crate::guide::Guide;
-use crate::hazard::Hazard;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::{self, Pace};
+use crate::reference_path::ReferencePath;
 use crate::scene::Scene;
 use crate::state::ControllerState;
 use crate::verify::{Driven, verify};
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
-const LONGEST_REST_S: f64 = 1.0;
+const MAX_REST_S: f64 = 1.0;
 /// Largest distance between the solver's positions and those driven of a converged plan [m].
 const LARGEST_DEFECT_M: f64 = 0.01;
 
@@ -33,7 +33,7 @@ pub(crate) struct Task<'a> {
     /// What plans are held against.
     pub(crate) scene: Scene<'a>,
     /// The path that a plan follows.
-    pub(crate) guide: &'a Guide,
+    pub(crate) reference_path: &'a ReferencePath,
     /// The state of the controller, with the last plan.
     pub(crate) last: &'a ControllerState,
     /// Time of the start of the plan [ns].
@@ -45,7 +45,8 @@ pub(crate) struct Task<'a> {
 impl Task<'_> {
     fn pace(&self) -> Pace {
         let config = self.scene.config;
-        let speed = if self.guide.clear { self.guide.speed } else { config.stop.approach_mps };
+        let speed =
+            if self.reference_path.clear { self.reference_path.speed } else { config.stop.approach_mps };
         Pace {
             cruise: speed.min(config.cruise_mps).min(self.fastest_mps),
             slowest: config.bounds.velocity_min_mps,
@@ -58,7 +59,7 @@ impl Task<'_> {
     fn elapsed(&self) -> Option<f64> {
         let elapsed_s = self.start_ns.checked_sub(self.last.plan_start_ns)? as f64 * 1e-9;
         let usable = self.last.plan_length >= 2
-            && elapsed_s < LONGEST_REST_S
+            && elapsed_s < MAX_REST_S
             && (self.last.plan_interval_s - self.scene.config.interval_s()).abs() < 1e-9;
         usable.then_some(elapsed_s)
     }
@@ -122,11 +123,11 @@ impl Planner {
         {
             return Some(choice);
         }
-        self.start_from_guide(task);
+        self.start_from_reference(task);
         if let Some(choice) = self.solve(task, budget, &mut used, command) {
             return Some(choice);
         }
-        if task.guide.clear
+        if task.reference_path.clear
             && let Some(intervals) = self.verify_guess(task)
         {
             return Some(Choice { level: Level::BestIterate, intervals });
@@ -143,21 +144,21 @@ impl Planner {
 
     /// Fills the optimal control problem of this scan.
     fn build_problem(&mut self, task: &Task) {
-        let Task { scene: Scene { config, hazards, initial, .. }, last, .. } = *task;
+        let Task { scene: Scene { config, predicted_obstacles, initial, .. }, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
         problem.control_reference = reference::fill(
-            task.guide,
+            task.reference_path,
             &task.pace(),
             initial.x,
             config.interval_s(),
             config.intervals,
             &mut problem.references,
         );
-        fill_ellipses(config, hazards, &initial, &mut problem.ellipses);
+        fill_ellipses(config, predicted_obstacles, &initial, &mut problem.ellipses);
     }
 
     /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
@@ -170,12 +171,12 @@ impl Planner {
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene, task.guide, &self.driven.way)
+        warm::agrees(&task.scene, task.reference_path, &self.driven.way)
     }
 
-    fn start_from_guide(&mut self, task: &Task) {
+    fn start_from_reference(&mut self, task: &Task) {
         let intervals = task.scene.config.intervals;
-        warm::follow(&task.scene, task.guide, &task.pace(), intervals, &mut self.guess.controls);
+        warm::follow(&task.scene, task.reference_path, &task.pace(), intervals, &mut self.guess.controls);
         self.drive_guess(task);
     }
 
@@ -224,7 +225,7 @@ impl Planner {
         warm::clamp(&task.scene.config.bounds, &mut self.controls);
         let scene = &task.scene;
         let verdict = verify(scene, &self.controls, &mut self.driven);
-        let agrees = !task.guide.clear || warm::agrees(scene, task.guide, &self.driven.way);
+        let agrees = !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.driven.way);
         if !verdict.holds() || !agrees {
             return None;
         }
@@ -245,23 +246,30 @@ fn read_plan(last: &ControllerState, controls: &mut Vec<Control>) {
 }
 
 /// Fills the ellipses that the horizon can reach, nearest first.
-fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses: &mut Vec<EllipsePath>) {
+fn fill_ellipses(
+    config: &Config,
+    predicted_obstacles: &[PredictedObstacle],
+    initial: &State,
+    ellipses: &mut Vec<EllipsePath>,
+) {
     let reach = config.bounds.velocity_max_mps * config.horizon_s;
-    let in_reach = |hazard: &Hazard| {
-        let [x, y] = hazard.centre;
-        let travel = hazard.velocity[0].hypot(hazard.velocity[1]) * config.horizon_s;
-        (x - initial.x).abs() < reach + hazard.a + travel
-            && (y - initial.y).abs() < reach + hazard.b + travel
-            && x + hazard.a + travel > initial.x
+    let in_reach = |predicted_obstacle: &PredictedObstacle| {
+        let [x, y] = predicted_obstacle.centre;
+        let travel = predicted_obstacle.velocity[0].hypot(predicted_obstacle.velocity[1]) * config.horizon_s;
+        (x - initial.x).abs() < reach + predicted_obstacle.a + travel
+            && (y - initial.y).abs() < reach + predicted_obstacle.b + travel
+            && x + predicted_obstacle.a + travel > initial.x
     };
-    let distance = |hazard: &Hazard| (hazard.centre[0] - initial.x).hypot(hazard.centre[1] - initial.y);
+    let distance = |predicted_obstacle: &PredictedObstacle| {
+        (predicted_obstacle.centre[0] - initial.x).hypot(predicted_obstacle.centre[1] - initial.y)
+    };
     let mut count = 0;
     let mut farthest = None;
     // Selection in place of a sort: there are at most sixteen, and nothing is allocated.
     while count < config.max_ellipses {
-        let next = (0..hazards.len())
-            .filter(|&index| in_reach(&hazards[index]))
-            .map(|index| (distance(&hazards[index]), index))
+        let next = (0..predicted_obstacles.len())
+            .filter(|&index| in_reach(&predicted_obstacles[index]))
+            .map(|index| (distance(&predicted_obstacles[index]), index))
             .filter(|&candidate| farthest.is_none_or(|last| candidate > last))
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let Some((_, index)) = next else { break };
@@ -269,11 +277,14 @@ fn fill_ellipses(config: &Config, hazards: &[Hazard], initial: &State, ellipses:
         if ellipses.len() <= count {
             ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
         }
-        let (hazard, ellipse) = (&hazards[index], &mut ellipses[count]);
-        (ellipse.a, ellipse.b) = (hazard.a + config.ellipse_margin_m, hazard.b + config.ellipse_margin_m);
+        let (predicted_obstacle, ellipse) = (&predicted_obstacles[index], &mut ellipses[count]);
+        (ellipse.a, ellipse.b) =
+            (predicted_obstacle.a + config.ellipse_margin_m, predicted_obstacle.b + config.ellipse_margin_m);
         ellipse.centres.clear();
         let interval_s = config.interval_s();
-        ellipse.centres.extend((0..=config.intervals).map(|node| hazard.centre_at(node as f64 * interval_s)));
+        ellipse.centres.extend(
+            (0..=config.intervals).map(|node| predicted_obstacle.centre_at(node as f64 * interval_s)),
+        );
         count += 1;
     }
     ellipses.truncate(count);
@@ -316,7 +327,7 @@ mod tests {
 
     #[test]
     fn the_nearest_ellipses_are_taken_and_those_behind_left_out() {
-        let hazard = |id: u32, x: f64| Hazard {
+        let predicted_obstacle = |id: u32, x: f64| PredictedObstacle {
             id,
             centre: [x, 0.0],
             velocity: [0.0, 0.0],
@@ -324,10 +335,16 @@ mod tests {
             b: 0.5,
             body: Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.1 },
         };
-        let hazards = [hazard(1, 3.0), hazard(2, -1.5), hazard(3, 2.0), hazard(4, 9.0), hazard(5, 1.0)];
+        let predicted_obstacles = [
+            predicted_obstacle(1, 3.0),
+            predicted_obstacle(2, -1.5),
+            predicted_obstacle(3, 2.0),
+            predicted_obstacle(4, 9.0),
+            predicted_obstacle(5, 1.0),
+        ];
         let config = Config { max_ellipses: 2, ..Config::default() };
         let mut ellipses = Vec::new();
-        fill_ellipses(&config, &hazards, &State::default(), &mut ellipses);
+        fill_ellipses(&config, &predicted_obstacles, &State::default(), &mut ellipses);
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
         assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);

@@ -2,7 +2,7 @@
 
 use vehicle::State;
 
-use crate::hazard::Hazard;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::side::Sides;
 
 /// What a guide is searched for.
@@ -23,7 +23,7 @@ pub(crate) struct Query<'a> {
     /// Velocity along the path [m/s].
     pub(crate) speed: f64,
     /// The obstacles.
-    pub(crate) hazards: &'a [Hazard],
+    pub(crate) predicted_obstacles: &'a [PredictedObstacle],
     /// Sides on which they were passed before.
     pub(crate) sides: &'a Sides,
 }

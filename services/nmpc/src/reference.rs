@@ -8,7 +8,7 @@
 
 use vehicle::{Control, State};
 
-use crate::guide::Guide;
+use crate::reference_path::ReferencePath;
 
 /// How the moving point is led.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,7 +35,7 @@ const STEPS: usize = 4;
 
 /// Fills `references` for nodes 1 to `intervals` and returns the reference of the controls.
 pub(crate) fn fill(
-    guide: &Guide,
+    reference_path: &ReferencePath,
     pace: &Pace,
     start_x: f64,
     interval_s: f64,
@@ -47,10 +47,10 @@ pub(crate) fn fill(
     let step = interval_s / STEPS as f64;
     for _ in 0..intervals {
         for _ in 0..STEPS {
-            let (_, course, _) = guide.at(x);
+            let (_, course, _) = reference_path.at(x);
             x += pace.velocity(x) * course.cos() * step;
         }
-        let (y, course, curvature) = guide.at(x);
+        let (y, course, curvature) = reference_path.at(x);
         references.push(State { sideslip: 0.0, yaw: course, yaw_rate: curvature * pace.velocity(x), x, y });
     }
     Control { velocity: pace.velocity(start_x), steering: 0.0 }
@@ -62,9 +62,9 @@ mod tests {
 
     fn references(start_x: f64) -> (Vec<State>, Control) {
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 10.0, landing_time: 0.8 };
-        let (mut guide, mut states) = (Guide::default(), Vec::new());
-        guide.set_line(start_x, 0.3, 1.0);
-        let control = fill(&guide, &pace, start_x, 0.4, 5, &mut states);
+        let (mut reference_path, mut states) = (ReferencePath::default(), Vec::new());
+        reference_path.set_line(start_x, 0.3, 1.0);
+        let control = fill(&reference_path, &pace, start_x, 0.4, 5, &mut states);
         (states, control)
     }
 

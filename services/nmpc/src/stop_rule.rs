@@ -41,10 +41,13 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
     let Some(end_x) = scene
-        .hazards
+        .predicted_obstacles
         .iter()
-        .filter(|hazard| ahead(hazard.centre[0]) && hazard.centre[0] - hazard.a < scene.config.goal.x_m)
-        .map(|hazard| hazard.centre[0] + hazard.a / 2.0)
+        .filter(|predicted_obstacle| {
+            ahead(predicted_obstacle.centre[0])
+                && predicted_obstacle.centre[0] - predicted_obstacle.a < scene.config.goal.x_m
+        })
+        .map(|predicted_obstacle| predicted_obstacle.centre[0] + predicted_obstacle.a / 2.0)
         .reduce(f64::max)
     else {
         return false;
@@ -62,26 +65,30 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
             for &length in &TURNS_M[if side == 0.0 { 7 } else { 0 }..] {
                 match turns.drive(start, side, length) {
                     Reach::Past => return false,
-                    Reach::Hit { x, hazard } if x > best.0 => best = (x, hazard),
+                    Reach::Hit { x, predicted_obstacle } if x > best.0 => best = (x, predicted_obstacle),
                     Reach::Hit { .. } => {}
                 }
             }
         }
     }
-    let nearest = || (0..scene.hazards.len()).filter(|&index| ahead(scene.hazards[index].centre[0]));
+    let nearest = || {
+        (0..scene.predicted_obstacles.len())
+            .filter(|&index| ahead(scene.predicted_obstacles[index].centre[0]))
+    };
     let distance = |index: usize| {
-        let [x, y] = scene.hazards[index].centre;
+        let [x, y] = scene.predicted_obstacles[index].centre;
         (x - here.x).hypot(y - here.y)
     };
     let hit = best.1.or_else(|| nearest().min_by(|&a, &b| distance(a).total_cmp(&distance(b))));
-    let too_near = hit.is_some_and(|index| distance(index) < latest_distance(scene.hazards[index].b));
+    let too_near =
+        hit.is_some_and(|index| distance(index) < latest_distance(scene.predicted_obstacles[index].b));
     slack > largest_slack || too_near
 }
 
 /// How far a continuation comes.
 enum Reach {
     Past,
-    Hit { x: f64, hazard: Option<usize> },
+    Hit { x: f64, predicted_obstacle: Option<usize> },
 }
 
 struct Turns<'a> {
@@ -104,11 +111,11 @@ impl Turns<'_> {
                 return Reach::Past;
             }
             if let Some(violation) = self.scene.check(&self.baseline, t, &state) {
-                let hazard = match violation {
+                let predicted_obstacle = match violation {
                     Violation::Ellipse(index) => Some(index),
                     _ => None,
                 };
-                return Reach::Hit { x: state.x, hazard };
+                return Reach::Hit { x: state.x, predicted_obstacle };
             }
             let turn = if way < LAG_M {
                 0.0
@@ -133,7 +140,7 @@ impl Turns<'_> {
             way += STEP_M;
             t += STEP_M / self.speed;
         }
-        Reach::Hit { x: state.x, hazard: None }
+        Reach::Hit { x: state.x, predicted_obstacle: None }
     }
 }
 
@@ -150,13 +157,13 @@ fn full_lock_curvature(scene: &Scene) -> f64 {
 mod tests {
     use super::*;
     use crate::config::{Config, Goal, Track};
-    use crate::hazard::Hazard;
+    use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
-        let hazards = [Hazard {
+        let predicted_obstacles = [PredictedObstacle {
             id: 1,
             centre: [distance, y],
             velocity: [0.0, 0.0],
@@ -169,7 +176,7 @@ mod tests {
             track: Track { x_m: [-10.0, 22.0], ..Track::default() },
             ..Config::default()
         };
-        let scene = Scene::new(&config, &hazards, State::default());
+        let scene = Scene::new(&config, &predicted_obstacles, State::default());
         is_blocked(&scene, &[], slack, 0.05)
     }
 

@@ -7,9 +7,9 @@
 use vehicle::{Bounds, Control};
 
 use crate::config::Config;
-use crate::guide::Guide;
-use crate::hazard::Hazard;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::Pace;
+use crate::reference_path::ReferencePath;
 use crate::rollout::{Sampled, advance};
 use crate::scene::Scene;
 use crate::side::Passing;
@@ -40,7 +40,7 @@ pub(crate) fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shift
 /// Fills `controls` with steering that follows the guide at the pace of the reference.
 pub(crate) fn follow(
     scene: &Scene,
-    guide: &Guide,
+    reference_path: &ReferencePath,
     pace: &Pace,
     intervals: usize,
     controls: &mut Vec<Control>,
@@ -53,8 +53,8 @@ pub(crate) fn follow(
         let velocity = pace.velocity(state.x);
         // The correction aims at the middle of the interval, where its effect is seen.
         let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
-        let (_, _, curvature) = guide.at(middle);
-        let (y, course, _) = guide.at(state.x);
+        let (_, _, curvature) = reference_path.at(middle);
+        let (y, course, _) = reference_path.at(state.x);
         let wanted =
             curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
         let control = bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
@@ -69,17 +69,17 @@ pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
 }
 
 /// Whether two ways pass every hazard that both come past on the same side.
-pub(crate) fn agrees(scene: &Scene, guide: &Guide, way: &[Sampled]) -> bool {
-    scene.hazards.iter().all(|hazard| {
-        let sides = side_of(hazard, way).zip(guide.side_of(hazard));
+pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, way: &[Sampled]) -> bool {
+    scene.predicted_obstacles.iter().all(|predicted_obstacle| {
+        let sides = side_of(predicted_obstacle, way).zip(reference_path.side_of(predicted_obstacle));
         sides.is_none_or(|(driven, planned)| driven == planned)
     })
 }
 
 /// Side on which a way passes the hazard; `None` when it does not come past its centre.
-fn side_of(hazard: &Hazard, way: &[Sampled]) -> Option<Passing> {
+fn side_of(predicted_obstacle: &PredictedObstacle, way: &[Sampled]) -> Option<Passing> {
     for pair in way.windows(2) {
-        let centres = [pair[0].t, pair[1].t].map(|t| hazard.centre_at(t));
+        let centres = [pair[0].t, pair[1].t].map(|t| predicted_obstacle.centre_at(t));
         let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
         if from < 0.0 && to >= 0.0 {
             return Some(Passing::of(pair[1].state.y, centres[1][1]));
@@ -115,9 +115,9 @@ mod tests {
         let config = Config { goal: Goal { x_m: 20.0, ..Goal::default() }, ..Config::default() };
         let scene = Scene::new(&config, &[], State { y: 0.2, ..State::default() });
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 20.0, landing_time: 0.8 };
-        let (mut guide, mut controls) = (Guide::default(), Vec::new());
-        guide.set_line(0.0, 0.0, 1.0);
-        follow(&scene, &guide, &pace, 12, &mut controls);
+        let (mut reference_path, mut controls) = (ReferencePath::default(), Vec::new());
+        reference_path.set_line(0.0, 0.0, 1.0);
+        follow(&scene, &reference_path, &pace, 12, &mut controls);
         let mut state = scene.initial;
         for control in &controls {
             state = advance(&config.parameters, &state, control, config.interval_s());

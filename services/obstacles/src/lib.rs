@@ -9,7 +9,7 @@
 //! [`ObstaclesState`], plain bytes that another process can resume from.
 
 mod config;
-mod describer;
+mod detector;
 mod ellipse;
 mod motion;
 mod outline;
@@ -23,6 +23,6 @@ mod visibility;
 mod walls;
 
 pub use config::Config;
-pub use describer::Describer;
+pub use detector::ObstacleDetector;
 pub use shape::DIRECTIONS;
 pub use state::{ObstaclesState, TRACKS, TrackState};

@@ -3,7 +3,7 @@
 use runtime::{Handover, Process, join};
 use shared_types::{Obstacles, Pose, Role, Scan};
 
-use crate::{Config, Describer};
+use crate::{Config, ObstacleDetector};
 
 /// Runs until asked to end.
 ///
@@ -11,13 +11,13 @@ use crate::{Config, Describer};
 /// Settings that are not allowed, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Obstacles)?;
-    let mut describer = Describer::new(process.settings::<Config>("obstacles")?)?;
+    let mut detector = ObstacleDetector::new(process.settings::<Config>("obstacles")?)?;
     let scans = process.input::<Scan>()?;
     let poses = process.input::<Pose>()?;
     let obstacles = process.output::<Obstacles>()?;
     // Without the state of the process before, an obstacle beside the robot that is out of view would be forgotten.
     let mut lost = match process.resume()? {
-        Handover::State(state) => describer.resume(&state).is_err(),
+        Handover::State(state) => detector.resume(&state).is_err(),
         Handover::FirstStart => false,
         Handover::Lost => true,
     };
@@ -28,7 +28,7 @@ pub fn run() -> anyhow::Result<()> {
         return Ok(());
     }
     if let Some((scan_id, state)) = process.join()? {
-        lost = describer.resume(&state).is_err();
+        lost = detector.resume(&state).is_err();
         scans.skip_to(scan_id);
     }
     while process.wait_joined()? {
@@ -36,9 +36,9 @@ pub fn run() -> anyhow::Result<()> {
             if lost {
                 continue;
             }
-            let mut described = describer.step(&scan, &pose);
+            let mut described = detector.step(&scan, &pose);
             obstacles.publish(&mut described)?;
-            process.save(&described.header, &describer.state())?;
+            process.save(&described.header, &detector.state())?;
         }
     }
     Ok(())

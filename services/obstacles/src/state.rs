@@ -46,7 +46,7 @@ plain_state! {
 }
 
 plain_state! {
-    /// State of a [`Describer`](crate::Describer) after a scan.
+    /// State of a [`ObstacleDetector`](crate::ObstacleDetector) after a scan.
     pub struct ObstaclesState {
         /// When the last scan was acquired [ns]
         pub acquired_ns: u64,

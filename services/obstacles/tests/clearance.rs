@@ -2,8 +2,8 @@
 
 mod scene;
 
-use obstacles::Describer;
-use scene::{Body, Robot, Scene, block, describer, with_walls};
+use obstacles::ObstacleDetector;
+use scene::{Body, Robot, Scene, block, detector, with_walls};
 use shared_types::Obstacles;
 use vehicle::geometry::Rectangle;
 
@@ -28,12 +28,12 @@ fn cost(robot: &Robot, arcs: [f64; 2], obstacles: &Obstacles, bound: f64) -> f64
 }
 
 /// Drives past `body` and returns the smallest true distance to it and the largest to the line.
-fn drive(describer: &mut Describer, scene: &mut Scene, body: &Rectangle, bound: f64) -> (f64, f64) {
+fn drive(detector: &mut ObstacleDetector, scene: &mut Scene, body: &Rectangle, bound: f64) -> (f64, f64) {
     let mut robot = Robot { speed: 1.0, ..Robot::default() };
     let (mut nearest, mut widest) = (f64::INFINITY, 0.0_f64);
     for _ in 0..110 {
         let (scan, pose) = scene.scan(&robot);
-        let obstacles = describer.step(&scan, &pose);
+        let obstacles = detector.step(&scan, &pose);
         let curvatures: Vec<f64> = (-6..=6).map(|step| f64::from(step) / 6.0 / RADIUS_M).collect();
         let mut best = (f64::INFINITY, 0.0);
         for one in &curvatures {
@@ -78,7 +78,7 @@ fn the_body_keeps_its_distance_to_boxes_that_are_long_or_turned() {
                 if seed > 0 {
                     scene = scene.noisy(seed);
                 }
-                let (nearest, widest) = drive(&mut describer(), &mut scene, &rectangle_of(body), 1.5);
+                let (nearest, widest) = drive(&mut detector(), &mut scene, &rectangle_of(body), 1.5);
                 assert!(nearest > 0.1, "{length} x {width} at {yaw}, y {y}, seed {seed}: {nearest}");
                 // Around a long turned box the planner of this test, two arcs without a memory, may swing wide.
                 let straight = yaw == 0.0 || length < 1.0;
@@ -104,7 +104,7 @@ fn two_boxes_one_behind_the_other_on_both_sides_are_passed() {
     let bodies = [block(5.0, 0.8, 0.4, 0.4, 0.0), block(8.5, -0.8, 0.4, 0.4, 0.3)];
     for body in bodies {
         let mut scene = Scene::of(&bodies).noisy(8);
-        let (nearest, _) = drive(&mut describer(), &mut scene, &rectangle_of(body), 1.5);
+        let (nearest, _) = drive(&mut detector(), &mut scene, &rectangle_of(body), 1.5);
         assert!(nearest > 0.1, "{nearest}");
     }
 }

@@ -2,12 +2,12 @@
 
 mod scene;
 
-use scene::{Body, Robot, Scene, block, bodies, describer, run, with_walls};
+use scene::{Body, Robot, Scene, block, bodies, detector, run, with_walls};
 
 #[test]
 fn a_box_of_40_cm_has_the_ellipse_of_the_rule() {
     let mut scene = Scene::of(&[block(5.0, 0.0, 0.1, 0.4, 0.0)]);
-    let seen = run(&mut describer(), &mut scene, &mut Robot::default(), 5);
+    let seen = run(&mut detector(), &mut scene, &mut Robot::default(), 5);
     assert_eq!(seen[0].count, 0, "far away, the first sight is not yet trusted");
     for obstacles in &seen[1..] {
         let [item] = obstacles.list() else { panic!("{obstacles:?}") };
@@ -24,7 +24,7 @@ fn a_box_of_40_cm_has_the_ellipse_of_the_rule() {
 fn noise_and_dropouts_do_not_widen_a_box() {
     for seed in 0..20 {
         let mut scene = Scene::of(&[block(4.0, 0.3, 0.3, 0.4, 0.0)]).noisy(seed);
-        let seen = run(&mut describer(), &mut scene, &mut Robot::default(), 100);
+        let seen = run(&mut detector(), &mut scene, &mut Robot::default(), 100);
         for (scan, obstacles) in seen.iter().enumerate().skip(1) {
             let [item] = obstacles.list() else { panic!("seed {seed} scan {scan}: {obstacles:?}") };
             let width = item.b_m - 0.4;
@@ -43,8 +43,7 @@ fn a_moving_robot_sees_what_stands_where_it_stands() {
     for seed in 0..10 {
         let mut scene = Scene::of(&[block(5.0, 0.9, 0.4, 0.4, 0.0)]).noisy(seed);
         let mut robot = Robot { speed: 1.0, yaw_rate: 0.05, yaw: -0.1, ..Robot::default() };
-        for (scan, obstacles) in run(&mut describer(), &mut scene, &mut robot, 60).iter().enumerate().skip(2)
-        {
+        for (scan, obstacles) in run(&mut detector(), &mut scene, &mut robot, 60).iter().enumerate().skip(2) {
             let [item] = obstacles.list() else { panic!("seed {seed} scan {scan}: {obstacles:?}") };
             assert_eq!(item.velocity_x_mps, 0.0, "seed {seed} scan {scan}");
             let error = (item.box_y_m - 0.9).hypot(item.box_x_m - 5.0);
@@ -58,7 +57,7 @@ fn a_moving_robot_sees_what_stands_where_it_stands() {
 #[test]
 fn two_obstacles_are_two_and_the_nearer_comes_first() {
     let mut scene = Scene::of(&[block(4.0, 0.9, 0.3, 0.3, 0.0), Body::Circle([2.5, -0.6].into(), 0.2)]);
-    let seen = run(&mut describer(), &mut scene, &mut Robot::default(), 3);
+    let seen = run(&mut detector(), &mut scene, &mut Robot::default(), 3);
     let [near, far] = seen[2].list() else { panic!("{:?}", seen[2]) };
     // Of the circle the robot sees the near half: its box ends at the circle's centre.
     assert!((near.x_m - 2.4).abs() < 0.04 && (near.y_m + 0.58).abs() < 0.04, "{near:?}");
@@ -70,7 +69,7 @@ fn two_obstacles_are_two_and_the_nearer_comes_first() {
 #[test]
 fn something_near_is_reported_at_its_first_sight() {
     let mut scene = Scene::of(&[block(1.6, 0.0, 0.1, 0.3, 0.0)]);
-    assert_eq!(run(&mut describer(), &mut scene, &mut Robot::default(), 1)[0].count, 1);
+    assert_eq!(run(&mut detector(), &mut scene, &mut Robot::default(), 1)[0].count, 1);
 }
 
 #[test]
@@ -106,7 +105,7 @@ fn a_scan_full_of_obstacles_counts_those_that_do_not_fit() {
             Body::Circle([2.2 + 1.1 * f64::from(row), y].into(), 0.04)
         })
         .collect();
-    let seen = run(&mut describer(), &mut Scene::of(&poles), &mut Robot::default(), 4);
+    let seen = run(&mut detector(), &mut Scene::of(&poles), &mut Robot::default(), 4);
     let obstacles = &seen[3];
     assert_eq!(obstacles.count, 16);
     assert!(obstacles.overflow >= 1, "{}", obstacles.overflow);

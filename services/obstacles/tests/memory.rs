@@ -2,15 +2,15 @@
 
 mod scene;
 
-use obstacles::{Config, Describer};
-use scene::{Body, Robot, Scene, block, describer, mover, run};
+use obstacles::{Config, ObstacleDetector};
+use scene::{Body, Robot, Scene, block, detector, mover, run};
 use shared_types::Obstacles;
 
 #[test]
 fn an_obstacle_beside_and_behind_is_remembered_until_it_is_three_metres_behind() {
     let mut scene = Scene::of(&[block(3.0, 0.9, 0.3, 0.3, 0.0)]).noisy(3);
     let mut robot = Robot { speed: 1.0, ..Robot::default() };
-    let seen = run(&mut describer(), &mut scene, &mut robot, 75);
+    let seen = run(&mut detector(), &mut scene, &mut robot, 75);
     let id = seen[2].items[0].id;
     for (scan, obstacles) in seen.iter().enumerate().skip(2) {
         let behind = 0.1 * scan as f64 - 3.15;
@@ -32,12 +32,12 @@ fn an_obstacle_beside_and_behind_is_remembered_until_it_is_three_metres_behind()
 #[test]
 fn a_hidden_obstacle_is_remembered() {
     let poles = [block(4.5, 0.4, 0.2, 0.3, 0.0)];
-    let mut describer = describer();
+    let mut detector = detector();
     let mut scene = Scene::of(&poles);
-    let first = run(&mut describer, &mut scene, &mut Robot::default(), 3);
+    let first = run(&mut detector, &mut scene, &mut Robot::default(), 3);
     assert_eq!(first[2].count, 1);
     scene.bodies.push(block(2.5, 0.2, 0.1, 1.0, 0.0));
-    let later = run(&mut describer, &mut scene, &mut Robot::default(), 20);
+    let later = run(&mut detector, &mut scene, &mut Robot::default(), 20);
     let hidden = later[19].list().iter().find(|item| item.id == first[2].items[0].id).unwrap();
     assert!((hidden.unseen_s - 2.0).abs() < 1e-9, "{}", hidden.unseen_s);
 }
@@ -45,13 +45,13 @@ fn a_hidden_obstacle_is_remembered() {
 #[test]
 fn an_obstacle_that_vanishes_is_forgotten_within_three_scans() {
     for seed in 0..10 {
-        let mut describer = describer();
+        let mut detector = detector();
         let mut scene =
             Scene::of(&[block(4.0, 0.2, 0.1, 0.4, 0.0), Body::Circle([3.0, -0.8].into(), 0.15)]).noisy(seed);
-        let seen = run(&mut describer, &mut scene, &mut Robot::default(), 10);
+        let seen = run(&mut detector, &mut scene, &mut Robot::default(), 10);
         assert_eq!(seen[9].count, 2);
         scene.bodies.remove(0);
-        let seen = run(&mut describer, &mut scene, &mut Robot::default(), 4);
+        let seen = run(&mut detector, &mut scene, &mut Robot::default(), 4);
         assert_eq!(
             (seen[0].count, seen[3].count),
             (2, 1),
@@ -66,7 +66,7 @@ fn the_velocity_of_a_moving_obstacle_is_found_with_an_honest_covariance() {
     let (mut inside, mut total) = (0, 0);
     for seed in 0..20 {
         let mut scene = Scene::of(&[mover(4.5, -1.2, 0.4, -0.1, 0.4)]).noisy(seed);
-        let seen = run(&mut describer(), &mut scene, &mut Robot::default(), 50);
+        let seen = run(&mut detector(), &mut scene, &mut Robot::default(), 50);
         let id = seen[2].items[0].body;
         for (scan, obstacles) in seen.iter().enumerate().skip(20) {
             let item = obstacles.items[0];
@@ -87,14 +87,14 @@ fn the_velocity_of_a_moving_obstacle_is_found_with_an_honest_covariance() {
 
 #[test]
 fn a_moving_obstacle_out_of_sight_is_carried_on_for_a_second() {
-    let mut describer = describer();
+    let mut detector = detector();
     let mut scene = Scene::of(&[mover(3.5, -1.0, 0.4, 0.0, 0.5)]);
-    let seen = run(&mut describer, &mut scene, &mut Robot::default(), 25);
+    let seen = run(&mut detector, &mut scene, &mut Robot::default(), 25);
     let last = seen[24].items[0];
     assert!((last.velocity_y_mps - 0.5).abs() < 0.1, "{}", last.velocity_y_mps);
     // Something near hides everything ahead.
     scene.bodies = vec![block(1.0, 0.0, 0.1, 4.0, 0.0)];
-    let later = run(&mut describer, &mut scene, &mut Robot::default(), 12);
+    let later = run(&mut detector, &mut scene, &mut Robot::default(), 12);
     let find = |obstacles: &Obstacles| obstacles.list().iter().find(|item| item.body == last.body).copied();
     let carried = find(&later[4]).unwrap();
     assert!((carried.box_y_m - last.box_y_m - 0.25).abs() < 0.06, "{} {}", carried.box_y_m, last.box_y_m);
@@ -108,7 +108,7 @@ fn a_body_that_comes_into_view_part_by_part_does_not_move() {
         for yaw in [0.0, 0.3, -0.5] {
             let mut scene = Scene::of(&[block(5.0, 1.1, 2.0, 0.4, yaw)]).noisy(seed);
             let mut robot = Robot { speed: 1.0, ..Robot::default() };
-            for (scan, obstacles) in run(&mut describer(), &mut scene, &mut robot, 70).iter().enumerate() {
+            for (scan, obstacles) in run(&mut detector(), &mut scene, &mut robot, 70).iter().enumerate() {
                 for item in obstacles.list() {
                     assert_eq!((item.velocity_x_mps, item.velocity_y_mps), (0.0, 0.0), "{seed} {yaw} {scan}");
                 }
@@ -126,13 +126,13 @@ fn a_describer_that_resumes_goes_on_bit_by_bit() {
     ];
     let mut scene = Scene::of(&bodies).noisy(5);
     let mut robot = Robot { speed: 0.8, ..Robot::default() };
-    let (mut first, mut twin) = (describer(), describer());
+    let (mut first, mut twin) = (detector(), detector());
     for scan in 0..60 {
         let (sample, pose) = scene.scan(&robot);
         robot = robot.after(0.1);
         if scan % 7 == 3 {
             let state = twin.state();
-            twin = Describer::new(Config::default()).unwrap();
+            twin = ObstacleDetector::new(Config::default()).unwrap();
             twin.resume(&state).unwrap();
         }
         let (one, two) = (first.step(&sample, &pose), twin.step(&sample, &pose));

@@ -2,9 +2,9 @@
 
 mod scene;
 
-use obstacles::{Config, Describer, ObstaclesState};
+use obstacles::{Config, ObstacleDetector, ObstaclesState};
 use proptest::prelude::*;
-use scene::{Robot, Scene, block, describer};
+use scene::{Robot, Scene, block, detector};
 use shared_types::{BEAMS, Header, Obstacles, Pose, Sample, Scan};
 
 fn checked(mut obstacles: Obstacles) -> Obstacles {
@@ -57,7 +57,7 @@ proptest! {
         walls: bool,
         steps in proptest::collection::vec((ranges(), pose(), any::<u32>(), any::<bool>()), 1..12),
     ) {
-        let mut describer = Describer::new(Config { walls, ..Config::default() }).unwrap();
+        let mut detector = ObstacleDetector::new(Config { walls, ..Config::default() }).unwrap();
         let mut now = 1_000_000_000_u64;
         for (ranges, mut pose, gap, tame) in steps {
             now = now.wrapping_add(if tame { 100_000_000 } else { u64::from(gap) });
@@ -69,11 +69,11 @@ proptest! {
             if tame {
                 (pose.x_m, pose.y_m, pose.yaw_rad) = (1.0, 0.0, 0.1);
             }
-            checked(describer.step(&scan, &pose));
+            checked(detector.step(&scan, &pose));
         }
-        let mut next = describer.clone();
-        next.resume(&describer.state()).unwrap();
-        let (one, two) = (next.state(), describer.state());
+        let mut next = detector.clone();
+        next.resume(&detector.state()).unwrap();
+        let (one, two) = (next.state(), detector.state());
         prop_assert_eq!(bytemuck::bytes_of(&one), bytemuck::bytes_of(&two));
     }
 
@@ -84,31 +84,31 @@ proptest! {
         bytes.iter_mut().for_each(|byte| *byte = (scene.uniform() * 256.0) as u8);
         let mut state: ObstaclesState = bytemuck::pod_read_unaligned(&bytes);
         state.count = count;
-        let mut describer = describer();
-        let _ = describer.resume(&state);
+        let mut detector = detector();
+        let _ = detector.resume(&state);
         let (scan, pose) = scene.scan(&Robot::default());
-        checked(describer.step(&scan, &pose));
+        checked(detector.step(&scan, &pose));
     }
 }
 
 #[test]
 fn a_pose_that_is_not_finite_keeps_what_is_known() {
     let mut scene = Scene::of(&[block(3.0, 0.0, 0.4, 0.4, 0.0)]);
-    let mut describer = describer();
-    scene::run(&mut describer, &mut scene, &mut Robot::default(), 3);
+    let mut detector = detector();
+    scene::run(&mut detector, &mut scene, &mut Robot::default(), 3);
     let (scan, pose) = scene.scan(&Robot::default());
-    let blind = checked(describer.step(&scan, &Pose { yaw_rad: f64::NAN, ..pose }));
+    let blind = checked(detector.step(&scan, &Pose { yaw_rad: f64::NAN, ..pose }));
     assert_eq!(blind.count, 1);
     assert!((blind.items[0].unseen_s - 0.1).abs() < 1e-9);
     let (scan, pose) = scene.scan(&Robot::default());
-    let seen = checked(describer.step(&scan, &pose));
+    let seen = checked(detector.step(&scan, &pose));
     assert_eq!((seen.count, seen.items[0].unseen_s, seen.items[0].id), (1, 0.0, blind.items[0].id));
 }
 
 #[test]
 fn speckle_is_no_obstacle() {
     let mut scene = Scene::of(&[]);
-    let mut describer = describer();
+    let mut detector = detector();
     for _ in 0..200 {
         let (mut scan, pose) = scene.scan(&Robot::default());
         for range in &mut scan.ranges_mm {
@@ -117,6 +117,6 @@ fn speckle_is_no_obstacle() {
                 *range = (300.0 + 5000.0 * scene.uniform()) as u16;
             }
         }
-        assert_eq!(checked(describer.step(&scan, &pose)).count, 0);
+        assert_eq!(checked(detector.step(&scan, &pose)).count, 0);
     }
 }

@@ -20,7 +20,7 @@ use actuation::Actuator;
 use emulator::Emulator;
 use estimator::Estimator;
 use nmpc::{Budget, Controller};
-use obstacles::Describer;
+use obstacles::ObstacleDetector;
 use shared_types::{
     Actuation, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StageStamps, Truth,
 };
@@ -49,7 +49,7 @@ pub struct Step {
 pub struct Pipeline {
     emulator: Emulator,
     estimator: Estimator,
-    describer: Describer,
+    detector: ObstacleDetector,
     controller: Controller,
     actuator: Actuator,
     iterations: u32,
@@ -68,7 +68,7 @@ impl Pipeline {
         Ok(Self {
             emulator: Emulator::new(scenario, *period_ns),
             estimator: Estimator::new(&tuning.estimator).map_err(|error| error.within("estimator"))?,
-            describer: Describer::new(tuning.obstacles).map_err(|error| error.within("obstacles"))?,
+            detector: ObstacleDetector::new(tuning.obstacles).map_err(|error| error.within("obstacles"))?,
             iterations: tuning.controller.budget_iterations,
             controller: Controller::new(tuning.controller).map_err(|error| error.within("controller"))?,
             actuator: Actuator::new(tuning.actuator, *period_ns).map_err(|error| error.within("actuator"))?,
@@ -99,7 +99,7 @@ impl Pipeline {
         publish.complete(Role::Estimator, &mut pose);
         step.pose = Some(pose);
 
-        let mut obstacles = self.describer.step(&step.scan, &pose);
+        let mut obstacles = self.detector.step(&step.scan, &pose);
         publish.complete(Role::Obstacles, &mut obstacles);
         step.obstacles = Some(obstacles);
 

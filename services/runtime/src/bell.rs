@@ -59,7 +59,7 @@ pub(crate) struct Bells(Mapped<Page>);
 
 impl Bell {
     /// What a reader compares later: to be read before its inputs are emptied.
-    pub(crate) fn look(&self) -> u32 {
+    pub(crate) fn poll(&self) -> u32 {
         self.rung.load(Ordering::SeqCst)
     }
 
@@ -98,7 +98,7 @@ impl Bell {
     /// or `until_ns` of CLOCK_MONOTONIC; returns whether it ended before that time.
     pub(crate) fn sleep(&self, seen: u32, until_ns: u64, topics: u32) -> bool {
         let Some(bits) = NonZeroU32::new(topics) else { return true };
-        if self.look() != seen {
+        if self.poll() != seen {
             return true;
         }
         self.sleepers(topics).for_each(|sleepers| _ = sleepers.fetch_add(1, Ordering::SeqCst));

@@ -11,7 +11,7 @@ use shared_types::Topic;
 
 use crate::enclosed::Enclosed;
 use crate::output::Connect;
-use crate::port::{Publisher, Received, Subscriber};
+use crate::port::{BytePublisher, ByteSubscriber, Received};
 use crate::{Process, RuntimeError};
 
 /// Smallest blob: the number of its scan [bytes].
@@ -19,14 +19,14 @@ pub const SMALLEST_BLOB: usize = 8;
 
 /// Publishes blobs beside one topic.
 pub struct BlobOutput {
-    publisher: Enclosed<Publisher>,
+    publisher: Enclosed<BytePublisher>,
     content: RefCell<Vec<u8>>,
     topic: Topic,
 }
 
 /// Takes blobs that came beside one topic.
 pub struct BlobInput {
-    subscriber: Enclosed<Subscriber>,
+    subscriber: Enclosed<ByteSubscriber>,
     /// Of a later scan than the one asked for last.
     ahead: Enclosed<RefCell<Option<Received>>>,
     read: Cell<u64>,

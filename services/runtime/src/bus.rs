@@ -16,8 +16,8 @@ use shared_types::{
 
 use crate::bell::Bells;
 use crate::enclosed::Enclosed;
-use crate::port::{self, Publisher, Samples, Subscriber};
-use crate::quality::{EVENT_PORTS, NODES, Quality, quality};
+use crate::port::{self, BytePublisher, ByteSubscriber, Samples};
+use crate::qos::{EVENT_PORTS, NODES, Qos, qos};
 use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
 use crate::sample_type::SampleType;
 use crate::{Domain, RuntimeError, layouts, node};
@@ -83,7 +83,7 @@ impl Bus {
             Self::create_empty(domain)?
         };
         for of in ALL_SAMPLES {
-            bus.create_topic(of, quality(of.topic), take_over)?;
+            bus.create_topic(of, qos(of.topic), take_over)?;
         }
         allocate_files(domain)?;
         Ok(bus)
@@ -150,24 +150,24 @@ impl Bus {
     }
 
     /// A port for payloads beside a topic, of at most so many bytes.
-    pub(crate) fn blob_publisher(&self, topic: Topic, longest: usize) -> Result<Publisher, RuntimeError> {
-        let created = Publisher::new(self.open_blobs(topic)?, longest);
+    pub(crate) fn blob_publisher(&self, topic: Topic, longest: usize) -> Result<BytePublisher, RuntimeError> {
+        let created = BytePublisher::new(self.open_blobs(topic)?, longest);
         created.map_err(|reason| RuntimeError::bus(format!("write payloads of topic {topic}"), reason))
     }
 
-    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<Subscriber, RuntimeError> {
-        let created = Subscriber::new(&self.open_blobs(topic)?, 0, topic, None);
+    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<ByteSubscriber, RuntimeError> {
+        let created = ByteSubscriber::new(&self.open_blobs(topic)?, 0, topic, None);
         created.map_err(|reason| RuntimeError::bus(format!("read payloads of topic {topic}"), reason))
     }
 
-    pub(crate) fn publisher(&self, of: &SampleType) -> Result<Publisher, RuntimeError> {
-        let created = Publisher::new(self.open_samples(of)?, 1);
+    pub(crate) fn publisher(&self, of: &SampleType) -> Result<BytePublisher, RuntimeError> {
+        let created = BytePublisher::new(self.open_samples(of)?, 1);
         created.map_err(|reason| RuntimeError::bus(format!("write topic {}", of.topic), reason))
     }
 
-    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<Subscriber, RuntimeError> {
-        let history = quality(of.topic).history;
-        let created = Subscriber::new(&self.open_samples(of)?, history, of.topic, Some(of.size));
+    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<ByteSubscriber, RuntimeError> {
+        let history = qos(of.topic).history;
+        let created = ByteSubscriber::new(&self.open_samples(of)?, history, of.topic, Some(of.size));
         created.map_err(|reason| RuntimeError::bus(format!("read topic {}", of.topic), reason))
     }
 
@@ -189,24 +189,19 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
-        let quality = Quality { subscribers: readers, ..quality(S::TOPIC) };
-        self.create_topic(SampleType::of::<S>(), quality, false)
+        let qos = Qos { subscribers: readers, ..qos(S::TOPIC) };
+        self.create_topic(SampleType::of::<S>(), qos, false)
     }
 
-    fn create_topic(
-        &mut self,
-        of: &SampleType,
-        quality: Quality,
-        take_over: bool,
-    ) -> Result<(), RuntimeError> {
+    fn create_topic(&mut self, of: &SampleType, qos: Qos, take_over: bool) -> Result<(), RuntimeError> {
         let (name, detail) = (service_name(of.topic)?, port::of_samples(of)?);
         let samples = || {
             port::samples(&self.node, &name, &detail)
-                .max_publishers(quality.publishers)
-                .max_subscribers(quality.subscribers)
-                .subscriber_max_buffer_size(quality.buffer)
-                .subscriber_max_borrowed_samples(quality.borrowed)
-                .history_size(quality.history)
+                .max_publishers(qos.publishers)
+                .max_subscribers(qos.subscribers)
+                .subscriber_max_buffer_size(qos.buffer)
+                .subscriber_max_borrowed_samples(qos.borrowed)
+                .history_size(qos.history)
                 .enable_safe_overflow(true)
                 .max_nodes(NODES)
         };

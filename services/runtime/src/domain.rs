@@ -161,7 +161,7 @@ impl Domain {
         self.folder.path().exists()
     }
 
-    /// Beginning of the names of all files that the system has in shared memory.
+    /// Startup of the names of all files that the system has in shared memory.
     pub fn shared_memory_prefix(&self) -> &str {
         &self.prefix
     }

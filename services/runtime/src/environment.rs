@@ -19,11 +19,11 @@ pub const RUNTIME_DIR_VARIABLE: &str = "SCANLOOP_RUNTIME_DIR";
 pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";
 
 /// Gives the incarnation of the running process of the role to one that is started beside it.
-pub const BESIDE_VARIABLE: &str = "SCANLOOP_BESIDE";
+pub const CANDIDATE_VARIABLE: &str = "SCANLOOP_BESIDE";
 
 /// The incarnation of the process that this one was started beside.
 pub(crate) fn beside() -> Option<u32> {
-    std::env::var(BESIDE_VARIABLE).ok()?.parse().ok().filter(|incarnation| *incarnation > 0)
+    std::env::var(CANDIDATE_VARIABLE).ok()?.parse().ok().filter(|incarnation| *incarnation > 0)
 }
 
 /// Whether this process takes the place of another.

@@ -32,7 +32,6 @@ mod clock;
 mod counters;
 mod crash;
 mod domain;
-mod ear;
 mod enclosed;
 mod environment;
 mod error;
@@ -51,7 +50,7 @@ mod peer;
 mod place;
 mod port;
 mod process;
-mod quality;
+mod qos;
 mod realtime;
 mod refusals;
 mod reserve;
@@ -64,6 +63,7 @@ mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
+mod waiter;
 mod wake;
 
 pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
@@ -72,7 +72,7 @@ pub use clock::{Clock, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};
 pub use domain::{Domain, remove_bus_files_of};
 pub use environment::{
-    BESIDE_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, ROLE_VARIABLE,
+    CANDIDATE_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, ROLE_VARIABLE,
     RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
 };
 pub use error::RuntimeError;
@@ -85,12 +85,12 @@ pub use identity::{
 pub use input::{Input, KEPT, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
-pub use observer::{Checked, Observer, Voice};
+pub use observer::{Checked, Observer, Publisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use peer::peer_uid;
 pub use process::Process;
-pub use quality::buffer;
+pub use qos::buffer;
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
 pub use settings::{ClockKind, RunSettings, settings_file, settings_table};

@@ -8,11 +8,11 @@ use bytemuck::{bytes_of, bytes_of_mut};
 use shared_types::{Fault, Sample};
 
 use crate::bell::{Bells, bit};
-use crate::ear::{Ear, Ringer};
 use crate::enclosed::Enclosed;
-use crate::port::{Publisher, Received, Subscriber};
-use crate::quality::quality;
+use crate::port::{BytePublisher, ByteSubscriber, Received};
+use crate::qos::qos;
 use crate::sample_type::{SampleType, view};
+use crate::waiter::{Ringer, Waiter};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
 /// Most goes at all producers in one look; more than the longest queue of a topic needs.
@@ -44,7 +44,7 @@ impl<S: Sample> Observer<S> {
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
     /// [`Observer::waking`] it always sleeps to the end.
     ///
-    /// What came after the last [`Observer::poll`] or [`Observer::look`] had begun ends the sleep at once.
+    /// What came after the last [`Observer::poll`] or [`Observer::poll_checked`] had begun ends the sleep at once.
     pub fn wait(&self, timeout_ns: u64) -> bool {
         self.0.wait(timeout_ns)
     }
@@ -55,7 +55,7 @@ impl<S: Sample> Observer<S> {
     }
 
     /// The next sample, whatever its content; `None` when there is none now. Where a producer may flood the topic,
-    /// [`Observer::look`] ends and this does not have to.
+    /// [`Observer::poll_checked`] ends and this does not have to.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
@@ -70,7 +70,7 @@ impl<S: Sample> Observer<S> {
     /// [`RuntimeError::Bus`] when receiving fails.
     pub fn poll(&self, mut each: impl FnMut(&S)) -> Result<u64, RuntimeError> {
         let mut invalid = 0;
-        self.look(|sample, check| match check {
+        self.poll_checked(|sample, check| match check {
             Ok(()) => each(sample),
             Err(_) => invalid += 1,
         })?;
@@ -84,8 +84,8 @@ impl<S: Sample> Observer<S> {
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
-    pub fn look(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
-        self.0.look(&mut |sample| {
+    pub fn poll_checked(&self, mut each: impl FnMut(&S, Result<(), Fault>)) -> Result<(), RuntimeError> {
+        self.0.poll(&mut |sample| {
             let sample = view::<S>(sample);
             each(sample, sample.check());
         })
@@ -95,7 +95,7 @@ impl<S: Sample> Observer<S> {
 /// [`Observer`] of samples of any type.
 struct Source {
     of: &'static SampleType,
-    subscriber: Subscriber,
+    subscriber: ByteSubscriber,
     waking: Option<Waking>,
     borrowed: RefCell<Vec<Received>>,
 }
@@ -103,15 +103,16 @@ struct Source {
 /// What an observer sleeps on.
 struct Waking {
     bells: Arc<Bells>,
-    ear: Ear,
+    waiter: Waiter,
     seen: Cell<u32>,
 }
 
 impl Source {
     fn open(bus: &Bus, of: &'static SampleType, waking: bool) -> Result<Enclosed<Self>, RuntimeError> {
-        let ear = if waking { Some(Ear::new(bus, of.topic)?) } else { None };
-        let waking = ear.map(|ear| Waking { bells: Arc::clone(bus.bells()), ear, seen: Cell::new(0) });
-        let borrowed = RefCell::new(Vec::with_capacity(quality(of.topic).most_borrowed()));
+        let waiter = if waking { Some(Waiter::new(bus, of.topic)?) } else { None };
+        let waking =
+            waiter.map(|waiter| Waking { bells: Arc::clone(bus.bells()), waiter, seen: Cell::new(0) });
+        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic).most_borrowed()));
         let subscriber = bus.subscriber(of)?;
         bus.allocate()?;
         Ok(Enclosed::new(Self { of, subscriber, waking, borrowed }))
@@ -120,20 +121,20 @@ impl Source {
     fn wait(&self, timeout_ns: u64) -> bool {
         let Some(waking) = &self.waking else { return wait_for(&[], timeout_ns) };
         let bell = waking.bells.topic(self.of.topic);
-        let on = waking.ear.is_needed(false);
-        if on && waking.ear.descriptor().is_none() {
+        let on = waking.waiter.is_needed(false);
+        if on && waking.waiter.descriptor().is_none() {
             // What was notified before this is not heard: look first.
-            waking.ear.listen(true);
+            waking.waiter.listen(true);
             return true;
         }
-        waking.ear.listen(on);
+        waking.waiter.listen(on);
         let (seen, bit) = (waking.seen.get(), bit(self.of.topic));
-        let awake = match waking.ear.descriptor() {
-            Some(descriptor) => bell.look() != seen || wait_for(&[descriptor], timeout_ns),
+        let awake = match waking.waiter.descriptor() {
+            Some(descriptor) => bell.poll() != seen || wait_for(&[descriptor], timeout_ns),
             None => bell.sleep(seen, monotonic_ns().saturating_add(timeout_ns), bit),
         };
         if !awake {
-            waking.ear.is_needed(true);
+            waking.waiter.is_needed(true);
         }
         awake
     }
@@ -143,7 +144,7 @@ impl Source {
         Ok(self.subscriber.receive()?.map(Enclosed::new))
     }
 
-    fn look(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
+    fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
         self.mark_seen();
         let mut borrowed = self.borrowed.borrow_mut();
         for _ in 0..GOES {
@@ -162,16 +163,16 @@ impl Source {
     /// What is rung or notified from here on was not seen yet.
     fn mark_seen(&self) {
         if let Some(waking) = &self.waking {
-            waking.seen.set(waking.bells.topic(self.of.topic).look());
-            waking.ear.clear();
+            waking.seen.set(waking.bells.topic(self.of.topic).poll());
+            waking.waiter.clear();
         }
     }
 }
 
 /// Publishes samples that belong to no role: the orchestrator's directives and relayed checkpoints.
-pub struct Voice<S: Sample>(Enclosed<Sender>, PhantomData<S>);
+pub struct Publisher<S: Sample>(Enclosed<Sender>, PhantomData<S>);
 
-impl<S: Sample> Voice<S> {
+impl<S: Sample> Publisher<S> {
     /// Opens the topic for writing.
     ///
     /// # Errors
@@ -185,24 +186,24 @@ impl<S: Sample> Voice<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     #[inline(always)]
-    pub fn say(&mut self, sample: &mut S, wake: bool) -> Result<(), RuntimeError> {
+    pub fn publish(&mut self, sample: &mut S, wake: bool) -> Result<(), RuntimeError> {
         self.0.number(bytes_of_mut(sample));
-        self.say_as_it_is(sample, wake)
+        self.publish_unchanged(sample, wake)
     }
 
     /// Publishes a sample whose header is complete, right or wrong: for tests of those who read it.
     ///
     /// # Errors
-    /// As [`Voice::say`].
-    pub fn say_as_it_is(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
+    /// As [`Publisher::say`].
+    pub fn publish_unchanged(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         self.0.send(bytes_of(sample), wake)
     }
 }
 
-/// [`Voice`] of samples of any type.
+/// [`Publisher`] of samples of any type.
 struct Sender {
     of: &'static SampleType,
-    publisher: Publisher,
+    publisher: BytePublisher,
     ringer: Ringer,
     sequence: Cell<u64>,
 }
@@ -228,7 +229,7 @@ impl Sender {
         place.bytes().copy_from_slice(sample);
         place.send().map_err(|reason| error(&reason))?;
         if wake {
-            self.ringer.look_for_listeners();
+            self.ringer.poll_listeners();
             self.ringer.ring();
         }
         Ok(())

@@ -59,12 +59,12 @@ pub(crate) fn samples(node: &Node<ipc::Service>, name: &ServiceName, detail: &Ty
 
 /// Lends places in shared memory and sends what was written there.
 #[derive(Debug)]
-pub(crate) struct Publisher {
+pub(crate) struct BytePublisher {
     port: publisher::Publisher<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
     service: Samples,
 }
 
-impl Publisher {
+impl BytePublisher {
     /// A port that lends one place at a time, of at most `longest` elements.
     pub(crate) fn new(service: Samples, longest: usize) -> Result<Self, PublisherCreateError> {
         let port = service
@@ -120,14 +120,14 @@ impl Loan {
 
 /// Receives samples.
 #[derive(Debug)]
-pub(crate) struct Subscriber {
+pub(crate) struct ByteSubscriber {
     port: subscriber::Subscriber<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
     topic: Topic,
     /// Of each sample, where all have the same [bytes].
     size: Option<usize>,
 }
 
-impl Subscriber {
+impl ByteSubscriber {
     /// A port that asks for `history` samples of the past.
     pub(crate) fn new(
         service: &Samples,

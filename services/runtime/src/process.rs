@@ -34,7 +34,7 @@ use crate::{
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
 /// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
-pub(crate) const LONGEST_WAIT_NS: u64 = 100_000_000;
+pub(crate) const MAX_WAIT_NS: u64 = 100_000_000;
 /// The state of a running process is waited for this long, besides two and a half periods [ns].
 const JOIN_NS: u64 = 20_000_000;
 /// A checkpoint that was older than this when its process ended describes another situation [ns].
@@ -135,7 +135,7 @@ impl Process {
             directive_seen_ns: monotonic_ns(),
             looked_ns: 0,
             // Whatever was rung before is found by the first look.
-            rung: bells.role(role).look().wrapping_sub(1),
+            rung: bells.role(role).poll().wrapping_sub(1),
             due_ns: 0,
             alarm: Alarm::new(),
             topics: bit(Topic::Directive),
@@ -264,7 +264,7 @@ impl Process {
         self.bus.allocate()?;
         self.beat()?;
         loop {
-            if !self.sleep(LONGEST_WAIT_NS, Need::Any)? {
+            if !self.sleep(MAX_WAIT_NS, Need::Any)? {
                 return Ok(false);
             }
             let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);

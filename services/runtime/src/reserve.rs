@@ -19,7 +19,7 @@ use rustix::fs::{FallocateFlags, Mode, OFlags, fallocate, fstatvfs, open};
 use rustix::io::Errno;
 use shared_types::{Role, TOPICS, Topic};
 
-use crate::quality::quality;
+use crate::qos::qos;
 use crate::shared_memory::{self, SHARED_MEMORY, Shortage};
 use crate::{Domain, RuntimeError};
 
@@ -181,14 +181,14 @@ fn observer_bytes() -> u64 {
 
 /// Samples of one publisher, and its connections to as many readers as there may be [bytes].
 fn output_bytes(topic: Topic) -> u64 {
-    let quality = quality(topic);
-    quality.samples_bytes(topic.size()) + quality.subscribers as u64 * quality.connection_bytes()
+    let qos = qos(topic);
+    qos.samples_bytes(topic.size()) + qos.subscribers as u64 * qos.connection_bytes()
 }
 
 /// Connections of one reader to as many publishers as there may be [bytes].
 fn input_bytes(topic: Topic) -> u64 {
-    let quality = quality(topic);
-    quality.publishers as u64 * quality.connection_bytes()
+    let qos = qos(topic);
+    qos.publishers as u64 * qos.connection_bytes()
 }
 
 #[cfg(test)]

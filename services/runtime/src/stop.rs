@@ -32,7 +32,7 @@ const ARMED: u64 = 0x5ca1_ab1e_d01e_d0e5;
 const STOPPED: u64 = 0;
 /// Number of the layout of the page.
 const VERSION: u64 = 1;
-/// Beginning of the name of the page in `/proc/PID/fd`.
+/// Startup of the name of the page in `/proc/PID/fd`.
 const NAME: &str = "scanloop-stop-";
 /// Size of the page [bytes].
 const LENGTH: usize = 4096;

@@ -17,7 +17,7 @@ use crate::input::{Input, join};
 use crate::output::Output;
 use crate::sample_type::SampleType;
 use crate::shared::Shared;
-use crate::{Bus, Clock, Domain, Observer, Process, Voice};
+use crate::{Bus, Clock, Domain, Observer, Process, Publisher};
 
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
@@ -92,7 +92,7 @@ fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
     input.reader().drain().unwrap();
     estimator.clock.advance_to(42);
     output.publish(&mut pose(3, 1.5)).unwrap();
-    assert!(lab.bus().bells().role(Role::Controller).look() != 0);
+    assert!(lab.bus().bells().role(Role::Controller).poll() != 0);
     input.reader().drain().unwrap();
     let taken = input.take().unwrap();
     assert_eq!((taken.x_m, taken.header.scan_id, taken.header.sequence), (1.5, 3, 1));
@@ -130,12 +130,12 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
     // Two voices of one incarnation number their samples alike, as a process that repeats itself does.
     let (mut voice, mut echo) =
-        (Voice::<Pose>::new(lab.bus()).unwrap(), Voice::<Pose>::new(lab.bus()).unwrap());
+        (Publisher::<Pose>::new(lab.bus()).unwrap(), Publisher::<Pose>::new(lab.bus()).unwrap());
     input.reader().drain().unwrap();
-    let say = |voice: &mut Voice<Pose>, incarnation, x_m| {
+    let say = |voice: &mut Publisher<Pose>, incarnation, x_m| {
         let mut sample = pose(1, x_m);
         sample.header.incarnation = incarnation;
-        voice.say(&mut sample, false).unwrap();
+        voice.publish(&mut sample, false).unwrap();
         input.reader().drain().unwrap();
         input.take().map(|taken| taken.x_m)
     };
@@ -164,12 +164,12 @@ fn an_actuation_is_too_old_for_the_robot_only() {
         (Input::<Actuation>::new(lab.bus(), Rc::clone(&shared)).unwrap(), shared)
     };
     let readers = [Role::Robot, Role::Estimator].map(read_by);
-    let mut voice = Voice::<Actuation>::new(lab.bus()).unwrap();
+    let mut voice = Publisher::<Actuation>::new(lab.bus()).unwrap();
     readers.iter().for_each(|(input, _)| input.reader().drain().unwrap());
     let mut block = Actuation::default();
     (block.header.incarnation, block.header.scan_id) = (7, 1);
     block.header.acquired_ns = crate::monotonic_ns() - 400_000_000;
-    voice.say(&mut block, false).unwrap();
+    voice.publish(&mut block, false).unwrap();
     let taken = readers.each_ref().map(|(input, _)| {
         input.reader().drain().unwrap();
         input.take().is_some()
@@ -449,12 +449,12 @@ impl Flood {
         let (domain, asked) = (domain.clone(), std::sync::Arc::clone(&stop));
         let thread = std::thread::spawn(move || {
             let bus = Bus::open(&domain, "flood").unwrap();
-            let mut voice = Voice::<Pose>::new(&bus).unwrap();
+            let mut voice = Publisher::<Pose>::new(&bus).unwrap();
             let mut sample = pose(1, 0.0);
             sample.header.incarnation = 6;
             let mut count = 0;
             while !asked.load(Ordering::Acquire) {
-                voice.say(&mut sample, false).unwrap();
+                voice.publish(&mut sample, false).unwrap();
                 count += 1;
             }
             count

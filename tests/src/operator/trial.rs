@@ -29,7 +29,7 @@ const ROUNDS: usize = 3;
 /// A process that a signal stops is stopped within this time [ns].
 const STOPPED_NS: u64 = 200_000_000;
 /// Time between two looks at the files of the run [ns].
-const LOOK_NS: u64 = 20_000_000;
+const POLL_NS: u64 = 20_000_000;
 /// Signals that leave a process no time to do anything.
 const SUDDEN: [Signal; 5] = [Signal::KILL, Signal::ABORT, Signal::SEGV, Signal::BUS, Signal::ILL];
 /// Signals upon which an orchestrator stops its run.
@@ -110,7 +110,7 @@ impl Trial {
         let deadline_ns = monotonic_ns() + START_NS;
         while self.programs[0].runs() && !self.seen.drove && monotonic_ns() < deadline_ns {
             self.seen.drove = self.drives();
-            self.look();
+            self.poll();
         }
         let truth = File::create(self.truth_file()).expect("a file for the truth");
         let mut observer = self.system.command(&["topic", "echo", "truth", "--short"]);
@@ -164,11 +164,11 @@ impl Trial {
     }
 
     /// Notes which programs have ended and which runs there are.
-    fn look(&mut self) {
+    fn poll(&mut self) {
         for program in &mut self.programs {
             program.runs();
         }
-        if monotonic_ns() > self.looked_ns + LOOK_NS {
+        if monotonic_ns() > self.looked_ns + POLL_NS {
             let _ = self.system.find();
             self.looked_ns = monotonic_ns();
         }
@@ -177,7 +177,7 @@ impl Trial {
 
     fn wait_until_ns(&mut self, at_ns: u64) {
         while monotonic_ns() < at_ns {
-            self.look();
+            self.poll();
         }
     }
 
@@ -268,7 +268,7 @@ impl Trial {
             if monotonic_ns() > deadline_ns {
                 return false;
             }
-            self.look();
+            self.poll();
         }
         true
     }
@@ -393,7 +393,7 @@ impl Trial {
             let limit_ns = if round < rounds { LATE_NS } else { GONE_NS };
             let deadline_ns = monotonic_ns() + limit_ns;
             while !self.is_gone() && monotonic_ns() < deadline_ns {
-                self.look();
+                self.poll();
                 // A run that began while the one before was stopped.
                 if round < rounds && self.stopped() && self.drives() {
                     break;
@@ -405,7 +405,7 @@ impl Trial {
             observer.signal(Signal::INT);
             let deadline_ns = monotonic_ns() + 2_000_000_000;
             while observer.runs() && monotonic_ns() < deadline_ns {
-                self.look();
+                self.poll();
             }
         }
         self.programs.iter_mut().filter(|program| program.name == "load").for_each(|load| {
@@ -426,7 +426,7 @@ impl Trial {
             if monotonic_ns() > deadline_ns {
                 return false;
             }
-            self.look();
+            self.poll();
         }
         true
     }
@@ -444,7 +444,7 @@ impl Trial {
 
     /// What is left of the system, in words.
     fn left(&mut self) -> Vec<String> {
-        self.look();
+        self.poll();
         let mut left: Vec<String> = Vec::new();
         for program in &mut self.programs {
             if program.runs() {

@@ -14,10 +14,10 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const ODD: &str = env!("CARGO_BIN_EXE_odd-controller");
 
 /// True wheels are blocked at the latest three scan periods after the last actuation.
-const LONGEST_BLIND_S: f64 = 0.3;
+const MAX_BLIND_S: f64 = 0.3;
 
 /// A system that drives and whose orchestrator was killed.
-fn driverless(arguments: &[&str]) -> (System, Watch) {
+fn orphaned(arguments: &[&str]) -> (System, Watch) {
     let mut system = System::new(EXECUTABLE);
     system.start(arguments);
     let watch = Watch::new(&system);
@@ -31,7 +31,7 @@ fn pids(status: &Status) -> Vec<i32> {
 }
 
 /// The rows of `status` of a system without an orchestrator.
-fn driverless_status(system: &System) -> Status {
+fn orphaned_status(system: &System) -> Status {
     let output = system.run(&["status", "--json"]);
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)))
@@ -53,7 +53,7 @@ fn assert_reached(mut system: System) -> Report {
     assert_eq!(report.outcome, Outcome::Reached);
     assert!(report.adopted && report.adopted_from_scan > Some(3), "{:?}", report.adopted_from_scan);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
-    assert!(!report.drive.collided && report.drive.longest_blind_s <= LONGEST_BLIND_S, "{:?}", report.drive);
+    assert!(!report.drive.collided && report.drive.longest_blind_s <= MAX_BLIND_S, "{:?}", report.drive);
     system.assert_nothing_left();
     report
 }
@@ -86,7 +86,7 @@ fn the_robot_drives_on_without_an_orchestrator_and_is_adopted_as_it_is() {
 #[test]
 fn an_adopted_run_is_supervised_like_any_other() {
     // Roles that find back without the state of the one before: a busy machine takes longer than half a second.
-    let (mut system, watch) = driverless(&["endless", "--set", "timeout_s=600"]);
+    let (mut system, watch) = orphaned(&["endless", "--set", "timeout_s=600"]);
     system.adopt(&[]);
     let restarted = |system: &System, role: Role, before: i32| {
         system.wait_until("a successor", |system| {
@@ -126,19 +126,19 @@ fn an_adopted_run_is_supervised_like_any_other() {
     let report = system.report();
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0));
     assert_eq!(report.drive.final_speed_mps, 0.0);
-    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S && !report.drive.collided);
+    assert!(report.drive.longest_blind_s <= MAX_BLIND_S && !report.drive.collided);
     system.assert_nothing_left();
 }
 
 #[test]
 fn a_controller_that_died_meanwhile_is_restarted_and_rests_before_it_drives() {
-    let (mut system, watch) = driverless(&["corridor"]);
-    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    let (mut system, watch) = orphaned(&["corridor"]);
+    let controller = pid_of(&orphaned_status(&system), Role::Controller);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(controller, Signal::KILL);
     let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
-    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S);
+    assert!(blocked.longest_blind_s <= MAX_BLIND_S);
     system.adopt(&[]);
     // The orchestrator that had its state is gone.
     let log = system.folder().join("out/logs/controller.log");
@@ -199,8 +199,8 @@ fn there_is_nothing_to_adopt_or_someone_drives_already() {
 
 #[test]
 fn a_stranger_under_the_number_of_a_process_is_named_and_left_alone() {
-    let (mut system, watch) = driverless(&["corridor"]);
-    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    let (mut system, watch) = orphaned(&["corridor"]);
+    let controller = pid_of(&orphaned_status(&system), Role::Controller);
     system.signal(controller, Signal::KILL);
     wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
     // What is left of it in the list now names a process of another system, with its true start time.
@@ -281,9 +281,9 @@ fn a_start_that_lost_its_orchestrator_is_brought_to_its_end() {
 
 #[test]
 fn status_and_stop_work_without_an_orchestrator() {
-    let (system, watch) = driverless(&["corridor"]);
+    let (system, watch) = orphaned(&["corridor"]);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
-    let status = driverless_status(&system);
+    let status = orphaned_status(&system);
     assert_eq!((status.state.as_str(), status.scenario.as_str()), ("driverless", "corridor"));
     assert!(status.scan > 3);
     for process in &status.processes {
@@ -299,7 +299,7 @@ fn status_and_stop_work_without_an_orchestrator() {
     assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));
     let last = wait_for_truth(&system, &watch, "it rests", |truth| truth.speed_mps <= 0.0);
     assert_eq!((last.blocked, last.speed_mps, last.collided), (1, 0.0, 0));
-    assert!(last.longest_blind_s <= LONGEST_BLIND_S);
+    assert!(last.longest_blind_s <= MAX_BLIND_S);
     drop(watch);
     system.assert_nothing_left();
     assert_eq!(system.run(&["stop"]).status.code(), Some(2));
@@ -308,7 +308,7 @@ fn status_and_stop_work_without_an_orchestrator() {
 
 #[test]
 fn a_new_run_stops_the_robot_of_an_old_one_first() {
-    let (system, watch) = driverless(&["corridor"]);
+    let (system, watch) = orphaned(&["corridor"]);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
     let new = system.run(&["run", "--quiet", "--out", "new", "--lockstep", "free"]);
     assert_eq!(new.status.code(), Some(0), "{}", stderr(&new));
@@ -320,7 +320,7 @@ fn a_new_run_stops_the_robot_of_an_old_one_first() {
 
 #[test]
 fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
-    let (system, watch) = driverless(&["endless", "--set", "orphan_timeout_s=2"]);
+    let (system, watch) = orphaned(&["endless", "--set", "orphan_timeout_s=2"]);
     wait_for_truth(&system, &watch, "it drives meanwhile", |truth| truth.speed_mps > 0.5);
     wait_for_truth(&system, &watch, "it rests", |truth| truth.blocked == 1 && truth.speed_mps == 0.0);
     system.wait_until("all processes have ended", |system| system.processes().is_empty());
@@ -332,9 +332,9 @@ fn nobody_comes_so_the_robot_rests_and_everything_ends_and_is_cleaned_up() {
 
 #[test]
 fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
-    let (system, watch) = driverless(&["endless", "--set", "orphan_timeout_s=1"]);
+    let (system, watch) = orphaned(&["endless", "--set", "orphan_timeout_s=1"]);
     drop(watch);
-    let controller = pid_of(&driverless_status(&system), Role::Controller);
+    let controller = pid_of(&orphaned_status(&system), Role::Controller);
     system.signal(controller, Signal::STOP);
     system.wait_until("all processes have ended", |system| system.processes().is_empty());
     system.assert_nothing_left();
@@ -342,8 +342,8 @@ fn an_orphan_that_hangs_is_killed_by_the_last_one_to_end() {
 
 #[test]
 fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans() {
-    let (system, watch) = driverless(&["corridor"]);
-    let status = driverless_status(&system);
+    let (system, watch) = orphaned(&["corridor"]);
+    let status = orphaned_status(&system);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
     for role in [Role::Estimator, Role::Obstacles, Role::Controller] {
         system.signal(pid_of(&status, role), Signal::KILL);
@@ -351,21 +351,21 @@ fn without_anyone_but_actuator_and_robot_the_wheels_are_blocked_within_two_scans
     let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 2, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (0, 0), "the actuator did it");
-    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S, "{blocked:?}");
+    assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.assert_nothing_left();
 }
 
 #[test]
 fn without_the_actuator_the_robot_blocks_its_wheels_itself() {
-    let (system, watch) = driverless(&["corridor"]);
-    let actuator = pid_of(&driverless_status(&system), Role::Actuator);
+    let (system, watch) = orphaned(&["corridor"]);
+    let actuator = pid_of(&orphaned_status(&system), Role::Actuator);
     wait_for_truth(&system, &watch, "it drives", |truth| truth.speed_mps > 0.5);
     system.signal(actuator, Signal::KILL);
     let blocked = wait_for_truth(&system, &watch, "blocked wheels", |truth| truth.blocked == 1);
     assert!(blocked.header.scan_id <= blocked.actuation_scan + 3, "{blocked:?}");
     assert_eq!((blocked.dead_man, blocked.collided), (1, 0));
-    assert!(blocked.longest_blind_s <= LONGEST_BLIND_S, "{blocked:?}");
+    assert!(blocked.longest_blind_s <= MAX_BLIND_S, "{blocked:?}");
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.assert_nothing_left();
 }

@@ -13,7 +13,7 @@ use shared_types::Role;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// True wheels are blocked at the latest three scan periods after the last actuation.
-const LONGEST_BLIND_S: f64 = 0.3;
+const MAX_BLIND_S: f64 = 0.3;
 
 /// Sends a signal to a role while it drives and returns the report of the run.
 fn disturb(role: Role, signal: Signal) -> Report {
@@ -24,7 +24,7 @@ fn disturb(role: Role, signal: Signal) -> Report {
     let status = system.wait();
     let report = system.report();
     assert!(status.code().is_some(), "{}", system.stderr());
-    assert!(report.drive.longest_blind_s <= LONGEST_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
+    assert!(report.drive.longest_blind_s <= MAX_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
     assert!(!report.drive.collided);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
     system.assert_nothing_left();
@@ -89,7 +89,7 @@ fn a_machine_that_stood_still_kills_nobody() {
     let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
     assert_eq!(restarts, [0; 5], "{}", system.stderr());
     assert!(
-        report.drive.longest_blind_s <= 2.0 * LONGEST_BLIND_S,
+        report.drive.longest_blind_s <= 2.0 * MAX_BLIND_S,
         "blind for {} s",
         report.drive.longest_blind_s
     );

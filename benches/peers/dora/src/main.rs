@@ -10,7 +10,7 @@ use dora_node_api::{DoraNode, Event, EventStream, MetadataParameters, dora_core:
 use hops::{Arrival, HopError, Setup, Stage, Stamp, run};
 
 /// Longest sleep.
-const LONGEST_WAIT: Duration = Duration::from_millis(230);
+const MAX_WAIT: Duration = Duration::from_millis(230);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let setup = Setup::from_environment()?;
@@ -55,14 +55,14 @@ impl Stage for Hop {
         self.noticed.take()
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         let event = self.events.try_recv().ok();
         self.notice(event);
         self.noticed.is_some()
     }
 
     fn block(&mut self, _longest_ns: Option<u64>) {
-        let event = self.events.recv_timeout(LONGEST_WAIT);
+        let event = self.events.recv_timeout(MAX_WAIT);
         self.notice(event);
     }
 }

@@ -154,7 +154,7 @@ impl Stage for First {
         None
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         false
     }
 
@@ -176,7 +176,7 @@ impl Stage for Last {
         self.noticed.take().or_else(|| self.arrivals.try_recv().ok())
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.noticed = self.arrivals.try_recv().ok();
         self.noticed.is_some()
     }

@@ -12,7 +12,7 @@ use zmq::{Context, DONTWAIT, Message, Socket, SocketType};
 /// Messages that wait at most at each end of a hop.
 const WAITING: i32 = 16;
 /// Longest sleep [ms].
-const LONGEST_WAIT_MS: i32 = 230;
+const MAX_WAIT_MS: i32 = 230;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let setup = Setup::from_environment()?;
@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let socket = context.socket(kind)?;
         socket.set_rcvhwm(WAITING)?;
         socket.set_sndhwm(WAITING)?;
-        socket.set_rcvtimeo(LONGEST_WAIT_MS)?;
+        socket.set_rcvtimeo(MAX_WAIT_MS)?;
         socket.set_linger(0)?;
         socket.set_reconnect_ivl(10)?;
         Ok(socket)
@@ -81,7 +81,7 @@ impl Stage for Hop {
         self.noticed.take()
     }
 
-    fn look(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         self.receive(DONTWAIT);
         self.noticed.is_some()
     }

@@ -8,7 +8,7 @@ use std::ops::RangeInclusive;
 
 use shared_types::{Header, Topic};
 
-use super::PATIENCE_NS;
+use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 
 /// How many of the newest samples are remembered one by one.
@@ -181,7 +181,7 @@ impl Stream {
     pub(super) fn close(&mut self, now_ns: u64, is_last: bool) -> Vec<Fault> {
         if let Some(Claim { sequence, since_ns }) = self.claim
             && sequence > self.newest
-            && (is_last || now_ns.saturating_sub(since_ns) >= PATIENCE_NS)
+            && (is_last || now_ns.saturating_sub(since_ns) >= TIMEOUT_NS)
         {
             self.open_hole(sequence, 0, now_ns);
             self.newest = sequence;
@@ -306,8 +306,8 @@ mod tests {
         let mut stream = Stream::new(Topic::Pose, 2, 1, true);
         stream.see(&header(1, 1), true, 0, 1);
         stream.claimed(2, 10);
-        assert_eq!(stream.close(10 + PATIENCE_NS - 1, false), []);
-        let faults = stream.close(10 + PATIENCE_NS, false);
+        assert_eq!(stream.close(10 + TIMEOUT_NS - 1, false), []);
+        let faults = stream.close(10 + TIMEOUT_NS, false);
         assert_eq!((faults.len(), faults[0].sequence, faults[0].scan_id), (1, 2, 2));
         assert_eq!(stream.see(&header(2, 2), true, 0, 1).unwrap().kind, Kind::Reordered, "it came late");
     }

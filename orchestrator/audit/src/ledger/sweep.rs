@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use shared_types::Topic;
 
-use super::PATIENCE_NS;
+use super::TIMEOUT_NS;
 
 /// Topics of the robot; the truth only where it is told.
 const TOPICS: [Topic; 3] = [Topic::Odometry, Topic::Scan, Topic::Truth];
@@ -68,7 +68,7 @@ impl Sweep {
         };
         let newest = self.open.iter().rev().find(|(_, scan)| complete(scan)).map_or(0, |(newest, _)| *newest);
         while let Some((&scan_id, scan)) = self.open.first_key_value() {
-            let may_follow = now_ns.saturating_sub(scan.since_ns) < PATIENCE_NS && !is_last;
+            let may_follow = now_ns.saturating_sub(scan.since_ns) < TIMEOUT_NS && !is_last;
             if scan_id > newest && may_follow {
                 break;
             }
@@ -103,8 +103,8 @@ mod tests {
         sweep.see(Topic::Scan, 3, 5);
         assert_eq!(sweep.close(6, false), [], "the odometry may be on its way");
         assert_eq!(sweep.clone().close(6, true), [Lack::Sample(Topic::Odometry, 3)], "it is not any more");
-        assert_eq!(sweep.close(5 + PATIENCE_NS, false), [Lack::Sample(Topic::Odometry, 3)]);
-        assert_eq!(sweep.close(6 + PATIENCE_NS, false), []);
+        assert_eq!(sweep.close(5 + TIMEOUT_NS, false), [Lack::Sample(Topic::Odometry, 3)]);
+        assert_eq!(sweep.close(6 + TIMEOUT_NS, false), []);
     }
 
     #[test]
@@ -118,7 +118,7 @@ mod tests {
         let mut sweep = Sweep::new(1);
         sweep.see(Topic::Scan, 1, 0);
         sweep.see(Topic::Odometry, 1, 0);
-        assert_eq!(sweep.close(PATIENCE_NS, false), []);
+        assert_eq!(sweep.close(TIMEOUT_NS, false), []);
     }
 
     #[test]
@@ -126,7 +126,7 @@ mod tests {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Scan, 9, 0);
         assert_eq!(sweep.overflowed(), [3_u64, 4, 5, 6, 7, 8]);
-        assert_eq!(sweep.close(PATIENCE_NS, false), []);
+        assert_eq!(sweep.close(TIMEOUT_NS, false), []);
         assert_eq!(sweep.overflowed(), [0_u64; 0]);
     }
 }

@@ -18,7 +18,7 @@ use std::ops::RangeInclusive;
 
 use shared_types::{Header, InputAccount, Role, Span, Topic};
 
-use super::PATIENCE_NS;
+use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
 use super::stream::{NAMED, Seen, Stream};
@@ -70,7 +70,7 @@ struct ReaderEnd {
 
 /// A word of a reader.
 #[derive(Debug, Clone, Copy)]
-pub struct Word<'a> {
+pub struct InputReport<'a> {
     /// Its incarnation.
     pub incarnation: u32,
     /// Its role.
@@ -108,7 +108,7 @@ impl TopicLedger {
     }
 
     /// A look at the topic begins.
-    pub fn look(&mut self, now_ns: u64) {
+    pub fn poll(&mut self, now_ns: u64) {
         self.before_ns = self.now_ns;
         self.now_ns = now_ns;
     }
@@ -146,8 +146,8 @@ impl TopicLedger {
     }
 
     /// A reader said what became of its samples.
-    pub fn heard(&mut self, word: Word<'_>) {
-        let Word { incarnation, role, from_start, midway, connected_ns, looked_ns, account } = word;
+    pub fn received(&mut self, word: InputReport<'_>) {
+        let InputReport { incarnation, role, from_start, midway, connected_ns, looked_ns, account } = word;
         self.silent.remove(&incarnation);
         let reader = self.readers.entry(incarnation).or_insert_with(|| Reader {
             role,
@@ -344,7 +344,7 @@ impl Reader {
                 && let Some(last) = self.last(writer, stream)
                 && let Some(seen) = self.beyond.get(&writer)
                 && seen.after_ns > self.connected_ns
-                && self.looked_ns >= seen.seen_ns.saturating_add(PATIENCE_NS)
+                && self.looked_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
             {
                 note(Kind::Missing, writer, last + 1);
             }
@@ -372,9 +372,17 @@ mod tests {
         Span { incarnation: WRITER, first, last, ..Span::default() }
     }
 
-    fn word(account: &InputAccount, looked_ns: u64) -> Word<'_> {
+    fn word(account: &InputAccount, looked_ns: u64) -> InputReport<'_> {
         let (incarnation, role) = (READER, Role::Obstacles);
-        Word { incarnation, role, from_start: true, midway: false, connected_ns: 1, looked_ns, account }
+        InputReport {
+            incarnation,
+            role,
+            from_start: true,
+            midway: false,
+            connected_ns: 1,
+            looked_ns,
+            account,
+        }
     }
 
     fn named(faults: &[Fault]) -> Vec<(Kind, u64, u64)> {
@@ -383,14 +391,14 @@ mod tests {
 
     #[test]
     fn what_a_reader_without_accounts_had_between_two_others_is_not_lost() {
-        for (is_heard, lost) in [(true, 0), (false, 20)] {
+        for (is_received, lost) in [(true, 0), (false, 20)] {
             let mut ledger = TopicLedger::new(Topic::Pose, 16);
-            ledger.look(5);
+            ledger.poll(5);
             let mut account = InputAccount { used: 4, arrived: 4, ..InputAccount::default() };
             (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
             account.writers[0] = span(1, 4);
-            ledger.heard(word(&account, 5));
-            if is_heard {
+            ledger.received(word(&account, 5));
+            if is_received {
                 ledger.add_silent_reader(5, Role::Obstacles);
             }
             ledger.ended(READER, 6, true);
@@ -398,7 +406,7 @@ mod tests {
             ledger.ended(5, 7, true);
             (25..=28).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
             account.writers[0] = span(25, 28);
-            ledger.heard(Word { incarnation: 7, from_start: false, ..word(&account, 8) });
+            ledger.received(InputReport { incarnation: 7, from_start: false, ..word(&account, 8) });
             let rows = ledger.rows();
             let row = rows.first().unwrap();
             assert_eq!((row.lost, row.used, row.residual), (lost, 8, 0), "{row:?}");
@@ -408,18 +416,18 @@ mod tests {
     #[test]
     fn several_faults_that_one_reader_noticed_between_two_closings_are_all_named() {
         let mut ledger = TopicLedger::new(Topic::Pose, 16);
-        ledger.look(5);
+        ledger.poll(5);
         (1..=9).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
         let mut account = InputAccount { missing: 1, hole: span(3, 3), ..InputAccount::default() };
         account.writers[0] = span(1, 4);
-        ledger.heard(word(&account, 5));
+        ledger.received(word(&account, 5));
         account.writers[0] = span(1, 9);
         (account.missing, account.hole) = (2, span(7, 7));
         (account.duplicate, account.twice) = (1, span(8, 8));
-        ledger.heard(word(&account, 6));
+        ledger.received(word(&account, 6));
         let expected = [(Kind::Missing, 3, 3), (Kind::Missing, 7, 7), (Kind::Duplicate, 8, 8)];
         assert_eq!(named(&ledger.close(false)), expected);
-        ledger.heard(word(&account, 7));
+        ledger.received(word(&account, 7));
         assert_eq!(ledger.close(false), [], "once is enough");
     }
 
@@ -431,12 +439,12 @@ mod tests {
             let (mut found, mut closed_ns) = (Vec::new(), 0);
             for sequence in 1..=3_000_000_000 / period_ns {
                 let now_ns = 1_000_000_000 + sequence * period_ns;
-                ledger.look(now_ns);
+                ledger.poll(now_ns);
                 ledger.see(&header(sequence), true, true);
                 if sequence <= 10 {
                     account.writers[0] = span(1, sequence);
                 }
-                ledger.heard(word(&account, now_ns));
+                ledger.received(word(&account, now_ns));
                 if now_ns >= closed_ns + 1_000_000_000 {
                     closed_ns = now_ns;
                     found.extend(named(&ledger.close(false)));

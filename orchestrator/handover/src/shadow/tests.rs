@@ -3,11 +3,11 @@
 use shared_types::{Command, CommandKind, Role};
 
 use super::{ShadowReport, Study};
-use crate::swap::{Gist, Output, Party};
+use crate::swap::{Output, OutputSummary, Party};
 
 const PERIOD_NS: u64 = 100_000_000;
 
-fn output(scan: u64, after_ms: f64, content: Result<Gist, String>) -> Output {
+fn output(scan: u64, after_ms: f64, content: Result<OutputSummary, String>) -> Output {
     let published_ns = scan * PERIOD_NS + (after_ms * 1e6) as u64;
     Output {
         scan,
@@ -20,9 +20,9 @@ fn output(scan: u64, after_ms: f64, content: Result<Gist, String>) -> Output {
     }
 }
 
-fn command(steering_rad: f64) -> Gist {
+fn command(steering_rad: f64) -> OutputSummary {
     let kind = CommandKind::Drive.wire();
-    Gist::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
+    OutputSummary::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
 }
 
 /// Scans 1 to `scans`, all answered by the live one after 2 ms; what the shadow does is up to `shadow`.
@@ -73,7 +73,7 @@ fn scans_count_from_the_first_output_on_and_the_share_tells_of_gaps() {
 
 #[test]
 fn late_invalid_repeated_and_other_outputs_are_counted_apart() {
-    let stop = Gist::from(&Command::default());
+    let stop = OutputSummary::from(&Command::default());
     let report = study(20, |scan| match scan {
         3 => vec![output(scan, 60.0, Ok(command(0.04)))],
         5 => vec![output(scan, 3.0, Err("command is not finite".to_owned()))],

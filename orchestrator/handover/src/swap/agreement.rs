@@ -38,7 +38,7 @@ pub const SENT_SCALE: f64 = 2.0;
 
 /// What of a sample is compared.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Gist {
+pub enum OutputSummary {
     /// Of a pose: yaw, x, y.
     Pose([f64; 3]),
     /// Of obstacles: the centres of all bodies, and whether this scan showed each.
@@ -129,13 +129,13 @@ impl fmt::Display for Disagreement {
     }
 }
 
-impl From<&Pose> for Gist {
+impl From<&Pose> for OutputSummary {
     fn from(pose: &Pose) -> Self {
         Self::Pose([pose.yaw_rad, pose.x_m, pose.y_m])
     }
 }
 
-impl From<&Obstacles> for Gist {
+impl From<&Obstacles> for OutputSummary {
     fn from(obstacles: &Obstacles) -> Self {
         let mut known = Vec::new();
         let mut bodies = Vec::new();
@@ -150,42 +150,42 @@ impl From<&Obstacles> for Gist {
     }
 }
 
-impl From<&Command> for Gist {
+impl From<&Command> for OutputSummary {
     fn from(command: &Command) -> Self {
         Self::Command(command.kind, command.velocity_mps, command.steering_rad)
     }
 }
 
-impl From<&Actuation> for Gist {
+impl From<&Actuation> for OutputSummary {
     fn from(actuation: &Actuation) -> Self {
         Self::Actuation(actuation.kind, actuation.sent_velocity_mps, actuation.sent_steering_rad)
     }
 }
 
 /// What the new one does differently, beyond bounds widened by `tolerance`; nothing when they agree.
-pub fn disagreement(old: &Gist, new: &Gist, tolerance: f64) -> Option<Disagreement> {
+pub fn disagreement(old: &OutputSummary, new: &OutputSummary, tolerance: f64) -> Option<Disagreement> {
     match (old, new) {
-        (Gist::Pose(old), Gist::Pose(new)) => {
+        (OutputSummary::Pose(old), OutputSummary::Pose(new)) => {
             placed(["position", "yaw"], old, new, [POSITION_M * tolerance, YAW_RAD * tolerance])
         }
-        (Gist::Sensed(old), Gist::Sensed(new)) => sensed(old, new, tolerance),
-        (Gist::Obstacles(old), Gist::Obstacles(new)) => {
+        (OutputSummary::Sensed(old), OutputSummary::Sensed(new)) => sensed(old, new, tolerance),
+        (OutputSummary::Obstacles(old), OutputSummary::Obstacles(new)) => {
             let limit = BODY_M * tolerance;
             lacking(old, new, limit)
                 .map(|centre| Disagreement::Body("old", centre))
                 .or_else(|| lacking(new, old, limit).map(|centre| Disagreement::Body("new", centre)))
         }
-        (Gist::Command(kind, ..), Gist::Command(other, ..)) if kind != other => {
+        (OutputSummary::Command(kind, ..), OutputSummary::Command(other, ..)) if kind != other => {
             Some(Disagreement::Kind(command_name(*kind), command_name(*other)))
         }
-        (Gist::Actuation(kind, ..), Gist::Actuation(other, ..)) if kind != other => {
+        (OutputSummary::Actuation(kind, ..), OutputSummary::Actuation(other, ..)) if kind != other => {
             Some(Disagreement::Kind(actuation_name(*kind), actuation_name(*other)))
         }
-        (Gist::Command(kind, v_old, s_old), Gist::Command(_, v_new, s_new)) => {
+        (OutputSummary::Command(kind, v_old, s_old), OutputSummary::Command(_, v_new, s_new)) => {
             let drives = *kind == CommandKind::Drive.wire();
             drives.then(|| control([*v_old, *s_old], [*v_new, *s_new], 1.0, tolerance)).flatten()
         }
-        (Gist::Actuation(_, v_old, s_old), Gist::Actuation(_, v_new, s_new)) => {
+        (OutputSummary::Actuation(_, v_old, s_old), OutputSummary::Actuation(_, v_new, s_new)) => {
             control([*v_old, *s_old], [*v_new, *s_new], SENT_SCALE, tolerance)
         }
         _ => Some(Disagreement::Type),
@@ -232,26 +232,26 @@ pub const fn quantities(role: Role) -> &'static [(&'static str, &'static str)] {
 
 /// The new one minus the old one, number by number as [`quantities`] names them, distances without a sign;
 /// nothing when one drives and the other does not.
-pub fn differences(old: &Gist, new: &Gist) -> Option<Vec<f64>> {
+pub fn differences(old: &OutputSummary, new: &OutputSummary) -> Option<Vec<f64>> {
     let places =
         |old: &[f64; 3], new: &[f64; 3]| vec![new[1] - old[1], new[2] - old[2], wrap_angle(new[0] - old[0])];
     Some(match (old, new) {
-        (Gist::Pose(old), Gist::Pose(new)) => places(old, new),
-        (Gist::Sensed(old), Gist::Sensed(new)) => {
+        (OutputSummary::Pose(old), OutputSummary::Pose(new)) => places(old, new),
+        (OutputSummary::Sensed(old), OutputSummary::Sensed(new)) => {
             let truths = old.truth.zip(new.truth);
             let apart = truths.map_or(0.0, |(old, new)| (new[1] - old[1]).hypot(new[2] - old[2]));
             let other = new.other_beams(old, RANGE_M) as f64 / BEAMS as f64;
             [places(&old.reported, &new.reported), vec![apart, other]].concat()
         }
-        (Gist::Obstacles(old), Gist::Obstacles(new)) => {
+        (OutputSummary::Obstacles(old), OutputSummary::Obstacles(new)) => {
             let distances = old.iter().filter_map(|body| nearest_m(body, new)).filter(|gap| *gap <= BODY_M);
             let matched: Vec<f64> = distances.collect();
             let without = old.iter().filter(|body| is_lacking(body, new, BODY_M)).count()
                 + new.iter().filter(|body| is_lacking(body, old, BODY_M)).count();
             vec![matched.iter().sum::<f64>() / matched.len().max(1) as f64, without as f64]
         }
-        (Gist::Command(kind, v_old, s_old), Gist::Command(other, v_new, s_new))
-        | (Gist::Actuation(kind, v_old, s_old), Gist::Actuation(other, v_new, s_new))
+        (OutputSummary::Command(kind, v_old, s_old), OutputSummary::Command(other, v_new, s_new))
+        | (OutputSummary::Actuation(kind, v_old, s_old), OutputSummary::Actuation(other, v_new, s_new))
             if kind == other =>
         {
             vec![v_new - v_old, s_new - s_old]
@@ -302,12 +302,12 @@ mod tests {
     use super::*;
     use shared_types::{CommandKind, Obstacle};
 
-    fn command(velocity_mps: f64, steering_rad: f64) -> Gist {
+    fn command(velocity_mps: f64, steering_rad: f64) -> OutputSummary {
         let kind = CommandKind::Drive.wire();
-        Gist::from(&Command { kind, velocity_mps, steering_rad, ..Command::default() })
+        OutputSummary::from(&Command { kind, velocity_mps, steering_rad, ..Command::default() })
     }
 
-    fn said(old: &Gist, new: &Gist) -> String {
+    fn said(old: &OutputSummary, new: &OutputSummary) -> String {
         disagreement(old, new, 1.0).map_or_else(String::new, |found| found.to_string())
     }
 
@@ -325,15 +325,15 @@ mod tests {
 
     #[test]
     fn one_that_drives_and_one_that_stops_disagree() {
-        let stop = Gist::from(&Command::default());
+        let stop = OutputSummary::from(&Command::default());
         assert_eq!(said(&command(0.5, 0.0), &stop), "the old one says drive, the new one stop");
-        let odd = Gist::from(&Command { steering_rad: 0.06, ..Command::default() });
+        let odd = OutputSummary::from(&Command { steering_rad: 0.06, ..Command::default() });
         assert_eq!(said(&stop, &odd), "", "the angle of a stop is not driven");
     }
 
     #[test]
     fn poses_are_compared_across_the_turn_of_the_angle() {
-        let pose = |yaw_rad, x_m| Gist::from(&Pose { yaw_rad, x_m, ..Pose::default() });
+        let pose = |yaw_rad, x_m| OutputSummary::from(&Pose { yaw_rad, x_m, ..Pose::default() });
         assert_eq!(said(&pose(3.135, 1.0), &pose(-3.135, 1.04)), "");
         assert_eq!(
             said(&pose(0.0, 1.0), &pose(0.0, 1.06)),
@@ -351,7 +351,7 @@ mod tests {
                 *item =
                     Obstacle { body: *body, box_x_m: *box_x_m, sightings: *sightings, ..Obstacle::default() };
             }
-            Gist::from(&obstacles)
+            OutputSummary::from(&obstacles)
         };
         // Two ellipses of one body count once, and the numbers of bodies may differ.
         let old = described(&[(1, 5.0, 9), (1, 5.0, 9), (2, 8.0, 9)]);

@@ -3,7 +3,7 @@
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Action, Certificate, Event, FIRST_OUTPUT_NS, Gist, Output, Party, Plan, Recorded, Stage, Swap,
+    Action, Certificate, Event, FIRST_OUTPUT_NS, Output, OutputSummary, Party, Plan, Recorded, Stage, Swap,
     SwapOutcome,
 };
 
@@ -56,7 +56,7 @@ impl Trial {
     }
 
     /// An output for the newest scan, so long after it.
-    fn output(&mut self, party: Party, after_ms: u64, content: Result<Gist, String>) {
+    fn output(&mut self, party: Party, after_ms: u64, content: Result<OutputSummary, String>) {
         self.now_ns = self.now_ns.max(self.scan * PERIOD_NS + after_ms * 1_000_000);
         let output = Output {
             scan: self.scan,
@@ -88,7 +88,7 @@ impl Trial {
     }
 
     /// A scan on which the new one says this.
-    fn scan_with(&mut self, gist: Gist) {
+    fn scan_with(&mut self, gist: OutputSummary) {
         self.publish();
         self.output(Party::Old, 2, Ok(command(0.04)));
         self.output(Party::New, 3, Ok(gist));
@@ -105,7 +105,7 @@ impl Trial {
         self.good_scans(7);
         assert_eq!(self.swap.stage(), Stage::Standby);
         assert_eq!(self.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
-        assert_eq!((self.scan, self.swap.beside()), (17, OLD));
+        assert_eq!((self.scan, self.swap.candidate()), (17, OLD));
         self.actions.clear();
     }
 
@@ -127,7 +127,7 @@ impl Trial {
     /// That authority went back from `from_scan` on, at once.
     fn rolled_back(&mut self, from_scan: u64) -> Certificate {
         assert_eq!(self.actions, [Action::Authorise(exchange(OLD, NEW, from_scan)), Action::KillNew]);
-        assert_eq!(self.swap.beside(), NEW);
+        assert_eq!(self.swap.candidate(), NEW);
         while self.swap.stage() == Stage::Settling {
             self.publish();
             self.output(Party::Old, 2, Ok(command(0.04)));
@@ -141,9 +141,9 @@ impl Trial {
     }
 }
 
-fn command(steering_rad: f64) -> Gist {
+fn command(steering_rad: f64) -> OutputSummary {
     let kind = CommandKind::Drive.wire();
-    Gist::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
+    OutputSummary::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
 }
 
 fn exchange(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
@@ -154,7 +154,7 @@ fn exchange(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
 fn a_good_process_takes_over_and_the_old_one_ends_after_its_standby() {
     let mut trial = Trial::new();
     trial.good_scan();
-    assert_eq!((trial.swap.stage(), trial.swap.beside()), (Stage::Shadowing, NEW));
+    assert_eq!((trial.swap.stage(), trial.swap.candidate()), (Stage::Shadowing, NEW));
     trial.good_scans(4);
     // Five good scans from 11 to 15, so 17 is the first scan that is not published soon.
     assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
@@ -376,7 +376,7 @@ fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
     trial.publish();
     trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
     assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 16)), Action::Commit]);
-    assert_eq!(trial.swap.beside(), OLD);
+    assert_eq!(trial.swap.candidate(), OLD);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What is to be said of one scan of an exchange, now that both outputs are there, or one of them, or none.
 
-use super::{HANG_NS, LATE_NS, LOCKSTEP_PATIENCE_NS, MOST_TOLERANCE, Output, Pair, Swap, agreement};
+use super::{HANG_NS, LATE_NS, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Output, Pair, Swap, agreement};
 
 /// What is to be said of one scan.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,11 +29,11 @@ impl Swap {
         match (old, new) {
             (None, None) => Verdict::Open,
             (Some(_), None) if self.plan.lockstep => {
-                if now_ns.saturating_sub(*seen_ns) < LOCKSTEP_PATIENCE_NS {
+                if now_ns.saturating_sub(*seen_ns) < LOCKSTEP_TIMEOUT_NS {
                     return Verdict::Open;
                 }
-                let patience_s = LOCKSTEP_PATIENCE_NS as f64 * 1e-9;
-                Verdict::Bad(format!("hangs: no output for scan {scan} within {patience_s} s"))
+                let timeout_s = LOCKSTEP_TIMEOUT_NS as f64 * 1e-9;
+                Verdict::Bad(format!("hangs: no output for scan {scan} within {timeout_s} s"))
             }
             (Some(old), None) => {
                 let since_ns = if old.scan_published_ns == 0 { *seen_ns } else { old.scan_published_ns };
@@ -53,8 +53,8 @@ impl Swap {
             }
             // An old one that has stopped to answer is no reason to keep it.
             (None, Some(_)) => {
-                let patience_ns = if self.plan.lockstep { LOCKSTEP_PATIENCE_NS } else { 2 * period_ns };
-                match now_ns.saturating_sub(*seen_ns) >= patience_ns {
+                let timeout_ns = if self.plan.lockstep { LOCKSTEP_TIMEOUT_NS } else { 2 * period_ns };
+                match now_ns.saturating_sub(*seen_ns) >= timeout_ns {
                     true if in_charge => Verdict::Good,
                     true => Verdict::Nothing,
                     false => Verdict::Open,
@@ -78,7 +78,7 @@ impl Swap {
                 "late: output for scan {scan} {taken_ms:.1} ms after the scan, allowed are {limit_ms:.1} ms"
             ));
         }
-        if self.plan.tolerance >= MOST_TOLERANCE {
+        if self.plan.tolerance >= MAX_TOLERANCE {
             return Verdict::Good;
         }
         match agreement::disagreement(expected, found, self.plan.tolerance) {

@@ -6,7 +6,7 @@ use runtime::{Bus, Observer, RuntimeError};
 use shared_types::{Actuation, Command, Fault, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, Truth};
 
 use super::agreement::Sensed;
-use super::{Gist, Output, Party};
+use super::{Output, OutputSummary, Party};
 
 /// Scans of a robot that may be known in part, of both processes together.
 const PARTS: usize = 64;
@@ -103,7 +103,7 @@ impl RobotWatch {
             if let (Some(scan), Some(odometry)) = (&parts.scan, &parts.odometry) {
                 parts.told = true;
                 let sensed = Sensed::new(scan, odometry, parts.truth.as_ref());
-                let content = parts.fault.map_or(Ok(Gist::Sensed(Box::new(sensed))), Err);
+                let content = parts.fault.map_or(Ok(OutputSummary::Sensed(Box::new(sensed))), Err);
                 let mut output = output_of(&odometry.header, Role::Robot, content);
                 output.stamps_ns[1] = scan.header.stage(Role::Robot).published_ns;
                 // Nothing comes before the scan of a robot; it is due when its sweep is over.
@@ -124,7 +124,7 @@ fn collect<S: Sample>(
     parts: &mut BTreeMap<(u64, u32), Parts>,
     put: impl Fn(&mut Parts, &S),
 ) -> Result<(), RuntimeError> {
-    observer.look(|sample, checked| {
+    observer.poll_checked(|sample, checked| {
         let Header { scan_id, incarnation, .. } = *sample.header();
         if both.contains(&incarnation) {
             let parts = parts.entry((scan_id, incarnation)).or_default();
@@ -140,19 +140,19 @@ fn take<S: Sample>(
     each: &mut impl FnMut(u32, Output),
 ) -> Result<(), RuntimeError>
 where
-    for<'a> Gist: From<&'a S>,
+    for<'a> OutputSummary: From<&'a S>,
 {
-    observer.look(|sample, checked| {
+    observer.poll_checked(|sample, checked| {
         if let Some(role) = S::TOPIC.writer()
             && counts(sample)
         {
             let header = sample.header();
-            each(header.incarnation, output_of(header, role, checked.map(|()| Gist::from(sample))));
+            each(header.incarnation, output_of(header, role, checked.map(|()| OutputSummary::from(sample))));
         }
     })
 }
 
-fn output_of(header: &Header, role: Role, content: Result<Gist, Fault>) -> Output {
+fn output_of(header: &Header, role: Role, content: Result<OutputSummary, Fault>) -> Output {
     let stage = header.stage(role);
     Output {
         scan: header.scan_id,

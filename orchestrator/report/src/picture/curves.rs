@@ -11,7 +11,7 @@ pub(super) const HEIGHT: u32 = 210;
 const SPEED: RGBColor = RGBColor(0, 92, 158);
 const STEERING: RGBColor = RGBColor(190, 60, 30);
 /// Points per curve at most, about four per pixel; peaks are kept.
-const MOST_POINTS: usize = 4000;
+const MAX_POINTS: usize = 4000;
 /// Curves are cut off here, so that one absurd value does not hide the rest [m/s].
 const HIGHEST_SPEED_MPS: f64 = 10.0;
 /// As above [rad].
@@ -78,9 +78,9 @@ pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<(), PictureErr
     area.draw_text("time [s]", &style, (fine(WIDTH / 2), fine(HEIGHT - 5))).map_err(PictureError::of)
 }
 
-/// At most about [`MOST_POINTS`] points: of each group the lowest and the highest, in their order.
+/// At most about [`MAX_POINTS`] points: of each group the lowest and the highest, in their order.
 fn keep_peaks(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
-    let group = (2 * points.len()).div_ceil(MOST_POINTS);
+    let group = (2 * points.len()).div_ceil(MAX_POINTS);
     if group <= 2 {
         return points;
     }
@@ -104,7 +104,7 @@ mod tests {
         let mut points: Vec<(f64, f64)> = (0..100_000).map(|step| (f64::from(step), 0.0)).collect();
         points[54_321].1 = 3.0;
         let kept = keep_peaks(points);
-        assert!(kept.len() <= MOST_POINTS + 2, "{}", kept.len());
+        assert!(kept.len() <= MAX_POINTS + 2, "{}", kept.len());
         assert_eq!(kept.iter().filter(|point| **point == (54_321.0, 3.0)).count(), 1);
         assert!(kept.windows(2).all(|pair| pair[0].0 <= pair[1].0));
     }

@@ -22,16 +22,16 @@ const BELOW: u32 = 26;
 /// More room below the last strip for the name of its axis [pixels].
 const BELOW_LAST: u32 = 16;
 /// Least height of a strip [pixels].
-const LEAST_DOWN: u32 = 90;
+const MIN_DOWN: u32 = 90;
 /// Largest height of a strip [pixels].
-const MOST_DOWN: u32 = 640;
+const MAX_DOWN: u32 = 640;
 
 /// A drive is folded beyond this length [m].
 const FOLD_M: f64 = 26.0;
 /// Number of strips at most.
-const MOST_STRIPS: usize = 8;
+const MAX_STRIPS: usize = 8;
 /// Length of a strip at most; what is longer than all strips together is cut at its beginning [m].
-const LONGEST_STRIP_M: f64 = 60.0;
+const MAX_STRIP_M: f64 = 60.0;
 /// Room around the drive [m].
 const AROUND_M: f64 = 0.7;
 /// A bound of the track that is not further from the drive than this is shown [m].
@@ -39,9 +39,9 @@ const NEAR_M: f64 = 3.0;
 /// Positions beyond this are nonsense and not shown [m].
 const FARTHEST_M: f64 = 1e6;
 /// Bodies per strip at most.
-const MOST_BODIES: usize = 40;
+const MAX_BODIES: usize = 40;
 /// Points of a path at most; more are thinned further.
-const MOST_POINTS: usize = 8000;
+const MAX_POINTS: usize = 8000;
 /// Corners of a drawn ellipse.
 const CORNERS: usize = 72;
 
@@ -61,16 +61,16 @@ impl Plan {
         let whole = viewed(scene, drive);
         let length = whole.x[1] - whole.x[0];
         let foldable = whole.y[1] - whole.y[0] < FOLD_M / 2.0;
-        let count = if foldable { ((length / FOLD_M).ceil() as usize).clamp(1, MOST_STRIPS) } else { 1 };
-        let longest = if foldable { LONGEST_STRIP_M } else { f64::INFINITY };
+        let count = if foldable { ((length / FOLD_M).ceil() as usize).clamp(1, MAX_STRIPS) } else { 1 };
+        let longest = if foldable { MAX_STRIP_M } else { f64::INFINITY };
         let strip_length = (length / count as f64).min(longest);
         let first = whole.x[1] - strip_length * count as f64;
 
         let wanted = (whole.y[1] - whole.y[0]) * f64::from(ACROSS) / strip_length;
-        let down = (wanted.round() as u32).clamp(LEAST_DOWN, MOST_DOWN);
+        let down = (wanted.round() as u32).clamp(MIN_DOWN, MAX_DOWN);
         // Where the height was limited, more is shown in the other direction to keep the scale.
         let metres_down = strip_length * f64::from(down) / f64::from(ACROSS);
-        let (wider, higher) = if wanted > f64::from(MOST_DOWN) {
+        let (wider, higher) = if wanted > f64::from(MAX_DOWN) {
             let metres_across = (whole.y[1] - whole.y[0]) * f64::from(ACROSS) / f64::from(down);
             ((metres_across - strip_length) / 2.0, 0.0)
         } else {
@@ -109,7 +109,7 @@ impl Plan {
 
     /// Draws all strips.
     pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<(), PictureError> {
-        let bodies = bodies(&drive.moments, MOST_BODIES * self.strips.len());
+        let bodies = bodies(&drive.moments, MAX_BODIES * self.strips.len());
         let mut rest = area.clone();
         for (index, view) in self.strips.iter().enumerate() {
             let last = index + 1 == self.strips.len();
@@ -249,7 +249,7 @@ impl Strip<'_> {
         self.line(chart, &path, TRUE_PATH.stroke_width(fine(5) as u32 / 2), false)?;
         let estimates = thinned(self.drive.estimates.iter().copied(), 2.0 * fine_step);
         // A tangle of many rounds shows no dashes, but would be made of very many.
-        let dashed = estimates.len() < MOST_POINTS / 2;
+        let dashed = estimates.len() < MAX_POINTS / 2;
         self.line(chart, &estimates, ESTIMATED_PATH.stroke_width(fine(3) as u32 / 2), dashed)?;
         self.dot(chart, self.scene.start_m, 5, TRUE_PATH)
     }
@@ -324,7 +324,7 @@ impl Strip<'_> {
 fn thinned(points: impl Iterator<Item = [f64; 2]>, distance: f64) -> Vec<[f64; 2]> {
     let mut kept = clip::thin(points, distance);
     let mut distance = distance;
-    while kept.len() > MOST_POINTS && distance.is_finite() && distance > 0.0 {
+    while kept.len() > MAX_POINTS && distance.is_finite() && distance > 0.0 {
         distance *= 2.0;
         kept = clip::thin(kept.into_iter(), distance);
     }

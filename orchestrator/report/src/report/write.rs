@@ -9,13 +9,13 @@ use std::path::Path;
 /// The first error of the file system; the file beside is removed then.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let name = path.file_name().ok_or_else(|| io::Error::from(io::ErrorKind::InvalidInput))?;
-    let beside = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    let written = std::fs::File::create(&beside)
+    let candidate = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
+    let written = std::fs::File::create(&candidate)
         .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()))
-        .and_then(|()| std::fs::rename(&beside, path));
+        .and_then(|()| std::fs::rename(&candidate, path));
     if written.is_err() {
         // The error that counts is the first one.
-        let _ = std::fs::remove_file(&beside);
+        let _ = std::fs::remove_file(&candidate);
     }
     written
 }

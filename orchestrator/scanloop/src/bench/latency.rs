@@ -33,8 +33,8 @@ use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
 use session::arguments::out_folder;
-use session::beginning::Manner;
 use session::start::start;
+use session::startup::RunOptions;
 use supervision::lock::Claim;
 use supervision::realtime;
 
@@ -64,8 +64,12 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         None => domain.directory().to_owned(),
     };
     let shutdown = Shutdown::of_orchestrator()?;
-    let manner =
-        Manner { lockstep: false, duration_s: Some(arguments.duration), quiet: arguments.quiet, out: logs };
+    let manner = RunOptions {
+        lockstep: false,
+        duration_s: Some(arguments.duration),
+        quiet: arguments.quiet,
+        out: logs,
+    };
     let mut session = start(&domain, &plan, manner, lock, shutdown)?;
     if arguments.payload.is_some() {
         for topic in echo::PAYLOAD_TOPICS {
@@ -75,7 +79,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
     let stamps_us_per_stage = noise::stamp_cost_us();
     let (noise, granted) =
         noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
-    let mut machine = Machine::look(&granted, load.as_ref().map_or(0, Load::count));
+    let mut machine = Machine::inspect(&granted, load.as_ref().map_or(0, Load::count));
 
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));

@@ -20,10 +20,10 @@ impl Session {
         incarnation: u32,
     ) -> anyhow::Result<Watch> {
         let handover = self.hand_over(role);
-        self.fleet.spawn_beside(role, entry, incarnation, handover.as_ref())?;
+        self.fleet.spawn_candidate(role, entry, incarnation, handover.as_ref())?;
         // After the start: until then the reserve holds the memory of what is watched with.
         let watch = Watch::new(&self.bus, role).map_err(anyhow::Error::from);
-        let begun = watch.and_then(|watch| self.write_account().map(|()| watch));
+        let begun = watch.and_then(|watch| self.write_registry().map(|()| watch));
         if begun.is_err() {
             self.fleet.dismiss(incarnation);
         }

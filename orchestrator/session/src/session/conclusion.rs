@@ -103,8 +103,8 @@ impl Conclusion {
             }
             Stage::Draining(outcome, reason, until_ns) => {
                 // One more look after the robot has heard that it shall stop publishing.
-                let was_heard = now_ns + DRAIN_LIMIT_NS >= until_ns + self.period_ns.min(DRAIN_LIMIT_NS);
-                let is_over = (is_answered && was_heard) || now_ns >= until_ns || !drives;
+                let was_received = now_ns + DRAIN_LIMIT_NS >= until_ns + self.period_ns.min(DRAIN_LIMIT_NS);
+                let is_over = (is_answered && was_received) || now_ns >= until_ns || !drives;
                 is_over.then(|| {
                     self.stage = Stage::Ending(outcome, reason);
                     Step::EndProcesses

@@ -34,9 +34,10 @@ impl Session {
             return;
         }
         self.closed_ns = now_ns;
-        self.close_books(false);
-        if stands_still && self.books.is_something_missing() {
-            let fault = self.books.report().faults.last().map_or_else(String::new, ToString::to_string);
+        self.reconcile(false);
+        if stands_still && self.sample_audit.is_something_missing() {
+            let fault =
+                self.sample_audit.report().faults.last().map_or_else(String::new, ToString::to_string);
             self.decide(Outcome::Failed, &format!("the loop stands still: {fault}"));
         }
     }
@@ -46,7 +47,7 @@ impl Session {
         for (scan_id, rule) in self.samples.take_refused() {
             self.recorder.sample_refused(scan_id, rule);
         }
-        for refusal in self.books.new_refusals() {
+        for refusal in self.sample_audit.new_refusals() {
             let RefusedRow { topic, incarnation, reader, newest_scan, .. } = &refusal.row;
             let (role, incarnation) = (refusal.writer, *incarnation);
             let words = format!(
@@ -73,7 +74,7 @@ impl Session {
         let newest = self.samples.newest_scan();
         let of_writer = |name: &str| Rule::ALL.iter().any(|rule| rule.name() == name && rule.is_of_writer());
         let rows = self
-            .books
+            .sample_audit
             .refused()
             .iter()
             .filter(|row| row.newest_scan.saturating_add(lately) >= newest && of_writer(&row.rule));
@@ -81,11 +82,11 @@ impl Session {
     }
 
     /// Closes the books, and says what was found.
-    pub(super) fn close_books(&mut self, is_last: bool) {
-        for fault in self.books.close(is_last) {
+    pub(super) fn reconcile(&mut self, is_last: bool) {
+        for fault in self.sample_audit.close(is_last) {
             self.progress.warn(&format!("error: ledger: {fault}"));
         }
-        for (scan_id, reason) in self.books.excused() {
+        for (scan_id, reason) in self.sample_audit.excused() {
             self.recorder.scan_excused(scan_id, reason);
         }
     }

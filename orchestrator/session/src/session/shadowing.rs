@@ -127,7 +127,7 @@ impl Session {
     }
 
     /// A process said what it is doing.
-    pub(super) fn shadow_heard(&mut self, incarnation: u32, state: ProcessState) {
+    pub(super) fn shadow_received(&mut self, incarnation: u32, state: ProcessState) {
         // One that has just attached waits for a word, which would be repeated only after a while.
         self.directives.changed |= state == ProcessState::Attached
             && self.shadows.incarnations().any(|shadow| shadow == incarnation);
@@ -139,7 +139,7 @@ impl Session {
         let Some(lane) = shadows.lanes.iter_mut().find(|lane| lane.incarnation == incarnation) else {
             return false;
         };
-        let words = fleet.newest_words(role);
+        let words = fleet.newest_log_lines(role);
         let last = words[words.len().saturating_sub(WORDS)..].join(" | ");
         let separator = if last.is_empty() { "" } else { ": " };
         lane.finish(ShadowOutcome::Died, format!("the process ended: {exit}{separator}{last}"));
@@ -176,7 +176,7 @@ impl Session {
     /// Rows of `status` with the shadows.
     pub(super) fn show_shadows(&mut self, processes: &mut Vec<ProcessStatus>) {
         for lane in &self.shadows.lanes {
-            let Some((pid, implementation, load)) = self.fleet.beside(lane.incarnation) else { continue };
+            let Some((pid, implementation, load)) = self.fleet.candidate(lane.incarnation) else { continue };
             let role = lane.role.name();
             let Some(index) = processes.iter().rposition(|process| process.role == role) else { continue };
             let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(lane.incarnation);

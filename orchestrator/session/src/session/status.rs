@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use console::progress::{COLUMNS, ProcessWord, line};
+use console::progress::{COLUMNS, ProcessLabel, line};
 use shared_types::{Phase, Role};
 
 use super::Session;
@@ -12,7 +12,7 @@ impl Session {
     pub(super) fn show(&mut self) {
         let processes: Vec<_> = self.supervisor.processes().collect();
         let words: Vec<_> =
-            processes.iter().map(|view| ProcessWord { role: view.role, state: view.state.name() }).collect();
+            processes.iter().map(|view| ProcessLabel { role: view.role, state: view.state.name() }).collect();
         let view = self.recorder.view();
         self.progress.update(Instant::now(), &view, &words);
         match self.supervisor.phase() {
@@ -53,7 +53,7 @@ impl Session {
             scan: self.samples.newest_scan(),
             lockstep: self.lockstep,
             processes,
-            refused: self.books.refused().to_vec(),
+            refused: self.sample_audit.refused().to_vec(),
         }
     }
 }

@@ -7,7 +7,7 @@
 use audit::samples::ScanRecord;
 use handover::swap::watch::Watch;
 use handover::swap::{
-    Action, Certificate, Event, LOCKSTEP_PATIENCE_NS, MOST_TOLERANCE, Party, Plan, Recorded, Stage, Swap,
+    Action, Certificate, Event, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Party, Plan, Recorded, Stage, Swap,
 };
 use runtime::monotonic_ns;
 use shared_types::{Phase, ProcessState, Role, Topic};
@@ -19,7 +19,7 @@ use super::{Session, Shadows};
 use crate::control::{ProcessStatus, Reply, Successor, SwapRequest};
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
-const MOST_SCANS: u64 = 10_000;
+const MAX_SCANS: u64 = 10_000;
 /// Good scans in a row before a restarted process takes over: the first outputs after a start are the slowest.
 const RESTART_SHADOW_SCANS: u64 = 3;
 /// Good scans in charge after which the process before it ends. The same program drove before, so one is enough to show
@@ -90,8 +90,8 @@ impl Swaps {
     }
 
     /// The incarnation whose state is not to be gone on from.
-    pub(super) fn beside(&self) -> Option<u32> {
-        self.current.as_ref().map(|exchange| exchange.swap.beside())
+    pub(super) fn candidate(&self) -> Option<u32> {
+        self.current.as_ref().map(|exchange| exchange.swap.candidate())
     }
 
     /// The answer to someone who asks what became of the exchange of that number.
@@ -131,7 +131,7 @@ impl Swaps {
             },
             shadow_scans: RESTART_SHADOW_SCANS,
             standby_scans: RESTART_STANDBY_SCANS,
-            tolerance: MOST_TOLERANCE,
+            tolerance: MAX_TOLERANCE,
         };
         Some(self.accept(request, Purpose::Restart, fleet, supervisor))
     }
@@ -162,12 +162,12 @@ impl Swaps {
         let entry = request.successor.entry(fleet)?;
         for (key, scans) in [("shadow-scans", request.shadow_scans), ("standby-scans", request.standby_scans)]
         {
-            if !(1..=MOST_SCANS).contains(&scans) {
-                return Err(format!("--{key} {scans} is not allowed: 1 to {MOST_SCANS}"));
+            if !(1..=MAX_SCANS).contains(&scans) {
+                return Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}"));
             }
         }
-        if !(0.0..=MOST_TOLERANCE).contains(&request.tolerance) {
-            return Err(format!("--tolerance {} is not allowed: 0 to {MOST_TOLERANCE}", request.tolerance));
+        if !(0.0..=MAX_TOLERANCE).contains(&request.tolerance) {
+            return Err(format!("--tolerance {} is not allowed: 0 to {MAX_TOLERANCE}", request.tolerance));
         }
         if self.is_busy() {
             return Err("another exchange is going on".to_owned());
@@ -184,7 +184,7 @@ impl Swaps {
             (_, None) => return true,
             (_, Some(scan)) => self.recorded_scan > *scan && !swap.both_answered(self.recorded_scan),
         };
-        waits && now_ns.saturating_sub(self.recorded_ns) < LOCKSTEP_PATIENCE_NS
+        waits && now_ns.saturating_sub(self.recorded_ns) < LOCKSTEP_TIMEOUT_NS
     }
 }
 
@@ -200,7 +200,7 @@ impl Session {
     }
 
     /// A process said what it is doing.
-    pub(super) fn swap_heard(&mut self, incarnation: u32, state: ProcessState) {
+    pub(super) fn swap_received(&mut self, incarnation: u32, state: ProcessState) {
         let recorded_scan = self.swaps.recorded_scan;
         let Some(exchange) = &mut self.swaps.current else { return };
         if exchange.swap.plan().new == incarnation {
@@ -223,7 +223,7 @@ impl Session {
         };
         let mut how = exit.to_string();
         if party == Party::New {
-            let words = self.fleet.newest_words(role);
+            let words = self.fleet.newest_log_lines(role);
             let last = &words[words.len().saturating_sub(WORDS)..];
             if !last.is_empty() {
                 how = format!("{how}: {}", last.join(" | "));
@@ -278,7 +278,7 @@ impl Session {
     pub(super) fn show_swap(&mut self, processes: &mut Vec<ProcessStatus>) {
         let Some(Exchange { swap, .. }) = &self.swaps.current else { return };
         let (plan, stage) = (swap.plan(), swap.stage());
-        let Some((pid, implementation, load)) = self.fleet.beside(plan.new) else { return };
+        let Some((pid, implementation, load)) = self.fleet.candidate(plan.new) else { return };
         let Some(index) = processes.iter().position(|process| process.role == plan.role.name()) else {
             return;
         };
@@ -314,14 +314,14 @@ impl Session {
     fn is_at_rest_for_swap(&self) -> bool {
         let Some(asked) = &self.swaps.asked else { return false };
         let waited_ns = monotonic_ns().saturating_sub(asked.since_ns);
-        if !self.lockstep || waited_ns >= LOCKSTEP_PATIENCE_NS {
+        if !self.lockstep || waited_ns >= LOCKSTEP_TIMEOUT_NS {
             return true;
         }
         let recorded = self.swaps.recorded_scan;
         let has_state = self.vitals.checkpoint(asked.role).is_some_and(|state| {
             // Who reads actuations publishes its state once more when the answer to the scan is in it.
-            let hears_answers = asked.role.reads().contains(&Topic::Actuation);
-            let is_whole = !hears_answers || state.header.stage(Role::Actuator).published_ns > 0;
+            let receives_answers = asked.role.reads().contains(&Topic::Actuation);
+            let is_whole = !receives_answers || state.header.stage(Role::Actuator).published_ns > 0;
             state.header.scan_id >= recorded && is_whole
         });
         recorded >= self.directives.current.granted_scan && has_state
@@ -382,7 +382,7 @@ impl Session {
                 }
             }
             Action::KillNew => {
-                self.books.ended(new, monotonic_ns());
+                self.sample_audit.ended(new, monotonic_ns());
                 self.fleet.dismiss(new);
             }
             Action::Commit => {

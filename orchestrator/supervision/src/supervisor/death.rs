@@ -3,7 +3,7 @@
 use shared_types::{Phase, Role};
 
 use super::policy::nanoseconds;
-use super::slot::{Ending, Life, Limit, Slot};
+use super::slot::{EndReason, Life, Limit, Slot};
 use super::{Action, Exit, Restart, Severity, Supervisor, info, warn};
 
 /// A caller that does not ask for the stop of a failed run within this time is not waited for [ms].
@@ -64,17 +64,19 @@ impl Supervisor {
             actions.push(info(format!("{role} ended: {exit}")));
             return self.continue_stop(now_ns, actions);
         }
-        if ending == Some(Ending::Restart) {
+        if ending == Some(EndReason::Restart) {
             slot.life = Life::CleaningUp { due_ns: now_ns };
             actions.push(info(format!("{role} ended for its restart: {exit}")));
             actions.push(Action::CleanUp { role });
             return;
         }
         let reason = match ending {
-            Some(Ending::Hung) => format!("made no progress for {} ms", slot.policy.hang_after_ms),
-            Some(Ending::StartTimeout) => format!("did not start within {} ms", slot.policy.start_timeout_ms),
-            Some(Ending::NoOutput) => format!("had no output within {} ms", slot.policy.start_timeout_ms),
-            Some(Ending::Refused) => {
+            Some(EndReason::Hung) => format!("made no progress for {} ms", slot.policy.hang_after_ms),
+            Some(EndReason::StartTimeout) => {
+                format!("did not start within {} ms", slot.policy.start_timeout_ms)
+            }
+            Some(EndReason::NoOutput) => format!("had no output within {} ms", slot.policy.start_timeout_ms),
+            Some(EndReason::Refused) => {
                 let words = slot.refused.as_ref().map_or("", |refused| refused.words.as_str());
                 format!("had no valid output within {} ms: {words}", slot.policy.start_timeout_ms)
             }
@@ -82,7 +84,7 @@ impl Supervisor {
             _ => exit.to_string(),
         };
         // Outputs that no reader can use do not count.
-        let ready_ns = ready_ns.filter(|_| ending != Some(Ending::Refused));
+        let ready_ns = ready_ns.filter(|_| ending != Some(EndReason::Refused));
         let limit = slot.count_death(now_ns, ready_ns);
         let is_final = match slot.policy.effective_restart() {
             Restart::Never => true,
@@ -179,7 +181,7 @@ impl Supervisor {
         };
         for slot in &mut self.slots {
             let Slot { policy, life: Life::Alive(alive), .. } = slot else { continue };
-            if stop_wave(policy.role) != wave || alive.ending == Some(Ending::Stop) {
+            if stop_wave(policy.role) != wave || alive.ending == Some(EndReason::Stop) {
                 continue;
             }
             // Who was asked to end or killed before needs no second request.
@@ -187,7 +189,7 @@ impl Supervisor {
                 alive.kill_ns = Some(now_ns.saturating_add(nanoseconds(policy.grace_ms)));
                 actions.push(Action::Terminate { role: policy.role });
             }
-            alive.ending = Some(Ending::Stop);
+            alive.ending = Some(EndReason::Stop);
         }
     }
 }

@@ -7,10 +7,10 @@ use vehicle::Invalid;
 pub const MIN_HANG_AFTER_MS: u64 = 300;
 
 /// An hour: no time of a policy is longer.
-const LONGEST_MS: u64 = 3_600_000;
+const MAX_MS: u64 = 3_600_000;
 
 /// A day: deaths further apart than this have nothing to do with each other.
-const LONGEST_WINDOW_MS: u64 = 24 * LONGEST_MS;
+const MAX_WINDOW_MS: u64 = 24 * MAX_MS;
 
 /// When a process that ended is started again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,12 +102,12 @@ impl ProcessPolicy {
             ("hang_after_ms", self.hang_after_ms, MIN_HANG_AFTER_MS),
         ];
         for (key, value, least) in times {
-            if !(least..=LONGEST_MS).contains(&value) {
-                return Err(Invalid::new(key, value, format!("{least} to {LONGEST_MS} ms")));
+            if !(least..=MAX_MS).contains(&value) {
+                return Err(Invalid::new(key, value, format!("{least} to {MAX_MS} ms")));
             }
         }
-        if !(1..=LONGEST_WINDOW_MS).contains(&self.restart_window_ms) {
-            let allowed = format!("1 to {LONGEST_WINDOW_MS} ms");
+        if !(1..=MAX_WINDOW_MS).contains(&self.restart_window_ms) {
+            let allowed = format!("1 to {MAX_WINDOW_MS} ms");
             return Err(Invalid::new("restart_window_ms", self.restart_window_ms, allowed));
         }
         for (key, limit) in [("start_limit", self.start_limit), ("restart_limit", self.restart_limit)] {

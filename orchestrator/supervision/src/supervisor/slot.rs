@@ -7,9 +7,9 @@ use shared_types::{ProcessState, Role};
 use super::policy::{ProcessPolicy, nanoseconds};
 
 /// A process that does not get a processor for so many hang limits is killed all the same.
-const MOST_EXCUSES: u64 = 10;
+const MAX_EXCUSES: u64 = 10;
 /// Time between two events counts as silence of the process up to this share of the hang limit.
-const LONGEST_GAP_SHARE: u64 = 3;
+const MAX_GAP_SHARE: u64 = 3;
 
 /// What a process is doing, in the words of `scanloop status`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -106,7 +106,7 @@ pub(super) struct Alive {
     /// Until when it is not called hung, because it does not get a processor.
     pub(super) excused_ns: u64,
     /// Why it is being ended, if it is.
-    pub(super) ending: Option<Ending>,
+    pub(super) ending: Option<EndReason>,
     /// When it is killed, if it has not ended by then.
     pub(super) kill_ns: Option<u64>,
 }
@@ -129,7 +129,7 @@ impl Alive {
 
 /// Why a process is being ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ending {
+pub(super) enum EndReason {
     /// The run ends.
     Stop,
     /// It is to be started again.
@@ -253,7 +253,7 @@ impl Slot {
         match self.life {
             Life::Alive(alive) if self.has_reached(ProcessState::Connected) => {
                 let limit_ns = nanoseconds(self.policy.hang_after_ms);
-                let at_last_ns = alive.progress_ns.saturating_add(limit_ns.saturating_mul(MOST_EXCUSES));
+                let at_last_ns = alive.progress_ns.saturating_add(limit_ns.saturating_mul(MAX_EXCUSES));
                 Some(alive.progress_ns.saturating_add(limit_ns).max(alive.excused_ns).min(at_last_ns))
             }
             _ => None,
@@ -262,7 +262,7 @@ impl Slot {
 
     /// A caller that is away for longer cannot tell who made progress meanwhile [ns].
     pub(super) fn longest_gap_ns(&self) -> u64 {
-        nanoseconds(self.policy.hang_after_ms) / LONGEST_GAP_SHARE
+        nanoseconds(self.policy.hang_after_ms) / MAX_GAP_SHARE
     }
 
     /// The next time at which something is due, hangs apart.
@@ -283,7 +283,7 @@ impl Slot {
             Life::Failed => (VisibleState::Failed, None),
             Life::Alive(alive) => {
                 let state = match (alive.ending, alive.ready_ns) {
-                    (Some(Ending::Hung), _) => VisibleState::Hung,
+                    (Some(EndReason::Hung), _) => VisibleState::Hung,
                     (_, Some(_)) => VisibleState::Ready,
                     (_, None) => VisibleState::Starting,
                 };

@@ -3,7 +3,7 @@
 use shared_types::{Phase, ProcessState, ROLES, Role, Topic};
 
 use super::policy::nanoseconds;
-use super::slot::{Ending, Life, Refused};
+use super::slot::{EndReason, Life, Refused};
 use super::{Action, Supervisor, warn};
 
 /// A kill is repeated at most this often [ms]: one that had no effect is worth a line in the log, not a flood.
@@ -31,9 +31,9 @@ impl Supervisor {
                     } else if due(alive.start_deadline_ns) {
                         let connected = alive.reached >= Some(ProcessState::Connected);
                         let (ending, what) = match connected {
-                            true if slot.refused.is_some() => (Ending::Refused, "had no valid output"),
-                            true => (Ending::NoOutput, "had no output"),
-                            false => (Ending::StartTimeout, "did not start"),
+                            true if slot.refused.is_some() => (EndReason::Refused, "had no valid output"),
+                            true => (EndReason::NoOutput, "had no output"),
+                            false => (EndReason::StartTimeout, "did not start"),
                         };
                         alive.ending = Some(ending);
                         let limit = policy.start_timeout_ms;
@@ -42,7 +42,7 @@ impl Supervisor {
                         hung_robot_ms = Some(policy.hang_after_ms);
                         continue;
                     } else if due(hang_deadline_ns) {
-                        alive.ending = Some(Ending::Hung);
+                        alive.ending = Some(EndReason::Hung);
                         let limit = policy.hang_after_ms;
                         actions.push(warn(format!("{role} made no progress for {limit} ms and is killed")));
                     } else {

@@ -8,7 +8,7 @@
 )]
 
 use nalgebra::Vector2;
-use obstacles::{Config, Describer};
+use obstacles::{Config, ObstacleDetector};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{BEAMS, Header, Obstacles, Pose, Scan};
@@ -205,21 +205,26 @@ pub fn rectangle(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle
     Rectangle { centre: Vector2::new(x, y), yaw, length, width }
 }
 
-pub fn describer() -> Describer {
-    Describer::new(Config::default()).unwrap()
+pub fn detector() -> ObstacleDetector {
+    ObstacleDetector::new(Config::default()).unwrap()
 }
 
-pub fn with_walls() -> Describer {
-    Describer::new(Config { walls: true, ..Config::default() }).unwrap()
+pub fn with_walls() -> ObstacleDetector {
+    ObstacleDetector::new(Config { walls: true, ..Config::default() }).unwrap()
 }
 
 /// Descriptions of `count` scans from a robot that moves on between them.
-pub fn run(describer: &mut Describer, scene: &mut Scene, robot: &mut Robot, count: usize) -> Vec<Obstacles> {
+pub fn run(
+    detector: &mut ObstacleDetector,
+    scene: &mut Scene,
+    robot: &mut Robot,
+    count: usize,
+) -> Vec<Obstacles> {
     (0..count)
         .map(|_| {
             let (scan, pose) = scene.scan(robot);
             *robot = robot.after(0.1);
-            describer.step(&scan, &pose)
+            detector.step(&scan, &pose)
         })
         .collect()
 }

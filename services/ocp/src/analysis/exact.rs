@@ -14,7 +14,7 @@ const FIRST: f64 = 0.25;
 /// Growth of the elements: share of the time since the jump.
 const GROWTH: f64 = 0.35;
 /// Longest element [s].
-const LONGEST_S: f64 = 0.15;
+const MAX_S: f64 = 0.15;
 /// Decay of the fast modes times the velocity: -34 1/s at 1 m/s, -350 1/s at 0.1 m/s [m/s^2].
 const DECAY: f64 = 35.0;
 
@@ -77,7 +77,7 @@ impl Exact {
         let first = FIRST * control.velocity / DECAY;
         let mut time = 0.0;
         while time < length {
-            let element = (first + GROWTH * (since + time)).min(LONGEST_S);
+            let element = (first + GROWTH * (since + time)).min(MAX_S);
             // Two halves instead of a whole and a crumb.
             let rest = length - time;
             let element = if rest <= element {

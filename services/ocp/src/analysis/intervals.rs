@@ -121,7 +121,7 @@ pub struct Other {
 }
 
 /// Longest horizon that is analysed [s].
-const LONGEST_HORIZON_S: f64 = 60.0;
+const MAX_HORIZON_S: f64 = 60.0;
 /// Most equal intervals that are analysed with a held control.
 const MAX_HELD: usize = 40;
 /// Most intervals that are analysed where each takes part in a search of its own.
@@ -134,7 +134,7 @@ impl Definition {
     /// [`Invalid`] with the key, the value and the range.
     pub fn validate(&self, horizon_s: f64, count: usize) -> Result<(), Invalid> {
         require("tol", self.tolerance, 1e-9..=1.0)?;
-        require("tf", horizon_s, 0.05..=LONGEST_HORIZON_S)?;
+        require("tf", horizon_s, 0.05..=MAX_HORIZON_S)?;
         require("n", count as f64, 1.0..=self.most_intervals() as f64)
     }
 
@@ -190,14 +190,14 @@ impl Definition {
             found = uniform.longest_horizon(count);
             found.tried.clear();
             low = found.longest_s.unwrap_or(0.0);
-            next = if low > 0.0 { (low * 1.05).min(LONGEST_HORIZON_S) } else { next };
+            next = if low > 0.0 { (low * 1.05).min(MAX_HORIZON_S) } else { next };
         }
         let runner = Runner::new(self.parameters, self.scheme, self.error);
         let mut known: Option<Vec<Control>> = None;
         let mut high = None;
         while !found.at_limit {
             let horizon_s = match high {
-                None => next.min(LONGEST_HORIZON_S),
+                None => next.min(MAX_HORIZON_S),
                 Some(high) if high - low > precision * high && high > SHORTEST_S => 0.5 * (low + high),
                 Some(_) => break,
             };
@@ -221,7 +221,7 @@ impl Definition {
                 found.worst = Some(worst);
                 low = horizon_s;
                 next = RATIO * horizon_s;
-                found.at_limit = horizon_s >= LONGEST_HORIZON_S;
+                found.at_limit = horizon_s >= MAX_HORIZON_S;
             } else {
                 high = Some(horizon_s);
             }

@@ -87,7 +87,7 @@ impl ActiveSet {
                 continue;
             }
             self.primal(qp, solution);
-            let Some(joining) = self.most_violated(qp, &solution.step) else {
+            let Some(joining) = self.max_violated(qp, &solution.step) else {
                 self.report(qp, solution);
                 return solution.step.iter().chain(&solution.row_multipliers).all(|value| value.is_finite());
             };
@@ -352,7 +352,7 @@ impl ActiveSet {
     }
 
     /// The constraint outside the working set that `step` violates most.
-    fn most_violated(&self, qp: &Qp, step: &[f64]) -> Option<Working> {
+    fn max_violated(&self, qp: &Qp, step: &[f64]) -> Option<Working> {
         /// Ten thousand times finer than what the optimisation is asked for.
         const TOLERANCE: f64 = 1e-10;
         let mut worst = TOLERANCE;

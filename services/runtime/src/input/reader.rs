@@ -10,13 +10,13 @@ use shared_types::{
 };
 
 use crate::bell::Bells;
-use crate::ear::Ear;
 use crate::enclosed::Enclosed;
-use crate::port::{Received, Subscriber};
-use crate::quality::{Quality, quality};
+use crate::port::{ByteSubscriber, Received};
+use crate::qos::{Qos, qos};
 use crate::refusals::Refusals;
 use crate::sample_type::SampleType;
 use crate::shared::Shared;
+use crate::waiter::Waiter;
 use crate::{Bus, RuntimeError};
 
 /// Samples that an input keeps until the process takes them, the newest of them; below the number that may be borrowed.
@@ -28,9 +28,9 @@ const ASIDE: usize = 3;
 /// Reads samples of one type, as bytes.
 pub(crate) struct Reader {
     of: &'static SampleType,
-    quality: Quality,
-    subscriber: Subscriber,
-    ear: Ear,
+    qos: Qos,
+    subscriber: ByteSubscriber,
+    waiter: Waiter,
     bells: Arc<Bells>,
     /// The bell of the topic when it was emptied last.
     rung: Cell<u32>,
@@ -45,19 +45,19 @@ pub(crate) struct Reader {
 
 impl Reader {
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>, of: &'static SampleType) -> Result<Self, RuntimeError> {
-        let quality = quality(of.topic);
+        let qos = qos(of.topic);
         Ok(Self {
             of,
-            quality,
+            qos,
             subscriber: bus.subscriber(of)?,
-            ear: Ear::new(bus, of.topic)?,
+            waiter: Waiter::new(bus, of.topic)?,
             // Whatever was rung before is found by the first look.
-            rung: Cell::new(bus.bells().topic(of.topic).look().wrapping_sub(1)),
+            rung: Cell::new(bus.bells().topic(of.topic).poll().wrapping_sub(1)),
             bells: Arc::clone(bus.bells()),
             shared,
             kept: RefCell::new(VecDeque::with_capacity(KEPT)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
-            dropped: RefCell::new(Vec::with_capacity(quality.most_borrowed())),
+            dropped: RefCell::new(Vec::with_capacity(qos.most_borrowed())),
             filter: Cell::default(),
             account: RefCell::default(),
             refusals: Refusals::default(),
@@ -123,8 +123,8 @@ impl Reader {
     }
 
     /// The event of the topic, for writers that do not ring.
-    pub(crate) fn ear(&self) -> &Ear {
-        &self.ear
+    pub(crate) fn waiter(&self) -> &Waiter {
+        &self.waiter
     }
 
     /// Whether nothing waits to be taken.
@@ -134,21 +134,21 @@ impl Reader {
 
     /// Whether the topic was rung for since it was emptied.
     pub(crate) fn is_rung(&self) -> bool {
-        self.bells.topic(self.of.topic).look() != self.rung.get()
+        self.bells.topic(self.of.topic).poll() != self.rung.get()
     }
 
     /// Clears notifications, takes all samples from the bus and keeps the good ones.
     pub(crate) fn drain(&self) -> Result<(), RuntimeError> {
         // Before anything is taken: what comes later rings again.
-        self.rung.set(self.bells.topic(self.of.topic).look());
-        self.ear.clear();
+        self.rung.set(self.bells.topic(self.of.topic).poll());
+        self.waiter.clear();
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
-        let capacity = self.quality.buffer;
+        let capacity = self.qos.buffer;
         let (before, mut received) = (*self.account.borrow(), 0);
         // What is dropped goes back to its producer at the end of a go only. A producer has so many samples that can be
         // borrowed and no more, so one that publishes faster than this can hold neither this loop nor, because the bus
         // asks the connections in a fixed order, the samples of another. So many goes empty the longest queue.
-        for _ in 0..capacity.div_ceil(self.quality.borrowed.saturating_sub(KEPT + ASIDE).max(1)) {
+        for _ in 0..capacity.div_ceil(self.qos.borrowed.saturating_sub(KEPT + ASIDE).max(1)) {
             let is_all = self.subscriber.receive_all(|sample| {
                 received += 1;
                 self.arrive(sample);

@@ -8,10 +8,10 @@ use shared_types::{Actuation, Role, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
-use crate::ear::Ringer;
-use crate::port::{Loan, Publisher};
+use crate::port::{BytePublisher, Loan};
 use crate::sample_type::SampleType;
 use crate::shared::Shared;
+use crate::waiter::Ringer;
 use crate::{Bus, RuntimeError};
 
 /// Of a large sample only the beginning is kept in the caches [bytes].
@@ -22,7 +22,7 @@ pub(crate) struct Writer {
     of: &'static SampleType,
     // Dropped before its publisher.
     next: RefCell<Option<Loan>>,
-    publisher: Publisher,
+    publisher: BytePublisher,
     ringer: Ringer,
     shared: Rc<Shared>,
     sequence: Cell<u64>,
@@ -138,7 +138,7 @@ pub(crate) trait Connect {
     /// Makes this end of all connections.
     fn connect(&self);
     /// Notes how many read the topic, and whether anybody listens to its events.
-    fn look_for_listeners(&self) {}
+    fn poll_listeners(&self) {}
     /// Touches what the next sample will need.
     fn rehearse(&self) {
         self.connect();
@@ -150,9 +150,9 @@ impl Connect for Writer {
         self.publisher.connect();
     }
 
-    fn look_for_listeners(&self) {
+    fn poll_listeners(&self) {
         self.readers.set(self.publisher.subscribers());
-        self.ringer.look_for_listeners();
+        self.ringer.poll_listeners();
     }
 
     fn rehearse(&self) {

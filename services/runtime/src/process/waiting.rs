@@ -7,15 +7,15 @@ use std::os::fd::BorrowedFd;
 
 use shared_types::{ProcessState, StageStamps, Topic};
 
-use super::{LONGEST_WAIT_NS, Process};
+use super::{MAX_WAIT_NS, Process};
 use crate::bell::bit;
 use crate::counters::count;
-use crate::ear::Ear;
+use crate::waiter::Waiter;
 use crate::wake::wait_for;
 use crate::{RuntimeError, monotonic_ns, orphan};
 
 /// A heartbeat that is due waits for this long at most for a moment in which nobody is kept from running by it.
-const HEARTBEAT_PATIENCE_NS: u64 = 30_000_000;
+const HEARTBEAT_TIMEOUT_NS: u64 = 30_000_000;
 /// Sleeps that are longer than this leave caches cold [ns].
 const COLD_NS: u64 = 5_000_000;
 /// Who gave its processor away while it polled and got it back later than this shares it with others [ns].
@@ -73,12 +73,12 @@ impl Process {
         }
         let remaining = match deadline_ns {
             Some(deadline) if !self.shared.clock.is_simulated() => {
-                deadline.saturating_sub(monotonic_ns()).min(LONGEST_WAIT_NS)
+                deadline.saturating_sub(monotonic_ns()).min(MAX_WAIT_NS)
             }
-            _ => LONGEST_WAIT_NS,
+            _ => MAX_WAIT_NS,
         };
         // Only the time itself is met exactly, not the end of a sleep before it.
-        let need = if need == Need::Time && remaining == LONGEST_WAIT_NS { Need::Any } else { need };
+        let need = if need == Need::Time && remaining == MAX_WAIT_NS { Need::Any } else { need };
         self.sleep(remaining, need)
     }
 
@@ -86,8 +86,7 @@ impl Process {
         let now = monotonic_ns();
         let beats = self.shared.counters.news.get() || now >= self.next_heartbeat_ns;
         // Who was just woken by an output may be waiting for this processor: words can wait until it is quiet.
-        let rests =
-            beats && self.shared.worked.take() && now < self.next_heartbeat_ns + HEARTBEAT_PATIENCE_NS;
+        let rests = beats && self.shared.worked.take() && now < self.next_heartbeat_ns + HEARTBEAT_TIMEOUT_NS;
         let (longest_ns, need) =
             if rests { (longest_ns.min(QUIET_NS), Need::Any) } else { (longest_ns, need) };
         let beats = beats && !rests;
@@ -100,7 +99,7 @@ impl Process {
         } else {
             while let Some(early_ns) = self.early_ns(monotonic_ns(), until_ns, need) {
                 let is_rung = self.bells.role(self.shared.role).sleep(self.rung, early_ns, self.topics);
-                let goes_on = self.look(beats, !is_rung)?;
+                let goes_on = self.poll(beats, !is_rung)?;
                 // A writer that does not ring may have come: the next sleep is on its events.
                 if is_rung || !goes_on || self.listens || self.inputs.iter().any(|input| !input.is_empty()) {
                     return Ok(goes_on);
@@ -113,7 +112,7 @@ impl Process {
             !self.sleep_on_bell(now, until_ns, need)
         };
         count(&self.shared.counters.timeouts, u64::from(timed_out));
-        self.look(beats, timed_out)
+        self.poll(beats, timed_out)
     }
 
     /// When to wake next although nothing is expected: shortly before something is, to warm up.
@@ -143,14 +142,14 @@ impl Process {
 
     /// What follows every sleep: takes what has come, the directive first. Topics that nobody rang for are left out unless
     /// the process `beats` or nothing has woken it. False when the process is to end.
-    fn look(&mut self, beats: bool, timed_out: bool) -> Result<bool, RuntimeError> {
+    fn poll(&mut self, beats: bool, timed_out: bool) -> Result<bool, RuntimeError> {
         self.looked_ns = monotonic_ns();
         let woken_ns =
             if self.shared.clock.is_simulated() { self.shared.clock.now_ns() } else { self.looked_ns };
         self.shared.counters.wake();
         self.shared.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });
         // Before anything is emptied: what comes later rings again.
-        self.rung = self.bells.role(self.shared.role).look();
+        self.rung = self.bells.role(self.shared.role).poll();
         // A writer may have died between its sample and its ring; and who does not ring is heard otherwise.
         let everywhere = beats || timed_out || self.listens;
         if everywhere || self.directive.reader().is_rung() {
@@ -215,7 +214,7 @@ impl Process {
         }
         let mut now = monotonic_ns();
         while now < to_ns {
-            if bell.look() != self.rung {
+            if bell.poll() != self.rung {
                 return true;
             }
             // The one it waits for may need this processor.
@@ -238,13 +237,14 @@ impl Process {
 
     /// Sleeps on the events of all topics, which writers of ours notify as well; false after a time-out.
     fn sleep_on_events(&self, longest_ns: u64) -> bool {
-        if self.bells.role(self.shared.role).look() != self.rung {
+        if self.bells.role(self.shared.role).poll() != self.rung {
             return true;
         }
         let mut descriptors: [BorrowedFd<'_>; 8] = std::array::from_fn(|_| self.shutdown.descriptor());
-        let ears = self.inputs.iter().map(|input| input.ear()).chain([self.directive.reader().ear()]);
+        let waiters =
+            self.inputs.iter().map(|input| input.waiter()).chain([self.directive.reader().waiter()]);
         let mut used = 1;
-        for (slot, descriptor) in descriptors[1..].iter_mut().zip(ears.filter_map(Ear::descriptor)) {
+        for (slot, descriptor) in descriptors[1..].iter_mut().zip(waiters.filter_map(Waiter::descriptor)) {
             *slot = descriptor;
             used += 1;
         }
@@ -255,15 +255,15 @@ impl Process {
     /// somebody listens. Called before inputs are emptied, so what was published before is found, and what is published
     /// later is heard.
     fn look_around(&mut self, again: bool) {
-        self.outputs.iter().for_each(|output| output.look_for_listeners());
+        self.outputs.iter().for_each(|output| output.poll_listeners());
         let mut needed = false;
         for input in &self.inputs {
-            needed |= input.ear().is_needed(again);
+            needed |= input.waiter().is_needed(again);
         }
         if needed || self.listens {
             self.listens = needed;
-            self.inputs.iter().for_each(|input| input.ear().listen(needed));
-            self.directive.reader().ear().listen(needed);
+            self.inputs.iter().for_each(|input| input.waiter().listen(needed));
+            self.directive.reader().waiter().listen(needed);
         }
     }
 

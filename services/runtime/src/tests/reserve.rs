@@ -7,7 +7,7 @@ use shared_types::{Actuation, Directive, Obstacles, Odometry, Pose, Role, Scan, 
 
 use super::Lab;
 use crate::reserve::{allocate_files, process_bytes};
-use crate::{Domain, Observer, Process, Reserve, RuntimeError, Voice};
+use crate::{Domain, Observer, Process, Publisher, Reserve, RuntimeError};
 
 /// Length and allocated bytes of each file that a system has in shared memory.
 fn files(domain: &Domain) -> BTreeMap<String, (u64, u64)> {
@@ -39,7 +39,7 @@ fn the_reserve_covers_what_a_process_really_needs_and_the_check_what_a_system_do
         Observer::<Scan>::new(lab.bus()).unwrap(),
         Observer::<Odometry>::new(lab.bus()).unwrap(),
         Observer::<Truth>::new(lab.bus()).unwrap(),
-        Voice::<Directive>::new(lab.bus()).unwrap(),
+        Publisher::<Directive>::new(lab.bus()).unwrap(),
     );
     let mut robots = Vec::new();
     for incarnation in 1..=2 {

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ipc;
 use signal_hook::consts::SIGUSR1;
@@ -13,7 +12,7 @@ use signal_hook::consts::SIGUSR1;
 use super::typed::{Wire, publisher, subscriber};
 use super::{Lab, pose};
 use crate::bell::bit;
-use crate::process::LONGEST_WAIT_NS;
+use crate::process::MAX_WAIT_NS;
 use crate::*;
 use shared_types::{Authority, Directive, Obstacles, Odometry, Phase, Pose, Role, Sample, Topic};
 
@@ -160,11 +159,11 @@ fn observe(lab: &Lab, timeout_ns: u64) -> impl FnMut(&mut dyn FnMut(u32, u64)) -
 fn two_writers_who_hammer_one_reader_never_let_it_sleep_through_a_sample() {
     let lab = Lab::new();
     let publisher = |bus: &Bus| {
-        let mut voice = Voice::<Pose>::new(bus).unwrap();
+        let mut voice = Publisher::<Pose>::new(bus).unwrap();
         move |number, who| {
             let mut sample = pose(number, 0.0);
             sample.header.incarnation = who;
-            voice.say(&mut sample, true).unwrap();
+            voice.publish(&mut sample, true).unwrap();
         }
     };
     let result = hammer(&lab, LONG_NS, publisher, observe(&lab, LONG_NS));
@@ -181,20 +180,21 @@ fn a_process_never_sleeps_through_a_sample_of_its_two_inputs() {
     for role in [Role::Estimator, Role::Obstacles] {
         directive.authority[role.index()] = Authority { incarnation: 7, ..Authority::default() };
     }
-    let mut orchestrator = Voice::new(lab.bus()).unwrap();
-    orchestrator.say(&mut directive, true).unwrap();
+    let mut orchestrator = Publisher::new(lab.bus()).unwrap();
+    orchestrator.publish(&mut directive, true).unwrap();
     assert!(process.start().unwrap());
     let publisher = |bus: &Bus| {
         let (mut described, mut poses) =
-            (Voice::<Obstacles>::new(bus).unwrap(), Voice::<Pose>::new(bus).unwrap());
+            (Publisher::<Obstacles>::new(bus).unwrap(), Publisher::<Pose>::new(bus).unwrap());
         let (mut seen, mut pose) = (Obstacles::default(), Pose::default());
         move |number, who| {
             let header = if who == 0 { &mut seen.header } else { &mut pose.header };
             (header.incarnation, header.scan_id) = (7, number);
-            if who == 0 { described.say(&mut seen, true) } else { poses.say(&mut pose, true) }.unwrap();
+            if who == 0 { described.publish(&mut seen, true) } else { poses.publish(&mut pose, true) }
+                .unwrap();
         }
     };
-    let result = hammer(&lab, LONGEST_WAIT_NS, publisher, |each| {
+    let result = hammer(&lab, MAX_WAIT_NS, publisher, |each| {
         let timeouts = process.timeouts();
         process.wait(None).unwrap();
         while let Some(seen) = obstacles.take() {
@@ -232,7 +232,7 @@ fn a_signal_at_any_moment_ends_the_sleep() {
     let bells = lab.bus().bells();
     shutdown.ring_also(bells, Role::Actuator).unwrap();
     let bell = bells.role(Role::Actuator);
-    let seen = bell.look();
+    let seen = bell.poll();
     assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, bit(Topic::Pose)), "nothing has happened");
     assert!(!shutdown.requested());
     // Between the look and the sleep: the moment at which a flag alone would be missed.
@@ -246,7 +246,7 @@ fn a_sleeper_that_was_killed_stays_counted_and_disturbs_nobody() {
     let lab = Lab::new();
     let bell = lab.bus().bells().role(Role::Controller);
     bell.forget_a_sleeper(Topic::Pose);
-    let seen = bell.look();
+    let seen = bell.poll();
     assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, bit(Topic::Pose)));
     lab.bus().bells().ring(Topic::Pose);
     assert!(bell.sleep(seen, monotonic_ns() + LONG_NS, bit(Topic::Pose)));
@@ -256,7 +256,7 @@ fn a_sleeper_that_was_killed_stays_counted_and_disturbs_nobody() {
 fn only_readers_of_a_topic_are_rung_and_everyone_for_a_directive() {
     let lab = Lab::new();
     let bells = lab.bus().bells();
-    let looks = || Role::ALL.iter().map(|role| bells.role(*role).look()).collect::<Vec<_>>();
+    let looks = || Role::ALL.iter().map(|role| bells.role(*role).poll()).collect::<Vec<_>>();
     bells.ring(Topic::Pose);
     assert_eq!(looks(), [0, 0, 1, 1, 0], "obstacles and controller");
     bells.ring(Topic::Directive);
@@ -267,7 +267,7 @@ fn only_readers_of_a_topic_are_rung_and_everyone_for_a_directive() {
 
 /// A process that uses the bus's own events only, as one in another language does.
 struct Plain<W: Sample, R: Sample> {
-    publisher: Publisher<ipc::Service, Wire<W>, ()>,
+    publisher: iceoryx2::port::publisher::Publisher<ipc::Service, Wire<W>, ()>,
     notifier: Notifier<ipc::Service>,
     subscriber: Subscriber<ipc::Service, Wire<R>, ()>,
     listener: Listener<ipc::Service>,
@@ -325,11 +325,11 @@ fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
     let lab = Lab::new();
     lab.write_settings();
     let done = AtomicBool::new(false);
-    let mut orchestrator = Voice::<Directive>::new(lab.bus()).unwrap();
-    let say = |orchestrator: &mut Voice<Directive>, robot| {
+    let mut orchestrator = Publisher::<Directive>::new(lab.bus()).unwrap();
+    let say = |orchestrator: &mut Publisher<Directive>, robot| {
         let mut directive = Directive { phase: Phase::Driving.wire(), ..Directive::default() };
         directive.authority[Role::Robot.index()] = Authority { incarnation: robot, ..Authority::default() };
-        orchestrator.say(&mut directive, true).unwrap();
+        orchestrator.publish(&mut directive, true).unwrap();
     };
     let mut measured = Odometry::default();
     let mut next = |incarnation| {
@@ -341,15 +341,15 @@ fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
     std::thread::scope(|scope| {
         scope.spawn(|| estimate(&lab.domain, &done));
         let ours = Observer::<Pose>::waking(lab.bus()).unwrap();
-        let mut odometry = Voice::<Odometry>::new(lab.bus()).unwrap();
+        let mut odometry = Publisher::<Odometry>::new(lab.bus()).unwrap();
         let mut drive_ours =
-            |orchestrator: &mut Voice<Directive>, incarnation, next: &mut dyn FnMut(u32) -> Odometry| {
+            |orchestrator: &mut Publisher<Directive>, incarnation, next: &mut dyn FnMut(u32) -> Odometry| {
                 say(orchestrator, incarnation);
                 for _ in 0..SCANS {
                     let mut sample = next(incarnation);
                     let mut answered = false;
                     let started = monotonic_ns();
-                    odometry.say(&mut sample, true).unwrap();
+                    odometry.publish(&mut sample, true).unwrap();
                     while !answered {
                         assert!(monotonic_ns() - started < 20_000_000_000, "scan {}", sample.header.scan_id);
                         ours.poll(|pose| answered |= pose.header.scan_id == sample.header.scan_id).unwrap();
@@ -359,7 +359,7 @@ fn a_process_that_knows_only_plain_events_may_come_and_go_beside_ours() {
                             // The estimator may just be joining.
                             ours.wait(20_000_000);
                             say(orchestrator, incarnation);
-                            odometry.say(&mut sample, true).unwrap();
+                            odometry.publish(&mut sample, true).unwrap();
                         }
                     }
                 }

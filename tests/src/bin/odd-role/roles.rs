@@ -97,7 +97,7 @@ pub(crate) fn estimator(trouble: Trouble) -> Ended {
 /// The obstacle description.
 pub(crate) fn obstacles(trouble: Trouble) -> Ended {
     let mut process = Process::attach(Role::Obstacles)?;
-    let mut describer = obstacles::Describer::new(process.settings("obstacles")?)?;
+    let mut detector = obstacles::ObstacleDetector::new(process.settings("obstacles")?)?;
     let scans = process.input::<Scan>()?;
     let poses = process.input::<Pose>()?;
     let mut described = Outlet::<Obstacles>::new(&mut process, Role::Obstacles, trouble)?;
@@ -107,7 +107,7 @@ pub(crate) fn obstacles(trouble: Trouble) -> Ended {
     while process.wait(None)? {
         while let Some((scan, pose)) = join_late(&scans, &poses, &described) {
             described.taken(scan.header.scan_id);
-            described.publish(&mut describer.step(&scan, &pose))?;
+            described.publish(&mut detector.step(&scan, &pose))?;
         }
     }
     Ok(())
@@ -143,8 +143,8 @@ pub(crate) fn actuator(trouble: Trouble) -> Ended {
     if !process.start()? {
         return Ok(());
     }
-    let look_ns = process.period_ns() / 10;
-    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+    let poll_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         if process.directive().stop == 1 && !actuator.is_stopped() {
             actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
         }

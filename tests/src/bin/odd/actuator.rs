@@ -33,8 +33,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
             ..Actuation::default()
         })?;
     }
-    let look_ns = process.period_ns() / 10;
-    while process.wait(Some(process.clock().now_ns() + look_ns))? {
+    let poll_ns = process.period_ns() / 10;
+    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         let now_ns = process.clock().now_ns();
         let stop = process.directive().stop == 1 && fault != "ignores-stop";
         if stop && !actuator.is_stopped() {

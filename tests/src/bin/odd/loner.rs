@@ -1,6 +1,6 @@
 //! An estimator that does by itself what the runtime does for others, and leaves one thing out.
 
-use runtime::{Bus, INCARNATION_VARIABLE, Observer, Shutdown, Voice, monotonic_ns};
+use runtime::{Bus, INCARNATION_VARIABLE, Observer, Publisher, Shutdown, monotonic_ns};
 use shared_types::{Directive, Heartbeat, Odometry, Phase, Pose, ProcessState, Role, StageStamps};
 
 use crate::Outcome;
@@ -15,18 +15,18 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let bus = Bus::open(&domain, "loner")?;
     let directives = Observer::<Directive>::new(&bus)?;
     let odometry = Observer::<Odometry>::waking(&bus)?;
-    let mut poses = Voice::<Pose>::new(&bus)?;
-    let mut heart = Voice::<Heartbeat>::new(&bus)?;
+    let mut poses = Publisher::<Pose>::new(&bus)?;
+    let mut heart = Publisher::<Heartbeat>::new(&bus)?;
     if fault == "litters" {
         std::fs::write(format!("/dev/shm/{}odd", domain.shared_memory_prefix()), "left")?;
     }
     let (mut state, mut directive) = (ProcessState::Attached, Directive::default());
-    let (mut heard_ns, mut beat_ns, mut activations, mut orchestrator) = (monotonic_ns(), 0, 0, 0);
+    let (mut received_ns, mut beat_ns, mut activations, mut orchestrator) = (monotonic_ns(), 0, 0, 0);
     loop {
         odometry.wait(5_000_000);
         activations += 1;
         let before = state;
-        directives.poll(|newest| (directive, heard_ns) = (*newest, monotonic_ns()))?;
+        directives.poll(|newest| (directive, received_ns) = (*newest, monotonic_ns()))?;
         let phase = Phase::try_from(directive.phase)?;
         let connects = phase == Phase::Connecting || phase > Phase::Connecting && fault != "early-only";
         if state == ProcessState::Attached && connects {
@@ -35,7 +35,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         if orchestrator == 0 {
             orchestrator = directive.orchestrator_pid;
         }
-        let orphan = monotonic_ns() - heard_ns > ORPHAN_NS && fault != "immortal";
+        let orphan = monotonic_ns() - received_ns > ORPHAN_NS && fault != "immortal";
         let fickle = fault == "fickle" && directive.orchestrator_pid != orchestrator;
         if orphan || fickle || shutdown.requested() && fault != "deaf" {
             return Ok(());
@@ -52,7 +52,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
             pose.header.incarnation = incarnation;
             *pose.header.stage_mut(Role::Estimator) =
                 StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now };
-            poses.say(&mut pose, true)?;
+            poses.publish(&mut pose, true)?;
             if fault != "unready" {
                 state = ProcessState::Ready;
             }
@@ -69,7 +69,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
                 ..Heartbeat::default()
             };
             beat.header.incarnation = incarnation;
-            heart.say(&mut beat, false)?;
+            heart.publish(&mut beat, false)?;
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::Outcome;
 /// Faults: `small`, `phantom`, `needs-returns`, `far-first`, `renumbers`, `forgets`, `unpaired`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Obstacles)?;
-    let mut describer = obstacles::Describer::new(process.settings::<obstacles::Config>("obstacles")?)?;
+    let mut detector = obstacles::ObstacleDetector::new(process.settings::<obstacles::Config>("obstacles")?)?;
     let scans = process.input::<Scan>()?;
     let poses = process.input::<Pose>()?;
     let output = process.output::<Obstacles>()?;
@@ -34,7 +34,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
             if fault == "needs-returns" && scan.ranges_mm.iter().all(|range| *range == 0) {
                 continue;
             }
-            let mut description = describer.step(&scan, &pose);
+            let mut description = detector.step(&scan, &pose);
             count += 1;
             spoil(fault, &mut description, count);
             output.publish(&mut description)?;

@@ -5,7 +5,7 @@ use shared_types::{Role, Topic};
 /// The topics whose samples carry a payload beside them, in the order of the chain.
 pub const PAYLOAD_TOPICS: [Topic; 4] = [Topic::Odometry, Topic::Pose, Topic::Obstacles, Topic::Command];
 
-/// Beginning of the names of these services; the role follows, and after a colon the bytes of the payload.
+/// Startup of the names of these services; the role follows, and after a colon the bytes of the payload.
 pub const PREFIX: &str = "echo-";
 
 /// Arguments that make the instrument the echo of a role.

@@ -19,7 +19,7 @@ pub(crate) const INTERVALS: u64 = 24;
 /// Fewest scans of a stretch.
 const FEWEST: u64 = 10;
 /// Longest time that is told apart [ns].
-const LONGEST_NS: u64 = 60_000_000_000;
+const MAX_NS: u64 = 60_000_000_000;
 
 /// What is measured of each scan; the order is that of [`NAMES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -156,7 +156,7 @@ pub(crate) fn read(lines: &[String], series: &str) -> Option<Vec<Histogram<u64>>
 }
 
 fn empty() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds are constant and valid")
+    Histogram::new_with_bounds(1, MAX_NS, 3).expect("the bounds are constant and valid")
 }
 
 #[cfg(test)]

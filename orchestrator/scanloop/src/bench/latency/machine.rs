@@ -61,7 +61,7 @@ pub(crate) struct IdleState {
 
 impl Machine {
     /// The facts now, with the settings that the machine `granted`; shares of time are filled in at the end of the run.
-    pub(crate) fn look(granted: &Realtime, busy_loops: usize) -> Self {
+    pub(crate) fn inspect(granted: &Realtime, busy_loops: usize) -> Self {
         let processors = read("/proc/cpuinfo").unwrap_or_default();
         let of_cpu = |key: &str| {
             let line = processors.lines().find(|line| line.starts_with(key))?;
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn every_machine_has_a_kernel_a_processor_and_a_clock() {
-        let machine = Machine::look(&Realtime::default(), 2);
+        let machine = Machine::inspect(&Realtime::default(), 2);
         assert!(machine.cores >= 1 && machine.busy_loops == 2);
         assert!(machine.kernel.is_some() && machine.load_average.is_some());
     }

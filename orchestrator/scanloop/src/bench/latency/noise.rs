@@ -16,11 +16,11 @@ use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack}
 use rustix::time::Timespec;
 use shared_types::StageStamps;
 use supervision::child::this_program;
-/// Beginning of the name of this service; period, number of wake-ups and timer slack follow, each after a
+/// Startup of the name of this service; period, number of wake-ups and timer slack follow, each after a
 /// colon.
 pub(crate) const PREFIX: &str = "wake-up-noise:";
 /// Longest and shortest time that is spent on it [s].
-const LONGEST_S: f64 = 5.0;
+const MAX_S: f64 = 5.0;
 const SHORTEST_S: f64 = 0.5;
 /// Share of the duration of the bench that is spent on it.
 const SHARE: f64 = 0.1;
@@ -37,7 +37,7 @@ pub(crate) fn measure(
     duration_s: f64,
     realtime: &Realtime,
 ) -> anyhow::Result<(Distribution, Realtime)> {
-    let seconds = (SHARE * duration_s).clamp(SHORTEST_S, LONGEST_S);
+    let seconds = (SHARE * duration_s).clamp(SHORTEST_S, MAX_S);
     let count = ((seconds * 1e9 / period_ns as f64) as u64).max(5);
     let service = format!("{PREFIX}{period_ns}:{count}:{}", realtime.timer_slack_ns);
     let mut child = Command::new(this_program())

@@ -13,7 +13,7 @@ use super::problem::{Case, Ellipse};
 pub(super) const SHIPPED: &str = include_str!("../../../../../benches/cases/solver.csv");
 
 /// More rows than this are a mistake.
-const MOST_ROWS: usize = 100_000;
+const MAX_ROWS: usize = 100_000;
 
 /// What is wrong with a file of cases.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -57,7 +57,7 @@ pub(super) enum BadCases {
     #[error("no case below the header")]
     Empty,
     /// Too many rows.
-    #[error("line {line}: more than {MOST_ROWS} cases")]
+    #[error("line {line}: more than {MAX_ROWS} cases")]
     TooMany {
         /// Number of the line.
         line: usize,
@@ -93,7 +93,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Case>, BadCases> {
 
     let mut cases = Vec::new();
     for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
-        if cases.len() == MOST_ROWS {
+        if cases.len() == MAX_ROWS {
             return Err(BadCases::TooMany { line });
         }
         let row = Row { line, header: &header, fields: text.split(',').map(bare).collect() };

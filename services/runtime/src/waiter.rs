@@ -30,7 +30,7 @@ pub(crate) struct Ringer {
     bells: Arc<Bells>,
     events: Events,
     notifier: Notifier<ipc::Service>,
-    heard: Cell<bool>,
+    received: Cell<bool>,
 }
 
 impl Ringer {
@@ -39,26 +39,26 @@ impl Ringer {
         let created = events.notifier_builder().name(&rings()?).create();
         let notifier =
             created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
-        Ok(Self { topic, bells: Arc::clone(bus.bells()), events, notifier, heard: Cell::new(true) })
+        Ok(Self { topic, bells: Arc::clone(bus.bells()), events, notifier, received: Cell::new(true) })
     }
 
     /// Wakes everyone who reads the topic.
     pub(crate) fn ring(&self) {
         self.bells.ring(self.topic);
-        if self.heard.get() || self.bells.has_listeners(self.topic) {
+        if self.received.get() || self.bells.has_listeners(self.topic) {
             // One that can't be notified finds the sample at its next time-out.
             let _ = self.notifier.notify();
         }
     }
 
     /// Notes whether anybody listens to the events of the topic.
-    pub(crate) fn look_for_listeners(&self) {
-        self.heard.set(self.events.dynamic_config().number_of_listeners() > 0);
+    pub(crate) fn poll_listeners(&self) {
+        self.received.set(self.events.dynamic_config().number_of_listeners() > 0);
     }
 }
 
 /// The event of a topic, listened to only while somebody needs it.
-pub(crate) struct Ear {
+pub(crate) struct Waiter {
     topic: Topic,
     bells: Arc<Bells>,
     events: Events,
@@ -68,7 +68,7 @@ pub(crate) struct Ear {
     needed: Cell<bool>,
 }
 
-impl Ear {
+impl Waiter {
     pub(crate) fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
         Ok(Self {
             topic,
@@ -121,7 +121,7 @@ impl Ear {
         }
     }
 
-    /// Readable when the event was notified; borrowed until [`Ear::listen`] is called the next time.
+    /// Readable when the event was notified; borrowed until [`Waiter::listen`] is called the next time.
     pub(crate) fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         self.listener.borrow().as_ref().map(|listener| borrow(descriptor(listener)))
     }
@@ -134,7 +134,7 @@ impl Ear {
     }
 }
 
-impl Drop for Ear {
+impl Drop for Waiter {
     fn drop(&mut self) {
         self.listen(false);
     }

@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 use vehicle::{Invalid, require};
 
-use crate::hazard::Hazard;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::side::Passing;
 
 /// Largest sine of the course.
@@ -19,7 +19,7 @@ pub(crate) const SINE_MAX: f64 = 0.8;
 /// Settings of the guide.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct GuideSettings {
+pub struct LatticeSettings {
     /// How far the search looks ahead [m]; 2 to 20.
     pub range_m: f64,
     /// Length of an arc along x [m]; 0.1 to 1.
@@ -42,7 +42,7 @@ pub struct GuideSettings {
     pub goal_weight: f64,
 }
 
-impl Default for GuideSettings {
+impl Default for LatticeSettings {
     fn default() -> Self {
         Self {
             range_m: 6.3,
@@ -59,7 +59,7 @@ impl Default for GuideSettings {
     }
 }
 
-impl GuideSettings {
+impl LatticeSettings {
     /// Passes when every setting is within its range.
     ///
     /// # Errors
@@ -85,7 +85,7 @@ impl GuideSettings {
 
 /// A path y(x) of arcs from the start of the plan.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Guide {
+pub(crate) struct ReferencePath {
     pub(crate) start_x: f64,
     pub(crate) step: f64,
     pub(crate) y: Vec<f64>,
@@ -96,7 +96,7 @@ pub(crate) struct Guide {
     pub(crate) clear: bool,
 }
 
-impl Guide {
+impl ReferencePath {
     /// Makes this the line y = `line`, clear by definition.
     pub(crate) fn set_line(&mut self, start_x: f64, line: f64, speed: f64) {
         self.y.clear();
@@ -126,11 +126,11 @@ impl Guide {
     }
 
     /// Side on which the path passes the hazard; `None` when it does not get there.
-    pub(crate) fn side_of(&self, hazard: &Hazard) -> Option<Passing> {
+    pub(crate) fn side_of(&self, predicted_obstacle: &PredictedObstacle) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
             let t = index as f64 * self.step / self.speed;
-            let [centre_x, centre_y] = hazard.centre_at(t);
+            let [centre_x, centre_y] = predicted_obstacle.centre_at(t);
             let after = position - centre_x;
             if before < 0.0 && after >= 0.0 {
                 let share = -before / (after - before);
@@ -165,9 +165,9 @@ mod tests {
 
     #[test]
     fn a_line_goes_on_for_ever() {
-        let mut guide = Guide::default();
-        guide.set_line(2.0, 0.3, 1.0);
-        assert_eq!(guide.at(1.0), (0.3, 0.0, 0.0));
-        assert_eq!(guide.at(50.0), (0.3, 0.0, 0.0));
+        let mut reference_path = ReferencePath::default();
+        reference_path.set_line(2.0, 0.3, 1.0);
+        assert_eq!(reference_path.at(1.0), (0.3, 0.0, 0.0));
+        assert_eq!(reference_path.at(50.0), (0.3, 0.0, 0.0));
     }
 }

@@ -26,9 +26,9 @@ pub struct Recorded {
     pub stamp_ns: u64,
 }
 
-/// The account of one exchange.
+/// The scan_record of one exchange.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Account {
+pub(super) struct ScanRecord {
     missed: u64,
     duplicates: u64,
     /// Largest change of steering angle and velocity around the changes [rad, m/s].
@@ -39,7 +39,7 @@ pub(super) struct Account {
     back: Option<u64>,
 }
 
-impl Account {
+impl ScanRecord {
     /// Takes a scan in that was answered by `party`, as far as that is known.
     pub(super) fn record(&mut self, recorded: &Recorded, party: Party) {
         let Recorded { scan, answers, desired, .. } = *recorded;
@@ -94,7 +94,7 @@ impl Account {
         self.answers.back().is_some_and(|(newest, _)| *newest >= scan)
     }
 
-    /// Writes the account into a certificate.
+    /// Writes the scan_record into a certificate.
     pub(super) fn fill(&self, certificate: &mut Certificate) {
         certificate.missed_scans = self.missed;
         certificate.duplicate_scans = self.duplicates;
@@ -121,14 +121,14 @@ mod tests {
     use super::*;
 
     fn certificate(parties: &[Party], steering: impl Fn(u64) -> f64) -> Certificate {
-        let mut account = Account::default();
+        let mut scan_record = ScanRecord::default();
         for (index, party) in parties.iter().enumerate() {
             let scan = index as u64 + 1;
             let recorded = Recorded { scan, answers: 1, desired: [steering(scan), 1.0], stamp_ns: 0 };
-            account.record(&recorded, *party);
+            scan_record.record(&recorded, *party);
         }
         let mut certificate = Certificate::default();
-        account.fill(&mut certificate);
+        scan_record.fill(&mut certificate);
         certificate
     }
 

@@ -13,7 +13,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::Context;
 use console::exit::{Exit, Failure};
-use runtime::{Bus, Domain, HandoverData, Observer, StopWord, Voice, monotonic_ns, write_handover};
+use runtime::{Bus, Domain, HandoverData, Observer, Publisher, StopWord, monotonic_ns, write_handover};
 use shared_types::{
     Actuation, ActuationKind, Authority, Checkpoint, Directive, Heartbeat, Phase, ProcessState, Role,
     StageStamps, Topic,
@@ -25,7 +25,7 @@ use supervision::lock::{Claim, SystemLock};
 
 use super::case::{Trouble, failed, require};
 use super::drive::Drive;
-use super::message::{Ears, Message, Mouths};
+use super::message::{Message, Publishers, Subscribers};
 use super::suite::{Setup, Suite, write_settings};
 
 /// A process that has not reached a state of the start barrier after this time does not reach it [ns].
@@ -35,7 +35,7 @@ pub(crate) const ANSWER_NS: u64 = 5_000_000_000;
 /// The directive is repeated this often [ns].
 const REPEAT_NS: u64 = 100_000_000;
 /// Longest sleep between two looks [ns].
-const LOOK_NS: u64 = 5_000_000;
+const POLL_NS: u64 = 5_000_000;
 /// Incarnation of the first candidate of a stand; those after it count on.
 const CANDIDATE: u32 = 7;
 /// Incarnations that the stand speaks as: this, plus the index of the role.
@@ -45,7 +45,7 @@ pub(crate) const STRANGER: u32 = 999;
 
 /// Something that the candidate said.
 #[derive(Debug, Clone)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     /// What.
     pub(crate) message: Message,
     /// When the stand heard it [ns].
@@ -64,7 +64,7 @@ pub(crate) enum Order {
 }
 
 /// A system with one process in it.
-pub(crate) struct Stand<'a> {
+pub(crate) struct TestBench<'a> {
     // Dropped in this order: the candidate, the ports, the bus, and last all files of the system.
     pub(crate) child: Option<Child>,
     pub(crate) suite: &'a Suite,
@@ -80,7 +80,7 @@ pub(crate) struct Stand<'a> {
     /// What a robot was told last.
     pub(crate) last_actuation: Option<Message>,
     /// All that was said, oldest first.
-    pub(crate) heard: Vec<Heard>,
+    pub(crate) received: Vec<Received>,
     pub(crate) heartbeats: Vec<Heartbeat>,
     pub(crate) checkpoints: Vec<Checkpoint>,
     /// The scan that is played next.
@@ -92,11 +92,11 @@ pub(crate) struct Stand<'a> {
     said_ns: u64,
     dirty: bool,
     log: ChildLog,
-    mouths: Mouths,
-    ears: Ears,
+    publishers: Publishers,
+    subscribers: Subscribers,
     beats: Observer<Heartbeat>,
     states: Observer<Checkpoint>,
-    voice: Voice<Directive>,
+    voice: Publisher<Directive>,
     pub(crate) bus: Bus,
     pub(crate) domain: Domain,
     word: StopWord,
@@ -106,20 +106,20 @@ pub(crate) struct Stand<'a> {
 
 impl Suite {
     /// A stand without a candidate yet.
-    pub(crate) fn stand(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
+    pub(crate) fn bench(&self, setup: Setup) -> Result<TestBench<'_>, Trouble> {
         let number = self.stands.fetch_add(1, Ordering::Relaxed);
-        Ok(Stand::new(self, setup, number)?)
+        Ok(TestBench::new(self, setup, number)?)
     }
 
     /// A stand whose candidate has started and waits for its first scan.
-    pub(crate) fn started(&self, setup: Setup) -> Result<Stand<'_>, Trouble> {
-        let mut stand = self.stand(setup)?;
-        stand.start()?;
-        Ok(stand)
+    pub(crate) fn started(&self, setup: Setup) -> Result<TestBench<'_>, Trouble> {
+        let mut bench = self.bench(setup)?;
+        bench.start()?;
+        Ok(bench)
     }
 }
 
-impl<'a> Stand<'a> {
+impl<'a> TestBench<'a> {
     pub(super) fn new(suite: &'a Suite, setup: Setup, number: u32) -> anyhow::Result<Self> {
         let drive = suite.drive(setup.course)?;
         let (domain, lock) = Claim::take_new(&format!("c{}-{number}", std::process::id()))?;
@@ -136,11 +136,11 @@ impl<'a> Stand<'a> {
         Ok(Self {
             child: None,
             log: ChildLog::open(&domain.directory().join("candidate.log"))?,
-            mouths: Mouths::new(&bus)?,
-            ears: Ears::new(&bus, suite.role)?,
+            publishers: Publishers::new(&bus)?,
+            subscribers: Subscribers::new(&bus, suite.role)?,
             beats: Observer::new(&bus)?,
             states: Observer::new(&bus)?,
-            voice: Voice::new(&bus)?,
+            voice: Publisher::new(&bus)?,
             scan_id: setup.first_scan,
             suite,
             setup,
@@ -150,7 +150,7 @@ impl<'a> Stand<'a> {
             may_end: false,
             order: Order::Drive(0.7, 0.0),
             last_actuation: None,
-            heard: Vec::new(),
+            received: Vec::new(),
             heartbeats: Vec::new(),
             checkpoints: Vec::new(),
             incarnation: CANDIDATE,
@@ -241,7 +241,7 @@ impl<'a> Stand<'a> {
 
     /// Waits until the candidate says that it has come this far.
     pub(crate) fn wait_for_state(&mut self, state: ProcessState) -> Result<(), Trouble> {
-        let reached = |stand: &Self| stand.heartbeats.iter().any(|beat| beat.state >= state.wire());
+        let reached = |bench: &Self| bench.heartbeats.iter().any(|beat| beat.state >= state.wire());
         if self.until(START_NS, reached)? {
             return Ok(());
         }
@@ -315,13 +315,13 @@ impl<'a> Stand<'a> {
     }
 
     /// Publishes a sample; layout and sequence are filled and stay in the message.
-    pub(crate) fn say(&mut self, message: &mut Message) -> Result<(), Trouble> {
-        Ok(self.mouths.say(message, false)?)
+    pub(crate) fn publish(&mut self, message: &mut Message) -> Result<(), Trouble> {
+        Ok(self.publishers.publish(message, false)?)
     }
 
     /// Publishes a sample exactly as it is.
-    pub(crate) fn say_exactly(&mut self, message: &Message) -> Result<(), Trouble> {
-        Ok(self.mouths.say(&mut message.clone(), true)?)
+    pub(crate) fn publish_exactly(&mut self, message: &Message) -> Result<(), Trouble> {
+        Ok(self.publishers.publish(&mut message.clone(), true)?)
     }
 
     /// Publishes what makes the candidate answer the next scan, when it is due; returns its id.
@@ -329,7 +329,7 @@ impl<'a> Stand<'a> {
         let scan_id = self.scan_id;
         self.wait_until_due(scan_id)?;
         for mut message in self.inputs(scan_id)? {
-            self.say(&mut message)?;
+            self.publish(&mut message)?;
         }
         self.scan_id += 1;
         Ok(scan_id)
@@ -338,7 +338,7 @@ impl<'a> Stand<'a> {
     /// One scan: the candidate is asked, and its first answer is returned.
     ///
     /// A robot asks, and is told its [`Order`].
-    pub(crate) fn round(&mut self) -> Result<Heard, Trouble> {
+    pub(crate) fn round(&mut self) -> Result<Received, Trouble> {
         if self.suite.role == Role::Robot {
             return self.robot_round();
         }
@@ -349,13 +349,13 @@ impl<'a> Stand<'a> {
     }
 
     /// Several rounds.
-    pub(crate) fn rounds(&mut self, count: usize) -> Result<Vec<Heard>, Trouble> {
+    pub(crate) fn rounds(&mut self, count: usize) -> Result<Vec<Received>, Trouble> {
         (0..count).map(|_| self.round()).collect()
     }
 
     /// Waits for the first answer to a scan.
-    pub(crate) fn answer(&mut self, scan_id: u64) -> Result<Heard, Trouble> {
-        if self.until(ANSWER_NS, |stand| stand.first_answer(scan_id).is_some())?
+    pub(crate) fn answer(&mut self, scan_id: u64) -> Result<Received, Trouble> {
+        if self.until(ANSWER_NS, |bench| bench.first_answer(scan_id).is_some())?
             && let Some(answer) = self.first_answer(scan_id)
         {
             return Ok(answer.clone());
@@ -367,22 +367,22 @@ impl<'a> Stand<'a> {
     pub(crate) fn conclude(&mut self, scan_id: u64) -> Result<(), Trouble> {
         if self.suite.role == Role::Estimator {
             let mut actuation = self.message(Topic::Actuation, scan_id)?;
-            self.say(&mut actuation)?;
+            self.publish(&mut actuation)?;
         }
         Ok(())
     }
 
-    fn robot_round(&mut self) -> Result<Heard, Trouble> {
+    fn robot_round(&mut self) -> Result<Received, Trouble> {
         let last = self.scan_id - 1;
-        let is_new = move |heard: &Heard| {
-            matches!(heard.message, Message::Odometry(_)) && heard.message.scan_id() > last
+        let is_new = move |received: &Received| {
+            matches!(received.message, Message::Odometry(_)) && received.message.scan_id() > last
         };
         if self.setup.lockstep {
             self.directive.granted_scan = self.scan_id;
             self.dirty = true;
         }
-        self.until(ANSWER_NS, |stand| stand.heard.iter().any(is_new))?;
-        let Some(odometry) = self.heard.iter().rev().find(|heard| is_new(heard)).cloned() else {
+        self.until(ANSWER_NS, |bench| bench.received.iter().any(is_new))?;
+        let Some(odometry) = self.received.iter().rev().find(|received| is_new(received)).cloned() else {
             return failed(format!(
                 "no scan after scan {last} within {} s{}",
                 ANSWER_NS / 1_000_000_000,
@@ -391,7 +391,7 @@ impl<'a> Stand<'a> {
         };
         self.scan_id = odometry.message.scan_id() + 1;
         if let Some(mut actuation) = self.actuation(&odometry.message) {
-            self.say(&mut actuation)?;
+            self.publish(&mut actuation)?;
             self.last_actuation = Some(actuation);
         }
         Ok(odometry)
@@ -424,29 +424,30 @@ impl<'a> Stand<'a> {
     }
 
     /// The first answer to a scan, if it has come.
-    pub(crate) fn first_answer(&self, scan_id: u64) -> Option<&Heard> {
+    pub(crate) fn first_answer(&self, scan_id: u64) -> Option<&Received> {
         self.answers(scan_id).next()
     }
 
     /// All answers to a scan so far.
-    pub(crate) fn answers(&self, scan_id: u64) -> impl Iterator<Item = &Heard> {
-        let is_answer = move |heard: &&Heard| heard.message.scan_id() == scan_id && heard.message.is_answer();
-        self.heard.iter().filter(is_answer)
+    pub(crate) fn answers(&self, scan_id: u64) -> impl Iterator<Item = &Received> {
+        let is_answer =
+            move |received: &&Received| received.message.scan_id() == scan_id && received.message.is_answer();
+        self.received.iter().filter(is_answer)
     }
 
     /// That nothing but what is harmless was said about a scan.
     pub(crate) fn require_no_answer(&self, scan_id: u64, after: &str) -> Result<(), Trouble> {
         let bad = self
-            .heard
+            .received
             .iter()
-            .find(|heard| heard.message.scan_id() == scan_id && !heard.message.is_harmless());
+            .find(|received| received.message.scan_id() == scan_id && !received.message.is_harmless());
         require(bad.is_none(), || {
             format!("it published {} of scan {scan_id} after {after}", self.suite.role.writes()[0])
         })
     }
 
     /// Listens for a number of scan periods.
-    pub(crate) fn listen(&mut self, periods: f64) -> Result<(), Trouble> {
+    pub(crate) fn receive_for(&mut self, periods: f64) -> Result<(), Trouble> {
         self.until((periods * self.suite.period_ns as f64) as u64, |_| false).map(|_| ())
     }
 
@@ -466,7 +467,7 @@ impl<'a> Stand<'a> {
             if left_ns == 0 {
                 return Ok(false);
             }
-            self.ears.wait(left_ns.min(LOOK_NS));
+            self.subscribers.wait(left_ns.min(POLL_NS));
         }
     }
 
@@ -479,10 +480,11 @@ impl<'a> Stand<'a> {
         let now = monotonic_ns();
         if !self.mute && (self.dirty || now.saturating_sub(self.said_ns) >= REPEAT_NS) {
             self.directive.issued_ns = now;
-            self.voice.say(&mut self.directive, self.dirty)?;
+            self.voice.publish(&mut self.directive, self.dirty)?;
             (self.dirty, self.said_ns) = (false, now);
         }
-        self.ears.hear(|message| self.heard.push(Heard { message, at_ns: monotonic_ns() }))?;
+        self.subscribers
+            .receive(|message| self.received.push(Received { message, at_ns: monotonic_ns() }))?;
         let incarnation = self.incarnation;
         self.beats.poll(|beat| {
             if beat.header.incarnation == incarnation {
@@ -499,8 +501,8 @@ impl<'a> Stand<'a> {
     }
 
     /// Lets another orchestrator speak: directives of another writer, which count from 1 again.
-    pub(crate) fn renew_voice(&mut self) -> Result<(), Trouble> {
-        self.voice = Voice::new(&self.bus)?;
+    pub(crate) fn renew_publisher(&mut self) -> Result<(), Trouble> {
+        self.voice = Publisher::new(&self.bus)?;
         self.directive.orchestrator_pid = u64::from(u32::MAX);
         self.directive.header.incarnation += 1;
         self.dirty = true;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use audit::ledger::Books;
+use audit::ledger::SampleAudit;
 use runtime::{Bus, Domain, monotonic_ns};
 use shared_types::{ProcessState, Role};
 use supervision::child::usage_of;
@@ -10,17 +10,17 @@ use supervision::runs::LivingRun;
 use supervision::supervisor::Event;
 
 use crate::control::{ProcessStatus, Status};
-use crate::roster::RunFile;
+use crate::process_registry::RunFile;
 use crate::survivors::Survivors;
 use crate::vitals::Vitals;
 
 /// State of a system whose orchestrator died, in `status`.
-pub const DRIVERLESS: &str = "driverless";
+pub const ORPHANED: &str = "driverless";
 /// State of one that was stopped as well, and is about to end.
 const STOPPED: &str = "stopped";
 
 /// Heartbeats are listened to for this long: five of each process that lives [ns].
-const LISTEN_NS: u64 = 500_000_000;
+const RECEIVE_NS: u64 = 500_000_000;
 
 /// The state of a system without an orchestrator; `None` when nothing of it lives.
 pub fn status(domain: &Domain) -> Option<Status> {
@@ -31,21 +31,21 @@ pub fn status(domain: &Domain) -> Option<Status> {
     let cpu = |pid: u32| usage_of(pid).map_or(0.0, |usage| usage.cpu_s);
     let before: Vec<f64> = survivors.listed.iter().map(|(_, process)| cpu(process.pid())).collect();
     let began_ns = monotonic_ns();
-    let heard = listen(domain);
+    let received = listen(domain);
     let elapsed_s = (monotonic_ns() - began_ns) as f64 * 1e-9;
     let mut scan = 0;
     let rows = survivors.listed.iter().zip(before).map(|((row, process), before_s)| {
         let incarnation = row.identity.incarnation;
-        let (state, rate_hz, last_sample_age_ms) = match &heard {
+        let (state, rate_hz, last_sample_age_ms) = match &received {
             Some((vitals, states)) => {
                 scan = scan.max(vitals.scan_of(incarnation));
                 let (rate_hz, age_ms) = vitals.rate_and_age(incarnation);
                 let ready = states.contains(&(incarnation, ProcessState::Ready));
-                let heard = states.iter().any(|(of, _)| *of == incarnation);
+                let received = states.iter().any(|(of, _)| *of == incarnation);
                 (
                     if ready {
                         "ready"
-                    } else if heard {
+                    } else if received {
                         "starting"
                     } else {
                         "hung"
@@ -66,13 +66,13 @@ pub fn status(domain: &Domain) -> Option<Status> {
                 .role
                 .parse()
                 .ok()
-                .and_then(|role| survivors.roster.of(role))
+                .and_then(|role| survivors.process_registry.of(role))
                 .map_or(0, |row| row.restarts),
             rate_hz,
             last_sample_age_ms,
             cpu_percent: 100.0 * (cpu(process.pid()) - before_s).max(0.0) / elapsed_s.max(1e-3),
             memory_kib: usage.map_or(0, |usage| usage.memory_kib),
-            obeys_stop: heard.as_ref().is_some_and(|(vitals, _)| vitals.obeys_stop(incarnation)),
+            obeys_stop: received.as_ref().is_some_and(|(vitals, _)| vitals.obeys_stop(incarnation)),
             last_words: Vec::new(),
         }
     });
@@ -80,7 +80,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
     processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
     Some(Status {
         system_id: domain.system_id().to_owned(),
-        state: if is_stopped(domain) { STOPPED } else { DRIVERLESS }.to_owned(),
+        state: if is_stopped(domain) { STOPPED } else { ORPHANED }.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
         scan,
         // In lock-step nothing moves without an orchestrator.
@@ -100,17 +100,17 @@ fn listen(domain: &Domain) -> Option<(Vitals, Vec<(u32, ProcessState)>)> {
     let bus = Bus::open(domain, "status").ok()?;
     let mut vitals = Vitals::new(&bus).ok()?;
     let mut states = Vec::new();
-    let mut books = Books::midway();
-    let deadline_ns = monotonic_ns() + LISTEN_NS;
+    let mut sample_audit = SampleAudit::midway();
+    let deadline_ns = monotonic_ns() + RECEIVE_NS;
     while monotonic_ns() < deadline_ns {
-        let heard = vitals.poll(&[], &mut books, |event| {
+        let received = vitals.poll(&[], &mut sample_audit, |event| {
             if let Event::StateReported { incarnation, state, .. } = event
                 && !states.contains(&(incarnation, state))
             {
                 states.push((incarnation, state));
             }
         });
-        heard.ok()?;
+        received.ok()?;
         std::thread::sleep(Duration::from_millis(10));
     }
     Some((vitals, states))

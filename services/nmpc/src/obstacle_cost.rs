@@ -1,8 +1,8 @@
 //! What stands in the way of a lattice search, tabulated per layer before the search begins.
 
-use crate::guide::GuideSettings;
-use crate::hazard::Hazard;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
+use crate::reference_path::LatticeSettings;
 use crate::side::Passing;
 
 /// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
@@ -30,16 +30,16 @@ struct Crossing {
 
 /// Extents of the ellipses at every half layer, and where their centres are crossed.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Hurdles {
+pub(crate) struct ObstacleCost {
     spans: Vec<Span>,
     /// Where the spans of each half layer begin.
     offsets: Vec<usize>,
     crossings: Vec<Crossing>,
 }
 
-impl Hurdles {
+impl ObstacleCost {
     /// Tabulates the extent of every ellipse at every half layer, and where centres are crossed.
-    pub(crate) fn measure(&mut self, settings: &GuideSettings, query: &Query, layers: usize, step: f64) {
+    pub(crate) fn measure(&mut self, settings: &LatticeSettings, query: &Query, layers: usize, step: f64) {
         self.spans.clear();
         self.offsets.clear();
         self.crossings.clear();
@@ -47,14 +47,14 @@ impl Hurdles {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
-            for hazard in query.hazards {
+            for predicted_obstacle in query.predicted_obstacles {
                 // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
-                let scale = hazard.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
+                let scale = predicted_obstacle.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
                 let scale = if scale < 1.0 { scale } else { 1.0 };
-                let [centre_x, centre_y] = hazard.centre_at(t);
+                let [centre_x, centre_y] = predicted_obstacle.centre_at(t);
                 let across = |grown: f64, scale: f64| {
-                    let ratio = (query.start.x + along - centre_x) / (hazard.a * scale + grown);
-                    (hazard.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
+                    let ratio = (query.start.x + along - centre_x) / (predicted_obstacle.a * scale + grown);
+                    (predicted_obstacle.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
                 };
                 let comfort = across(query.margin + settings.comfort_m, 1.0);
                 if comfort > 0.0 {
@@ -64,9 +64,9 @@ impl Hurdles {
             }
         }
         self.offsets.push(self.spans.len());
-        for hazard in query.hazards {
-            if let Some(side) = query.sides.held(hazard)
-                && let Some(crossing) = crossing_of(hazard, side, query, layers, step)
+        for predicted_obstacle in query.predicted_obstacles {
+            if let Some(side) = query.sides.held(predicted_obstacle)
+                && let Some(crossing) = crossing_of(predicted_obstacle, side, query, layers, step)
             {
                 self.crossings.push(crossing);
             }
@@ -74,7 +74,7 @@ impl Hurdles {
     }
 
     /// Cost of being at `y` for `length` along half layer `half`.
-    pub(crate) fn cost(&self, settings: &GuideSettings, half: usize, y: f64, length: f64) -> f64 {
+    pub(crate) fn cost(&self, settings: &LatticeSettings, half: usize, y: f64, length: f64) -> f64 {
         let mut cost = 0.0;
         for span in &self.spans[self.offsets[half]..self.offsets[half + 1]] {
             let offset = (y - span.centre).abs();
@@ -106,14 +106,21 @@ impl Hurdles {
     }
 }
 
-fn crossing_of(hazard: &Hazard, side: Passing, query: &Query, layers: usize, step: f64) -> Option<Crossing> {
+fn crossing_of(
+    predicted_obstacle: &PredictedObstacle,
+    side: Passing,
+    query: &Query,
+    layers: usize,
+    step: f64,
+) -> Option<Crossing> {
     for layer in 0..layers {
         let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
         let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
-        let (before, after) = (x[0] - hazard.centre_at(t[0])[0], x[1] - hazard.centre_at(t[1])[0]);
+        let (before, after) =
+            (x[0] - predicted_obstacle.centre_at(t[0])[0], x[1] - predicted_obstacle.centre_at(t[1])[0]);
         if before < 0.0 && after >= 0.0 {
             let share = -before / (after - before);
-            let centre = hazard.centre_at(t[0] + share * (t[1] - t[0]))[1];
+            let centre = predicted_obstacle.centre_at(t[0] + share * (t[1] - t[0]))[1];
             return Some(Crossing { layer, share, centre, side });
         }
     }

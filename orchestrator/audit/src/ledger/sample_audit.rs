@@ -17,8 +17,8 @@ use super::fault::{Fault, Kind};
 use super::refused::{NewRefusal, Refused, RefusedRow};
 use super::rows::LedgerReport;
 use super::sweep::{Lack, Sweep};
-use super::topic::{TopicLedger, Word};
-use super::{NOT_OBSERVED, PATIENCE_NS, ROBOT_HELD_UP};
+use super::topic::{InputReport, TopicLedger};
+use super::{NOT_OBSERVED, ROBOT_HELD_UP, TIMEOUT_NS};
 /// The topics that have an account: those of the loop, and the truth.
 pub const ACCOUNTS: [Topic; 7] = [
     Topic::Odometry,
@@ -35,7 +35,7 @@ const KEPT: usize = 1000;
 
 /// The books of one run.
 #[derive(Debug, Clone)]
-pub struct Books {
+pub struct SampleAudit {
     lockstep: bool,
     midway: bool,
     driving: bool,
@@ -83,7 +83,7 @@ struct Debt {
     is_certain: bool,
 }
 
-impl Books {
+impl SampleAudit {
     /// Empty books; in lock-step a robot never skips a scan.
     pub fn new(lockstep: bool) -> Self {
         Self {
@@ -124,9 +124,9 @@ impl Books {
     }
 
     /// A look at a topic begins.
-    pub fn look(&mut self, topic: Topic, now_ns: u64) {
+    pub fn poll(&mut self, topic: Topic, now_ns: u64) {
         if let Some(ledger) = self.topics.get_mut(&topic) {
-            ledger.look(now_ns);
+            ledger.poll(now_ns);
         }
     }
 
@@ -160,7 +160,7 @@ impl Books {
     }
 
     /// A process said how it is.
-    pub fn hear(&mut self, heartbeat: &Heartbeat, now_ns: u64) {
+    pub fn receive(&mut self, heartbeat: &Heartbeat, now_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
         let (Ok(role), Ok(state)) = (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
         else {
@@ -176,7 +176,7 @@ impl Books {
             worker.connected_ns.get_or_insert(heartbeat.issued_ns);
         }
         worker.has_finished |= self.ending && state == ProcessState::Ending;
-        worker.hear(role, heartbeat);
+        worker.receive(role, heartbeat);
         let (from_start, connected_ns) = (worker.from_start, worker.connected_ns);
         for (topic, sequence) in role.writes().iter().zip(heartbeat.written) {
             if let Some(ledger) = self.topics.get_mut(topic) {
@@ -184,14 +184,14 @@ impl Books {
             }
         }
         if let Some(connected_ns) = connected_ns {
-            self.hear_accounts(role, heartbeat, from_start, connected_ns);
+            self.receive_accounts(role, heartbeat, from_start, connected_ns);
         }
         if state == ProcessState::Ending {
             self.ended(incarnation, now_ns);
         }
     }
 
-    fn hear_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
+    fn receive_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
             let Some(ledger) = self.topics.get_mut(topic) else { continue };
@@ -200,7 +200,7 @@ impl Books {
             } else {
                 let looked_ns = heartbeat.looked_ns;
                 let midway = self.midway;
-                ledger.heard(Word {
+                ledger.received(InputReport {
                     incarnation,
                     role,
                     from_start,
@@ -344,7 +344,7 @@ impl Worker {
         (taken.saturating_sub(*answered), taken_scans.wrapping_sub(*answered_scans))
     }
 
-    fn hear(&mut self, role: Role, heartbeat: &Heartbeat) {
+    fn receive(&mut self, role: Role, heartbeat: &Heartbeat) {
         let debt = Self::debt(heartbeat);
         let (count, scans) = (debt.0.saturating_sub(self.told.0), debt.1.wrapping_sub(self.told.1));
         // One that was started without the state it needs is silent on purpose.
@@ -358,7 +358,7 @@ impl Worker {
             _ => heartbeat.issued_ns,
         };
         let passed_over = count == 1 && scans < heartbeat.header.scan_id;
-        let waited = heartbeat.issued_ns.saturating_sub(since_ns) >= PATIENCE_NS;
+        let waited = heartbeat.issued_ns.saturating_sub(since_ns) >= TIMEOUT_NS;
         self.owes = Some(Debt {
             role,
             count,
@@ -377,23 +377,23 @@ mod tests {
 
     #[test]
     fn a_robot_that_is_first_heard_behind_a_full_buffer_lacks_nothing() {
-        let mut books = Books::midway();
-        fn look<S: Sample + Default>(books: &mut Books, scans: std::ops::RangeInclusive<u64>) {
-            books.look(S::TOPIC, 10);
+        let mut sample_audit = SampleAudit::midway();
+        fn look<S: Sample + Default>(sample_audit: &mut SampleAudit, scans: std::ops::RangeInclusive<u64>) {
+            sample_audit.poll(S::TOPIC, 10);
             for scan_id in scans {
                 let mut sample = S::default();
                 let header = sample.header_mut();
                 (header.incarnation, header.sequence, header.scan_id) = (9, scan_id, scan_id);
-                books.see(&sample, 10);
+                sample_audit.see(&sample, 10);
             }
         }
-        look::<Truth>(&mut books, 101..=140);
-        look::<Scan>(&mut books, 125..=140);
-        books.overflowed(Topic::Scan);
-        look::<Odometry>(&mut books, 125..=140);
-        books.overflowed(Topic::Odometry);
-        ACCOUNTS.iter().for_each(|topic| books.look(*topic, 10 + 2 * PATIENCE_NS));
-        assert_eq!(books.close(false), []);
+        look::<Truth>(&mut sample_audit, 101..=140);
+        look::<Scan>(&mut sample_audit, 125..=140);
+        sample_audit.overflowed(Topic::Scan);
+        look::<Odometry>(&mut sample_audit, 125..=140);
+        sample_audit.overflowed(Topic::Odometry);
+        ACCOUNTS.iter().for_each(|topic| sample_audit.poll(*topic, 10 + 2 * TIMEOUT_NS));
+        assert_eq!(sample_audit.close(false), []);
     }
 
     #[test]
@@ -402,35 +402,35 @@ mod tests {
         for (before, after, skipped) in
             [(vec![1, 5], vec![], 2..=4), (vec![1], vec![5], 2..=4), (vec![], vec![5], 1..=4)]
         {
-            let mut books = Books::new(false);
-            let see = |books: &mut Books, scan_id| {
+            let mut sample_audit = SampleAudit::new(false);
+            let see = |sample_audit: &mut SampleAudit, scan_id| {
                 let mut truth = Truth::default();
                 (truth.header.incarnation, truth.header.sequence, truth.header.scan_id) =
                     (9, scan_id, scan_id);
-                books.see(&truth, 10);
+                sample_audit.see(&truth, 10);
             };
             let mut heartbeat = Heartbeat { role: Role::Robot.wire(), ..Heartbeat::default() };
             (heartbeat.state, heartbeat.header.incarnation) = (ProcessState::Connected.wire(), 9);
-            books.hear(&heartbeat, 5);
-            books.driving();
-            before.into_iter().for_each(|scan_id| see(&mut books, scan_id));
-            books.ended(9, 20);
-            after.into_iter().for_each(|scan_id| see(&mut books, scan_id));
-            books.close(false);
-            assert_eq!(books.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
+            sample_audit.receive(&heartbeat, 5);
+            sample_audit.driving();
+            before.into_iter().for_each(|scan_id| see(&mut sample_audit, scan_id));
+            sample_audit.ended(9, 20);
+            after.into_iter().for_each(|scan_id| see(&mut sample_audit, scan_id));
+            sample_audit.close(false);
+            assert_eq!(sample_audit.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
         }
     }
 
     #[test]
     fn a_robot_that_died_between_two_topics_owes_nothing() {
-        let mut books = Books::new(false);
+        let mut sample_audit = SampleAudit::new(false);
         let mut truth = Truth::default();
         (truth.header.incarnation, truth.header.sequence, truth.header.scan_id) = (9, 1, 1);
-        books.see(&truth, 10);
-        books.ended(9, 20);
+        sample_audit.see(&truth, 10);
+        sample_audit.ended(9, 20);
         (truth.header.sequence, truth.header.scan_id) = (2, 2);
-        books.see(&truth, 30);
-        ACCOUNTS.iter().for_each(|topic| books.look(*topic, 30 + 2 * PATIENCE_NS));
-        assert_eq!(books.close(false), []);
+        sample_audit.see(&truth, 30);
+        ACCOUNTS.iter().for_each(|topic| sample_audit.poll(*topic, 30 + 2 * TIMEOUT_NS));
+        assert_eq!(sample_audit.close(false), []);
     }
 }

@@ -1,6 +1,6 @@
 //! The obstacles of one scan in the form that planning and verification ask for.
 //!
-//! Every ellipse becomes a [`Hazard`] whose time counts from the start of the plan, which is when the command
+//! Every ellipse becomes a [`PredictedObstacle`] whose time counts from the start of the plan, which is when the command
 //! will act. A body whose velocity is not significant against its own covariance counts as standing:
 //! prediction with a noisy velocity moves the ellipse of a standing body by decimetres over the horizon.
 //! Assumed: bodies keep their velocity over the horizon. Where they do not, the next scan corrects it.
@@ -18,7 +18,7 @@ const LARGEST_M: f64 = 1e5;
 
 /// One ellipse and the box of the body inside it, at the start of the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Hazard {
+pub(crate) struct PredictedObstacle {
     /// Identity of the ellipse.
     pub(crate) id: u32,
     /// Centre of the ellipse at the start of the plan [m].
@@ -33,7 +33,7 @@ pub(crate) struct Hazard {
     pub(crate) body: Rectangle,
 }
 
-impl Hazard {
+impl PredictedObstacle {
     /// Centre of the ellipse `t` seconds after the start of the plan [m].
     pub(crate) fn centre_at(&self, t: f64) -> [f64; 2] {
         [self.centre[0] + self.velocity[0] * t, self.centre[1] + self.velocity[1] * t]
@@ -60,15 +60,19 @@ impl Hazard {
 /// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
 ///
 /// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
-pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, hazards: &mut Vec<Hazard>) -> bool {
-    hazards.clear();
+pub(crate) fn read(
+    obstacles: &Obstacles,
+    lead_s: f64,
+    predicted_obstacles: &mut Vec<PredictedObstacle>,
+) -> bool {
+    predicted_obstacles.clear();
     for item in obstacles.list() {
         if !is_sound(item) {
             return false;
         }
         let velocity = significant_velocity(item);
         let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
-        hazards.push(Hazard {
+        predicted_obstacles.push(PredictedObstacle {
             id: item.id,
             centre: [item.x_m + travel[0], item.y_m + travel[1]],
             velocity,
@@ -135,28 +139,32 @@ mod tests {
     fn a_velocity_within_its_noise_does_not_move_the_ellipse() {
         let mut item =
             Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
-        let mut hazards = Vec::new();
-        assert!(read(&one(item), 0.1, &mut hazards));
-        assert!(!hazards[0].moves() && hazards[0].centre == [5.0, 0.5]);
+        let mut predicted_obstacles = Vec::new();
+        assert!(read(&one(item), 0.1, &mut predicted_obstacles));
+        assert!(!predicted_obstacles[0].moves() && predicted_obstacles[0].centre == [5.0, 0.5]);
         item.velocity_covariance = [0.01, 0.0, 0.01];
-        assert!(read(&one(item), 0.1, &mut hazards));
-        assert!((hazards[0].centre[0] - 4.97).abs() < 1e-12);
-        assert!((hazards[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
+        assert!(read(&one(item), 0.1, &mut predicted_obstacles));
+        assert!((predicted_obstacles[0].centre[0] - 4.97).abs() < 1e-12);
+        assert!((predicted_obstacles[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
     }
 
     #[test]
     fn the_value_is_one_on_the_ellipse() {
-        let mut hazards = Vec::new();
-        assert!(read(&one(obstacle()), 0.0, &mut hazards));
-        assert!((hazards[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
-        assert!((hazards[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
+        let mut predicted_obstacles = Vec::new();
+        assert!(read(&one(obstacle()), 0.0, &mut predicted_obstacles));
+        assert!((predicted_obstacles[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
+        assert!((predicted_obstacles[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
     }
 
     #[test]
     fn numbers_without_meaning_are_refused() {
-        let mut hazards = Vec::new();
-        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut hazards));
-        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut hazards));
-        assert!(!read(&one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }), 0.0, &mut hazards));
+        let mut predicted_obstacles = Vec::new();
+        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut predicted_obstacles));
+        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut predicted_obstacles));
+        assert!(!read(
+            &one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }),
+            0.0,
+            &mut predicted_obstacles
+        ));
     }
 }

@@ -35,7 +35,7 @@ pub(crate) struct RunFile {
 
 /// Who fills the roles, and what everyone was told last.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub(crate) struct Roster {
+pub(crate) struct ProcessRegistry {
     /// How many orchestrators this run has had.
     pub generation: u32,
     /// The largest number given to a process.
@@ -82,7 +82,7 @@ pub(crate) struct RoleRow {
     pub entry: ProcessEntry,
 }
 
-impl Roster {
+impl ProcessRegistry {
     /// The newest roster of a system.
     ///
     /// # Errors
@@ -162,7 +162,7 @@ mod tests {
     fn a_roster_is_read_back_as_it_was_written() {
         let domain = Domain::create(&format!("ros{}", std::process::id())).unwrap();
         let entry = ProcessEntry::of(Role::Controller, &["./mine".to_owned(), "--fast".to_owned()]);
-        let roster = Roster {
+        let process_registry = ProcessRegistry {
             generation: 2,
             outcome: Some(Outcome::Missed),
             reason: "passed \"it\"".to_owned(),
@@ -178,12 +178,15 @@ mod tests {
                 identity: Identity::of(&domain, std::process::id(), 7).unwrap(),
                 entry,
             }],
-            ..Roster::default()
+            ..ProcessRegistry::default()
         };
-        roster.write(&domain).unwrap();
-        assert_eq!(Roster::read(&domain).unwrap(), roster);
-        assert_eq!(roster.authority()[4], Authority { incarnation: 7, previous: 3, from_scan: 1 << 40 });
+        process_registry.write(&domain).unwrap();
+        assert_eq!(ProcessRegistry::read(&domain).unwrap(), process_registry);
+        assert_eq!(
+            process_registry.authority()[4],
+            Authority { incarnation: 7, previous: 3, from_scan: 1 << 40 }
+        );
         domain.remove().unwrap();
-        assert!(Roster::read(&domain).is_err());
+        assert!(ProcessRegistry::read(&domain).is_err());
     }
 }

@@ -9,7 +9,7 @@ use supervision::supervisor::Event;
 
 /// How a run is driven, apart from what.
 #[derive(Debug, Clone)]
-pub struct Manner {
+pub struct RunOptions {
     /// Simulated time.
     pub lockstep: bool,
     /// Driven time after which it ends [s].
@@ -21,7 +21,7 @@ pub struct Manner {
 }
 
 /// What the one who drives a run begins with: nothing, or what another orchestrator left.
-pub(crate) struct Beginning {
+pub(crate) struct Startup {
     pub(crate) bus: Bus,
     pub(crate) word: StopWord,
     pub(crate) fleet: Fleet,

@@ -35,7 +35,7 @@ const LOST_M: f64 = 12.0;
 
 /// Describes obstacles; one call per scan.
 #[derive(Debug, Clone)]
-pub struct Describer {
+pub struct ObstacleDetector {
     config: Config,
     beams: Beams,
     directions: Directions,
@@ -73,7 +73,7 @@ struct Drawn {
     obstacle: Obstacle,
 }
 
-impl Describer {
+impl ObstacleDetector {
     /// A describer that knows no obstacles yet.
     ///
     /// # Errors

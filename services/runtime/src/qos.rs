@@ -4,7 +4,7 @@ use shared_types::Topic;
 
 /// Sizes of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Quality {
+pub(crate) struct Qos {
     /// Publishers: the process in charge, its standby, a shadow, and one that is about to leave.
     pub(crate) publishers: usize,
     /// Readers of the loop, their standbys, the orchestrator and observers.
@@ -17,7 +17,7 @@ pub(crate) struct Quality {
     pub(crate) history: usize,
 }
 
-impl Quality {
+impl Qos {
     /// Samples that one reader holds at a time, of all producers together.
     pub(crate) fn most_borrowed(self) -> usize {
         self.publishers * self.borrowed
@@ -58,18 +58,18 @@ pub(crate) const EVENT_PORTS: usize = 16;
 
 /// How many samples of one writer can wait at one reader of a topic: who finds fewer has missed none.
 pub fn buffer(topic: Topic) -> usize {
-    quality(topic).buffer
+    qos(topic).buffer
 }
 
 /// The sizes of a topic.
-pub(crate) fn quality(topic: Topic) -> Quality {
-    let stream = Quality { publishers: 4, subscribers: 12, buffer: 16, borrowed: 20, history: 0 };
+pub(crate) fn qos(topic: Topic) -> Qos {
+    let stream = Qos { publishers: 4, subscribers: 12, buffer: 16, borrowed: 20, history: 0 };
     match topic {
         Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
         // The account of all scans is made from these two: 256 samples last a quarter of a second at 1 kHz.
-        Topic::Actuation | Topic::Truth => Quality { buffer: 256, ..stream },
-        Topic::Heartbeat => Quality { publishers: 16, subscribers: 6, ..stream },
-        Topic::Directive => Quality { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },
-        Topic::Checkpoint => Quality { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
+        Topic::Actuation | Topic::Truth => Qos { buffer: 256, ..stream },
+        Topic::Heartbeat => Qos { publishers: 16, subscribers: 6, ..stream },
+        Topic::Directive => Qos { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },
+        Topic::Checkpoint => Qos { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
     }
 }

@@ -5,32 +5,32 @@ use runtime::monotonic_ns;
 use shared_types::{Authority, ROLES, Role};
 
 use super::Session;
-use crate::roster::{Right, RoleRow, Roster};
+use crate::process_registry::{ProcessRegistry, Right, RoleRow};
 
 /// Time until what could not be written is tried again [ns].
 const REWRITE_NS: u64 = 1_000_000_000;
 
 /// What is compared to see whether something new has to be written down: phase, stop, authority, how the run ends.
-type Word = (u32, u32, [Authority; ROLES], bool);
+type Content = (u32, u32, [Authority; ROLES], bool);
 
 /// What was written down last.
 #[derive(Default)]
-pub(crate) struct Account {
-    written: Option<Word>,
+pub(crate) struct RegistryFile {
+    written: Option<Content>,
     /// When to write again what could not be written; 0 when all is written [ns].
     rewrite_ns: u64,
 }
 
 impl Session {
-    /// [`Session::write_account`], again every second while it fails.
-    pub(super) fn keep_account(&mut self) {
-        let (now_ns, failed) = (monotonic_ns(), self.account.rewrite_ns > 0);
-        if now_ns < self.account.rewrite_ns {
+    /// [`Session::write_registry`], again every second while it fails.
+    pub(super) fn update_registry(&mut self) {
+        let (now_ns, failed) = (monotonic_ns(), self.registry_file.rewrite_ns > 0);
+        if now_ns < self.registry_file.rewrite_ns {
             return;
         }
-        self.account.rewrite_ns = 0;
-        if let Err(error) = self.write_account() {
-            self.account.rewrite_ns = now_ns + REWRITE_NS;
+        self.registry_file.rewrite_ns = 0;
+        if let Err(error) = self.write_registry() {
+            self.registry_file.rewrite_ns = now_ns + REWRITE_NS;
             if !failed {
                 self.progress.warn(&format!(
                     "the run can't be adopted, as its processes can't be written down: {error:#}"
@@ -43,20 +43,20 @@ impl Session {
     ///
     /// # Errors
     /// Those of the file system; what could not be written is written by the next call.
-    pub(super) fn write_account(&mut self) -> anyhow::Result<()> {
+    pub(super) fn write_registry(&mut self) -> anyhow::Result<()> {
         let directive = &self.directives.current;
         let word = (directive.phase, directive.stop, directive.authority, !self.conclusion.is_open());
         let has_changed = self.fleet.has_changed();
-        if !has_changed && self.account.written == Some(word) {
+        if !has_changed && self.registry_file.written == Some(word) {
             return Ok(());
         }
-        self.account.written = None;
-        self.roster().write(&self.domain)?;
-        self.account.written = Some(word);
+        self.registry_file.written = None;
+        self.process_registry().write(&self.domain)?;
+        self.registry_file.written = Some(word);
         Ok(())
     }
 
-    fn roster(&self) -> Roster {
+    fn process_registry(&self) -> ProcessRegistry {
         let directive = &self.directives.current;
         let decided = self.conclusion.decided();
         let (outcome, reason) =
@@ -68,7 +68,7 @@ impl Session {
             let (incarnation, restarts) = (self.fleet.incarnation(*role), view.restarts);
             Some(RoleRow { role: role.name().to_owned(), incarnation, restarts, entry })
         };
-        Roster {
+        ProcessRegistry {
             generation: directive.header.incarnation,
             last_incarnation: self.supervisor.last_incarnation(),
             phase: directive.phase,
