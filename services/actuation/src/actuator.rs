@@ -1,4 +1,4 @@
-//! The last word before the wheels.
+//! The last check before the wheels.
 //!
 //! A command passes when it is for a scan not answered before, its scan is young enough, and its content is valid
 //! ([`crate::verdict`]); then it is corrected and sent. Anything else blocks the wheels and says why. Blocks end
@@ -6,7 +6,7 @@
 //!
 //! * commanded or landed: with the next command that passes;
 //! * silence: after [`Config::recovery`] valid commands in a row without another silence, where commands that come within
-//!   half a period are one: they were held up together and say no more than the last of them;
+//!   half a period count as one, because they were delayed together;
 //! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
 //! * explicit stop: with [`Actuator::release`] only.
 //!

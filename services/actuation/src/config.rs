@@ -17,7 +17,7 @@ settings! {
         // An answer is due one period after the scan; two periods more cover a swap of the controller.
         pub max_age_periods: f64 = 3.0, 0.1..=100.0;
         /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
-        // A single command may be the last word of a process that is dying.
+        // A single command may be the last one of a process that is dying.
         pub recovery: u32 = 2, 1.0..=100.0;
     }
 }

@@ -5,7 +5,7 @@ use shared_types::{Actuation, Command, Role};
 
 use crate::{Actuator, Config};
 
-/// Runs until asked to end; its last word blocks the wheels.
+/// Runs until asked to end; its last actuation blocks the wheels.
 ///
 /// # Errors
 /// Settings that are not allowed, and errors of the bus.

@@ -98,7 +98,7 @@ fn check(runs: &[StraightRun]) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Refuses times that contain a constant beside their proportional part.
+/// Refuses times that contain a constant in addition to their proportional part.
 fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), Refusal> {
     let rows: Vec<Vec<f64>> = rows.iter().map(|row| vec![row[0], 1.0]).collect();
     let Some(solution) = solve(&rows, times) else { return Ok(()) };

@@ -1,7 +1,7 @@
 //! Random numbers that depend on the seed, the purpose and the scan only.
 //!
 //! Each purpose has a stream of its own and each scan starts it afresh. So a longer laser sweep never changes
-//! the odometry, and a scan that nobody asked for never changes the next one.
+//! the odometry, and an additional scan never changes the next one.
 
 use rand::Rng;
 use rand_pcg::Pcg64;

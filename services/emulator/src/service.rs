@@ -1,15 +1,14 @@
 //! The process of the role `robot`: actuation in; scan, odometry and truth out.
 //!
-//! In real time a scan is published when it is due, whatever the others do. In lock-step it is published when the
-//! scan before it was answered and the orchestrator has granted it.
+//! In real time a scan is published when it is due. In lock-step it is published when the previous scan was answered
+//! and the orchestrator has granted it.
 //!
-//! An actuation acts when it was published, not when this process got round to it: the robot does not drive
-//! differently because the machine is busy, and two emulators that hear the same actuations stay at one place.
-//! That is what an exchange of the robot rests on: the new one takes up the state of the old one while that drives,
-//! follows it in the shadow, and goes on from the next scan.
+//! An actuation acts from the time of its publication, so the drive does not depend on how busy the machine is. Two
+//! emulators that receive the same actuations stay at the same place. A swap of the robot uses that: the candidate
+//! takes the state of the process in charge, follows it in shadow, and continues with the next scan.
 //!
-//! When the run is stopped, or its orchestrator has been silent for too long, the wheels are blocked here, without an
-//! actuation. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake, and
+//! When the run is stopped, or its orchestrator has been silent for too long, this process blocks the
+//! wheels itself. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake, and
 //! writes a line to its log when that changes.
 
 use std::rc::Rc;
@@ -27,7 +26,7 @@ const REST_NS: u64 = 1_500_000_000;
 const HANDED_OVER_LATE: u64 = KEPT as u64 - 1;
 
 plain_state! {
-    /// What the process of a robot hands over to the one that goes on from it.
+    /// State that the process of a robot hands over to its successor.
     pub struct RobotState {
         /// When the run started, on the clock of the loop [ns]
         pub origin_ns: u64,
@@ -215,7 +214,7 @@ impl Robot {
         })
     }
 
-    /// Stands at the start, or where the robot is that this one was started beside.
+    /// Starts at the start pose, or as a candidate at the place of the robot in charge.
     fn begin(&mut self, process: &mut Process, handed: Handover<RobotState>) -> anyhow::Result<()> {
         self.origin_ns = process.clock().now_ns();
         let state = match (process.join::<RobotState>()?, handed) {
@@ -349,13 +348,13 @@ impl Robot {
     }
 }
 
-/// Whether scans are wanted still.
+/// Whether scans are still to be published.
 fn may_publish(process: &Process) -> bool {
     process.directive().phase != Phase::Stopping.wire()
 }
 
-/// The scan that a robot publishes next when those from `next_scan` to `newest` are due. A scanner goes on while the
-/// computer is held up, and its driver hands over what has come meanwhile; what would be too old on the way is skipped.
+/// The scan that a robot publishes next when those from `next_scan` to `newest` are due. A scanner continues while the
+/// computer is held up, and its driver then delivers the scans that came meanwhile; scans that are too old are skipped.
 pub fn next_due(next_scan: u64, newest: u64, is_young: impl Fn(u64) -> bool) -> u64 {
     let oldest = next_scan.max(newest.saturating_sub(HANDED_OVER_LATE));
     (oldest..newest).find(|scan_id| is_young(*scan_id)).unwrap_or(newest)

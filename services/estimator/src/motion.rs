@@ -10,8 +10,8 @@
 //! sample, by the weight given. So a robot that is slower than desired, or that stopped by itself, is followed.
 //!
 //! The model divides by the velocity; below [`SLOWEST_MPS`] its lateral part is computed as if the robot drove that
-//! fast, and at standstill sideslip and yaw rate are zero. Where it fails: an offset of the steering, which nobody
-//! sees here; the filter corrects what comes of it.
+//! fast, and at standstill sideslip and yaw rate are zero. Where it fails: an unknown offset of the steering;
+//! the filter corrects its effect.
 
 use shared_types::{Actuation, ActuationKind, Role, plain_state};
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};

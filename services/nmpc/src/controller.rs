@@ -46,7 +46,7 @@ pub struct Controller {
     planner: Planner,
     state: ControllerState,
     sides: Sides,
-    predicted_obstacles: Vec<PredictedObstacle>,
+    predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
 }
 
@@ -64,13 +64,13 @@ impl Controller {
             planner: Planner::new(&config),
             state: ControllerState::default(),
             sides: Sides::default(),
-            predicted_obstacles: Vec::with_capacity(shared_types::MAX_OBSTACLES),
+            predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
             config,
         })
     }
 
-    /// What a restarted controller goes on from.
+    /// State that a successor continues from.
     pub fn state(&self) -> ControllerState {
         ControllerState { sides: *self.sides.entries(), ..self.state }
     }
@@ -147,9 +147,9 @@ impl Controller {
         command.side = self.nearest_side(&initial);
         self.wait_for_a_way()?;
 
-        let Self { config, predicted_obstacles, reference_path, state, planner, .. } = self;
+        let Self { config, predicted, reference_path, state, planner, .. } = self;
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let scene = Scene::new(config, predicted_obstacles, initial);
+        let scene = Scene::new(config, predicted, initial);
         let task = Task { scene, reference_path, last: state, start_ns: pose.predicted_ns, fastest_mps };
         let Some(choice) = planner.plan(&task, budget, command) else {
             // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
@@ -214,17 +214,17 @@ impl Controller {
             && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
             && (0.0..=MAX_LEAD_S).contains(&lead_s)
             && pose.header.scan_id == obstacles.header.scan_id;
-        if !sound || !predicted_obstacle::read(obstacles, lead_s, &mut self.predicted_obstacles) {
+        if !sound || !predicted_obstacle::read(obstacles, lead_s, &mut self.predicted) {
             return Err(StopReason::BadInput);
         }
-        let body = Scene::new(&self.config, &self.predicted_obstacles, initial).body_at(&initial);
+        let body = Scene::new(&self.config, &self.predicted, initial).body_at(&initial);
         let reach = body.length + body.width;
-        let overlaps = |predicted_obstacle: &PredictedObstacle| {
-            let distance = (predicted_obstacle.body.centre - body.centre).norm();
-            distance < reach + predicted_obstacle.body.length + predicted_obstacle.body.width
-                && body.distance_to_rectangle(&predicted_obstacle.body) < -OVERLAP_M
+        let overlaps = |obstacle: &PredictedObstacle| {
+            let distance = (obstacle.body.centre - body.centre).norm();
+            distance < reach + obstacle.body.length + obstacle.body.width
+                && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
         };
-        if self.predicted_obstacles.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
+        if self.predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
     }
 
     /// Finds the guide, and with it the sides.
@@ -234,17 +234,17 @@ impl Controller {
         let reach = initial.x + config.guide.range_m;
         let (low, high) = (initial.y.min(goal.y_m) - 0.1, initial.y.max(goal.y_m) + 0.1);
         let margin = config.ellipse_margin_m + config.guide.comfort_m;
-        let in_the_way = |predicted_obstacle: &PredictedObstacle| {
-            let [x, y] = predicted_obstacle.centre;
-            predicted_obstacle.moves()
-                || (x - predicted_obstacle.a < reach
-                    && x + predicted_obstacle.a + margin > initial.x
-                    && y - predicted_obstacle.b - margin < high
-                    && y + predicted_obstacle.b + margin > low)
+        let in_the_way = |obstacle: &PredictedObstacle| {
+            let [x, y] = obstacle.centre;
+            obstacle.moves()
+                || (x - obstacle.a < reach
+                    && x + obstacle.a + margin > initial.x
+                    && y - obstacle.b - margin < high
+                    && y + obstacle.b + margin > low)
         };
-        if self.predicted_obstacles.iter().any(in_the_way) {
+        if self.predicted.iter().any(in_the_way) {
             let full = Control { velocity: config.cruise_mps, steering: config.bounds.steering_max_rad };
-            let moving = self.predicted_obstacles.iter().any(PredictedObstacle::moves);
+            let moving = self.predicted.iter().any(PredictedObstacle::moves);
             for share in SLOWER {
                 let query = Query {
                     start: *initial,
@@ -254,7 +254,7 @@ impl Controller {
                     curvature: vehicle::model::steady_turn(&config.parameters, &full).1 / full.velocity,
                     margin: config.ellipse_margin_m,
                     speed: (config.cruise_mps * share).max(config.bounds.velocity_min_mps),
-                    predicted_obstacles: &self.predicted_obstacles,
+                    predicted: &self.predicted,
                     sides: &self.sides,
                 };
                 self.search.find(&query, &mut self.reference_path);
@@ -266,25 +266,20 @@ impl Controller {
             self.reference_path.set_line(initial.x, goal.y_m, config.cruise_mps);
         }
         let reference_path = &self.reference_path;
-        self.sides.renew(&self.predicted_obstacles, |predicted_obstacle| {
-            reference_path.side_of(predicted_obstacle)
-        });
+        self.sides.renew(&self.predicted, |obstacle| reference_path.side_of(obstacle));
     }
 
     /// Side on which the nearest obstacle that the line leads through is passed.
     fn nearest_side(&self, initial: &State) -> i32 {
         let line = self.config.goal.y_m;
-        let in_the_way = |predicted_obstacle: &&PredictedObstacle| {
-            predicted_obstacle.centre[0] > initial.x
-                && (predicted_obstacle.centre[1] - line).abs() < predicted_obstacle.b
-                && self.sides.held(predicted_obstacle).is_some()
+        let in_the_way = |obstacle: &&PredictedObstacle| {
+            obstacle.centre[0] > initial.x
+                && (obstacle.centre[1] - line).abs() < obstacle.b
+                && self.sides.held(obstacle).is_some()
         };
-        let nearest = self
-            .predicted_obstacles
-            .iter()
-            .filter(in_the_way)
-            .min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-        nearest.and_then(|predicted_obstacle| self.sides.held(predicted_obstacle)).map_or(0, Passing::wire)
+        let nearest =
+            self.predicted.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
+        nearest.and_then(|obstacle| self.sides.held(obstacle)).map_or(0, Passing::wire)
     }
 
     /// After a stop in front of a blocked path: waits until a way was clear for a while.

@@ -101,14 +101,10 @@ impl Search {
         if query.goal_x - query.start.x < self.settings.range_m {
             return f64::INFINITY;
         }
-        let behind = |predicted_obstacle: &PredictedObstacle| {
-            if predicted_obstacle.moves() {
-                f64::INFINITY
-            } else {
-                predicted_obstacle.centre[0] + predicted_obstacle.a - query.start.x
-            }
+        let behind = |obstacle: &PredictedObstacle| {
+            if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - query.start.x }
         };
-        query.predicted_obstacles.iter().map(behind).fold(SHORTEST_M, f64::max)
+        query.predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
     }
 
     fn reserve(&mut self, layers: usize, grid: &Grid) {
@@ -296,12 +292,12 @@ mod tests {
     use vehicle::State;
     use vehicle::geometry::Rectangle;
 
-    fn predicted_obstacle(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
+    fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
         PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
     }
 
-    fn find(start: State, predicted_obstacles: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
+    fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
         let query = Query {
             start,
             line: 0.0,
@@ -310,7 +306,7 @@ mod tests {
             curvature: 0.324,
             margin: 0.02,
             speed: 1.0,
-            predicted_obstacles,
+            predicted,
             sides,
         };
         let mut reference_path = ReferencePath::default();
@@ -320,7 +316,7 @@ mod tests {
 
     #[test]
     fn a_centred_obstacle_is_passed_outside_of_its_ellipse() {
-        let obstacle = predicted_obstacle(1, 4.5, 0.0, 0.9);
+        let obstacle = obstacle_at(1, 4.5, 0.0, 0.9);
         let reference_path = find(State::default(), &[obstacle], &Sides::default());
         assert!(reference_path.clear);
         for step in 0..60 {
@@ -334,26 +330,26 @@ mod tests {
 
     #[test]
     fn a_closed_side_is_not_taken() {
-        let obstacle = predicted_obstacle(1, 4.5, 0.7, 0.9);
+        let obstacle = obstacle_at(1, 4.5, 0.7, 0.9);
         assert_eq!(
             find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
             Some(Passing::Right)
         );
-        let wide = predicted_obstacle(1, 4.5, 0.0, 1.6);
+        let wide = obstacle_at(1, 4.5, 0.0, 1.6);
         assert!(!find(State::default(), &[wide], &Sides::default()).clear);
     }
 
     #[test]
     fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
-        let pair = [predicted_obstacle(1, 4.5, 0.75, 0.7), predicted_obstacle(2, 4.5, -0.75, 0.7)];
+        let pair = [obstacle_at(1, 4.5, 0.75, 0.7), obstacle_at(2, 4.5, -0.75, 0.7)];
         assert!(find(State::default(), &pair, &Sides::default()).clear);
-        let closed = [predicted_obstacle(1, 4.5, 0.7, 0.85), predicted_obstacle(2, 4.5, -0.7, 0.85)];
+        let closed = [obstacle_at(1, 4.5, 0.7, 0.85), obstacle_at(2, 4.5, -0.7, 0.85)];
         assert!(!find(State::default(), &closed, &Sides::default()).clear);
     }
 
     #[test]
     fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
-        let obstacle = predicted_obstacle(1, 4.5, 0.03, 0.8);
+        let obstacle = obstacle_at(1, 4.5, 0.03, 0.8);
         assert_eq!(
             find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
             Some(Passing::Right)
@@ -365,6 +361,6 @@ mod tests {
 
     #[test]
     fn an_obstacle_too_near_has_no_clear_path() {
-        assert!(!find(State::default(), &[predicted_obstacle(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
+        assert!(!find(State::default(), &[obstacle_at(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
     }
 }

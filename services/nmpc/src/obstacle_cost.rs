@@ -47,14 +47,14 @@ impl ObstacleCost {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
-            for predicted_obstacle in query.predicted_obstacles {
+            for obstacle in query.predicted {
                 // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
-                let scale = predicted_obstacle.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
+                let scale = obstacle.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
                 let scale = if scale < 1.0 { scale } else { 1.0 };
-                let [centre_x, centre_y] = predicted_obstacle.centre_at(t);
+                let [centre_x, centre_y] = obstacle.centre_at(t);
                 let across = |grown: f64, scale: f64| {
-                    let ratio = (query.start.x + along - centre_x) / (predicted_obstacle.a * scale + grown);
-                    (predicted_obstacle.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
+                    let ratio = (query.start.x + along - centre_x) / (obstacle.a * scale + grown);
+                    (obstacle.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
                 };
                 let comfort = across(query.margin + settings.comfort_m, 1.0);
                 if comfort > 0.0 {
@@ -64,9 +64,9 @@ impl ObstacleCost {
             }
         }
         self.offsets.push(self.spans.len());
-        for predicted_obstacle in query.predicted_obstacles {
-            if let Some(side) = query.sides.held(predicted_obstacle)
-                && let Some(crossing) = crossing_of(predicted_obstacle, side, query, layers, step)
+        for obstacle in query.predicted {
+            if let Some(side) = query.sides.held(obstacle)
+                && let Some(crossing) = crossing_of(obstacle, side, query, layers, step)
             {
                 self.crossings.push(crossing);
             }
@@ -107,7 +107,7 @@ impl ObstacleCost {
 }
 
 fn crossing_of(
-    predicted_obstacle: &PredictedObstacle,
+    obstacle: &PredictedObstacle,
     side: Passing,
     query: &Query,
     layers: usize,
@@ -116,11 +116,10 @@ fn crossing_of(
     for layer in 0..layers {
         let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
         let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
-        let (before, after) =
-            (x[0] - predicted_obstacle.centre_at(t[0])[0], x[1] - predicted_obstacle.centre_at(t[1])[0]);
+        let (before, after) = (x[0] - obstacle.centre_at(t[0])[0], x[1] - obstacle.centre_at(t[1])[0]);
         if before < 0.0 && after >= 0.0 {
             let share = -before / (after - before);
-            let centre = predicted_obstacle.centre_at(t[0] + share * (t[1] - t[0]))[1];
+            let centre = obstacle.centre_at(t[0] + share * (t[1] - t[0]))[1];
             return Some(Crossing { layer, share, centre, side });
         }
     }

@@ -144,7 +144,7 @@ impl Planner {
 
     /// Fills the optimal control problem of this scan.
     fn build_problem(&mut self, task: &Task) {
-        let Task { scene: Scene { config, predicted_obstacles, initial, .. }, last, .. } = *task;
+        let Task { scene: Scene { config, predicted, initial, .. }, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
@@ -158,7 +158,7 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
-        fill_ellipses(config, predicted_obstacles, &initial, &mut problem.ellipses);
+        fill_ellipses(config, predicted, &initial, &mut problem.ellipses);
     }
 
     /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
@@ -167,7 +167,7 @@ impl Planner {
         if self.controls.is_empty() {
             return false;
         }
-        // A plan that was cut at the goal goes on with its last control.
+        // A plan that was cut at the goal continues with its last control.
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
@@ -248,28 +248,27 @@ fn read_plan(last: &ControllerState, controls: &mut Vec<Control>) {
 /// Fills the ellipses that the horizon can reach, nearest first.
 fn fill_ellipses(
     config: &Config,
-    predicted_obstacles: &[PredictedObstacle],
+    predicted: &[PredictedObstacle],
     initial: &State,
     ellipses: &mut Vec<EllipsePath>,
 ) {
     let reach = config.bounds.velocity_max_mps * config.horizon_s;
-    let in_reach = |predicted_obstacle: &PredictedObstacle| {
-        let [x, y] = predicted_obstacle.centre;
-        let travel = predicted_obstacle.velocity[0].hypot(predicted_obstacle.velocity[1]) * config.horizon_s;
-        (x - initial.x).abs() < reach + predicted_obstacle.a + travel
-            && (y - initial.y).abs() < reach + predicted_obstacle.b + travel
-            && x + predicted_obstacle.a + travel > initial.x
+    let in_reach = |obstacle: &PredictedObstacle| {
+        let [x, y] = obstacle.centre;
+        let travel = obstacle.velocity[0].hypot(obstacle.velocity[1]) * config.horizon_s;
+        (x - initial.x).abs() < reach + obstacle.a + travel
+            && (y - initial.y).abs() < reach + obstacle.b + travel
+            && x + obstacle.a + travel > initial.x
     };
-    let distance = |predicted_obstacle: &PredictedObstacle| {
-        (predicted_obstacle.centre[0] - initial.x).hypot(predicted_obstacle.centre[1] - initial.y)
-    };
+    let distance =
+        |obstacle: &PredictedObstacle| (obstacle.centre[0] - initial.x).hypot(obstacle.centre[1] - initial.y);
     let mut count = 0;
     let mut farthest = None;
     // Selection in place of a sort: there are at most sixteen, and nothing is allocated.
     while count < config.max_ellipses {
-        let next = (0..predicted_obstacles.len())
-            .filter(|&index| in_reach(&predicted_obstacles[index]))
-            .map(|index| (distance(&predicted_obstacles[index]), index))
+        let next = (0..predicted.len())
+            .filter(|&index| in_reach(&predicted[index]))
+            .map(|index| (distance(&predicted[index]), index))
             .filter(|&candidate| farthest.is_none_or(|last| candidate > last))
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let Some((_, index)) = next else { break };
@@ -277,14 +276,13 @@ fn fill_ellipses(
         if ellipses.len() <= count {
             ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
         }
-        let (predicted_obstacle, ellipse) = (&predicted_obstacles[index], &mut ellipses[count]);
-        (ellipse.a, ellipse.b) =
-            (predicted_obstacle.a + config.ellipse_margin_m, predicted_obstacle.b + config.ellipse_margin_m);
+        let (obstacle, ellipse) = (&predicted[index], &mut ellipses[count]);
+        (ellipse.a, ellipse.b) = (obstacle.a + config.ellipse_margin_m, obstacle.b + config.ellipse_margin_m);
         ellipse.centres.clear();
         let interval_s = config.interval_s();
-        ellipse.centres.extend(
-            (0..=config.intervals).map(|node| predicted_obstacle.centre_at(node as f64 * interval_s)),
-        );
+        ellipse
+            .centres
+            .extend((0..=config.intervals).map(|node| obstacle.centre_at(node as f64 * interval_s)));
         count += 1;
     }
     ellipses.truncate(count);
@@ -327,7 +325,7 @@ mod tests {
 
     #[test]
     fn the_nearest_ellipses_are_taken_and_those_behind_left_out() {
-        let predicted_obstacle = |id: u32, x: f64| PredictedObstacle {
+        let obstacle = |id: u32, x: f64| PredictedObstacle {
             id,
             centre: [x, 0.0],
             velocity: [0.0, 0.0],
@@ -335,16 +333,11 @@ mod tests {
             b: 0.5,
             body: Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.1 },
         };
-        let predicted_obstacles = [
-            predicted_obstacle(1, 3.0),
-            predicted_obstacle(2, -1.5),
-            predicted_obstacle(3, 2.0),
-            predicted_obstacle(4, 9.0),
-            predicted_obstacle(5, 1.0),
-        ];
+        let predicted =
+            [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
         let config = Config { max_ellipses: 2, ..Config::default() };
         let mut ellipses = Vec::new();
-        fill_ellipses(&config, &predicted_obstacles, &State::default(), &mut ellipses);
+        fill_ellipses(&config, &predicted, &State::default(), &mut ellipses);
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
         assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);

@@ -60,19 +60,15 @@ impl PredictedObstacle {
 /// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
 ///
 /// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
-pub(crate) fn read(
-    obstacles: &Obstacles,
-    lead_s: f64,
-    predicted_obstacles: &mut Vec<PredictedObstacle>,
-) -> bool {
-    predicted_obstacles.clear();
+pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, predicted: &mut Vec<PredictedObstacle>) -> bool {
+    predicted.clear();
     for item in obstacles.list() {
         if !is_sound(item) {
             return false;
         }
         let velocity = significant_velocity(item);
         let travel = [velocity[0] * lead_s, velocity[1] * lead_s];
-        predicted_obstacles.push(PredictedObstacle {
+        predicted.push(PredictedObstacle {
             id: item.id,
             centre: [item.x_m + travel[0], item.y_m + travel[1]],
             velocity,
@@ -139,32 +135,28 @@ mod tests {
     fn a_velocity_within_its_noise_does_not_move_the_ellipse() {
         let mut item =
             Obstacle { velocity_x_mps: -0.3, velocity_covariance: [0.04, 0.0, 0.04], ..obstacle() };
-        let mut predicted_obstacles = Vec::new();
-        assert!(read(&one(item), 0.1, &mut predicted_obstacles));
-        assert!(!predicted_obstacles[0].moves() && predicted_obstacles[0].centre == [5.0, 0.5]);
+        let mut predicted = Vec::new();
+        assert!(read(&one(item), 0.1, &mut predicted));
+        assert!(!predicted[0].moves() && predicted[0].centre == [5.0, 0.5]);
         item.velocity_covariance = [0.01, 0.0, 0.01];
-        assert!(read(&one(item), 0.1, &mut predicted_obstacles));
-        assert!((predicted_obstacles[0].centre[0] - 4.97).abs() < 1e-12);
-        assert!((predicted_obstacles[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
+        assert!(read(&one(item), 0.1, &mut predicted));
+        assert!((predicted[0].centre[0] - 4.97).abs() < 1e-12);
+        assert!((predicted[0].centre_at(1.0)[0] - 4.67).abs() < 1e-12);
     }
 
     #[test]
     fn the_value_is_one_on_the_ellipse() {
-        let mut predicted_obstacles = Vec::new();
-        assert!(read(&one(obstacle()), 0.0, &mut predicted_obstacles));
-        assert!((predicted_obstacles[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
-        assert!((predicted_obstacles[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
+        let mut predicted = Vec::new();
+        assert!(read(&one(obstacle()), 0.0, &mut predicted));
+        assert!((predicted[0].value(0.0, 6.2, 0.5) - 1.0).abs() < 1e-12);
+        assert!((predicted[0].value(0.0, 5.0, -0.3) - 1.0).abs() < 1e-12);
     }
 
     #[test]
     fn numbers_without_meaning_are_refused() {
-        let mut predicted_obstacles = Vec::new();
-        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut predicted_obstacles));
-        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut predicted_obstacles));
-        assert!(!read(
-            &one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }),
-            0.0,
-            &mut predicted_obstacles
-        ));
+        let mut predicted = Vec::new();
+        assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut predicted));
+        assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut predicted));
+        assert!(!read(&one(Obstacle { velocity_y_mps: f64::INFINITY, ..obstacle() }), 0.0, &mut predicted));
     }
 }

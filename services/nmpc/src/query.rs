@@ -23,7 +23,7 @@ pub(crate) struct Query<'a> {
     /// Velocity along the path [m/s].
     pub(crate) speed: f64,
     /// The obstacles.
-    pub(crate) predicted_obstacles: &'a [PredictedObstacle],
+    pub(crate) predicted: &'a [PredictedObstacle],
     /// Sides on which they were passed before.
     pub(crate) sides: &'a Sides,
 }

@@ -106,7 +106,7 @@ impl ReferencePath {
         (self.start_x, self.step, self.speed, self.clear) = (start_x, 1.0, speed, true);
     }
 
-    /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind the end the path goes on along x.
+    /// Lateral position [m], course [rad] and curvature [1/m] at `x`; behind its end the path continues along x.
     pub(crate) fn at(&self, x: f64) -> (f64, f64, f64) {
         let Some(&end) = self.y.last() else { return (0.0, 0.0, 0.0) };
         let (along, last) = ((x - self.start_x) / self.step, self.y.len() - 1);
@@ -126,11 +126,11 @@ impl ReferencePath {
     }
 
     /// Side on which the path passes the hazard; `None` when it does not get there.
-    pub(crate) fn side_of(&self, predicted_obstacle: &PredictedObstacle) -> Option<Passing> {
+    pub(crate) fn side_of(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
             let t = index as f64 * self.step / self.speed;
-            let [centre_x, centre_y] = predicted_obstacle.centre_at(t);
+            let [centre_x, centre_y] = obstacle.centre_at(t);
             let after = position - centre_x;
             if before < 0.0 && after >= 0.0 {
                 let share = -before / (after - before);

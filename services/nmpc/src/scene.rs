@@ -22,7 +22,7 @@ pub(crate) struct Scene<'a> {
     /// The robot, the track and the goal.
     pub(crate) config: &'a Config,
     /// The obstacles.
-    pub(crate) predicted_obstacles: &'a [PredictedObstacle],
+    pub(crate) predicted: &'a [PredictedObstacle],
     /// State at the start of the plan.
     pub(crate) initial: State,
     /// Bounds across the track, (7.46) [m].
@@ -46,12 +46,8 @@ pub(crate) enum Violation {
 
 impl<'a> Scene<'a> {
     /// What plans from `initial` are held against.
-    pub(crate) fn new(
-        config: &'a Config,
-        predicted_obstacles: &'a [PredictedObstacle],
-        initial: State,
-    ) -> Self {
-        Self { config, predicted_obstacles, initial, y_range: config.y_range() }
+    pub(crate) fn new(config: &'a Config, predicted: &'a [PredictedObstacle], initial: State) -> Self {
+        Self { config, predicted, initial, y_range: config.y_range() }
     }
 
     /// Limits as they are at the start of the plan.
@@ -63,11 +59,9 @@ impl<'a> Scene<'a> {
             outside: [OUTSIDE_M; 2],
         };
         let State { x, y, .. } = self.initial;
-        for (index, predicted_obstacle) in
-            self.predicted_obstacles.iter().enumerate().take(shared_types::MAX_OBSTACLES)
-        {
-            baseline.values[index] = predicted_obstacle.value(0.0, x, y).min(1.0) - DEEPER;
-            let gap = self.body_at(&self.initial).distance_to_rectangle(&predicted_obstacle.body);
+        for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            baseline.values[index] = obstacle.value(0.0, x, y).min(1.0) - DEEPER;
+            let gap = self.body_at(&self.initial).distance_to_rectangle(&obstacle.body);
             baseline.gaps[index] = gap.min(self.config.clearance_m) - TOLERANCE_M;
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
@@ -90,13 +84,11 @@ impl<'a> Scene<'a> {
             return Some(Violation::Clearance);
         }
         let reach = self.config.body_length_m.hypot(self.config.body_width_m) / 2.0 + self.config.clearance_m;
-        for (index, predicted_obstacle) in
-            self.predicted_obstacles.iter().enumerate().take(shared_types::MAX_OBSTACLES)
-        {
-            if predicted_obstacle.value(t, state.x, state.y) < baseline.values[index] {
+        for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
+            if obstacle.value(t, state.x, state.y) < baseline.values[index] {
                 return Some(Violation::Ellipse(index));
             }
-            let body = predicted_obstacle.body_at(t);
+            let body = obstacle.body_at(t);
             let distance = (body.centre - Vector2::new(state.x, state.y)).norm();
             if distance < reach + body.length.hypot(body.width) / 2.0
                 && self.body_at(state).distance_to_rectangle(&body) < baseline.gaps[index]

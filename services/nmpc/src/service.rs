@@ -29,7 +29,7 @@ pub fn run() -> anyhow::Result<()> {
             tracing::warn!("no fresh state to resume from: the robot has to rest first");
             controller.start_in_stop();
         }
-        // Beside another one it plans afresh: only who agrees with that one takes over.
+        // A candidate plans afresh: it takes over only when it agrees with the process in charge.
         Handover::Lost => {}
     }
     if let Some((scan_id, state)) = process.join()? {

@@ -77,12 +77,11 @@ impl Sides {
     }
 
     /// The side held for the ellipse.
-    pub(crate) fn held(&self, predicted_obstacle: &PredictedObstacle) -> Option<Passing> {
+    pub(crate) fn held(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
         let used = || self.entries.iter().filter(|entry| entry.id != 0);
-        let known = used().find(|entry| entry.id == predicted_obstacle.id).or_else(|| {
-            let distance = |entry: &Side| {
-                (entry.x_m - predicted_obstacle.centre[0]).hypot(entry.y_m - predicted_obstacle.centre[1])
-            };
+        let known = used().find(|entry| entry.id == obstacle.id).or_else(|| {
+            let distance =
+                |entry: &Side| (entry.x_m - obstacle.centre[0]).hypot(entry.y_m - obstacle.centre[1]);
             used()
                 .filter(|entry| distance(entry) < SAME_PLACE_M)
                 .min_by(|a, b| distance(a).total_cmp(&distance(b)))
@@ -91,34 +90,26 @@ impl Sides {
     }
 
     /// Holds a side for the ellipse; `None` lets go.
-    pub(crate) fn hold(&mut self, predicted_obstacle: &PredictedObstacle, side: Option<Passing>) {
-        let old = self.entries.iter().position(|entry| entry.id == predicted_obstacle.id);
+    pub(crate) fn hold(&mut self, obstacle: &PredictedObstacle, side: Option<Passing>) {
+        let old = self.entries.iter().position(|entry| entry.id == obstacle.id);
         let Some(index) = old.or_else(|| self.entries.iter().position(|entry| entry.id == 0)) else { return };
         self.entries[index] = match side {
             None => Side::default(),
-            Some(side) => Side {
-                id: predicted_obstacle.id,
-                side: side.wire(),
-                x_m: predicted_obstacle.centre[0],
-                y_m: predicted_obstacle.centre[1],
-            },
+            Some(side) => {
+                Side { id: obstacle.id, side: side.wire(), x_m: obstacle.centre[0], y_m: obstacle.centre[1] }
+            }
         };
     }
 
     /// Replaces all choices by those that `choose` makes; `None` keeps what was held for the ellipse.
     pub(crate) fn renew(
         &mut self,
-        predicted_obstacles: &[PredictedObstacle],
+        predicted: &[PredictedObstacle],
         choose: impl Fn(&PredictedObstacle) -> Option<Passing>,
     ) {
         let mut renewed = Self::default();
-        for predicted_obstacle in
-            predicted_obstacles.iter().filter(|predicted_obstacle| predicted_obstacle.id != 0)
-        {
-            renewed.hold(
-                predicted_obstacle,
-                choose(predicted_obstacle).or_else(|| self.held(predicted_obstacle)),
-            );
+        for obstacle in predicted.iter().filter(|obstacle| obstacle.id != 0) {
+            renewed.hold(obstacle, choose(obstacle).or_else(|| self.held(obstacle)));
         }
         *self = renewed;
     }
@@ -130,7 +121,7 @@ mod tests {
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
 
-    fn predicted_obstacle(id: u32, x: f64, y: f64) -> PredictedObstacle {
+    fn obstacle(id: u32, x: f64, y: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
         PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b: 0.8, body }
     }
@@ -138,21 +129,21 @@ mod tests {
     #[test]
     fn a_choice_is_found_again_by_identity_or_by_place() {
         let mut sides = Sides::default();
-        sides.hold(&predicted_obstacle(7, 5.0, 0.0), Some(Passing::Right));
-        assert_eq!(sides.held(&predicted_obstacle(7, 5.9, 0.3)), Some(Passing::Right));
-        assert_eq!(sides.held(&predicted_obstacle(8, 5.2, 0.1)), Some(Passing::Right));
-        assert_eq!(sides.held(&predicted_obstacle(8, 6.0, 0.0)), None);
+        sides.hold(&obstacle(7, 5.0, 0.0), Some(Passing::Right));
+        assert_eq!(sides.held(&obstacle(7, 5.9, 0.3)), Some(Passing::Right));
+        assert_eq!(sides.held(&obstacle(8, 5.2, 0.1)), Some(Passing::Right));
+        assert_eq!(sides.held(&obstacle(8, 6.0, 0.0)), None);
     }
 
     #[test]
     fn choices_of_ellipses_that_are_gone_are_forgotten() {
         let mut sides = Sides::default();
-        sides.hold(&predicted_obstacle(7, 5.0, 0.0), Some(Passing::Right));
-        sides.renew(&[predicted_obstacle(9, 9.0, 0.0)], |_| Some(Passing::Left));
-        assert_eq!(sides.held(&predicted_obstacle(7, 5.0, 0.0)), None);
-        assert_eq!(sides.held(&predicted_obstacle(9, 9.0, 0.0)), Some(Passing::Left));
-        sides.renew(&[predicted_obstacle(9, 9.0, 0.0)], |_| None);
-        assert_eq!(sides.held(&predicted_obstacle(9, 9.0, 0.0)), Some(Passing::Left));
+        sides.hold(&obstacle(7, 5.0, 0.0), Some(Passing::Right));
+        sides.renew(&[obstacle(9, 9.0, 0.0)], |_| Some(Passing::Left));
+        assert_eq!(sides.held(&obstacle(7, 5.0, 0.0)), None);
+        assert_eq!(sides.held(&obstacle(9, 9.0, 0.0)), Some(Passing::Left));
+        sides.renew(&[obstacle(9, 9.0, 0.0)], |_| None);
+        assert_eq!(sides.held(&obstacle(9, 9.0, 0.0)), Some(Passing::Left));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What a restarted controller goes on from.
+//! State of the controller that its successor continues from.
 
 use shared_types::{PLAN_NODES, PlanNode, plain_state};
 

@@ -41,13 +41,12 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
     let Some(end_x) = scene
-        .predicted_obstacles
+        .predicted
         .iter()
-        .filter(|predicted_obstacle| {
-            ahead(predicted_obstacle.centre[0])
-                && predicted_obstacle.centre[0] - predicted_obstacle.a < scene.config.goal.x_m
+        .filter(|obstacle| {
+            ahead(obstacle.centre[0]) && obstacle.centre[0] - obstacle.a < scene.config.goal.x_m
         })
-        .map(|predicted_obstacle| predicted_obstacle.centre[0] + predicted_obstacle.a / 2.0)
+        .map(|obstacle| obstacle.centre[0] + obstacle.a / 2.0)
         .reduce(f64::max)
     else {
         return false;
@@ -65,30 +64,26 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
             for &length in &TURNS_M[if side == 0.0 { 7 } else { 0 }..] {
                 match turns.drive(start, side, length) {
                     Reach::Past => return false,
-                    Reach::Hit { x, predicted_obstacle } if x > best.0 => best = (x, predicted_obstacle),
+                    Reach::Hit { x, obstacle } if x > best.0 => best = (x, obstacle),
                     Reach::Hit { .. } => {}
                 }
             }
         }
     }
-    let nearest = || {
-        (0..scene.predicted_obstacles.len())
-            .filter(|&index| ahead(scene.predicted_obstacles[index].centre[0]))
-    };
+    let nearest = || (0..scene.predicted.len()).filter(|&index| ahead(scene.predicted[index].centre[0]));
     let distance = |index: usize| {
-        let [x, y] = scene.predicted_obstacles[index].centre;
+        let [x, y] = scene.predicted[index].centre;
         (x - here.x).hypot(y - here.y)
     };
     let hit = best.1.or_else(|| nearest().min_by(|&a, &b| distance(a).total_cmp(&distance(b))));
-    let too_near =
-        hit.is_some_and(|index| distance(index) < latest_distance(scene.predicted_obstacles[index].b));
+    let too_near = hit.is_some_and(|index| distance(index) < latest_distance(scene.predicted[index].b));
     slack > largest_slack || too_near
 }
 
 /// How far a continuation comes.
 enum Reach {
     Past,
-    Hit { x: f64, predicted_obstacle: Option<usize> },
+    Hit { x: f64, obstacle: Option<usize> },
 }
 
 struct Turns<'a> {
@@ -111,11 +106,11 @@ impl Turns<'_> {
                 return Reach::Past;
             }
             if let Some(violation) = self.scene.check(&self.baseline, t, &state) {
-                let predicted_obstacle = match violation {
+                let obstacle = match violation {
                     Violation::Ellipse(index) => Some(index),
                     _ => None,
                 };
-                return Reach::Hit { x: state.x, predicted_obstacle };
+                return Reach::Hit { x: state.x, obstacle };
             }
             let turn = if way < LAG_M {
                 0.0
@@ -140,7 +135,7 @@ impl Turns<'_> {
             way += STEP_M;
             t += STEP_M / self.speed;
         }
-        Reach::Hit { x: state.x, predicted_obstacle: None }
+        Reach::Hit { x: state.x, obstacle: None }
     }
 }
 
@@ -163,7 +158,7 @@ mod tests {
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
-        let predicted_obstacles = [PredictedObstacle {
+        let predicted = [PredictedObstacle {
             id: 1,
             centre: [distance, y],
             velocity: [0.0, 0.0],
@@ -176,7 +171,7 @@ mod tests {
             track: Track { x_m: [-10.0, 22.0], ..Track::default() },
             ..Config::default()
         };
-        let scene = Scene::new(&config, &predicted_obstacles, State::default());
+        let scene = Scene::new(&config, &predicted, State::default());
         is_blocked(&scene, &[], slack, 0.05)
     }
 

@@ -88,12 +88,12 @@ mod tests {
 
     struct Fixture {
         config: Config,
-        predicted_obstacles: Vec<PredictedObstacle>,
+        predicted: Vec<PredictedObstacle>,
     }
 
     impl Fixture {
-        fn new(predicted_obstacles: Vec<PredictedObstacle>) -> Self {
-            Self { config: Config::default(), predicted_obstacles }
+        fn new(predicted: Vec<PredictedObstacle>) -> Self {
+            Self { config: Config::default(), predicted }
         }
 
         fn scene(&self) -> Scene<'_> {
@@ -101,12 +101,12 @@ mod tests {
         }
 
         fn from(&self, initial: State) -> Scene<'_> {
-            Scene::new(&self.config, &self.predicted_obstacles, initial)
+            Scene::new(&self.config, &self.predicted, initial)
         }
     }
 
     /// A box 0.4 m wide with an ellipse as small as the box, to see the body's own check.
-    fn predicted_obstacle(x: f64, y: f64, a: f64, b: f64) -> PredictedObstacle {
+    fn obstacle(x: f64, y: f64, a: f64, b: f64) -> PredictedObstacle {
         let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.4 };
         PredictedObstacle { id: 1, centre: [x, y], velocity: [0.0, 0.0], a, b, body }
     }
@@ -132,25 +132,25 @@ mod tests {
 
     #[test]
     fn the_body_keeps_its_distance_although_the_centre_is_outside_of_the_ellipse() {
-        let near = Fixture::new(vec![predicted_obstacle(2.0, 0.44, 0.05, 0.05)]);
+        let near = Fixture::new(vec![obstacle(2.0, 0.44, 0.05, 0.05)]);
         assert_eq!(verdict(&near.scene(), &straight(1.0)).violation.unwrap().0, Violation::Clearance);
-        let far = Fixture::new(vec![predicted_obstacle(2.0, 0.46, 0.05, 0.05)]);
+        let far = Fixture::new(vec![obstacle(2.0, 0.46, 0.05, 0.05)]);
         assert!(verdict(&far.scene(), &straight(1.0)).holds());
     }
 
     #[test]
     fn an_ellipse_is_not_entered_but_may_be_left() {
-        let ahead = Fixture::new(vec![predicted_obstacle(2.5, 0.0, 1.2, 0.8)]);
+        let ahead = Fixture::new(vec![obstacle(2.5, 0.0, 1.2, 0.8)]);
         let (violation, t) = verdict(&ahead.scene(), &straight(1.0)).violation.unwrap();
         assert_eq!(violation, Violation::Ellipse(0));
         assert!((1.25..1.45).contains(&t), "{t}");
-        let beside = Fixture::new(vec![predicted_obstacle(-0.2, 0.78, 1.2, 0.8)]);
+        let beside = Fixture::new(vec![obstacle(-0.2, 0.78, 1.2, 0.8)]);
         assert!(verdict(&beside.scene(), &straight(1.0)).holds());
     }
 
     #[test]
     fn a_moving_body_is_where_it_will_be() {
-        let mut crossing = predicted_obstacle(1.0, -2.0, 0.5, 0.4);
+        let mut crossing = obstacle(1.0, -2.0, 0.5, 0.4);
         crossing.velocity = [0.0, 2.0];
         let fixture = Fixture::new(vec![crossing]);
         assert!(!verdict(&fixture.scene(), &straight(1.0)).holds());
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn behind_the_goal_the_plan_is_cut_and_not_refused() {
-        let mut fixture = Fixture::new(vec![predicted_obstacle(2.6, 0.0, 1.0, 0.8)]);
+        let mut fixture = Fixture::new(vec![obstacle(2.6, 0.0, 1.0, 0.8)]);
         fixture.config.goal = Goal { x_m: 1.3, ..Goal::default() };
         let verdict = verdict(&fixture.scene(), &straight(1.0));
         assert!(verdict.holds());

@@ -70,16 +70,16 @@ pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
 
 /// Whether two ways pass every hazard that both come past on the same side.
 pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, way: &[Sampled]) -> bool {
-    scene.predicted_obstacles.iter().all(|predicted_obstacle| {
-        let sides = side_of(predicted_obstacle, way).zip(reference_path.side_of(predicted_obstacle));
+    scene.predicted.iter().all(|obstacle| {
+        let sides = side_of(obstacle, way).zip(reference_path.side_of(obstacle));
         sides.is_none_or(|(driven, planned)| driven == planned)
     })
 }
 
 /// Side on which a way passes the hazard; `None` when it does not come past its centre.
-fn side_of(predicted_obstacle: &PredictedObstacle, way: &[Sampled]) -> Option<Passing> {
+fn side_of(obstacle: &PredictedObstacle, way: &[Sampled]) -> Option<Passing> {
     for pair in way.windows(2) {
-        let centres = [pair[0].t, pair[1].t].map(|t| predicted_obstacle.centre_at(t));
+        let centres = [pair[0].t, pair[1].t].map(|t| obstacle.centre_at(t));
         let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
         if from < 0.0 && to >= 0.0 {
             return Some(Passing::of(pair[1].state.y, centres[1][1]));

@@ -54,7 +54,7 @@ impl Walls {
         }
     }
 
-    /// Extends the outline of a body that comes close to a wall up to the wall: nobody can pass in between.
+    /// Extends the outline of a body that comes close to a wall up to the wall: the robot cannot pass in between.
     pub(crate) fn extend(&self, vertices: &mut Vec<Vertex>, from: usize) {
         let Some(sides) = &self.sides else { return };
         for index in from..vertices.len() {

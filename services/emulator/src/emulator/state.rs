@@ -1,4 +1,4 @@
-//! The whole state of the robot and its surroundings as plain bytes, for the emulator that goes on from it.
+//! The whole state of the robot and its surroundings as plain bytes, from which a successor continues.
 //!
 //! Random numbers need no state: each scan starts its own streams. The poses of the past need none either as long
 //! as the next sweep lies ahead: it begins two thirds of a period before its scan is ready, so a state is whole up

@@ -48,7 +48,7 @@ settings! {
 }
 
 settings! {
-    /// Noise of scanner and odometer; standard deviations unless said otherwise.
+    /// Noise of scanner and odometer; standard deviations unless noted.
     #[derive(Copy)]
     pub struct Noise {
         /// Noise of a laser range at any distance [m], 0 to 1.
