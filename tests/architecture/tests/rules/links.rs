@@ -1,0 +1,45 @@
+//! Links between the pages of the repository lead somewhere, anchors included.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::path::{Path, PathBuf};
+
+use architecture::markdown::{anchors, links};
+
+use crate::{files, root};
+
+/// Links of a page that lead nowhere.
+fn dead_links(page: &Path, text: &str) -> Vec<String> {
+    let leads_nowhere = |target: &str| {
+        let (file, anchor) = target.split_once('#').unwrap_or((target, ""));
+        let file: PathBuf =
+            if file.is_empty() { page.to_owned() } else { page.with_file_name("").join(file) };
+        let has_anchor = || {
+            let text = if file == page {
+                text.to_owned()
+            } else {
+                std::fs::read_to_string(&file).unwrap_or_default()
+            };
+            anchors(&text).iter().any(|other| other == anchor)
+        };
+        !file.exists() || !anchor.is_empty() && !has_anchor()
+    };
+    let is_local = |target: &str| !target.contains("://") && !target.starts_with("mailto:");
+    let dead = links(text).into_iter().filter(|(_, target)| is_local(target) && leads_nowhere(target));
+    dead.map(|(line, target)| format!("{}:{line}: {target}\n", page.display())).collect()
+}
+
+#[test]
+fn links_between_pages_resolve() {
+    let pages = files(&root(), ".md");
+    assert!(pages.len() > 40, "{pages:?}");
+    let read = |page: &PathBuf| dead_links(page, &std::fs::read_to_string(page).unwrap());
+    let dead: String = pages.iter().flat_map(read).collect();
+    assert!(dead.is_empty(), "\n{dead}");
+}
+
+#[test]
+fn dead_links_are_found() {
+    let page = root().join("docs/glossary.md");
+    let text = "# One\n[a](#one) [b](#two) [c](swap.md) [d](none.md) [e](swap.md#none) [f](https://none)";
+    assert_eq!(dead_links(&page, text).len(), 3);
+}
