@@ -113,7 +113,7 @@ fn piece(rectangle: &Rectangle, index: usize, count: usize) -> Rectangle {
     }
 }
 
-/// The one ellipse of (7.35), its a enlarged where the body is long.
+/// The one ellipse of a body: its centre, see the source note on (7.32) and (7.33), and b of (7.35).
 fn single(
     config: &Config,
     keep: &Keep,
@@ -127,7 +127,7 @@ fn single(
     sized(config, keep, (low + high) / 2.0, rectangle, b, directions)
 }
 
-/// The ellipse with semi-axis `b` that follows (7.35) and holds the rectangle with the distance to keep.
+/// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to keep.
 fn sized(
     config: &Config,
     keep: &Keep,

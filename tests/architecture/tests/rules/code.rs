@@ -1,5 +1,4 @@
 //! Words that certain code does not contain.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
 
