@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use architecture::markdown::{anchors, links};
+use architecture::markdown::{anchors, code_spans, links};
 
 use crate::{files, root};
 
@@ -34,6 +34,35 @@ fn links_between_pages_resolve() {
     let read = |page: &PathBuf| dead_links(page, &std::fs::read_to_string(page).unwrap());
     let dead: String = pages.iter().flat_map(read).collect();
     assert!(dead.is_empty(), "\n{dead}");
+}
+
+/// Rust files and pages that a page names in code spans, and that no file's path ends with.
+fn missing_files<'a>(page: &'a str, existing: &[PathBuf]) -> Vec<&'a str> {
+    let is_file = |span: &&str| {
+        (span.ends_with(".rs") || span.ends_with(".md"))
+            && span.chars().all(|c| c.is_alphanumeric() || matches!(c, '/' | '.' | '-' | '_'))
+    };
+    let exists = |span: &str| existing.iter().any(|file| file.ends_with(span.trim_start_matches("../")));
+    page.lines().flat_map(code_spans).filter(is_file).filter(|span| !exists(span)).collect()
+}
+
+#[test]
+fn files_that_pages_name_exist() {
+    let pages = files(&root(), ".md");
+    let existing = [files(&root(), ".rs"), pages.clone()].concat();
+    // The past names files that are gone.
+    for page in pages.iter().filter(|page| !page.ends_with("CHANGELOG.md")) {
+        let text = std::fs::read_to_string(page).unwrap();
+        assert_eq!(missing_files(&text, &existing), [""; 0], "{}", page.display());
+    }
+}
+
+#[test]
+fn a_file_that_does_not_exist_is_found() {
+    let existing = [PathBuf::from("/root/services/nmpc/src/lattice.rs")];
+    let page =
+        "`nmpc/src/lattice.rs`, `lattice.rs`, `attice.rs` and `ocp/src/lattice.rs`, `FILE.toml`, `a b.rs`";
+    assert_eq!(missing_files(page, &existing), ["attice.rs", "ocp/src/lattice.rs"]);
 }
 
 #[test]
