@@ -10,15 +10,29 @@ fn lines(page: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// A line without its code spans; each leaves a full stop, so that no phrase reaches across it.
-fn without_code(line: &str) -> String {
-    let spans = line.split('`').enumerate();
-    spans.filter(|(index, _)| index % 2 == 0).map(|(_, text)| text).collect::<Vec<_>>().join(" . ")
+/// Text of a page outside of code, line by line. Each code span leaves a full stop, so that no phrase reaches across it.
+pub fn prose(page: &str) -> Vec<(usize, String)> {
+    let is_text = |(is_code, text): (bool, &str)| if is_code { ". ".to_owned() } else { text.to_owned() };
+    split(page).map(|(number, parts)| (number, parts.into_iter().map(is_text).collect())).collect()
 }
 
-/// Text of a page outside of code, line by line.
-pub fn prose(page: &str) -> Vec<(usize, String)> {
-    lines(page).map(|(number, line)| (number, without_code(line))).collect()
+/// All code spans of a page that stand in one line.
+pub fn spans(page: &str) -> Vec<&str> {
+    split(page).flat_map(|(_, parts)| parts).filter(|(is_code, _)| *is_code).map(|(_, text)| text).collect()
+}
+
+/// Lines of a page with their parts, and whether each is code; a code span ends with its paragraph at the latest.
+fn split(page: &str) -> impl Iterator<Item = (usize, Vec<(bool, &str)>)> {
+    let mut is_code = false;
+    lines(page).map(move |(number, line)| {
+        is_code &= !line.trim().is_empty();
+        let mut parts = vec![(is_code, "")];
+        for (index, text) in line.split('`').enumerate() {
+            is_code ^= index > 0;
+            parts.push((is_code, text));
+        }
+        (number, parts)
+    })
 }
 
 /// Targets of all links and pictures of a page, with the numbers of their lines.
@@ -74,6 +88,14 @@ mod tests {
     fn links_and_anchors_outside_of_code_are_found() {
         assert_eq!(links(PAGE), [(2, "x.md#y".to_owned()), (8, "p.svg".to_owned())]);
         assert_eq!(anchors(PAGE), ["a-b-c", "a-b-c-1", "other"]);
+    }
+
+    #[test]
+    fn code_spans_may_be_broken_across_lines() {
+        let page = "one `two\nthree` four `five`\n\n`six\n\nseven";
+        let text: Vec<String> = prose(page).into_iter().map(|(_, text)| text.replace(". ", "")).collect();
+        assert_eq!(text, ["one ", " four ", "", "", "", "seven"]);
+        assert!(spans(page).contains(&"five") && !spans(page).contains(&" four "));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use architecture::markdown::{anchors, code_spans, links};
+use architecture::markdown::{anchors, links, spans};
 
 use crate::{files, root};
 
@@ -43,7 +43,7 @@ fn missing_files<'a>(page: &'a str, existing: &[PathBuf]) -> Vec<&'a str> {
             && span.chars().all(|c| c.is_alphanumeric() || matches!(c, '/' | '.' | '-' | '_'))
     };
     let exists = |span: &str| existing.iter().any(|file| file.ends_with(span.trim_start_matches("../")));
-    page.lines().flat_map(code_spans).filter(is_file).filter(|span| !exists(span)).collect()
+    spans(page).into_iter().filter(is_file).filter(|span| !exists(span)).collect()
 }
 
 #[test]
