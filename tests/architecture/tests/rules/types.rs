@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use architecture::packages::packages;
+use proc_macro2::TokenStream;
 use syn::visit::{self, Visit};
 
 use crate::{files, root};
@@ -25,6 +26,7 @@ impl<'ast> Visit<'ast> for Types {
             syn::Item::Mod(item) if item.attrs.iter().any(|attribute| attribute.path().is_ident("cfg")) => {
                 return;
             }
+            syn::Item::Macro(item) => return self.0.extend(types_among(item.mac.tokens.clone())),
             _ => return visit::visit_item(self, item),
         };
         if matches!(visibility, syn::Visibility::Public(_)) {
@@ -33,6 +35,13 @@ impl<'ast> Visit<'ast> for Types {
     }
 
     fn visit_block(&mut self, _: &'ast syn::Block) {}
+}
+
+/// Names behind `pub struct` and `pub enum` among the tokens of a macro, which most samples and settings stand in.
+fn types_among(tokens: TokenStream) -> Vec<String> {
+    let words: Vec<String> = tokens.into_iter().map(|token| token.to_string()).collect();
+    let declares = |words: &&[String]| words[0] == "pub" && ["struct", "enum"].contains(&words[1].as_str());
+    words.windows(3).filter(declares).map(|words| words[2].clone()).filter(|name| name != "$").collect()
 }
 
 fn types(source: &str) -> Vec<String> {
@@ -70,6 +79,7 @@ fn no_two_public_types_of_a_crate_have_one_name() {
 #[test]
 fn public_types_are_found_wherever_they_stand() {
     let source = "pub struct A; pub(crate) struct B; struct C; mod m { pub enum D {} } pub type E = A;
-                  fn f() { pub struct F; } #[cfg(test)] mod tests { pub struct G; }";
-    assert_eq!(types(source), ["A", "D", "E"]);
+                  fn f() { pub struct F; } #[cfg(test)] mod tests { pub struct G; }
+                  sample! { /// Doc.\n pub struct H(8) { pub a: u8 } } macro_rules! m { () => { pub struct $name; } }";
+    assert_eq!(types(source), ["A", "D", "E", "H"]);
 }
