@@ -1,9 +1,9 @@
-/* An obstacle description in C: returns in front become boxes, boxes that have been seen are remembered, and each gets
+/* An obstacle detector in C. It groups the returns of the scanner into boxes, remembers the boxes, and gives each one
  * the ellipse (7.35) that the robot's centre stays outside of.
  *
- * Simpler than the built-in one, and where that shows: boxes lie along the track, so a long body that stands askew gets
- * more room than it needs; nothing moves, so a moving body leaves boxes behind until three scans see them free; walls
- * are told from obstacles by their place alone.
+ * It is simpler than the built-in one in three points. Boxes lie along the track, so a long body that is turned gets
+ * more room than it needs. Bodies do not move: a moving body leaves boxes behind until three scans see their places
+ * free. Walls are recognised by their position alone.
  */
 #include <math.h>
 #include <stdio.h>
@@ -11,15 +11,15 @@
 
 #include "scanloop.h"
 
-#define MOST_BODIES 24
-#define MAX_RANGE_M 5.75   /* longest reading that is a return */
-#define GAP_M 0.25         /* returns further apart belong to different bodies */
-#define NEAR_M 0.15        /* a box this near to a remembered one is the same body */
-#define FEWEST 3           /* returns of a body: fewer may be noise */
-#define SEEN_FREE 3        /* scans that see through a body before it is forgotten */
-#define BEHIND_M 3.0       /* a body this far behind is forgotten */
-#define BODY_M 0.44        /* half the diagonal of the robot's body, and 0.1 m */
-#define STATE_KIND 0xb0d10001u /* number of this layout of `struct memory` */
+#define MAX_BODIES 24
+#define MAX_RANGE_M 5.75   /* a longer range is no return */
+#define GAP_M 0.25         /* returns that are further apart belong to different bodies */
+#define NEAR_M 0.15        /* a box as near as this to a remembered one is the same body */
+#define MIN_RETURNS 3           /* fewer returns than this may be noise */
+#define SEEN_FREE 3        /* a body is forgotten after so many scans that see its place free */
+#define BEHIND_M 3.0       /* a body that is further behind is forgotten */
+#define BODY_M 0.44        /* half the diagonal of the robot's body, plus 0.1 m */
+#define STATE_KIND 0xb0d10001u /* number of this kind of state: `struct memory` */
 
 /* A box along the track, in metres. */
 struct box {
@@ -34,12 +34,12 @@ struct body {
     uint32_t free_scans;
 };
 
-/* All that the next scan depends on; saved after each scan. */
+/* What the next scan depends on. It is saved after each scan. */
 struct memory {
     uint64_t acquired_ns;
     uint32_t count;
     uint32_t last_number;
-    struct body bodies[MOST_BODIES];
+    struct body bodies[MAX_BODIES];
 };
 
 struct settings {
@@ -64,14 +64,14 @@ static struct settings read_settings(scanloop_process *process) {
     };
 }
 
-/* Where the return of a beam lies; 0 when there is none that could be an obstacle. */
-static int place(const scanloop_scan *scan, const scanloop_pose *pose, const struct settings *settings, int beam,
+/* Computes the position of the return of a beam; 0 when there is no return, or when it cannot be an obstacle. */
+static int locate(const scanloop_scan *scan, const scanloop_pose *pose, const struct settings *settings, int beam,
                  double at[2]) {
     double range = scan->ranges_mm[beam] * 1e-3;
     if (scan->ranges_mm[beam] < SCANLOOP_MIN_RANGE_MM || range > MAX_RANGE_M) {
         return 0;
     }
-    /* The robot moves during the sweep: the beam is taken from where it was then. */
+    /* The robot moves during the sweep, so each beam starts where the robot was at its time. */
     double since_s = (double)(beam - SCANLOOP_FRONT_BEAM) / SCANLOOP_BEAMS * (double)scan->sweep_ns * 1e-9;
     double course = pose->yaw_rad + pose->sideslip_rad;
     double yaw = pose->yaw_rad + pose->yaw_rate_radps * since_s;
@@ -98,7 +98,7 @@ static void grow(struct box *box, const struct box *more) {
     }
 }
 
-/* Adds what one scan shows of a body to what is remembered. */
+/* Adds the box of one scan to the remembered body, or remembers a new one. */
 static void remember(struct memory *memory, const struct box *box) {
     for (uint32_t index = 0; index < memory->count; index++) {
         struct body *body = &memory->bodies[index];
@@ -110,14 +110,14 @@ static void remember(struct memory *memory, const struct box *box) {
             return;
         }
     }
-    if (memory->count < MOST_BODIES) {
+    if (memory->count < MAX_BODIES) {
         memory->last_number++;
         memory->bodies[memory->count++] = (struct body){.box = *box, .sightings = 1, .number = memory->last_number};
     }
 }
 
-/* Cuts the returns of a scan into bodies and remembers them. */
-static void look(struct memory *memory, const scanloop_scan *scan, const scanloop_pose *pose,
+/* Groups the returns of a scan into boxes and remembers them. */
+static void detect(struct memory *memory, const scanloop_scan *scan, const scanloop_pose *pose,
                  const struct settings *settings) {
     struct box box = {{0.0, 0.0}, {0.0, 0.0}};
     double last[2] = {0.0, 0.0};
@@ -125,10 +125,10 @@ static void look(struct memory *memory, const scanloop_scan *scan, const scanloo
     for (int beam = SCANLOOP_FIRST_ANALYSED_BEAM; beam <= SCANLOOP_LAST_ANALYSED_BEAM + 1; beam++) {
         double at[2] = {0.0, 0.0};
         int end = beam > SCANLOOP_LAST_ANALYSED_BEAM;
-        int hit = !end && place(scan, pose, settings, beam, at);
+        int hit = !end && locate(scan, pose, settings, beam, at);
         if (returns > 0 && (end || (hit && hypot(at[0] - last[0], at[1] - last[1]) > GAP_M))) {
-            if (returns >= FEWEST) {
-                /* Only the front is seen; behind it the body is taken to be this deep. */
+            if (returns >= MIN_RETURNS) {
+                /* Only the front is seen: the body has at least this depth. */
                 box.high[0] = fmax(box.high[0], box.low[0] + settings->depth_m);
                 remember(memory, &box);
             }
@@ -145,7 +145,7 @@ static void look(struct memory *memory, const scanloop_scan *scan, const scanloo
     }
 }
 
-/* Whether a beam passes the middle of a body that should have stopped it. */
+/* Whether a beam passes through the middle of a remembered body. */
 static int seen_free(const struct body *body, const scanloop_scan *scan, const scanloop_pose *pose) {
     double x = (body->box.low[0] + body->box.high[0]) / 2 - pose->x_m;
     double y = (body->box.low[1] + body->box.high[1]) / 2 - pose->y_m;
@@ -159,7 +159,7 @@ static int seen_free(const struct body *body, const scanloop_scan *scan, const s
     return scan->ranges_mm[beam] < SCANLOOP_MIN_RANGE_MM || range > hypot(x, y) + deep + 0.2;
 }
 
-/* Forgets what is far behind, what is seen free, and what was seen once and not again. */
+/* Forgets bodies that are far behind, whose place was seen free, or that were seen only once. */
 static void forget(struct memory *memory, const scanloop_scan *scan, const scanloop_pose *pose) {
     uint32_t kept = 0;
     for (uint32_t index = 0; index < memory->count; index++) {
@@ -180,7 +180,7 @@ static scanloop_obstacle draw(const struct body *body, const struct settings *se
     double x = (body->box.low[0] + body->box.high[0]) / 2, y = (body->box.low[1] + body->box.high[1]) / 2;
     double b = width + 2 * settings->theta_m;
     double a = fmax(settings->long_axis_m, settings->ratio * b);
-    /* A deep body needs a longer ellipse, so that its corners keep their distance too. */
+    /* A deep body needs a longer ellipse: its corners keep their distance too. */
     double height = fmin((width / 2 + 0.3) / b, 0.95);
     a = fmax(a, (length / 2 + BODY_M) / sqrt(1 - height * height));
     return (scanloop_obstacle){
@@ -199,7 +199,7 @@ static int is_after(const scanloop_obstacle *one, const scanloop_obstacle *other
     return behind != other_behind ? behind : distance > other_distance;
 }
 
-/* Fills the sample: nearest ahead first. */
+/* Fills the sample, nearest body ahead first. */
 static void describe(const struct memory *memory, const scanloop_pose *pose, const struct settings *settings,
                      scanloop_obstacles *described) {
     for (uint32_t index = 0; index < memory->count; index++) {
@@ -228,14 +228,14 @@ static void step(struct memory *memory, const struct settings *settings, const s
     for (uint32_t index = 0; index < memory->count; index++) {
         memory->bodies[index].unseen_s += fmax(elapsed_s, 1e-9);
     }
-    look(memory, scan, pose, settings);
+    detect(memory, scan, pose, settings);
     forget(memory, scan, pose);
     memset(described, 0, sizeof *described);
     scanloop_answer(&scan->header, &pose->header, &described->header);
     describe(memory, pose, settings, described);
 }
 
-/* SCANLOOP_NO when asked to end, or an error. */
+/* Runs until the process is to end: SCANLOOP_NO, or an error. */
 static int run(scanloop_process *process) {
     struct settings settings = read_settings(process);
     static struct memory memory;

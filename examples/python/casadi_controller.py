@@ -1,11 +1,12 @@
 """A controller that solves the optimal control problem of each scan with CasADi and IPOPT.
 
-The problem is that of the built-in controller, from the same settings: the model (7.27)-(7.31), multiple shooting, hard
-bounds of the controls, ellipses (7.34) and lateral bounds with slacks, the same weights and the same moving reference.
-Instead of collocation each interval takes small steps in which the stiff lateral motion is implicit. Instead of a search
-for a way, the problem is solved once for either side of the first obstacle in the way, with a reference that leads past it
-on that side, and the cheaper plan counts. The plan is driven once more with finer steps, and only what then keeps its
-distance to all bodies is commanded.
+It solves the problem of the built-in controller, from the same settings: the model (7.27)-(7.31), multiple shooting,
+hard bounds of the controls, ellipses (7.34) and lateral bounds with slacks, the same weights and the same moving
+reference. Two things differ. Each interval takes small steps with an implicit lateral motion, which is stiff; the
+built-in controller uses collocation. And there is no path search: the problem is solved for each passing side of the
+first obstacle in the way, with a reference past it on that side, and the plan with the lower cost is taken.
+
+Each plan is verified: it is driven through the model in finer steps, and must keep its distance to all bodies.
 """
 
 import math
@@ -13,32 +14,32 @@ import os
 import struct
 import time
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small, so threads would only slow it down
 
 import casadi as ca  # noqa: E402
 
 from scanloop import Handover, Process, Role, answer
 from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, SolveStatus, StopReason
 
-MOST = 4  # ellipses of the problem: the nearest that are not behind
-FAR = (-1e3, 0.0, 0.0, 0.0, 1.0, 1.0)  # an ellipse that is in nobody's way
-STATE_KIND = 0xCA5AD001  # the state is the side and the controls of the plan
-COARSE, FINE = 6, 90  # steps of an interval in the problem, and in the drive that verifies
-BUDGET = 0.15  # share of the period for one solve; two of them come before half a period, the limit in an exchange
-OTHER_SIDE = 0.7  # the other side is taken when it costs less than this share of the one chosen before
-BEFORE_M, BEHIND_M = 1.0, 0.5  # a reference leads past an ellipse from so far before it to so far behind its middle,
-BESIDE_M = 0.05  # and so far beside it
-LOOK_M = 1.2  # a start steers to where the reference is this far ahead
-EASY_M = 0.05  # how far outside of its lateral bounds a plan may lead
+MAX_ELLIPSES = 4  # ellipses in the problem: the nearest that are not behind
+FAR = (-1e3, 0.0, 0.0, 0.0, 1.0, 1.0)  # an ellipse that constrains nothing
+STATE_KIND = 0xCA5AD001  # number of this kind of state: the passing side and the controls of the plan
+COARSE, FINE = 6, 90  # steps of an interval in the problem, and in the verification
+BUDGET = 0.15  # share of the period for one solve; two of them end before half a period, the limit in a swap
+CHANGE_SIDE = 0.7  # the side is changed when the other one costs less than this share
+BEFORE_M, BEHIND_M = 1.0, 0.5  # the reference passes an ellipse from this far before it to this far behind its middle,
+CLEAR_M = 0.05  # at this distance from it
+AHEAD_M = 1.2  # the initial guess steers to the point of the reference that is this far ahead
+OUTSIDE_M = 0.05  # how far a verified plan may be outside of its lateral bounds
 MOVING_MPS = 0.1
-OVERLAP_M = 0.03  # how deep the body may overlap a described one: more is a contradiction
-ASTRAY_M = 1.0  # how far outside of its lateral bounds the robot may be: further is a contradiction
+OVERLAP_M = 0.03  # a deeper overlap of the robot and a body contradicts the pose
+ASTRAY_M = 1.0  # a robot that is further outside of its lateral bounds contradicts them
 
 
 def advance(robot, state, control, step, steps, lib, each=None):
     """The state after an interval, (7.27)-(7.31) in small steps; `lib` is math, or casadi for expressions.
 
-    Implicit Euler for sideslip and yaw rate, which are stiff and, for a cosine of the sideslip of 1, linear.
+    Implicit Euler for sideslip and yaw rate: they are stiff, and linear while the cosine of the sideslip is 1.
     """
     sideslip, yaw, rate, x, y = state
     velocity, steering = control
@@ -62,7 +63,7 @@ def advance(robot, state, control, step, steps, lib, each=None):
 
 
 class Problem:
-    """The nonlinear program, built once; what changes from scan to scan are parameters."""
+    """The nonlinear program. It is built once; what changes from scan to scan is a parameter."""
 
     def __init__(self, settings, budget_s):
         self.settings, self.count = settings, settings["intervals"]
@@ -72,19 +73,20 @@ class Problem:
         self.track = settings["track"]["y_m"][0] + walls, settings["track"]["y_m"][1] - walls
         initial, before, pace = ca.SX.sym("initial", 5), ca.SX.sym("before", 3), ca.SX.sym("pace")
         reference = ca.SX.sym("reference", 2, self.count)
-        centres, axes = ca.SX.sym("centres", 2 * MOST, self.count), ca.SX.sym("axes", 2, MOST)
+        centres, axes = ca.SX.sym("centres", 2 * MAX_ELLIPSES, self.count), ca.SX.sym("axes", 2, MAX_ELLIPSES)
         variables, low, high, constraints, least, most, cost = [], [], [], [], [], [], 0
         state, last = initial, before[:2]
         for k in range(self.count):
-            control, node, slack = ca.SX.sym(f"u{k}", 2), ca.SX.sym(f"x{k}", 5), ca.SX.sym(f"s{k}", 1 + MOST)
+            control, node, slack = ca.SX.sym(f"u{k}", 2), ca.SX.sym(f"x{k}", 5), ca.SX.sym(f"s{k}", 1 + MAX_ELLIPSES)
             variables += [control, node, slack]
-            low += [bounds["velocity_min_mps"], -bounds["steering_max_rad"]] + [-math.inf] * 5 + [0.0] * (1 + MOST)
-            high += [bounds["velocity_max_mps"], bounds["steering_max_rad"]] + [math.inf] * (6 + MOST)
+            low += [bounds["velocity_min_mps"], -bounds["steering_max_rad"]] + [-math.inf] * 5
+            low += [0.0] * (1 + MAX_ELLIPSES)
+            high += [bounds["velocity_max_mps"], bounds["steering_max_rad"]] + [math.inf] * (6 + MAX_ELLIPSES)
             reached = advance(settings["parameters"], ca.vertsplit(state), ca.vertsplit(control), self.step, COARSE, ca)
             constraints += [node - ca.vertcat(*reached), node[4] - slack[0], -node[4] - slack[0]]
             least += [0.0] * 5 + [-math.inf] * 2
             most += [0.0] * 5 + [self.track[1], -self.track[0]]
-            for m in range(MOST):
+            for m in range(MAX_ELLIPSES):
                 away = (node[3:] - centres[2 * m : 2 * m + 2, k]) / axes[:, m]
                 constraints.append(ca.dot(away, away) + slack[1 + m])
                 least, most = least + [1.0], most + [math.inf]
@@ -109,16 +111,16 @@ class Problem:
         wanted = (settings["goal"]["x_m"] - x) / settings["landing_time_s"]
         return max(settings["bounds"]["velocity_min_mps"], min(self.fastest, wanted))
 
-    def solve(self, initial, before, ellipses, guide, controls):
-        """Controls of all intervals from a start, their cost, and what the solver says; `guide` gives the reference y."""
+    def solve(self, initial, before, ellipses, reference_at, controls):
+        """The controls of all intervals, their cost, and the statistics of the solver."""
         x, reference = initial[3], []
         for _ in range(self.count):
             for _ in range(4):
                 x += self.pace(x) * self.step / 4
-            reference += [x, guide(x)]
+            reference += [x, reference_at(x)]
         ahead = [e for e in ellipses if e[0] + e[4] > initial[3]]
         ahead.sort(key=lambda e: math.hypot(e[0] - initial[3], e[1] - initial[4]))
-        ahead = (ahead + [FAR] * MOST)[:MOST]
+        ahead = (ahead + [FAR] * MAX_ELLIPSES)[:MAX_ELLIPSES]
         times = [(k + 1) * self.step for k in range(self.count)]
         centres = [number for t in times for e in ahead for number in (e[0] + e[2] * t, e[1] + e[3] * t)]
         axes = [number for e in ahead for number in e[4:6]]
@@ -126,9 +128,9 @@ class Problem:
         start, state = [], initial
         for control in controls:
             state = advance(self.settings["parameters"], state, control, self.step, COARSE, math)
-            start += [*control, *state, *[0.01] * (1 + MOST)]
+            start += [*control, *state, *[0.01] * (1 + MAX_ELLIPSES)]
         result = self.solver(x0=start, p=[*known, *reference, *centres, *axes], **self.bounds)
-        found, width, limits = result["x"].full().ravel().tolist(), 8 + MOST, self.settings["bounds"]
+        found, width, limits = result["x"].full().ravel().tolist(), 8 + MAX_ELLIPSES, self.settings["bounds"]
         plan = [
             (
                 min(max(found[k * width], limits["velocity_min_mps"]), limits["velocity_max_mps"]),
@@ -139,14 +141,14 @@ class Problem:
         return plan, float(result["f"]), self.solver.stats()
 
     def drive(self, initial, controls):
-        """The states along the controls in fine steps."""
+        """The states along the controls, in fine steps."""
         states, state = [], initial
         for control in controls:
             state = advance(self.settings["parameters"], state, control, self.step, FINE, math, states)
         return states
 
     def verify(self, initial, controls, ellipses, bodies):
-        """Whether the controls lead along the track, into no ellipse deeper than now, and past all bodies."""
+        """Whether the plan stays on the track, enters no ellipse deeper than now, and keeps clear of all bodies."""
         settings = self.settings
 
         def depth(state, e, t):
@@ -160,7 +162,7 @@ class Problem:
         allowed = [max(0.0, depth(initial, e, 0.0)) + 0.01 for e in ellipses]
         for index, state in enumerate(self.drive(initial, controls)):
             t = (index + 1) * self.step / FINE
-            if not all(map(math.isfinite, state)) or outside(state) > max(EASY_M, outside(initial)):
+            if not all(map(math.isfinite, state)) or outside(state) > max(OUTSIDE_M, outside(initial)):
                 return False
             if index % 5 == 4:
                 robot = (state[3], state[4], *size, state[1])
@@ -183,7 +185,7 @@ def corners(box):
 
 
 def distance(one, other):
-    """Distance of two rectangles that do not cross: that of a corner of one to the other."""
+    """Distance of two rectangles that do not cross: the smallest one of a corner to the other rectangle."""
     nearest = math.inf
     for first, second in ((one, other), (other, one)):
         x, y, length, width, yaw = second
@@ -205,12 +207,12 @@ class Controller:
         self.plan, self.side, self.landed = None, 0, False
         self.solve((0.0,) * 5, [], 0)  # the first solve is slow
 
-    def guide(self, initial, ellipses, side):
-        """The reference y as a function of x: the line, or past ellipses in the way, the first of them on `side`."""
+    def reference_at(self, initial, ellipses, side):
+        """The reference y as a function of x: the line, or past the ellipses in the way, the first one on `side`."""
         line, past = self.settings["goal"]["y_m"], []
         for x, y, _, _, a, b in sorted(self.in_the_way(initial, ellipses)):
             left = side > 0 if not past else y < line
-            past.append((x - a - BEFORE_M, x + BEHIND_M, y + (b + BESIDE_M if left else -b - BESIDE_M)))
+            past.append((x - a - BEFORE_M, x + BEHIND_M, y + (b + CLEAR_M if left else -b - CLEAR_M)))
         return lambda at: next((y for begin, end, y in past if begin < at < end), line)
 
     def in_the_way(self, initial, ellipses):
@@ -218,16 +220,16 @@ class Controller:
         return [e for e in ellipses if initial[3] < e[0] + BEHIND_M and e[0] < reach and abs(e[1] - line) < e[5]]
 
     def solve(self, initial, ellipses, side):
-        """The plan past the first ellipse in the way on a side: controls, cost and what the solver says."""
-        guide = self.guide(initial, ellipses, side)
+        """The plan past the first ellipse in the way on a side: controls, cost and statistics of the solver."""
+        reference_at = self.reference_at(initial, ellipses, side)
         start = self.plan if side == self.side else None
         if not start:
             most, state, start = self.settings["bounds"]["steering_max_rad"], initial, []
             for _ in range(self.problem.count):
-                steering = 0.25 * (guide(state[3] + LOOK_M) - state[4] - LOOK_M * math.sin(state[1]))
+                steering = 0.25 * (reference_at(state[3] + AHEAD_M) - state[4] - AHEAD_M * math.sin(state[1]))
                 start.append((self.settings["cruise_mps"], max(-most, min(most, steering))))
                 state = advance(self.settings["parameters"], state, start[-1], self.problem.step, COARSE, math)
-        return self.problem.solve(initial, self.plan and self.plan[0], ellipses, guide, start)
+        return self.problem.solve(initial, self.plan and self.plan[0], ellipses, reference_at, start)
 
     def step(self, pose, described):
         """The command for one scan."""
@@ -236,7 +238,7 @@ class Controller:
         goal, speed = settings["goal"], pose.predicted_speed_mps
         stop_m = goal["x_m"] - pose.predicted_x_m - speed**2 / (2 * settings["deceleration_mps2"])
         slowest = settings["bounds"]["velocity_min_mps"]
-        if self.landed or stop_m <= max(speed, slowest) * settings["period_s"] / 2:  # a scan later would be further off
+        if self.landed or stop_m <= max(speed, slowest) * settings["period_s"] / 2:  # one scan later it is further away
             miss_m = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m)
             landed = self.landed = self.landed or miss_m <= goal["tolerance_m"]
             command.kind = CommandKind.LAND if landed else CommandKind.STOP
@@ -257,7 +259,7 @@ class Controller:
         best, cheapest = None, math.inf
         for side in (1, -1) if self.in_the_way(initial, ellipses) else (0,):
             controls, cost, stats = self.solve(initial, ellipses, side)
-            cost *= OTHER_SIDE if side == self.side else 1.0
+            cost *= CHANGE_SIDE if side == self.side else 1.0
             if cost < cheapest and problem.verify(initial, controls, ellipses, bodies):
                 best, cheapest = (controls, stats, side), cost
         if best is None:
@@ -267,18 +269,18 @@ class Controller:
         return self.drive(command, initial, *best[:2])
 
     def state(self):
-        """What another process goes on from: the side, and the plan if there is one."""
+        """The state for the next process: the side, and the plan if there is one."""
         controls = [number for control in self.plan or [] for number in control]
         return struct.pack(f"{1 + len(controls)}d", self.side, *controls)
 
     def resume(self, state):
-        """Goes on from the state of another process."""
+        """Resumes from the state of another process."""
         side, *controls = struct.unpack(f"{len(state) // 8}d", state)
         if len(controls) == 2 * self.problem.count:
             self.side, self.plan = int(side), list(zip(controls[::2], controls[1::2]))
 
     def read(self, pose, described):
-        """Ellipses (x, y, vx, vy, a, b) and bodies (x, y, length, width, yaw, vx, vy) when the command acts."""
+        """Ellipses (x, y, vx, vy, a, b) and bodies (x, y, length, width, yaw, vx, vy) at the time the command acts."""
         lead_s = (pose.predicted_ns - pose.header.acquired_ns) * 1e-9
         margin, ellipses, bodies = self.settings["ellipse_margin_m"], [], []
         for item in described.items[: described.count]:
@@ -308,7 +310,7 @@ class Controller:
 process = Process(Role.CONTROLLER)
 poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
 settings = process.settings() | {"period_s": process.period_ns * 1e-9}
-# Simulated time does not pass while a problem is solved: iterations are the only limit then.
+# In simulated time a solve takes no time, so only the iterations are limited.
 controller = Controller(settings, 10.0 if process.simulated else BUDGET * settings["period_s"])
 handover, state = process.resume(STATE_KIND)
 if handover == Handover.STATE:

@@ -1,7 +1,7 @@
-"""A controller that pursues the nearest of some lines along the track on which no ellipse is in the way.
+"""A controller that follows the nearest of 25 lines along the track on which no ellipse is in the way.
 
-For each line it follows its own steering rule 4 m ahead, and drives when that path keeps on the track and outside of all
-ellipses: this is what it calls verified. Obstacles are taken to stand still.
+For each line it computes the path of its steering rule over 4 m, in steady turns. A path is verified when it stays on
+the track and outside of all ellipses. The first verified path is driven. It assumes that obstacles do not move.
 """
 
 import math
@@ -12,12 +12,12 @@ from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNo
 
 AHEAD_M, STEPS, STEP_M, LINES_M = 1.2, 40, 0.1, 0.15
 CURVATURE = 5.405  # of the path per steering angle in a steady turn [1/(m rad)]
-INSIDE = 0.05  # of (7.34): a robot in the middle of an ellipse contradicts it
-STATE_KIND = 0x11E50001  # the state is the line that is pursued
+INSIDE = 0.05  # of (7.34): an ellipse whose middle is where the robot is contradicts the pose
+STATE_KIND = 0x11E50001  # number of this kind of state: the line that is followed
 
 
 def pursue(y, yaw, line, most):
-    """The steering angle of the arc to the point that lies AHEAD_M ahead on a line."""
+    """The steering angle of the arc to the point of a line that lies AHEAD_M ahead."""
     lateral = line - y - AHEAD_M * math.sin(yaw)
     return max(-most, min(most, 2 * lateral / AHEAD_M**2 / CURVATURE))
 
@@ -27,8 +27,8 @@ def depth(x, y, e):
     return ((x - e.x_m) / e.a_m) ** 2 + ((y - e.y_m) / e.b_m) ** 2
 
 
-def way(pose, line, most, track, ellipses):
-    """The path to a line, (x, y, yaw, steering) per step; None when it leaves the track or goes deeper into an ellipse."""
+def path_to(pose, line, most, track, ellipses):
+    """The path to a line, (x, y, yaw, steering) per step; None when it leaves the track or enters an ellipse."""
     x, y, yaw, path = pose.predicted_x_m, pose.predicted_y_m, pose.predicted_yaw_rad, []
     allowed = [min(1.0, depth(x, y, e)) for e in ellipses]
     for _ in range(STEPS):
@@ -46,11 +46,11 @@ def stop(reason):
 
 
 def plan(pose, described, settings, last_line):
-    """The command, and the line that it pursues."""
+    """The command, and the line that it follows."""
     goal, bounds, walls = settings["goal"], settings["bounds"], settings["track"]["walls"]
     speed, left_m = pose.predicted_speed_mps, goal["x_m"] - pose.predicted_x_m
     stop_m = left_m - speed**2 / (2 * settings["deceleration_mps2"])
-    if stop_m <= max(speed, bounds["velocity_min_mps"]) * settings["period_s"] / 2:  # a scan later would be further off
+    if stop_m <= max(speed, bounds["velocity_min_mps"]) * settings["period_s"] / 2:  # one scan later it is further away
         landed = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]
         return stop(StopReason.LANDED if landed else StopReason.GOAL_PASSED), last_line
     ellipses = described.items[: described.count]
@@ -61,9 +61,9 @@ def plan(pose, described, settings, last_line):
     room = settings["body_width_m"] / 2 + settings["theta_m"] if walls else 0.0
     track = settings["track"]["y_m"][0] + room, settings["track"]["y_m"][1] - room
     lines = [goal["y_m"] + LINES_M * index for index in range(-12, 13)]
-    lines.sort(key=lambda line: abs(line - goal["y_m"]) + 0.5 * abs(line - last_line))  # keeps a side once chosen
-    ways = ((line, way(pose, line, bounds["steering_max_rad"], track, ellipses)) for line in lines)
-    line, path = next(((line, path) for line, path in ways if path), (last_line, None))
+    lines.sort(key=lambda line: abs(line - goal["y_m"]) + 0.5 * abs(line - last_line))  # keeps the chosen side
+    paths = ((line, path_to(pose, line, bounds["steering_max_rad"], track, ellipses)) for line in lines)
+    line, path = next(((line, path) for line, path in paths if path), (last_line, None))
     if path is None:
         return stop(StopReason.BLOCKED), line
     fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
@@ -85,7 +85,7 @@ command = Command()
 if process.start():
     while process.wait():
         for pose, described in process.join(poses, obstacles):
-            if command.kind != CommandKind.LAND:  # landed is landed
+            if command.kind != CommandKind.LAND:  # a landed robot stays landed
                 command, line = plan(pose, described, settings, line)
             command.header = answer(described, pose)
             commands.publish(command)

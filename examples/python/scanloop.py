@@ -13,10 +13,10 @@
                 command.header = answer(described, pose)    # first the sample that comes last for the role
                 commands.publish(command)
 
-It does what the Rust crate `runtime` does: it waits with a time-out, drops samples that do not count and counts them,
-carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT. Samples are copied out
-of shared memory. Of a sample it checks layout, finiteness, counts and `verified`; other numbers that are out of range come
-out. What it drops because of its content is told in the log of the process and in its heartbeats.
+It does what the Rust crate `runtime` does. It waits with a timeout, drops and counts samples that must not be used,
+copies stamps into answers, publishes heartbeats, keeps the start barrier, and ends on SIGTERM and SIGINT. It copies
+samples out of shared memory. It checks their layout, finiteness, counts and `verified`, but no other ranges. The log of
+the process and its heartbeats name each sample that was dropped for its content.
 
 Needs Python 3.11 and the packages of requirements.txt.
 """
@@ -53,14 +53,14 @@ from scanloop_types import (
 )
 
 HEARTBEAT_NS = 95_000_000  # between two heartbeats
-LONGEST_WAIT_NS = 20_000_000  # only one event is waited on; the other topics are looked at this often
-OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which passes
-MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # older inputs are not used, unless they are young at any rate
-CHECKPOINT_AGE_NS = 500_000_000  # a state that was older when its process ended describes another situation
-HANDOVER_AGE_NS = 10_000_000_000  # so does one that has waited for longer
-KEPT, ASIDE = 12, 3  # samples that wait to be taken; samples of the other process of an exchange
+MAX_WAIT_NS = 20_000_000  # it waits on one event only, and polls the other topics this often
+OPEN_RETRY_NS = 5_000_000_000  # opening can collide with a clean-up, which does not take long
+MAX_AGE_PERIODS, YOUNG_NS = 3, 25_000_000  # an input older than both is not used
+CHECKPOINT_AGE_NS = 500_000_000  # a state that was older when its process ended is not used
+HANDOVER_AGE_NS = 10_000_000_000  # nor is one that has waited for longer
+QUEUE_DEPTH, STANDBY_DEPTH = 12, 3  # samples that wait to be taken; samples kept of the other process of a swap
 
-# The topic whose samples come last for a role, and so the one worth waiting for.
+# The topic that wakes a role: the one whose sample comes last.
 TRIGGERS = {
     Role.ROBOT: "actuation",
     Role.ESTIMATOR: "odometry",
@@ -71,18 +71,18 @@ TRIGGERS = {
 
 
 class Handover(enum.Enum):
-    """What Process.resume finds."""
+    """What Process.resume has found."""
 
-    FIRST_START = 0  # nothing ran before
+    FIRST_START = 0  # there was no process before
     STATE = 1  # the state of the process before
     FOREIGN = 2  # the process before was another program, whose state is of another kind
     LOST = 3  # its state is too old or was never saved: publish nothing unless your outputs need no memory
 
 
 def answer(to, also=None):
-    """The header of an answer to one sample, or to two of one scan: same scan, stamps carried on.
+    """The header of an answer to one sample, or to two of one scan: the same scan, with the stamps of both.
 
-    Of two, `to` is the one that comes last for the role, and `also` adds the stamps of stages that `to` has not passed.
+    Of two samples, `to` is the one that comes last for the role; `also` adds the stamps that `to` does not have.
     """
     header = Header.from_buffer_copy(to.header)
     header.layout = header.incarnation = header.sequence = 0
@@ -94,7 +94,7 @@ def answer(to, also=None):
 
 
 def difference(mine, theirs, topics):
-    """In words, the first field of `topics` in which two tables of layouts differ; None when they agree."""
+    """The first difference between two tables of layouts, as text; None when `topics` have the same layout."""
     for topic in topics:
         found = _deviation([row[1:] for row in mine if row[0] == topic], [row[1:] for row in theirs if row[0] == topic])
         if found:
@@ -108,7 +108,7 @@ def _deviation(mine, theirs):
         return outer == "." or field == outer or field.startswith(outer + ".")
 
     scalars = ("u8", "u16", "u32", "u64", "i32", "f64")
-    whole = None  # what is wrong with a struct is said only where nothing is wrong with its fields
+    whole = None  # a difference of a struct, reported only when its fields do not differ
     for index in range(max(len(mine), len(theirs))):
         my = mine[index] if index < len(mine) else None
         their = theirs[index] if index < len(theirs) else None
@@ -155,13 +155,13 @@ def read_layouts(text):
 
 
 class Wheels(enum.IntEnum):
-    """What the wheels do, for StopWord."""
+    """What the wheels do."""
 
     UNKNOWN, TURNING, BLOCKED, RESTING = range(4)
 
 
 class StopWord:
-    """The page through which a run is stopped: driving needs its exact armed value, anything else is a stop."""
+    """The page of memory that stops a run: the robot drives only while it holds the armed value."""
 
     ARMED, WORD_AT, ROWS_AT, ROW = 0x5CA1AB1ED01ED0E5, 8, 64, 64
 
@@ -177,14 +177,14 @@ class StopWord:
         return self._page is None or struct.unpack_from("=Q", self._page, self.WORD_AT)[0] == self.ARMED
 
     def report(self, wheels):
-        """Notes what the wheels do, for who stops the run."""
+        """Writes what the wheels do; `scanloop stop` reads it."""
         if self._page is not None and wheels != Wheels.UNKNOWN:
             place = self.ROWS_AT + self._role * self.ROW
             struct.pack_into("=QQQ", self._page, place, os.getpid(), wheels, time.monotonic_ns())
 
 
 class Input:
-    """Reads samples of one type: valid ones of the producer in charge, each once and in order."""
+    """Reads samples of one type: valid samples of the process in charge, each once and in order."""
 
     def __init__(self, process, sample):
         self._process, self._sample = process, sample
@@ -228,35 +228,35 @@ class Input:
         for sample in waiting:
             self._offer(sample, True)
 
-    def _offer(self, sample, was_aside=False):
+    def _offer(self, sample, was_kept=False):
         counters, header = self._process.counters, sample.header
-        accepted, exchanged, stands_by = True, False, False
+        accepted, swapped, is_standby = True, False, False
         if self._writer is not None:
             authority = self._process.directive.authority[self._writer]
-            exchanged = 0 != authority.incarnation != authority.previous != 0
+            swapped = 0 != authority.incarnation != authority.previous != 0
             counts = authority.incarnation if header.scan_id >= authority.from_scan else authority.previous
             accepted = counts != 0 and counts == header.incarnation
-            stands_by = exchanged and header.incarnation in (authority.incarnation, authority.previous)
+            is_standby = swapped and header.incarnation in (authority.incarnation, authority.previous)
         if fault := self._fault(sample):
             counters["invalid"] += 1
             if accepted:
                 self._refuse(header, *fault)
             return
         if not accepted:
-            if stands_by:
-                _push(self._aside, sample, ASIDE, counters, "foreign")
+            if is_standby:
+                _push(self._aside, sample, STANDBY_DEPTH, counters, "foreign")
             else:
                 counters["foreign"] += 1
             return
         if self._writer is not None:
-            other = was_aside or exchanged and header.incarnation != self._last[0]
+            other = was_kept or swapped and header.incarnation != self._last[0]
             if other and header.scan_id <= self._last[2]:
                 counters["duplicate"] += 1
                 return
-        if self._is_news(header):
-            _push(self._kept, sample, KEPT, counters, "replaced")
+        if self._is_new(header):
+            _push(self._kept, sample, QUEUE_DEPTH, counters, "replaced")
 
-    def _is_news(self, header):
+    def _is_new(self, header):
         counters, (incarnation, sequence, scan) = self._process.counters, self._last
         if header.incarnation == incarnation:
             if header.sequence <= sequence:
@@ -264,7 +264,7 @@ class Input:
                 return False
             counters["missing"] += header.sequence - sequence - 1
         self._last = (header.incarnation, header.sequence, max(header.scan_id, scan))
-        # An actuation asks something of the robot only; for others it is a record, which stays true.
+        # Only the robot obeys an actuation. For other roles it is a record, which does not age.
         if self._sample is Actuation and self._process.role != Role.ROBOT:
             return True
         if not self._process.simulated and self._writer is not None and header.acquired_ns > 0:
@@ -277,7 +277,7 @@ class Input:
         return True
 
     def _fault(self, sample):
-        """The rule that a sample fails, the field at fault and its value; None when it may be used."""
+        """The rule that a sample breaks, the field and its value; None when it may be used."""
         if sample.header.layout != self._sample.LAYOUT:
             return Rule.FOREIGN_LAYOUT, "header.layout", sample.header.layout
         for field, most in (("count", types.MAX_OBSTACLES), ("plan_length", types.PLAN_NODES)):
@@ -339,11 +339,11 @@ class Output:
             try:
                 self._notifier.notify()
             except iox2.NotifierNotifyError:
-                pass  # a listener that can't be notified will find the sample at its next time-out
+                pass  # a listener that can't be notified finds the sample at its next timeout
 
 
 class Process:
-    """A process of the loop; refuses with exit code 2 when it was started by hand or built against other samples."""
+    """A process of the loop. Started by hand, or with other layouts than the system, it ends with exit code 2."""
 
     def __init__(self, role):
         names = ("SCANLOOP_INCARNATION", "SCANLOOP_RUN_ID", "SCANLOOP_DIRECTORY")
@@ -368,13 +368,13 @@ class Process:
             signal.signal(number, self._end)
         self._node = self._join_bus(run_id)
         self._inputs, self._outputs, self._state = [], [], ProcessState.ATTACHED
-        self._orders = Input(self, Directive)
+        self._directives = Input(self, Directive)
         self._heartbeat, self._checkpoint = Output(self, Heartbeat), Output(self, Checkpoint)
         self._listener = self._events(types.TOPICS[TRIGGERS[self.role]]).listener_builder().create()
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
     def settings(self, name=None):
-        """The settings of the role, docs/settings.md, as a dict with all keys; the robot's are the scenario."""
+        """The settings of the role as a dict with all keys of docs/settings.md. For the robot it is the scenario."""
         own = "scenario" if self.role == Role.ROBOT else self.role.name.lower()
         return self._settings.get(name or own, {})
 
@@ -399,7 +399,7 @@ class Process:
     def start(self):
         """Waits until all processes are there and connected; False when asked to end."""
         self._beat()
-        while self._sleep(LONGEST_WAIT_NS):
+        while self._sleep(MAX_WAIT_NS):
             phase = self.directive.phase
             if phase >= Phase.CONNECTING and self._state == ProcessState.ATTACHED:
                 for output in [*self._outputs, self._checkpoint]:
@@ -413,13 +413,13 @@ class Process:
         """Sleeps until a sample may have come, or the time `deadline_ns` has passed; False when asked to end."""
         if self.counters["published"] and self._state == ProcessState.CONNECTED:
             self._enter(ProcessState.READY)
-        longest = LONGEST_WAIT_NS
+        longest = MAX_WAIT_NS
         if deadline_ns is not None and not self.simulated:
             longest = min(longest, max(deadline_ns - time.monotonic_ns(), 0))
         return self._sleep(longest)
 
     def join(self, one, other):
-        """The newest pairs of samples of one scan; older samples are dropped, also when all could be answered in time."""
+        """The newest pairs of samples of one scan. Older samples are dropped, even if there is time for them."""
         while True:
             scans = {sample.header.scan_id for sample in one._kept} & {sample.header.scan_id for sample in other._kept}
             if not scans:
@@ -427,17 +427,17 @@ class Process:
             yield one._take_scan(max(scans)), other._take_scan(max(scans))
 
     def save(self, header, kind, state):
-        """Publishes the state of this process after a scan, as bytes that `kind` is a number of your own for."""
+        """Saves the state of this process after a scan, as bytes; `kind` is a number of your own for their layout."""
         checkpoint = Checkpoint(role=self.role, state_layout=kind, length=len(state), issued_ns=time.monotonic_ns())
         checkpoint.header = Header.from_buffer_copy(header)
         ctypes.memmove(checkpoint.bytes, state, min(len(state), types.CHECKPOINT_BYTES))
         self._checkpoint.publish(checkpoint, wake=False)
 
     def resume(self, kind):
-        """What the process before this one left: a Handover, and the bytes of the state or None.
+        """The state that the process before this one has saved: a Handover, and the bytes or None.
 
-        With a state, `handed_actuations` are the newest actuations, oldest first, for a role that reads them: the
-        process before may not have seen the last of them.
+        With a state, `handed_actuations` has the newest actuations, oldest first, for a role that reads them. The
+        process before may not have received the last of them.
         """
         if os.environ.get("SCANLOOP_RESTART") != "1":
             return Handover.FIRST_START, None
@@ -476,12 +476,12 @@ class Process:
         self._ended = True
 
     def must_stop(self):
-        """Whether wheels must be blocked: the run was stopped for good, or its orchestrator has been silent for too long."""
+        """Whether wheels must be blocked: the run was stopped, or no directive has come for `orphan_stop_s`."""
         silent = not self.simulated and time.monotonic_ns() - self._directive_seen_ns > self._orphan_stop_ns
         return silent or not self._stop_word.is_armed()
 
     def report_wheels(self, wheels):
-        """Notes what the wheels do, for who stops the run: a robot calls it each time it is awake."""
+        """Reports what the wheels do to `scanloop stop`. A robot calls this each time it is awake."""
         self._wheels = wheels
         if self.directive.authority[self.role].incarnation == self.incarnation:
             self._stop_word.report(wheels)
@@ -529,16 +529,16 @@ class Process:
         if time.monotonic_ns() >= self._next_heartbeat_ns:
             self._beat()
         woken = self._listen(lambda: self._listener.timed_wait(iox2.Duration.from_nanos(max(longest_ns, 1))))
-        # Also after a time-out: iceoryx2 0.10 can lose a wake-up, and this heals it.
+        # Also after a timeout: iceoryx2 0.10 can lose a wake-up.
         while self._listen(self._listener.try_wait):
             pass
         self.counters["activations"] += 1
         self.counters["timeouts"] += not woken
         self._woken_ns = self._taken_ns = self.now_ns()
-        self._orders._drain()
-        if self._orders._kept:
-            self.directive = self._orders._kept[-1]
-            self._orders._kept.clear()
+        self._directives._drain()
+        if self._directives._kept:
+            self.directive = self._directives._kept[-1]
+            self._directives._kept.clear()
             self._directive_seen_ns = time.monotonic_ns()
             for reader in self._inputs:
                 reader._review()
@@ -556,7 +556,7 @@ class Process:
         try:
             return bool(wait())
         except iox2.ListenerWaitError:
-            return False  # a signal; what has come is looked at anyway
+            return False  # a signal; the topics are polled anyway
 
     def _enter(self, state):
         self._state = state

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes the virtual environment that the examples in Python run in: target/python, or the folder given. About 150 MB
-# from PyPI the first time, nothing later. Needs Python 3.11 with venv.
+# Makes the virtual environment of the Python examples in target/python, or in the folder given. The first time it
+# downloads about 150 MB from PyPI, later nothing. Needs Python 3.11 with venv.
 set -euo pipefail
 cd "$(dirname "$0")"
 folder="${1:-../../target/python}"

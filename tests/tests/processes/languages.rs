@@ -4,7 +4,9 @@
 mod bytes;
 mod refusals;
 mod swaps;
+mod tables;
 mod tools;
+mod tutorial;
 
 use std::process::Command;
 

@@ -1,13 +1,26 @@
-//! An estimator of one's own: it believes what the odometer reports, and looks ahead at constant speed and yaw rate.
+//! An estimator of your own: it believes the odometer, and predicts with constant speed and yaw rate.
 //!
-//! Nothing is corrected and nothing is filtered, so it drives as well as the odometer is good: the 1 % of the way
-//! that the default robot's odometer misses becomes a miss at the goal. It keeps no state, so it needs no checkpoint.
+//! It does not correct or filter the reported pose. The default robot's odometer does not report 1 % of the distance, so
+//! the robot misses the goal by that much. The estimator has no state, so it saves none.
 
-use runtime::Process;
+use std::process::ExitCode;
+
+use runtime::{Process, RuntimeError};
 use shared_types::{Odometry, Pose, Role};
 
-fn main() -> Result<(), runtime::RuntimeError> {
+fn main() -> ExitCode {
     runtime::start_logging();
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            let is_usage = matches!(error, RuntimeError::NotInASystem(_) | RuntimeError::Layout(_));
+            ExitCode::from(if is_usage { 2 } else { 1 })
+        }
+    }
+}
+
+fn run() -> Result<(), RuntimeError> {
     let mut process = Process::attach(Role::Estimator)?;
     let odometry = process.input::<Odometry>()?;
     let poses = process.output::<Pose>()?;
@@ -22,7 +35,7 @@ fn main() -> Result<(), runtime::RuntimeError> {
     Ok(())
 }
 
-/// The reported pose, and where it will be at `now_ns`, when the answer to this scan acts.
+/// The reported pose, and its prediction for `now_ns`, when the answer to this scan acts.
 fn pose_of(measured: &Odometry, now_ns: u64) -> Pose {
     let Odometry { header, x_m, y_m, yaw_rad, speed_mps, .. } = *measured;
     let yaw_rate_radps = if measured.dt_s > 0.0 { measured.dyaw_rad / measured.dt_s } else { 0.0 };

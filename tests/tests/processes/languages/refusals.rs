@@ -8,7 +8,7 @@ use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::System;
 use shared_types::{LayoutRow, Layouts, Role, TOPICS, difference};
 
-use super::tools::{EXECUTABLE, compile, examples, python};
+use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
 
 /// A program that joins in the role given by its number and does nothing more.
 const JOINS: &str = r#"
@@ -200,18 +200,23 @@ fn a_program_that_is_started_by_hand_says_what_starts_it() {
     let (source, program) = (system.folder().join("joins.c"), system.folder().join("joins"));
     std::fs::write(&source, JOINS).unwrap();
     compile(&source, &examples("c"), &program);
-    let mut commands = vec![Command::new(program)];
-    commands[0].arg("2");
+    let mut commands: Vec<_> = [DEAD_RECKONING, MY_CONTROLLER].map(Command::new).into();
     if let Some(python) = python("a_program_that_is_started_by_hand_says_what_starts_it in Python") {
         let mut command = Command::new(python);
         command.arg("-B").arg(examples("python").join("pure_pursuit.py"));
         commands.push(command);
     }
-    for mut command in commands {
+    let end_by_hand = |command: &mut Command| {
         let output = command.env_remove(runtime::SYSTEM_ID_VARIABLE).stdin(Stdio::null()).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(said.contains("processes are started by `scanloop run`"), "{said}");
+        let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(printed.contains("processes are started by `scanloop run`"), "{printed}");
+        output.status.code()
+    };
+    for command in &mut commands {
+        assert_eq!(end_by_hand(command), Some(2), "{command:?}");
     }
+    // This program has an exit code of its own.
+    end_by_hand(Command::new(program).arg("2"));
 }
 
 const SCRIPT: &str = r#"

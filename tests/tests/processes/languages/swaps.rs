@@ -6,9 +6,7 @@ use emulator::Outcome;
 use handover::swap::{Certificate, SwapOutcome};
 use scanloop_tests::System;
 
-use super::tools::{EXECUTABLE, compile, examples, python};
-
-const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
 
 /// How often an exchange is asked for: on a machine that does other things as well, an answer may come late.
 const TRIES: usize = 4;
@@ -131,7 +129,10 @@ fn a_swap_to_python_and_back_leaves_no_lost_samples_in_the_account() {
 fn the_examples_honour_all_that_is_asked_of_their_roles() {
     let system = System::new(EXECUTABLE);
     let obstacles = c_obstacles(&system);
-    let mut commands = vec![("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()])];
+    let mut commands = vec![
+        ("obstacles", "10", vec![obstacles.to_str().unwrap().to_owned()]),
+        ("controller", "10", vec![MY_CONTROLLER.to_owned()]),
+    ];
     if let Some(python) = python("the_examples_honour_all_that_is_asked_of_their_roles, the controller") {
         let program = examples("python").join("pure_pursuit.py");
         let words = [python.to_str().unwrap(), "-B", program.to_str().unwrap()];
@@ -149,13 +150,15 @@ fn the_examples_honour_all_that_is_asked_of_their_roles() {
 fn every_example_drives_the_whole_way_in_lock_step() {
     let system = System::new(EXECUTABLE);
     let program = c_obstacles(&system);
-    let file = system_with(system.folder(), "obstacles", &[program.to_str().unwrap()]);
-    for (scenario, outcome) in
-        [("slalom", Outcome::Reached), ("walls", Outcome::Reached), ("blocked", Outcome::Stopped)]
-    {
-        let report = system.lockstep(&[scenario, "--system", &file]);
-        assert_eq!(report.outcome, outcome, "{scenario}");
-        assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+    for (role, program) in [("obstacles", program.to_str().unwrap()), ("controller", MY_CONTROLLER)] {
+        let file = system_with(system.folder(), role, &[program]);
+        for (scenario, outcome) in
+            [("slalom", Outcome::Reached), ("walls", Outcome::Reached), ("blocked", Outcome::Stopped)]
+        {
+            let report = system.lockstep(&[scenario, "--system", &file]);
+            assert_eq!(report.outcome, outcome, "{role} {scenario}");
+            assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+        }
     }
     let Some(python) = python("every_example_drives_the_whole_way_in_lock_step, the controllers") else {
         return;

@@ -6,6 +6,9 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 pub(crate) const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+/// The examples in Rust.
+pub(crate) const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+pub(crate) const MY_CONTROLLER: &str = env!("CARGO_BIN_EXE_my-controller-under-test");
 
 /// Root of the repository.
 pub(crate) fn root() -> PathBuf {

@@ -1,0 +1,136 @@
+//! The decisions for one scan, in their order: stop, land, or drive a verified plan.
+
+use shared_types::{
+    Alarm, Command, CommandKind, Flag, Level, Obstacles, PlanNode, Pose, StopReason, plain_state,
+};
+
+use crate::planner::{Plan, plans};
+use crate::settings::Settings;
+use crate::verify::{Scene, Verified};
+
+/// A centre that is further outside of the track contradicts it [m].
+const ASTRAY_M: f64 = 1.0;
+/// A body that overlaps an obstacle by more contradicts it [m].
+const OVERLAP_M: f64 = 0.03;
+
+plain_state! {
+    /// What is saved after each scan. A process that takes the place of this one continues from it.
+    pub struct Memory {
+        /// The line that was pursued in the last scan [m]
+        pub line_m: f64,
+        /// Whether the robot has landed: it then stays where it is
+        pub landed: Flag,
+        /// Unused, zero: a saved state has no padding
+        pub reserved: u32,
+    }
+}
+
+/// From pose and obstacles to a command.
+pub(crate) struct Controller {
+    settings: Settings,
+    period_s: f64,
+    /// What the next scan depends on.
+    pub(crate) memory: Memory,
+}
+
+impl Controller {
+    /// A controller that has not seen a scan.
+    pub(crate) fn new(settings: Settings, period_ns: u64) -> Self {
+        let memory = Memory { line_m: settings.goal.y_m, ..Memory::default() };
+        Self { settings, period_s: period_ns as f64 * 1e-9, memory }
+    }
+
+    /// The command for one scan.
+    pub(crate) fn step(&mut self, pose: &Pose, obstacles: &Obstacles) -> Command {
+        // First the sample that comes last: it has the stamps of more stages.
+        let header = obstacles.header.answer_both(&pose.header);
+        let command = match self.decide(pose, obstacles) {
+            Ok((plan, verified)) => drive(&plan, &verified, pose.predicted_ns),
+            Err(reason) => stop(reason),
+        };
+        self.memory.landed = (command.kind == CommandKind::Land.wire()).into();
+        Command { header, ..command }
+    }
+
+    /// A plan that has passed the check, or the reason to block the wheels.
+    fn decide(&mut self, pose: &Pose, obstacles: &Obstacles) -> Result<(Plan, Verified), StopReason> {
+        if self.memory.landed.is_set() {
+            return Err(StopReason::Landed);
+        }
+        let scene = Scene::new(&self.settings, pose, obstacles);
+        if scene.outside_m(&scene.start) > ASTRAY_M || scene.overlap_m() > OVERLAP_M {
+            return Err(StopReason::BadInput);
+        }
+        self.arrive(pose)?;
+        if pose.alarm == Alarm::Stop.wire() {
+            return Err(StopReason::SelfCheck);
+        }
+        let plans = plans(&self.settings, scene.start, self.velocity_mps(pose), self.memory.line_m);
+        for (line_m, plan) in plans {
+            if let Some(verified) = scene.verify(&plan) {
+                self.memory.line_m = line_m;
+                return Ok((plan, verified));
+            }
+        }
+        Err(StopReason::Blocked)
+    }
+
+    /// Lands when the robot comes to rest nearest to the goal if its wheels are blocked now.
+    fn arrive(&self, pose: &Pose) -> Result<(), StopReason> {
+        let goal = &self.settings.goal;
+        let speed = pose.predicted_speed_mps;
+        let braking_m = speed * speed / (2.0 * self.settings.deceleration_mps2);
+        let left_m = goal.x_m - pose.predicted_x_m - braking_m;
+        // A scan later the robot would be further away, on the other side.
+        if left_m > speed.max(self.settings.bounds.velocity_min_mps) * self.period_s / 2.0 {
+            return Ok(());
+        }
+        let miss_m = left_m.hypot(goal.y_m - pose.predicted_y_m);
+        Err(if miss_m <= goal.tolerance_m { StopReason::Landed } else { StopReason::GoalPassed })
+    }
+
+    /// Cruising, slower near the goal, and slower while the estimator suspects its calibration.
+    fn velocity_mps(&self, pose: &Pose) -> f64 {
+        let settings = &self.settings;
+        let is_careful = pose.alarm != Alarm::None.wire();
+        let fastest = if is_careful { settings.careful_mps } else { settings.cruise_mps };
+        let landing = (settings.goal.x_m - pose.predicted_x_m) / settings.landing_time_s;
+        landing.min(fastest).max(settings.bounds.velocity_min_mps)
+    }
+}
+
+/// A command to drive the first control of a plan that has passed, with the plan in it.
+fn drive(plan: &Plan, verified: &Verified, start_ns: u64) -> Command {
+    let controls = plan.controls();
+    let mut command = Command {
+        kind: CommandKind::Drive.wire(),
+        level: Level::BestIterate.wire(),
+        verified: 1,
+        velocity_mps: controls[0].velocity,
+        steering_rad: controls[0].steering,
+        plan_start_ns: start_ns,
+        plan_interval_s: plan.interval_s,
+        plan_length: verified.nodes().len() as u32,
+        ..Command::default()
+    };
+    for (index, state) in verified.nodes().iter().enumerate() {
+        // Nothing is planned behind the last node: it repeats the control before it.
+        let control = controls[index.min(controls.len() - 1)];
+        command.plan[index] = PlanNode {
+            x_m: state.x,
+            y_m: state.y,
+            yaw_rad: state.yaw,
+            sideslip_rad: state.sideslip,
+            yaw_rate_radps: state.yaw_rate,
+            velocity_mps: control.velocity,
+            steering_rad: control.steering,
+        };
+    }
+    command
+}
+
+/// A command to block the wheels.
+fn stop(reason: StopReason) -> Command {
+    let kind = if reason == StopReason::Landed { CommandKind::Land } else { CommandKind::Stop };
+    Command { kind: kind.wire(), level: Level::Stop.wire(), reason: reason.wire(), ..Command::default() }
+}

@@ -1,0 +1,84 @@
+//! The settings that this controller reads: part of the table `[controller]` of the system file.
+//!
+//! The orchestrator checks the whole table and writes it for the process, every key with its value. Keys that are not
+//! named here are ignored. `docs/settings.md` has all keys with their defaults and ranges.
+
+use serde::Deserialize;
+use vehicle::{Bounds, Parameters};
+
+/// What the controller knows of the course, of the robot and of its task.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct Settings {
+    /// Where to land.
+    pub(crate) goal: Goal,
+    /// Where the robot may drive.
+    pub(crate) track: Track,
+    /// Length of the robot's body [m].
+    pub(crate) body_length_m: f64,
+    /// Width of the robot's body [m].
+    pub(crate) body_width_m: f64,
+    /// Free distance to walls [m].
+    pub(crate) theta_m: f64,
+    /// Smallest distance of the body to an obstacle along a verified plan [m].
+    pub(crate) clearance_m: f64,
+    /// Velocity on a free path [m/s].
+    pub(crate) cruise_mps: f64,
+    /// Velocity while the estimator suspects its calibration [m/s].
+    pub(crate) careful_mps: f64,
+    /// Near the goal the velocity is the distance divided by this time [s].
+    pub(crate) landing_time_s: f64,
+    /// Deceleration of blocked wheels [m/s^2].
+    pub(crate) deceleration_mps2: f64,
+    /// Bounds of velocity and steering angle, (7.41).
+    pub(crate) bounds: Bounds,
+    /// Parameters of the model (7.27)-(7.31).
+    pub(crate) parameters: Parameters,
+}
+
+/// Where to land.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct Goal {
+    /// Position along the track [m].
+    pub(crate) x_m: f64,
+    /// Lateral position [m].
+    pub(crate) y_m: f64,
+    /// Distance within which the goal counts as reached [m].
+    pub(crate) tolerance_m: f64,
+}
+
+/// Where the robot may drive.
+#[derive(Debug, Clone, Deserialize)]
+pub(crate) struct Track {
+    /// Bounds along the track [m].
+    pub(crate) x_m: [f64; 2],
+    /// Bounds of the robot's centre across the track, or with `walls` the surfaces of the walls [m].
+    pub(crate) y_m: [f64; 2],
+    /// Whether walls stand at the lateral bounds.
+    pub(crate) walls: bool,
+}
+
+impl Settings {
+    /// Bounds of the robot's centre across the track [m].
+    pub(crate) fn y_range(&self) -> [f64; 2] {
+        let room = if self.track.walls { self.body_width_m / 2.0 + self.theta_m } else { 0.0 };
+        [self.track.y_m[0] + room, self.track.y_m[1] - room]
+    }
+}
+
+#[cfg(test)]
+pub(crate) fn example() -> Settings {
+    Settings {
+        goal: Goal { x_m: 10.0, y_m: 0.0, tolerance_m: 0.1 },
+        track: Track { x_m: [0.0, 22.0], y_m: [-1.5, 1.5], walls: false },
+        body_length_m: 0.56,
+        body_width_m: 0.40,
+        theta_m: 0.2,
+        clearance_m: 0.05,
+        cruise_mps: 1.0,
+        careful_mps: 0.3,
+        landing_time_s: 0.6,
+        deceleration_mps2: 5.0,
+        bounds: Bounds::default(),
+        parameters: Parameters::default(),
+    }
+}
