@@ -29,7 +29,9 @@ fn dead_links(page: &Path, text: &str) -> Vec<String> {
 
 #[test]
 fn links_between_pages_resolve() {
-    let pages = files(&root(), ".md");
+    // Texts next to code are parts of generated pages, which are checked where they are printed to.
+    let is_page = |file: &PathBuf| !file.iter().any(|part| part == "src");
+    let pages: Vec<PathBuf> = files(&root(), ".md").into_iter().filter(is_page).collect();
     assert!(pages.len() > 40, "{pages:?}");
     let read = |page: &PathBuf| dead_links(page, &std::fs::read_to_string(page).unwrap());
     let dead: String = pages.iter().flat_map(read).collect();
