@@ -1,7 +1,7 @@
-//! One number for all samples of a topic: equal runs have equal numbers.
+//! One hash over all samples of a topic: equal runs have equal hashes.
 //!
-//! Which process made a sample is not part of it, so a run in which one was exchanged for another that says the same
-//! is equal too.
+//! The process that published a sample is not part of the hash. So a run with a swap between processes that publish
+//! the same values has the same digests.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use shared_types::Sample;
 pub struct Digests(BTreeMap<String, u64>);
 
 impl Digests {
-    /// Takes a sample in.
+    /// Adds a sample.
     pub fn add<S: Sample>(&mut self, sample: &S) {
         let mut sample = *sample;
         (sample.header_mut().incarnation, sample.header_mut().sequence) = (0, 0);
@@ -42,7 +42,7 @@ mod tests {
     }
 
     #[test]
-    fn who_made_a_sample_changes_nothing() {
+    fn the_process_that_published_a_sample_is_not_part_of_the_digest() {
         let (mut one, mut other) = (Digests::default(), Digests::default());
         let mut pose = Pose::default();
         one.add(&pose);

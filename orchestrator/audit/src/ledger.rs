@@ -1,15 +1,15 @@
-//! What became of every scan, here; and of every sample of every topic, in [`SampleAudit`].
+//! What became of every scan: the ledger. For samples see [`SampleAudit`].
 //!
 //! Scans are numbered without gaps from the first on, so each number between the first and the newest seen is a
-//! scan that was published. It was *commanded* when an actuation answered it, *late* too when that came after
-//! the next scan was published, else *lost* with a reason. A number that nothing at all is known of is
-//! *unaccounted*: the robot skipped it, or an observer missed both the scan and its answer; it must be none.
+//! scan that was published. It is *commanded* when an actuation answered it, *late* too when that was published after
+//! the next scan, else *lost* with a reason. A number without a scan and without an answer is *unaccounted*: the robot
+//! skipped it, or the observer missed both. There must be none.
 //!
-//! Reasons go by scan numbers, not by clocks, so they hold in lock-step too, where processes are restarted on
-//! wall time. One misattribution is accepted: a scan that was not answered yet when a process died counts as
-//! lost to that death even where something else kept it from being answered.
+//! Reasons are assigned by scan numbers, not by clocks. So they hold in lock-step too, where processes are restarted on
+//! wall time. One misattribution is accepted: a scan without an answer when a process died counts as lost to that
+//! death, even if it was lost for another reason.
 //!
-//! Only the newest [`WINDOW`] scans are kept one by one; older ones are added up and take no memory.
+//! Only the newest [`WINDOW`] scans are stored one by one; older ones are only counted.
 
 mod fault;
 mod refused;
@@ -26,29 +26,29 @@ use shared_types::Role;
 pub use self::fault::{Fault, Kind};
 pub use self::refused::{NewRefusal, RefusedRow};
 pub use self::rows::{LedgerReport, LedgerRow, ScanReport};
-pub use self::sample_audit::{ACCOUNTS, SampleAudit};
+pub use self::sample_audit::{AUDITED_TOPICS, SampleAudit};
 pub use self::topic::{InputReport, TopicLedger};
 
-/// A sample that has been on its way for this long does not come any more: four heartbeats, and four times the
-/// longest sleep of a process [ns].
+/// After this long a sample that has not arrived is lost: four heartbeats, and four times the longest sleep of a
+/// process [ns].
 pub const TIMEOUT_NS: u64 = 400_000_000;
 
-/// Reason of scans whose way led through a process that had died or hung.
+/// Reason of scans that needed a process that had died or hung.
 pub const PROCESS_RESTARTED: &str = "process_restarted";
-/// Reason of scans that no valid command answered although all processes were there.
+/// Reason of scans without a valid command although all processes were running.
 pub const NO_COMMAND: &str = "no_command";
-/// Reason of scans that a robot was held up for so long that it did not make them.
+/// Reason of scans that the robot skipped because it was delayed.
 pub const ROBOT_HELD_UP: &str = "robot_held_up";
-/// Reason of scans that the orchestrator was held up for so long that it has seen neither them nor their answers.
+/// Reason of scans that the orchestrator was too delayed to observe, with or without their answers.
 pub const NOT_OBSERVED: &str = "not_observed";
 /// Reason of scans in flight when the run ended.
 pub const RUN_ENDED: &str = "run_ended";
 
-/// How many of the newest scans are kept one by one: 8 s at 1 kHz, far longer than any answer takes.
+/// Number of newest scans that are stored one by one: 8 s at 1 kHz, far longer than any answer takes.
 pub const WINDOW: usize = 8192;
 
-/// The account of all scans of one run.
-#[derive(Debug, Clone)]
+/// What became of every scan of one run.
+#[derive(Debug, Clone, Default)]
 pub struct Ledger {
     first: u64,
     newest: u64,
@@ -67,7 +67,7 @@ struct Entry {
     excuse: Option<&'static str>,
 }
 
-/// Scans from `from` up to `until` that stay without an answer are lost for `reason`.
+/// Unanswered scans from `from` up to `until` are lost for `reason`.
 #[derive(Debug, Clone)]
 struct Outage {
     role: Role,
@@ -77,40 +77,31 @@ struct Outage {
 }
 
 impl Ledger {
-    /// An account that starts with the scan numbered `first`; a whole run starts with 1.
+    /// A ledger that starts with the scan numbered `first`; a whole run starts with 1.
     pub fn new(first: u64) -> Self {
-        Self {
-            first,
-            newest: 0,
-            newest_answered: 0,
-            ended_at: None,
-            entries: BTreeMap::new(),
-            refusals: BTreeMap::new(),
-            outages: Vec::new(),
-            settled: ScanReport::default(),
-        }
+        Self { first, ..Self::default() }
     }
 
-    /// The account starts with the scan `first` after all; what is known of earlier ones is forgotten.
+    /// Moves the start to the scan `first` and forgets earlier ones.
     pub fn begin_at(&mut self, first: u64) {
         self.first = first;
         self.entries = self.entries.split_off(&first);
         self.refusals = self.refusals.split_off(&first);
     }
 
-    /// The first scan of the account.
+    /// The first scan of the ledger.
     pub fn first(&self) -> u64 {
         self.first
     }
 
-    /// Notes that a scan was published at `published_ns`. Saying it twice changes nothing.
+    /// Notes that a scan was published at `published_ns`. A second call changes nothing.
     pub fn published(&mut self, scan_id: u64, published_ns: u64) {
         if let Some(entry) = self.entry(scan_id) {
             entry.published_ns.get_or_insert(published_ns);
         }
     }
 
-    /// Notes why nothing needs to be known of a scan: the reason if nothing answers it.
+    /// Notes the reason of a scan in case it stays without an answer.
     pub fn excused(&mut self, scan_id: u64, reason: &'static str) {
         if let Some(entry) = self.entry(scan_id) {
             entry.excuse = Some(reason);
@@ -128,9 +119,9 @@ impl Ledger {
         }
     }
 
-    /// Notes why a sample of a scan was dropped or refused; it is the reason if no other sample leads to an answer.
+    /// Notes why a sample of a scan was dropped or refused: the reason if the scan stays without an answer.
     pub fn refused(&mut self, scan_id: u64, reason: &'static str) {
-        if scan_id >= self.oldest_kept() {
+        if scan_id >= self.oldest_stored() {
             self.refusals.insert(scan_id, reason);
         }
         while self.refusals.len() > WINDOW {
@@ -140,12 +131,12 @@ impl Ledger {
 
     /// Notes that the process of `role` is gone: scans in flight and those to come may be lost for `reason`.
     pub fn outage_began(&mut self, role: Role, reason: &str) {
-        // A process that hung before it was ended has left all scans since the last answer without one.
+        // A process that hung before it was killed answered no scan since the last answer.
         let from = self.newest_answered.saturating_add(1);
         self.outages.push(Outage { role, reason: reason.to_owned(), from, until: None });
     }
 
-    /// Notes that `role` is filled again. The first scan after that may still find it without inputs.
+    /// Notes that `role` is filled again. It may still lack inputs for the first scan after that.
     pub fn outage_ended(&mut self, role: Role) {
         let until = self.newest.saturating_add(1);
         for outage in self.outages.iter_mut().filter(|outage| outage.role == role && outage.until.is_none()) {
@@ -158,7 +149,7 @@ impl Ledger {
         self.ended_at.get_or_insert(self.newest);
     }
 
-    /// The account as if the run had ended now, or where [`Ledger::run_ended`] said.
+    /// The counts as if the run had ended now, or when [`Ledger::run_ended`] was called.
     pub fn report(&self) -> ScanReport {
         let mut report = self.settled.clone();
         for (&scan_id, &entry) in &self.entries {
@@ -169,20 +160,20 @@ impl Ledger {
         report
     }
 
-    /// The entry of a scan, made when it is new; `None` for scans before the first or too old to be kept.
+    /// The entry of a scan, created when it is new; `None` for scans before the first or older than the window.
     fn entry(&mut self, scan_id: u64) -> Option<&mut Entry> {
-        if scan_id < self.oldest_kept() {
+        if scan_id < self.oldest_stored() {
             return None;
         }
         self.newest = self.newest.max(scan_id);
         self.entries.entry(scan_id).or_default();
-        while self.entries.first_key_value().is_some_and(|(&oldest, _)| oldest < self.oldest_kept()) {
+        while self.entries.first_key_value().is_some_and(|(&oldest, _)| oldest < self.oldest_stored()) {
             self.settle_oldest();
         }
         self.entries.get_mut(&scan_id)
     }
 
-    fn oldest_kept(&self) -> u64 {
+    fn oldest_stored(&self) -> u64 {
         self.first.max(self.newest.saturating_sub(WINDOW as u64 - 1))
     }
 
@@ -293,7 +284,7 @@ mod tests {
         }
         ledger.published(13, 13 * PERIOD_NS);
         let report = ledger.report();
-        // Nobody knows why 2 and 9 were not answered; 3 was, so the outage covers 4 to 6 and one more.
+        // The reason of 2 and 9 is not known; 3 was, so the outage covers 4 to 6 and one more.
         assert_eq!(
             reasons(&report),
             [("invalid_command", 1), (NO_COMMAND, 2), (PROCESS_RESTARTED, 4), (RUN_ENDED, 1)]
@@ -330,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_nothing_is_known_of_is_unaccounted() {
+    fn a_number_without_scan_and_answer_is_unaccounted() {
         let mut ledger = ledger(5, &[]);
         ledger.published(8, 8 * PERIOD_NS);
         ledger.answered(8, 8 * PERIOD_NS + 1);
@@ -375,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn an_account_can_begin_with_the_first_scan_that_is_seen() {
+    fn a_ledger_can_start_with_the_first_scan_that_is_seen() {
         let mut ledger = Ledger::new(0);
         assert_eq!(ledger.report(), ScanReport::default());
         ledger.answered(499, 1);

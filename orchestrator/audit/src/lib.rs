@@ -1,4 +1,4 @@
-//! What became of each sample: the observed topics, the account of all scans, the digests.
+//! What became of each sample: the observed topics, the ledger of scans, the sample audit, the digests.
 
 pub mod digest;
 pub mod ledger;

@@ -1,7 +1,7 @@
 //! The orchestrator's view of the loop: all topics, in the order of scans.
 //!
-//! Topics are polled one after the other, so their samples come in any order. Here they wait until the scan they
-//! belong to is complete: its truth and its actuation are there, or later scans show that no answer will come.
+//! Topics are polled one after the other, so their samples come in any order. Here they wait until their scan is
+//! complete: its truth and its actuation have arrived, or later scans show that no answer will come.
 //! In lock-step the result does not depend on when the topics were polled.
 
 use std::collections::VecDeque;
@@ -18,11 +18,12 @@ use crate::ledger::SampleAudit;
 /// may come late together.
 const TIMEOUT_SCANS: u64 = 3;
 
-/// Actuations that are kept for a process that starts: more than can be sent while one that hangs is found out, as
-/// repetitions are not kept.
+/// Number of actuations that are stored for a process that starts: more than are sent until a hung process is noticed,
+/// because repetitions are not stored.
 const RECENT: usize = 32;
 
-/// Samples kept of the other process of an exchange; more than processes keep, because looks here are rarer.
+/// Number of samples that are stored of the other process of a swap; more than processes store, because the
+/// orchestrator polls less often.
 const ASIDE: usize = 16;
 
 /// Samples of one topic that wait for their scan.
@@ -48,9 +49,9 @@ impl<S: Sample> Queue<S> {
         directive: &Directive,
         sample_audit: &mut SampleAudit,
         refused: &mut Vec<(u64, Rule)>,
-    ) -> Result<u64, RuntimeError> {
+    ) -> Result<(), RuntimeError> {
         let Self { observer, waiting, aside, filter } = self;
-        let kept = std::mem::take(aside);
+        let before = std::mem::take(aside);
         let authority = directive.authority_over(S::TOPIC);
         let mut put = |sample: &S, was_aside: bool| match filter.admit(authority, sample.header(), was_aside)
         {
@@ -63,53 +64,47 @@ impl<S: Sample> Queue<S> {
             }
             Admission::Foreign => {}
         };
-        kept.iter().for_each(|sample| put(sample, true));
-        look(observer, directive, sample_audit, refused, |sample| put(sample, false))
+        before.iter().for_each(|sample| put(sample, true));
+        poll(observer, directive, sample_audit, refused, |sample| put(sample, false))
     }
 
     fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
-        if self.waiting.front().is_some_and(|sample| sample.header().scan_id <= scan_id) {
-            self.waiting.pop_front()
-        } else {
-            None
-        }
+        self.waiting.pop_front_if(|sample| sample.header().scan_id <= scan_id)
     }
 }
 
-/// Hands all valid samples of a topic to `each`, and all that came to the books; returns how many were invalid. The scans
-/// of those that would have counted are `refused`.
-fn look<S: Sample>(
+/// Passes the valid samples of a topic to `each`, and all samples to the audit. The scans of invalid samples that would
+/// have counted are added to `refused`.
+fn poll<S: Sample>(
     observer: &Observer<S>,
     directive: &Directive,
     sample_audit: &mut SampleAudit,
     refused: &mut Vec<(u64, Rule)>,
     mut each: impl FnMut(&S),
-) -> Result<u64, RuntimeError> {
+) -> Result<(), RuntimeError> {
     let now_ns = monotonic_ns();
-    let (mut came, mut invalid) = (0, 0);
+    let mut arrived = 0;
     sample_audit.poll(S::TOPIC, now_ns);
     observer.poll_checked(|sample, check| {
-        came += 1;
+        arrived += 1;
         if !matches!(check, Err(Fault::Layout { .. })) {
             sample_audit.see(sample, now_ns);
         }
         match check {
             Ok(()) => each(sample),
-            Err(fault) => {
-                invalid += 1;
-                if directive.counts(S::TOPIC, sample.header()) {
-                    refused.push((sample.header().scan_id, fault.rule()));
-                }
+            Err(fault) if directive.counts(S::TOPIC, sample.header()) => {
+                refused.push((sample.header().scan_id, fault.rule()));
             }
+            Err(_) => {}
         }
     })?;
-    if came >= buffer(S::TOPIC) {
+    if arrived >= buffer(S::TOPIC) {
         sample_audit.overflowed(S::TOPIC);
     }
-    Ok(invalid)
+    Ok(())
 }
 
-/// Adds an actuation, unless the one before it asked for the same.
+/// Adds an actuation, unless it repeats the one before it.
 fn remember(recent: &mut VecDeque<Actuation>, actuation: &Actuation) {
     let asks = |of: &Actuation| (of.kind, of.desired_velocity_mps, of.desired_steering_rad);
     if recent.back().is_some_and(|newest| asks(newest) == asks(actuation)) {
@@ -121,11 +116,11 @@ fn remember(recent: &mut VecDeque<Actuation>, actuation: &Actuation) {
     recent.push_back(*actuation);
 }
 
-/// Everything that belongs to one scan, or to none since the scan before.
+/// All samples of one scan, and those without a scan since the scan before.
 pub struct ScanRecord {
-    /// What the robot really did.
+    /// The true state of the robot.
     pub truth: Truth,
-    /// Poses of the scan, in the order in which they came; one unless something is wrong.
+    /// Poses of the scan in the order of arrival; one unless something is wrong.
     pub poses: Vec<Pose>,
     /// Obstacles of the scan.
     pub obstacles: Vec<Obstacles>,
@@ -144,12 +139,11 @@ pub struct Samples {
     obstacles: Queue<Obstacles>,
     commands: Queue<Command>,
     actuations: Queue<Actuation>,
-    /// The newest of them without repetitions, also when their scans were handed out.
+    /// The newest of them without repetitions, including those of scans that were returned.
     recent: VecDeque<Actuation>,
     timeout_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
-    invalid: u64,
     refused: Vec<(u64, Rule)>,
 }
 
@@ -159,7 +153,7 @@ impl Samples {
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn new(bus: &Bus, period_ns: u64) -> Result<Self, RuntimeError> {
-        // The truth last: whoever joins a loop that runs sees all answers to the first scan that it sees.
+        // The truth last: an observer that joins a running loop receives all answers to the first scan that it sees.
         let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
         let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
         Ok(Self {
@@ -174,12 +168,11 @@ impl Samples {
             timeout_scans: TIMEOUT_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
-            invalid: 0,
             refused: Vec::new(),
         })
     }
 
-    /// Makes the reading end of all connections.
+    /// Connects to all writers.
     pub fn connect(&self) {
         self.scans.connect();
         self.odometries.connect();
@@ -190,7 +183,7 @@ impl Samples {
         self.actuations.observer.connect();
     }
 
-    /// Takes what has come from the bus, and notes all of it in the books.
+    /// Takes new samples from the bus, and passes them to the audit.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
@@ -200,20 +193,20 @@ impl Samples {
         sample_audit: &mut SampleAudit,
     ) -> Result<(), RuntimeError> {
         let Self { refused, .. } = self;
-        self.invalid += self.truths.poll(directive, sample_audit, refused)?;
-        self.invalid += look(&self.scans, directive, sample_audit, refused, |_| ())?;
-        self.invalid += look(&self.odometries, directive, sample_audit, refused, |_| ())?;
-        // Against the stream: when an answer is there, so is all that it came from.
+        self.truths.poll(directive, sample_audit, refused)?;
+        poll(&self.scans, directive, sample_audit, refused, |_| ())?;
+        poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
+        // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
         let before = self.actuations.waiting.len();
-        self.invalid += self.actuations.poll(directive, sample_audit, refused)?;
+        self.actuations.poll(directive, sample_audit, refused)?;
         self.actuations
             .waiting
             .iter()
             .skip(before)
             .for_each(|actuation| remember(&mut self.recent, actuation));
-        self.invalid += self.commands.poll(directive, sample_audit, refused)?;
-        self.invalid += self.obstacles.poll(directive, sample_audit, refused)?;
-        self.invalid += self.poses.poll(directive, sample_audit, refused)?;
+        self.commands.poll(directive, sample_audit, refused)?;
+        self.obstacles.poll(directive, sample_audit, refused)?;
+        self.poses.poll(directive, sample_audit, refused)?;
         if let Some(truth) = self.truths.waiting.back() {
             self.newest_scan = truth.header.scan_id;
         }
@@ -230,7 +223,7 @@ impl Samples {
         self.recent.iter()
     }
 
-    /// Scans of which a sample that would have counted was invalid since the last time, and the rule that it failed.
+    /// Scans with an invalid sample that would have counted, since the last call, and the rule that it failed.
     pub fn take_refused(&mut self) -> Vec<(u64, Rule)> {
         std::mem::take(&mut self.refused)
     }
@@ -240,7 +233,7 @@ impl Samples {
         self.newest_scan
     }
 
-    /// The newest truth, also of a scan that is not complete.
+    /// The newest truth, even if its scan is not complete.
     pub fn newest_truth(&self) -> Option<&Truth> {
         self.truths.waiting.back()
     }
@@ -250,7 +243,7 @@ impl Samples {
         self.answered_scan
     }
 
-    /// The next scan that is complete; with `flush` also one that no answer was seen for.
+    /// The next complete scan; with `flush` also a scan without an answer.
     pub fn next(&mut self, flush: bool) -> Option<ScanRecord> {
         let scan_id = self.truths.waiting.front()?.header.scan_id;
         let answered = self.answered_scan >= scan_id;

@@ -1,9 +1,9 @@
-//! The books of a small model of the loop, with and without something hidden in it: thousands of runs.
+//! The sample audit on a small model of the loop, with and without a hidden fault: thousands of runs.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::{ACCOUNTS, Fault, Kind, SampleAudit};
+use audit::ledger::{AUDITED_TOPICS, Fault, Kind, SampleAudit};
 use proptest::prelude::*;
 use runtime::{KEPT, buffer};
 use shared_types::{
@@ -12,10 +12,10 @@ use shared_types::{
 };
 
 const PERIOD_NS: u64 = 100_000_000;
-/// Scans of a run in which something is hidden.
+/// Scans of a run with a hidden fault.
 const SCANS: u64 = 50;
 
-/// What is hidden at one sample.
+/// A fault that is hidden at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Hidden {
     /// It gets a number and is not sent.
@@ -40,14 +40,14 @@ enum Hidden {
     ForgetAt(usize),
 }
 
-/// What makes a clean run less simple.
+/// A disturbance of a run without faults.
 #[derive(Debug, Clone, Copy)]
 enum Event {
-    /// The orchestrator does not look for some scans.
+    /// The orchestrator does not poll for some scans.
     Away(u64),
-    /// A process does not look for some scans.
+    /// A process does not poll for some scans.
     Stall(usize, u64),
-    /// A process says nothing for some scans.
+    /// A process sends no heartbeat for some scans.
     Mute(usize, u64),
     /// A process dies and is started again.
     Kill(usize),
@@ -245,7 +245,7 @@ impl Model {
             }
         }
         if self.scan.is_multiple_of(10) {
-            self.sample_audit.close(false);
+            self.sample_audit.reconcile(false);
         }
     }
 
@@ -325,7 +325,7 @@ impl Model {
 
     fn poll(&mut self) {
         let now_ns = self.now_ns();
-        for topic in ACCOUNTS {
+        for topic in AUDITED_TOPICS {
             self.sample_audit.poll(topic, now_ns);
             let came = self.bus.remove(&topic).unwrap_or_default();
             came.iter().for_each(|header| see(&mut self.sample_audit, topic, *header, now_ns));
@@ -358,7 +358,7 @@ impl Model {
             self.sample_audit.receive(&process.heartbeat(ProcessState::Ending, now_ns), now_ns);
         }
         self.poll();
-        self.sample_audit.close(true);
+        self.sample_audit.reconcile(true);
         let report = self.sample_audit.report();
         for row in &report.topics {
             let sum = row.used + row.replaced + row.lost + row.in_flight + row.residual;
@@ -407,8 +407,8 @@ fn readers(topic: Topic) -> Vec<usize> {
 }
 
 fn hidden() -> impl Strategy<Value = (Topic, u64, Hidden)> {
-    (0..ACCOUNTS.len(), 1..=SCANS, 0..10_usize, 0..2_usize).prop_map(|(topic, scan, what, reader)| {
-        let topic = ACCOUNTS[topic];
+    (0..AUDITED_TOPICS.len(), 1..=SCANS, 0..10_usize, 0..2_usize).prop_map(|(topic, scan, what, reader)| {
+        let topic = AUDITED_TOPICS[topic];
         let readers = readers(topic);
         let anywhere =
             [Hidden::Drop, Hidden::Omit, Hidden::Repeat, Hidden::Double, Hidden::Swap, Hidden::Mix];

@@ -1,16 +1,16 @@
 //! Confidence intervals by resampling, the same for the same values.
 //!
-//! Idea: scans that follow each other are alike, so whole blocks of them are drawn with replacement, each about as
-//! long as the square root of all, round the end. What varies from one such drawing to the next is what would vary
-//! from run to run. Assumption: the blocks are longer than what happens on a course; a difference that comes once per
-//! obstacle wants a minute. Where it fails: with few scans intervals are too narrow, and below `MIN_VALUES` there are none.
+//! Block bootstrap: consecutive scans are correlated, so whole blocks of them are drawn with replacement, cyclically.
+//! The length of a block is about the square root of the number of scans. The variation between drawings estimates that
+//! between runs. Assumption: blocks are longer than the events on a course; a difference that comes once per obstacle
+//! needs a minute of scans. Limit: with few scans intervals are too narrow, and below `MIN_VALUES` there are none.
 
-/// Fewer values say nothing of how much they vary.
+/// Smallest number of values with an interval.
 const MIN_VALUES: usize = 20;
-/// Drawings per interval; ends of 95 % intervals then rest on 25 of them each.
+/// Drawings per interval: 25 of them are beyond each end of a 95 % interval.
 const DRAWINGS: usize = 1000;
-/// Most values that are drawn from; more are thinned out evenly.
-const MOST: usize = 5000;
+/// Maximum number of values to draw from; more are thinned out evenly.
+const MAX_VALUES: usize = 5000;
 /// Share of the drawings beyond either end of an interval.
 const TAIL: f64 = 0.025;
 
@@ -30,7 +30,7 @@ pub fn ratio(pairs: &[[f64; 2]], quantile: f64) -> (f64, Option<[f64; 2]>) {
         });
         if first > 0.0 { second / first } else { 0.0 }
     };
-    let thin = pairs.len().div_ceil(MOST).max(1);
+    let thin = pairs.len().div_ceil(MAX_VALUES).max(1);
     let thinned: Vec<[f64; 2]> = pairs.iter().step_by(thin).copied().collect();
     (ratio_of(pairs), ends(&thinned, ratio_of))
 }
@@ -44,8 +44,8 @@ pub fn quantile_of(values: &mut [f64], quantile: f64) -> f64 {
     *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
-/// A statistic of 1000 drawings with replacement from `values`, each as long as they are; drawn are whole blocks of
-/// neighbours, round the end. The drawings are the same for the same number of values.
+/// A statistic of 1000 drawings of whole blocks of neighbours from `values`, with replacement and cyclically; each
+/// drawing is as long as `values`. The drawings are the same for the same number of values.
 pub fn resample<T: Copy, R>(values: &[T], block: usize, mut statistic: impl FnMut(&[T]) -> R) -> Vec<R> {
     let (count, block) = (values.len(), block.max(1));
     let mut random = SplitMix64(1);
@@ -73,7 +73,7 @@ fn ends<T: Copy>(values: &[T], statistic: impl Fn(&[T]) -> f64) -> Option<[f64; 
     Some([TAIL, 1.0 - TAIL].map(|quantile| quantile_of(&mut results, quantile)))
 }
 
-/// The generator SplitMix64: numbers that look random and are the same every time.
+/// The generator SplitMix64 of pseudo-random numbers.
 #[derive(Debug, Clone)]
 pub struct SplitMix64(pub u64);
 
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_of_a_mean_covers_it_as_often_as_it_says() {
+    fn the_interval_of_a_mean_has_the_stated_coverage() {
         let mut state = SplitMix64(7);
         let covered = (0..200).filter(|_| {
             let values: Vec<f64> = (0..300).map(|_| 0.5 + normal(&mut state)).collect();
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_that_are_alike_widen_the_interval() {
+    fn correlated_neighbours_widen_the_interval() {
         let mut state = SplitMix64(7);
         let white: Vec<f64> = (0..1000).map(|_| normal(&mut state)).collect();
         let slow: Vec<f64> = (0..1000).map(|index| white[index / 20 * 20]).collect();

@@ -1,47 +1,45 @@
-//! How sure a difference is: intervals that hold the true one in 99 of 100 cases.
+//! Confidence intervals of differences: they contain the true difference in 99 of 100 cases.
 //!
-//! **Runs in turns.** Each round gives one difference of B to A. Where both are the same build, a difference is as
-//! likely to be above zero as below, whatever the machine does between rounds, because the order within rounds
-//! alternates. So the true difference lies between the k-th smallest and the k-th largest of them with a probability
-//! that is a sum of binomial coefficients, for any noise: with 12 rounds between the second and the eleventh in 99.4
-//! of 100 cases, and one disturbed round to either side changes nothing. The estimate is the median. It takes
-//! eight rounds to be 99 % sure of anything.
+//! **Runs in turns.** Each round gives one difference of B to A. If both are the same build, a difference is as likely
+//! to be above zero as below, because the order within rounds alternates. So the true difference lies between the k-th
+//! smallest and the k-th largest with a probability that is a sum of binomial coefficients, for any noise. With 12
+//! rounds it lies between the second and the eleventh in 99.4 of 100 cases, and one disturbed round to either side
+//! changes nothing. The estimate is the median. A confidence of 99 % needs at least eight rounds.
 //!
-//! **Two files.** Both runs are cut into stretches. Stretch for stretch they were at the same place of the same
-//! drive, so their differences are free of what the drive costs. How these differ from each other has two parts.
-//! What the finite number of scans in a stretch explains goes away when stretches are averaged. The rest is the
-//! machine: its noise is the stronger the longer one looks, and a second run is off by about as much as one stretch
-//! is from the next. So that part is not divided by the number of stretches. Measured on a loaded machine with 24
-//! runs of the same build, all 276 pairs of them: 1.4 % of these intervals miss zero; with the usual division, 23 %.
-//! Where this fails: two runs on a machine that changed in between (a governor, a neighbour) differ, and so they
-//! are reported. Runs in turns do not have that weakness.
+//! **Two files.** Both runs are cut into stretches. Equal stretches are at the same place of the same drive, so the
+//! drive itself is not part of their differences. The variance of these differences has two parts. The part that the
+//! finite number of scans explains is averaged over the stretches. The rest is the machine: its noise grows with time,
+//! and a second run is off by about as much as one stretch is from the next. So that part is not divided by the number
+//! of stretches. Measured on a loaded machine with 24 runs of the same build, all 276 pairs: 1.4 % of these intervals
+//! miss zero; with the usual division, 23 %. Limit: if the machine changed between two runs (a governor, a neighbour),
+//! the difference is reported. Runs in turns do not have that weakness.
 
 use hdrhistogram::Histogram;
 
 use crate::student;
 
-/// Share of intervals that are to hold the true difference.
+/// Share of intervals that contain the true difference.
 pub const CONFIDENCE: f64 = 0.99;
-/// Fewest rounds that can be that sure.
+/// Smallest number of rounds with that confidence.
 pub const MIN_ROUNDS: usize = 8;
-/// Most rounds.
+/// Largest number of rounds.
 pub const MAX_ROUNDS: usize = 1000;
-/// Groups that the stretches of a run are put into, at most and at least.
+/// Largest and smallest number of groups of stretches of a run.
 const GROUPS: usize = 12;
 const MIN_GROUPS: usize = 6;
-/// A group has this many scans beyond the percentile in question.
+/// A group has at least this many scans beyond the percentile.
 const BEYOND: f64 = 2.0;
-/// Half the width of an interval, times this, is seen nine times in ten: (2.576 + 1.282) / 2.576.
+/// Half the width of an interval times this is detected with 90 % probability: (2.576 + 1.282) / 2.576.
 const NINE_IN_TEN: f64 = 1.498;
 
-/// A difference and how sure it is.
+/// A difference with its confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Difference {
     /// Best estimate.
     pub value: f64,
-    /// The interval that holds the true difference in 99 of 100 cases.
+    /// The interval that contains the true difference in 99 of 100 cases.
     pub interval: [f64; 2],
-    /// A true difference as large as this would be told from none nine times in ten.
+    /// The smallest true difference that is detected with 90 % probability.
     pub smallest_visible: f64,
 }
 
@@ -59,8 +57,8 @@ impl Difference {
         }
     }
 
-    /// Rounds in turns after which a true difference as large as this estimate is seen nine times in ten, when this one
-    /// came of so many `rounds`: the width of the interval falls with the square root of their number. `None` for an
+    /// Number of rounds in turns that detect a true difference of this size with 90 % probability, when this estimate
+    /// is from `rounds` rounds: the width of the interval falls with the square root of their number. `None` for an
     /// estimate of zero, and when it takes more than [`MAX_ROUNDS`]. Two files count as one round: their interval is
     /// that of one run of each, because the part of the machine is not divided by the number of stretches.
     pub fn rounds_to_settle(&self, rounds: usize) -> Option<usize> {
@@ -87,8 +85,8 @@ pub fn rounds(differences: &[f64]) -> Option<Difference> {
     Some(Difference::new(median(&sorted), interval))
 }
 
-/// How many of `count` sorted differences lie on each side of the interval: as many as the median is beyond with at
-/// most half of the probability that the confidence leaves.
+/// How many of `count` sorted differences lie outside of each end of the interval: the most for which the median is
+/// beyond them with at most half of the remaining probability.
 fn outside(count: usize) -> usize {
     let mut probability = 0.5_f64.powi(count as i32);
     let mut sum = probability;
@@ -109,7 +107,7 @@ pub fn median(sorted: &[f64]) -> f64 {
 }
 
 /// The difference of a quantile between two runs, from the histograms of their stretches in order; in the unit of the
-/// histograms. `None` when there are too few scans to say.
+/// histograms. `None` when there are too few scans.
 pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<Difference> {
     let count = a.len().min(b.len());
     let [a, b] = groups(&a[..count], &b[..count], quantile)?;
@@ -126,10 +124,10 @@ pub fn stretches(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> O
     Some(Difference::new(value, [value - half, value + half]))
 }
 
-/// The smallest difference to another run like this one that [`stretches`] would see nine times in ten.
+/// The smallest difference to a like run that [`stretches`] detects with 90 % probability.
 ///
-/// `steady` is a series of the same run that does not depend on the place of the drive, as transport: how it changes
-/// from stretch to stretch stands for the machine. `None` when there are too few scans.
+/// `steady` is a series of the same run that does not depend on the place of the drive, like transport: its change from
+/// stretch to stretch estimates the noise of the machine. `None` when there are too few scans.
 pub fn smallest_visible(series: &[Histogram<u64>], steady: &[Histogram<u64>], quantile: f64) -> Option<f64> {
     let [series, steady] = groups(series, steady, quantile)?;
     let machine: Vec<f64> = steady.iter().map(|group| group.value_at_quantile(quantile) as f64).collect();
@@ -140,15 +138,15 @@ pub fn smallest_visible(series: &[Histogram<u64>], steady: &[Histogram<u64>], qu
     Some(NINE_IN_TEN * half)
 }
 
-/// Half the width of the interval of an average over groups with that variance between them, of which `sampling` is
-/// explained by the number of scans in a group.
+/// Half the width of the interval of an average over groups. `variance` is that between groups; the number of scans in
+/// a group explains the part `sampling` of it.
 fn half_width(variance: f64, sampling: f64, groups: usize) -> f64 {
     let machine = (variance - sampling).max(0.0);
     let squared = (machine + sampling / groups as f64).max(variance / groups as f64);
     student(groups - 1) * squared.sqrt()
 }
 
-/// Neighbouring stretches of both runs put together, into as many groups as have enough scans for the quantile.
+/// Neighbouring stretches of both runs merged into the largest number of groups with enough scans for the quantile.
 fn groups(a: &[Histogram<u64>], b: &[Histogram<u64>], quantile: f64) -> Option<[Vec<Histogram<u64>>; 2]> {
     let needed = BEYOND / (1.0 - quantile).min(quantile);
     (MIN_GROUPS..=GROUPS.min(a.len()).min(b.len())).rev().find_map(|count| {

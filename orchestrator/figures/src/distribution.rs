@@ -1,16 +1,16 @@
 //! The five figures of a distribution: count, median, 90 %, 99 %, 99.9 % and the largest value.
 //!
 //! Values are counted in a logarithmic histogram with three significant digits, so an hour of samples takes as
-//! much memory as a second and a percentile is off by at most 0.1 %. The largest value is kept exactly. A value
-//! above one hour (or 3.6e12 counts) is counted as that; nothing is ever left out.
+//! much memory as a second and a percentile is off by at most 0.1 %. The largest value is exact. A value above one hour
+//! (or 3.6e12 counts) is counted as that; no value is left out.
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
-/// Largest value that is told apart: one hour in nanoseconds.
-const HIGHEST: u64 = 3_600_000_000_000;
+/// Largest value of the histogram: one hour in nanoseconds.
+const MAX: u64 = 3_600_000_000_000;
 
-/// The figures of a distribution in the unit that the key they stand under ends with; all zero without values.
+/// The figures of a distribution in the unit of their key; all zero without values.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Figures {
@@ -48,7 +48,7 @@ impl Distribution {
     }
 
     fn new(unit: f64) -> Self {
-        let histogram = Histogram::new_with_bounds(1, HIGHEST, 3).expect("the bounds are constant and valid");
+        let histogram = Histogram::new_with_bounds(1, MAX, 3).expect("the bounds are constant and valid");
         Self { histogram, largest: 0, unit }
     }
 
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn fractions_of_a_microsecond_are_kept() {
+    fn fractions_of_a_microsecond_are_reported() {
         let mut distribution = Distribution::of_times();
         distribution.record(1_250);
         assert_eq!(

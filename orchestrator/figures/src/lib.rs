@@ -1,5 +1,5 @@
-//! Figures of what was measured, and what they are worth: distributions, intervals by resampling, differences of two
-//! runs with their confidence, the profile of the build that was measured, and tables of it all as text.
+//! Statistics of measurements: distributions, confidence intervals by resampling, differences of two runs with their
+//! confidence, the profile of the measured build, and tables as text.
 
 pub mod bootstrap;
 pub mod difference;
@@ -13,7 +13,7 @@ pub use table::{Align, Table};
 
 /// The Cargo profile that this executable was built with, from the path of the build: `dev`, `release`, `dist`, ...
 pub const PROFILE: &str = env!("SCANLOOP_PROFILE");
-/// The profile that is installed, and that times are to be measured with.
+/// The profile of installed executables; times should be measured with it.
 pub const MEASURED_PROFILE: &str = "dist";
 
 #[cfg(test)]

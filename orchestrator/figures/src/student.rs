@@ -1,4 +1,4 @@
-//! The factor of Student's t that makes a standard error an interval.
+//! The factor of Student's t between a standard error and half the width of its confidence interval.
 
 /// The factor for 99 % with that many degrees of freedom: exact to three digits, to one in ten thousand beyond nine.
 pub fn student(freedom: usize) -> f64 {

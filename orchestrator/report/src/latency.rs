@@ -1,21 +1,21 @@
 //! Where the time between a scan and its actuation goes, from the header of the actuation alone.
 //!
 //! Each sample carries the stamps of all stages before it, so one actuation that answers a scan holds the whole
-//! way: robot -> estimator -> obstacles -> controller -> actuator. The obstacles need the pose, so these five
-//! stand in one row and nothing runs beside them: the row is the critical path. For a stage on it
+//! way: robot -> estimator -> obstacles -> controller -> actuator. The obstacles need the pose, so the five stages
+//! run one after the other: this chain is the critical path. For a stage on it
 //!
 //! * **hop** is the time from the publication of its predecessor until it has taken its inputs,
-//! * **compute** the time from there until its result is there,
-//! * **publish** the time from there until its sample is out,
-//! * **wait** the time it was awake with a part of its inputs before its predecessor published; it overlaps with
-//!   the work of the predecessor and is no part of the path.
+//! * **compute** is the time from then until its result is computed,
+//! * **publish** is the time from then until its sample is published,
+//! * **wait** is the time it was awake with a part of its inputs before its predecessor published; it overlaps with
+//!   the work of the predecessor and is not part of the path.
 //!
 //! Reaction time = sum of all hops, computes and publications, exactly, in nanoseconds. *Transport* is the
-//! reaction time minus all compute: hops and publications, that is what five processes cost more than one.
+//! reaction time minus all compute: hops and publications, the cost of five processes over one.
 //!
-//! This holds for stamps of one clock. In lock-step the clock is simulated and stamps say nothing about this
-//! computer: only complete chains are counted then. An answer whose chain has a hole (a controller that acted without
-//! obstacles) counts in reaction time and data age, not in the stages, so a slow case never hides.
+//! This holds for stamps of one clock. In lock-step the clock is simulated, so only complete chains are counted. An
+//! answer with an incomplete chain (a controller that acted without obstacles) counts in reaction time and data age,
+//! but not in the stages; so slow cases are never left out.
 
 use figures::Distribution;
 use shared_types::{Header, Role, StageStamps};
@@ -30,9 +30,9 @@ pub const STAGES: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controlle
 pub struct StageTimes {
     /// From the publication of the predecessor until all inputs were taken [ns].
     pub hop_ns: u64,
-    /// Awake before the predecessor published, beside the critical path [ns].
+    /// Awake before the predecessor published, not on the critical path [ns].
     pub wait_ns: u64,
-    /// From the inputs taken until the result was there [ns].
+    /// From the inputs taken until the result was computed [ns].
     pub compute_ns: u64,
     /// From the result until it was published [ns].
     pub publish_ns: u64,
@@ -113,7 +113,7 @@ struct StageDistributions {
 }
 
 impl Latencies {
-    /// No values yet. With `simulated` stamps chains are counted and no times recorded.
+    /// Empty distributions. With `simulated` stamps only chains are counted.
     pub fn new(simulated: bool) -> Self {
         let stage = || StageDistributions {
             hop: Distribution::of_times(),
@@ -167,15 +167,11 @@ impl Latencies {
                 self.stages.each_ref().map(|stage| pick(stage).figures());
             PerStage { estimator, obstacles, controller, actuator }
         };
-        let PerStage { estimator, obstacles, controller, actuator } = per_stage(|stage| &stage.compute);
         LatencyReport {
             scan_to_actuation: self.reaction.figures(),
             data_age: self.data_age.figures(),
             stages: Stages {
-                estimator,
-                obstacles,
-                controller,
-                actuator,
+                compute: per_stage(|stage| &stage.compute),
                 transport: self.transport.figures(),
             },
             hops: per_stage(|stage| &stage.hop),
@@ -265,7 +261,7 @@ pub(crate) mod tests {
         latencies.record(&header);
         let report = latencies.report();
         assert_eq!((report.scan_to_actuation.count, report.scan_to_actuation.max), (1, 2.55));
-        assert_eq!((report.stages.controller.count, report.incomplete_chains), (0, 1));
+        assert_eq!((report.stages.compute.controller.count, report.incomplete_chains), (0, 1));
     }
 
     #[test]
@@ -296,7 +292,7 @@ pub(crate) mod tests {
         let mut latencies = Latencies::new(false);
         latencies.record(&chain(1, 5000));
         let report = latencies.report();
-        assert_eq!((report.stages.controller.p50, report.stages.transport.max), (2.0, 0.135));
+        assert_eq!((report.stages.compute.controller.p50, report.stages.transport.max), (2.0, 0.135));
         assert_eq!((report.hops.obstacles.max, report.waits.obstacles.max), (0.025, 0.11));
     }
 }

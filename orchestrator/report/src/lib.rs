@@ -1,4 +1,4 @@
-//! What a run is told by: the report, where the time went, the summary, the picture.
+//! The results of a run: report, latencies, summary and picture, and the recorder that collects what they need.
 
 pub mod latency;
 pub mod picture;

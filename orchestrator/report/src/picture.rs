@@ -12,7 +12,11 @@ mod legend;
 mod map;
 pub mod panels;
 
-use plotters::prelude::{DrawingArea, IntoDrawingArea, RGBColor, SVGBackend, WHITE};
+use plotters::chart::MeshStyle;
+use plotters::coord::types::RangedCoordf64;
+use plotters::drawing::DrawingAreaErrorKind;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Width of the picture [pixels].
 const WIDTH: u32 = 1200;
@@ -21,19 +25,19 @@ const EDGE: u32 = 8;
 /// Fine steps per pixel.
 const FINE: u32 = 4;
 
-/// Where the robot really is.
+/// The true path.
 const TRUE_PATH: RGBColor = RGBColor(0, 92, 158);
-/// Where it believes to be.
+/// The estimated path.
 const ESTIMATED_PATH: RGBColor = RGBColor(240, 110, 0);
-/// Its body.
+/// The body of the robot.
 const BODY: RGBColor = RGBColor(86, 160, 211);
-/// What it has to keep out of.
+/// Ellipses that the centre of the robot keeps out of.
 const ELLIPSE: RGBColor = RGBColor(196, 78, 120);
-/// Real things.
+/// Real obstacles and walls.
 const OBSTACLE: RGBColor = RGBColor(70, 70, 75);
-/// Where it is to go.
+/// The goal and its tolerance.
 const GOAL: RGBColor = RGBColor(0, 140, 95);
-/// Bounds that nothing stands at.
+/// Bounds without a wall.
 const BOUND: RGBColor = RGBColor(130, 130, 135);
 /// The ground inside the bounds of the track.
 const TRACK: RGBColor = RGBColor(249, 249, 244);
@@ -42,16 +46,19 @@ const INK: RGBColor = RGBColor(50, 50, 55);
 /// Lines of the grid.
 const GRID: RGBColor = RGBColor(228, 228, 230);
 
+type Result<T> = std::result::Result<T, PictureError>;
 type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+type Axes<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBackend<'c>>;
 
-/// The outline of a real thing.
+/// The outline of an obstacle.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Shape {
     /// Its corners in order; a circle is given as a polygon [m].
     pub points: Vec<[f64; 2]>,
 }
 
-/// What stands still during a run.
+/// What stays the same during a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// First line of the picture.
@@ -68,9 +75,9 @@ pub struct Scene {
     pub obstacles: Vec<Shape>,
     /// Where the drive starts [m].
     pub start_m: [f64; 2],
-    /// Where it is to end [m].
+    /// The goal [m].
     pub goal_m: [f64; 2],
-    /// How near to the goal is near enough [m].
+    /// Largest distance to the goal at which it counts as reached [m].
     pub goal_tolerance_m: f64,
     /// Length of the robot's body [m].
     pub body_length_m: f64,
@@ -124,8 +131,8 @@ pub struct Drive {
 #[error("the picture could not be drawn: {0}")]
 pub struct PictureError(String);
 
-impl PictureError {
-    fn of(error: impl std::fmt::Display) -> Self {
+impl From<DrawingAreaErrorKind<std::io::Error>> for PictureError {
+    fn from(error: DrawingAreaErrorKind<std::io::Error>) -> Self {
         Self(error.to_string())
     }
 }
@@ -134,22 +141,46 @@ impl PictureError {
 ///
 /// # Errors
 /// [`PictureError`] when the drawing library refuses.
-pub fn draw(scene: &Scene, drive: &Drive) -> Result<String, PictureError> {
-    let plan = map::Plan::of(scene, drive);
-    let height = legend::HEIGHT + plan.height() + curves::HEIGHT;
+pub fn draw(scene: &Scene, drive: &Drive) -> Result<String> {
+    let layout = map::Layout::of(scene, drive);
+    svg(legend::HEIGHT + layout.height() + curves::HEIGHT, |root| {
+        let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
+        let (maps, below) = rest.split_vertically(fine(layout.height()));
+        legend::draw(&head, scene, &layout)?;
+        layout.draw(&maps, scene, drive)?;
+        curves::draw(&below, &drive.moments)
+    })
+}
+
+/// The text of an SVG file of this height [pixels] with what `paint` draws.
+fn svg(height: u32, paint: impl FnOnce(&Area<'_>) -> Result<()>) -> Result<String> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
-        root.fill(&WHITE).map_err(PictureError::of)?;
-        let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
-        let (maps, below) = rest.split_vertically(fine(plan.height()));
-        legend::draw(&head, scene, &plan)?;
-        plan.draw(&maps, scene, drive)?;
-        curves::draw(&below, &drive.moments)?;
-        root.present().map_err(PictureError::of)?;
+        root.fill(&WHITE)?;
+        paint(&root)?;
+        root.present()?;
     }
     let drawn = format!("width=\"{}\" height=\"{}\"", WIDTH * FINE, height * FINE);
     Ok(svg.replacen(&drawn, &format!("width=\"{WIDTH}\" height=\"{height}\""), 1))
+}
+
+/// Grid, axes and labels in the style of all pictures.
+fn mesh<'a, 'b, 'c>(axes: &'b mut Axes<'a, 'c>) -> Mesh<'a, 'b, 'c> {
+    let mut mesh = axes.configure_mesh();
+    mesh.max_light_lines(0)
+        .bold_line_style(GRID.stroke_width(fine(1) as u32))
+        .axis_style(INK.stroke_width(fine(1) as u32))
+        .label_style(font(12).into_font().color(&INK))
+        .axis_desc_style(font(13).into_font().color(&INK))
+        .set_all_tick_mark_size(fine(4));
+    mesh
+}
+
+/// Writes a line of text to the right of (x, y) [pixels].
+fn text(area: &Area<'_>, text: &str, size: u32, x: u32, y: u32) -> Result<()> {
+    let style = font(size).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
+    Ok(area.draw_text(text, &style, (fine(x), fine(y)))?)
 }
 
 /// Pixels as fine steps.
@@ -254,8 +285,8 @@ mod tests {
 
     #[test]
     fn both_directions_have_the_same_scale() {
-        let plan = map::Plan::of(&scene(), &drive(12.5));
-        let (across, down) = plan.pixels_per_metre();
+        let layout = map::Layout::of(&scene(), &drive(12.5));
+        let (across, down) = layout.pixels_per_metre();
         // The height of a strip is a whole number of pixels.
         assert!((across / down - 1.0).abs() < 0.01, "{across} and {down}");
     }

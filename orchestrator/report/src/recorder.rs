@@ -1,10 +1,10 @@
 //! Collects what the report, the picture and the progress line need from the samples of one run.
 //!
-//! It only listens: samples may come in any order between topics and may be missing. Rows of the drive are kept
-//! one per scan, at most [`MAX_ROWS`] (5.5 hours at 10 Hz, about 40 MB); the figures go on beyond that. Without
-//! samples of the truth (a real robot) the drive is judged by the estimate, and clearances stay unknown.
+//! Samples may come in any order between topics and may be missing. Rows of the drive are kept one per scan, at most
+//! [`MAX_ROWS`] (5.5 hours at 10 Hz, about 40 MB); the figures cover the whole run. Without samples of the truth (a
+//! real robot) the drive is judged by the estimate, and clearances stay unknown.
 //!
-//! The caller hands in only samples that count: those of the incarnation with authority over its role.
+//! The caller passes only samples that count: those of the incarnation with authority over its role.
 
 mod rows;
 mod tally;
@@ -24,13 +24,13 @@ use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, S
 
 pub use self::rows::MAX_ROWS;
 
-/// How many ellipses are kept for the picture; the oldest go first.
+/// Maximum number of ellipses for the picture; the oldest are dropped first.
 pub const MAX_ELLIPSES: usize = 10_000;
 
-/// The progress line shows reaction times of this time before the newest answer [ns].
+/// The progress line shows the reaction times of this long before the newest answer [ns].
 const RECENT_NS: u64 = 1_000_000_000;
 
-/// What is known of a run before it starts.
+/// The properties of a run that are known before it starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunInfo {
     /// The random id of the run.
@@ -39,9 +39,9 @@ pub struct RunInfo {
     pub scenario: String,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Whether time is simulated, so that stamps say nothing about this computer.
+    /// Whether time is simulated, so that stamps are not times of this computer.
     pub lockstep: bool,
-    /// Number of the first scan that is accounted for: 1 for a whole run, 0 for the first one that is seen.
+    /// Number of the first scan of the ledger: 1 for a whole run, 0 for the first one that is seen.
     pub first_scan: u64,
     /// Position of the goal [m].
     pub goal_m: [f64; 2],
@@ -52,17 +52,17 @@ pub struct RunInfo {
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
-    /// Why, in words; empty when the outcome says it all.
+    /// Why; empty when the outcome is reason enough.
     pub reason: String,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
-    /// Exchanges of processes.
+    /// Swaps of processes.
     pub swaps: Vec<Certificate>,
-    /// Account of all samples.
+    /// What became of every sample.
     pub ledger: LedgerReport,
 }
 
-/// Everything that is remembered of one run.
+/// What is recorded of one run.
 #[derive(Debug, Clone)]
 pub struct Recorder {
     info: RunInfo,
@@ -73,7 +73,6 @@ pub struct Recorder {
     truth: Option<Truth>,
     pose: Option<Pose>,
     actuation: Option<Actuation>,
-    obstacles: Option<Obstacles>,
     ellipses: BTreeMap<u32, Ellipse>,
     recent: VecDeque<(u64, u64)>,
     first_acquired_ns: Option<u64>,
@@ -81,7 +80,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder that has seen nothing.
+    /// An empty recorder.
     pub fn new(info: RunInfo) -> Self {
         Self {
             ledger: Ledger::new(info.first_scan),
@@ -92,7 +91,6 @@ impl Recorder {
             truth: None,
             pose: None,
             actuation: None,
-            obstacles: None,
             ellipses: BTreeMap::new(),
             recent: VecDeque::new(),
             first_acquired_ns: None,
@@ -100,22 +98,17 @@ impl Recorder {
         }
     }
 
-    /// A scan was published at that time [ns]; for a robot that tells no truth.
-    pub fn scan_published(&mut self, scan_id: u64, published_ns: u64) {
-        self.ledger.published(scan_id, published_ns);
-    }
-
-    /// Nothing needs to be known of a scan, for that reason.
+    /// A scan may stay without an answer, for that reason.
     pub fn scan_excused(&mut self, scan_id: u64, reason: &'static str) {
         self.ledger.excused(scan_id, reason);
     }
 
-    /// A sample of a scan was dropped for that rule; it is the reason if nothing answers the scan.
+    /// A sample of a scan failed that rule and was dropped: the reason if the scan stays without an answer.
     pub fn sample_refused(&mut self, scan_id: u64, rule: Rule) {
         self.ledger.refused(scan_id, rule.name());
     }
 
-    /// What the robot really did up to a scan; it says too that the scan was published.
+    /// The true state of the robot at a scan; shows also that the scan was published.
     pub fn truth(&mut self, truth: &Truth) {
         let scan_id = truth.header.scan_id;
         if self.ledger.first() == 0 {
@@ -154,7 +147,6 @@ impl Recorder {
         while self.ellipses.len() > MAX_ELLIPSES {
             self.ellipses.pop_first();
         }
-        self.obstacles = Some(*obstacles);
     }
 
     /// A command of the controller.
@@ -180,7 +172,7 @@ impl Recorder {
         self.actuation = Some(*actuation);
     }
 
-    /// The process of a role is gone; scans may be lost to that until it is back.
+    /// The process of a role is gone; scans may be lost for that until the role is filled again.
     pub fn outage_began(&mut self, role: Role, reason: &str) {
         self.ledger.outage_began(role, reason);
     }
@@ -190,22 +182,17 @@ impl Recorder {
         self.ledger.outage_ended(role);
     }
 
-    /// The end of the run was decided: scans in flight need no answer. Go on feeding samples that still come.
+    /// The end of the run was decided: scans in flight need no answer. Samples that still arrive are recorded.
     pub fn run_ended(&mut self) {
         self.ledger.run_ended();
     }
 
-    /// The newest truth, once there is one.
+    /// The newest truth, if any.
     pub fn last_truth(&self) -> Option<&Truth> {
         self.truth.as_ref()
     }
 
-    /// The newest description of obstacles, once there is one.
-    pub fn last_obstacles(&self) -> Option<&Obstacles> {
-        self.obstacles.as_ref()
-    }
-
-    /// The newest actuation, once there is one.
+    /// The newest actuation, if any.
     pub fn last_actuation(&self) -> Option<&Actuation> {
         self.actuation.as_ref()
     }
@@ -242,27 +229,27 @@ impl Recorder {
     }
 
     /// The report of the run.
-    pub fn report(&self, ending: &RunResult) -> Report {
+    pub fn report(&self, result: &RunResult) -> Report {
         Report {
             schema: SCHEMA,
             run_id: self.info.run_id.clone(),
             scenario: self.info.scenario.clone(),
             seed: self.info.seed,
-            outcome: ending.outcome,
-            reason: ending.reason.clone(),
+            outcome: result.outcome,
+            reason: result.reason.clone(),
             lockstep: self.info.lockstep,
             adopted: self.info.first_scan == 0,
             adopted_from_scan: (self.info.first_scan == 0).then(|| self.ledger.first()),
             duration_s: self.duration_s(),
             scans: self.ledger.report(),
-            ledger: ending.ledger.clone(),
+            ledger: result.ledger.clone(),
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
             self_check: self.tally.self_check(),
-            processes: ending.processes.clone(),
-            swaps: ending.swaps.clone(),
+            processes: result.processes.clone(),
+            swaps: result.swaps.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),
@@ -381,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn the_report_holds_what_the_samples_said() {
+    fn the_report_holds_the_figures_of_the_samples() {
         let report = drive(false).report(&RunResult { outcome: Outcome::Timeout, ..RunResult::default() });
         assert_eq!(
             (report.outcome, report.scenario.as_str(), report.duration_s),
@@ -413,7 +400,7 @@ mod tests {
     #[test]
     fn a_refused_command_is_the_reason_of_its_lost_scan() {
         let mut recorder = drive(false);
-        recorder.scan_published(6, 600_000_000);
+        recorder.truth(&truth(6, 6.4));
         let mut block = Actuation { reason: BlockReason::InvalidCommand.wire(), ..Actuation::default() };
         block.header.scan_id = 6;
         recorder.actuation(&block);
@@ -433,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn without_truth_the_estimate_tells_the_distance_to_the_goal() {
+    fn without_truth_the_distance_to_the_goal_is_the_estimated_one() {
         let mut recorder = Recorder::new(info(false));
         recorder.pose(&pose(1, 7.0, 4.0));
         assert_eq!(recorder.view().goal_distance_m, Some(5.0));

@@ -1,9 +1,9 @@
 //! `report.json`: what a run did, as data.
 //!
 //! The fields are a public interface: they are extended, never changed. Keys carry their unit as the last word;
-//! the figures of a distribution have the unit of the key they stand under. The file is written beside its
-//! final name first and renamed, so a reader sees all of it or none. Equal runs give equal bytes in
-//! `trajectory`: numbers are printed with the digits that read back to the same bits.
+//! the figures of a distribution have the unit of their key. The file is written under a temporary name and renamed,
+//! so a reader sees all of it or none. Equal runs give equal bytes in `trajectory`: numbers are printed with the
+//! digits that read back to the same bits.
 
 mod write;
 
@@ -36,50 +36,50 @@ pub struct Report {
     pub seed: u64,
     /// How the run ended.
     pub outcome: Outcome,
-    /// Why it ended so, in words; empty when the outcome says it all.
+    /// Why it ended so; empty when the outcome is reason enough.
     pub reason: String,
     /// Whether time was simulated.
     pub lockstep: bool,
-    /// The random id of the run, by which its shared memory was named.
+    /// The random id of the run, part of the names of its shared memory.
     pub run_id: String,
-    /// Whether another orchestrator began the run; what follows then tells of the time since it was adopted, but for
-    /// what the robot itself counts.
+    /// Whether another orchestrator began the run. The report then covers the time since the run was adopted; only what
+    /// the robot counts covers all of it.
     pub adopted: bool,
-    /// The first scan of this account in an adopted run.
+    /// The first scan that the report of an adopted run covers.
     pub adopted_from_scan: Option<u64>,
     /// Driven time [s].
     pub duration_s: f64,
-    /// Account of all scans.
+    /// What became of every scan.
     pub scans: ScanReport,
-    /// Account of all samples.
+    /// What became of every sample.
     pub ledger: LedgerReport,
     /// Where the time went [us].
     pub latency_us: LatencyReport,
-    /// What the robot really did.
+    /// True motion of the robot.
     pub drive: DriveReport,
     /// How the controller solved its problems.
     pub controller: ControllerReport,
     /// How often each reason blocked the wheels, commands and the actuator's own blocks by name.
     pub stop_reasons: BTreeMap<String, u64>,
-    /// What the watch over the calibration noticed.
+    /// What the estimator's self-check of the calibration found.
     pub self_check: SelfCheckReport,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
-    /// Exchanges of processes, in the order in which they ended.
+    /// Swaps of processes, in the order in which they ended.
     pub swaps: Vec<Certificate>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
-    /// Rows that were left out at the beginning of `trajectory` because the run was too long to keep them.
+    /// Number of first rows that `trajectory` lacks because the run was too long to keep them.
     pub trajectory_rows_dropped: u64,
     /// True time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].
     pub trajectory: Vec<[f64; 4]>,
 }
 
-/// What the estimator's watch over the calibration noticed.
+/// What the estimator's self-check of the calibration found.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SelfCheckReport {
-    /// Times that an alarm began.
+    /// Number of alarms.
     pub alarms: u64,
     /// What the newest alarm suspects, `none` without one.
     pub suspect: String,
@@ -103,11 +103,11 @@ pub struct LatencyReport {
     pub stages: Stages,
     /// From the publication of the predecessor until the stage has taken its inputs.
     pub hops: PerStage,
-    /// Awake before the predecessor published; beside the critical path.
+    /// Awake before the predecessor published; overlaps with its work and is not on the critical path.
     pub waits: PerStage,
     /// From the result until it was published.
     pub publications: PerStage,
-    /// Stamps are of a simulated clock; no time was recorded.
+    /// Whether stamps come from a simulated clock; no time is recorded then.
     pub simulated: bool,
     /// Answers with stamps of all stages.
     pub complete_chains: u64,
@@ -119,14 +119,9 @@ pub struct LatencyReport {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Stages {
-    /// Compute of the estimator.
-    pub estimator: Figures,
-    /// Compute of the obstacle description.
-    pub obstacles: Figures,
-    /// Compute of the controller.
-    pub controller: Figures,
-    /// Compute of the actuator.
-    pub actuator: Figures,
+    /// Compute per stage.
+    #[serde(flatten)]
+    pub compute: PerStage,
     /// Reaction time minus all compute on the critical path.
     pub transport: Figures,
 }
@@ -145,7 +140,14 @@ pub struct PerStage {
     pub actuator: Figures,
 }
 
-/// What the robot really did, as the emulator's referee saw it.
+impl PerStage {
+    /// The distributions in the order of the data flow.
+    pub fn each(&self) -> [&Figures; 4] {
+        [&self.estimator, &self.obstacles, &self.controller, &self.actuator]
+    }
+}
+
+/// True motion of the robot, as the referee of the emulator saw it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DriveReport {
@@ -155,7 +157,7 @@ pub struct DriveReport {
     pub min_clearance_m: f64,
     /// Speed over ground at the last scan [m/s].
     pub final_speed_mps: f64,
-    /// Way driven [m].
+    /// Length of the driven path [m].
     pub path_length_m: f64,
     /// Largest lateral offset from the start [m].
     pub max_abs_lateral_m: f64,
@@ -171,7 +173,7 @@ pub struct DriveReport {
     pub struck: bool,
 }
 
-/// Clearance of a scene without obstacles and walls [m].
+/// Clearance that stands for a scene without obstacles and walls [m].
 pub const NO_OBSTACLE_M: f64 = 1e9;
 
 impl Default for DriveReport {
@@ -201,7 +203,7 @@ pub struct ControllerReport {
     pub iterations: Figures,
     /// Commands by the status of their solution.
     pub status: BTreeMap<String, u64>,
-    /// Commands by the rung of the ladder they come from.
+    /// Commands by the level of the planner's fallback that they come from.
     pub level: BTreeMap<String, u64>,
 }
 
@@ -335,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_replaces_the_one_before_and_leaves_nothing_beside() {
+    fn a_report_replaces_the_one_before_and_leaves_no_other_file() {
         let folder = std::env::temp_dir().join(format!("scanloop-report-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("report.json");

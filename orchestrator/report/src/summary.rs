@@ -1,11 +1,15 @@
-//! What a person wants to know at the end of a run, as text with aligned columns.
+//! The summary at the end of a run, as text with aligned columns.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use figures::Figures;
 
-use crate::report::{DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, Report, ScanReport};
+use crate::latency::STAGES;
+use crate::report::{
+    DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
+    SelfCheckReport,
+};
 
 /// The summary of a run; `folder` is where its files are, if any were written.
 pub fn text(report: &Report, folder: Option<&Path>) -> String {
@@ -27,17 +31,10 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     if !report.stop_reasons.is_empty() {
         rows.push(("stops", counts(report.stop_reasons.iter())));
     }
-    let watch = &report.self_check;
-    if watch.alarms > 0 {
-        rows.push((
-            "self-check",
-            format!(
-                "suspects {} since scan {}: {}",
-                watch.suspect.replace('_', " "),
-                watch.first_scan,
-                watch.alarm
-            ),
-        ));
+    let SelfCheckReport { alarms, suspect, alarm, first_scan, .. } = &report.self_check;
+    if *alarms > 0 {
+        let suspect = suspect.replace('_', " ");
+        rows.push(("self-check", format!("suspects {suspect} since scan {first_scan}: {alarm}")));
     }
     let restarts: u32 = report.processes.iter().map(|process| process.restarts).sum();
     if restarts > 0 {
@@ -48,7 +45,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
         line(&mut text, format_args!("{name:<15} {value}"));
     }
     line(&mut text, format_args!(""));
-    latencies(&mut text, &report.latency_us);
+    text += &latency_table(&report.latency_us);
     if let Some(folder) = folder {
         line(&mut text, format_args!("\n{:<15} {}", "files", folder.display()));
     }
@@ -57,11 +54,8 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
 
 fn outcome(report: &Report) -> String {
     let simulated = if report.lockstep { " (simulated time)" } else { "" };
-    if report.reason.is_empty() {
-        format!("{}{simulated}", report.outcome)
-    } else {
-        format!("{}: {}{simulated}", report.outcome, report.reason)
-    }
+    let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
+    format!("{}{reason}{simulated}", report.outcome)
 }
 
 fn clearance(drive: &DriveReport) -> String {
@@ -92,7 +86,7 @@ fn scans(scans: &ScanReport) -> String {
     text
 }
 
-/// What became of the samples of all topics at all of their readers, and what nothing explains.
+/// Counts of all samples at all of their readers, and what is unexplained.
 fn samples(ledger: &LedgerReport) -> String {
     let sum = |field: fn(&LedgerRow) -> u64| ledger.topics.iter().map(field).sum::<u64>();
     let mut text = format!(
@@ -116,70 +110,60 @@ fn samples(ledger: &LedgerReport) -> String {
     text
 }
 
-/// `12 converged, 1 out of time`
-fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
+/// Counts by name as text, like `12 converged, 1 out of time`.
+pub fn counts<'a>(counts: impl Iterator<Item = (&'a String, &'a u64)>) -> String {
     counts.map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
 }
 
-/// The table of latencies alone.
+/// The table of latencies.
 pub fn latency_table(latency: &LatencyReport) -> String {
-    let mut text = String::new();
-    latencies(&mut text, latency);
-    text
-}
-
-fn latencies(text: &mut String, latency: &LatencyReport) {
     if latency.simulated {
-        line(text, format_args!("{:<15} not measured: time was simulated", "latency"));
-        return;
+        return format!("{:<15} not measured: time was simulated\n", "latency");
     }
-    let stages = &latency.stages;
-    line(text, format_args!("{:<20} {:>9} {:>9} {:>9} {:>9}", "latency [ms]", "p50", "p90", "p99", "max"));
-    let rows: [(&str, &Figures); 7] = [
-        ("scan to actuation", &latency.scan_to_actuation),
-        ("  estimator", &stages.estimator),
-        ("  obstacles", &stages.obstacles),
-        ("  controller", &stages.controller),
-        ("  actuator", &stages.actuator),
-        ("  transport", &stages.transport),
-        ("age of the data", &latency.data_age),
-    ];
-    for (name, figures) in rows {
-        if figures.count == 0 {
-            line(text, format_args!("{name:<20} {:>9} {:>9} {:>9} {:>9}", "-", "-", "-", "-"));
-            continue;
-        }
-        let [p50, p90, p99, max] =
-            [figures.p50, figures.p90, figures.p99, figures.max].map(|value| value * 1e-3);
-        line(text, format_args!("{name:<20} {p50:>9.3} {p90:>9.3} {p99:>9.3} {max:>9.3}"));
+    let mut text = String::new();
+    let stages = STAGES.iter().zip(latency.stages.compute.each());
+    let rows = [("scan to actuation".to_owned(), &latency.scan_to_actuation)]
+        .into_iter()
+        .chain(stages.map(|(role, figures)| (format!("  {role}"), figures)))
+        .chain([("  transport".to_owned(), &latency.stages.transport)])
+        .chain([("age of the data".to_owned(), &latency.data_age)]);
+    row(&mut text, "latency [ms]", ["p50", "p90", "p99", "max"].map(str::to_owned));
+    for (name, Figures { count, p50, p90, p99, max, .. }) in rows {
+        row(
+            &mut text,
+            &name,
+            [p50, p90, p99, max].map(|us| if *count == 0 { "-".to_owned() } else { ms(*us) }),
+        );
     }
     if latency.complete_chains > 0 {
-        stages_table(text, latency);
+        stages_table(&mut text, latency);
     }
     let incomplete = match latency.incomplete_chains {
         0 => String::new(),
         count => format!(", {count} INCOMPLETE"),
     };
-    line(text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+    line(&mut text, format_args!("{:<20} {} complete{incomplete}", "chains", latency.complete_chains));
+    text
 }
 
 /// Where each stage spends its time, medians.
 fn stages_table(text: &mut String, latency: &LatencyReport) {
-    line(
-        text,
-        format_args!("\n{:<20} {:>9} {:>9} {:>9} {:>9}", "p50 [ms]", "wait", "hop", "compute", "publish"),
-    );
+    line(text, format_args!(""));
+    row(text, "p50 [ms]", ["wait", "hop", "compute", "publish"].map(str::to_owned));
     let LatencyReport { stages, hops, waits, publications, .. } = latency;
-    let rows = [
-        ("estimator", [&waits.estimator, &hops.estimator, &stages.estimator, &publications.estimator]),
-        ("obstacles", [&waits.obstacles, &hops.obstacles, &stages.obstacles, &publications.obstacles]),
-        ("controller", [&waits.controller, &hops.controller, &stages.controller, &publications.controller]),
-        ("actuator", [&waits.actuator, &hops.actuator, &stages.actuator, &publications.actuator]),
-    ];
-    for (name, figures) in rows {
-        let [wait, hop, compute, publish] = figures.map(|figures| figures.p50 * 1e-3);
-        line(text, format_args!("  {name:<18} {wait:>9.3} {hop:>9.3} {compute:>9.3} {publish:>9.3}"));
+    let columns = [waits, hops, &stages.compute, publications].map(PerStage::each);
+    for (index, role) in STAGES.iter().enumerate() {
+        row(text, &format!("  {role}"), columns.map(|column| ms(column[index].p50)));
     }
+}
+
+fn row(text: &mut String, name: &str, [a, b, c, d]: [String; 4]) {
+    line(text, format_args!("{name:<20} {a:>9} {b:>9} {c:>9} {d:>9}"));
+}
+
+/// Microseconds as milliseconds.
+fn ms(us: f64) -> String {
+    format!("{:.3}", us * 1e-3)
 }
 
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
@@ -211,13 +195,13 @@ mod tests {
         }];
         report.latency_us.complete_chains = 126;
         report.latency_us.hops.obstacles.p50 = 60.0;
-        report.latency_us.stages.controller =
+        report.latency_us.stages.compute.controller =
             Figures { count: 127, p50: 1234.5, p90: 2000.0, p99: 3000.0, p999: 4000.0, max: 12345.6 };
         report
     }
 
     #[test]
-    fn the_summary_says_how_the_run_ended_and_where_the_time_went() {
+    fn the_summary_has_the_outcome_and_where_the_time_went() {
         let text = text(&report(), Some(Path::new("out/corridor")));
         assert_eq!(
             text,
@@ -253,7 +237,7 @@ files           out/corridor
     }
 
     #[test]
-    fn simulated_time_stops_and_restarts_are_said() {
+    fn simulated_time_stops_and_restarts_are_in_the_summary() {
         let mut report = report();
         (report.outcome, report.reason, report.lockstep) =
             (Outcome::Stopped, "path blocked".to_owned(), true);
@@ -274,7 +258,7 @@ files           out/corridor
     }
 
     #[test]
-    fn dropped_samples_are_said_with_their_writer_and_rule() {
+    fn dropped_samples_are_named_with_their_writer_and_rule() {
         let mut report = report();
         report.ledger.refused = vec![audit::ledger::RefusedRow {
             topic: "command".to_owned(),
@@ -294,14 +278,14 @@ files           out/corridor
     }
 
     #[test]
-    fn scans_without_account_are_shouted() {
+    fn unaccounted_scans_are_in_capitals() {
         let mut report = report();
         report.scans.unaccounted = 2;
         assert!(text(&report, None).contains("2 UNACCOUNTED"));
     }
 
     #[test]
-    fn samples_that_nothing_explains_are_shouted_and_named() {
+    fn unexplained_samples_are_in_capitals_and_named() {
         let mut report = report();
         report.ledger.residual = 1;
         report.ledger.faults = vec![audit::ledger::Fault {

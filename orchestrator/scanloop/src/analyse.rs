@@ -1,8 +1,7 @@
 //! `scanloop analyse`: the design analyses of the source, each with the definition it used and a picture.
 //!
-//! The answer goes to standard error as a table, with `--json` to standard output as data, and to an SVG file. The
-//! exit code tells the verdict: 0 when the states are observable, the controls are not correlated, the tolerance is
-//! kept; 1 when not.
+//! The result is a table on standard error, an SVG file, and with `--json` data on standard output. The exit code is 0
+//! when the states are observable, the controls are not correlated, or the tolerance is kept; else 1.
 
 mod arguments;
 mod correlation;
@@ -20,12 +19,13 @@ pub use arguments::{
     OutputArguments,
 };
 
+use crate::print_json;
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output;
 use report::picture::chart::{self, Chart};
+use vehicle::Control;
 
-/// Answers the question, prints the answer and draws it.
+/// Runs an analysis, prints the result and draws it.
 ///
 /// # Errors
 /// Options that are not allowed, exit code 2; errors of the file system.
@@ -38,21 +38,33 @@ pub(crate) fn analyse(command: &AnalyseCommand) -> anyhow::Result<Exit> {
     }
 }
 
-/// Writes the picture, prints the table and, if asked, the data.
+/// A control in the JSON of an analysis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct OperatingPoint {
+    velocity_mps: f64,
+    steering_rad: f64,
+}
+
+impl From<&Control> for OperatingPoint {
+    fn from(control: &Control) -> Self {
+        Self { velocity_mps: control.velocity, steering_rad: control.steering }
+    }
+}
+
+/// Writes the picture, prints the table and, if asked, the data; exit code 0 when the result is good.
 fn publish(
     output: &OutputArguments,
     name: &str,
     table: &str,
     chart: &Chart,
     data: &impl Serialize,
-) -> anyhow::Result<()> {
+    is_good: bool,
+) -> anyhow::Result<Exit> {
     let path = write(&output.out, name, &chart::draw(chart)?)?;
     note!("{table}");
     note!("picture         {}", path.display());
-    if output.json {
-        output::data(&serde_json::to_string_pretty(data)?)?;
-    }
-    Ok(())
+    print_json(output.json, data)?;
+    Ok(if is_good { Exit::Done } else { Exit::NotReached })
 }
 
 fn write(folder: &Path, name: &str, svg: &str) -> anyhow::Result<PathBuf> {
@@ -62,7 +74,7 @@ fn write(folder: &Path, name: &str, svg: &str) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-/// An option that is not allowed, as it was typed.
+/// The error of an option that is not allowed.
 fn refuse(invalid: vehicle::Invalid) -> anyhow::Error {
     Failure::bad_input(format!("--{invalid}"))
 }

@@ -1,6 +1,6 @@
-//! `scanloop bench`: figures of the parts, each on inputs that are shipped or named, to be repeated by anybody.
+//! `scanloop bench`: repeatable measurements of the parts, on shipped or named inputs.
 //!
-//! What only measures is in an executable of its own, see `instrument`.
+//! Programs that are only needed for measurements are in another executable, see `instrument`.
 
 pub mod compare;
 mod instrument;
@@ -92,7 +92,7 @@ pub struct SolverArguments {
 /// Runs one benchmark.
 ///
 /// # Errors
-/// Bad files and options, and what the benchmark itself could not do.
+/// Bad files and options, and errors of the benchmark itself.
 pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<Exit> {
     match command {
         BenchCommand::Solver(arguments) => match instrument::find() {
@@ -105,13 +105,13 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
     }
 }
 
-/// Becomes the executable that measures, where a service of it was asked for; returns when that fails.
+/// Replaces this process by the instrument if `name` is one of its services; returns when that fails.
 pub(crate) fn measuring_service(name: &str) -> Option<anyhow::Error> {
-    let is_one = name == "hop" || name == "load" || name.starts_with(latency::echo::PREFIX);
-    is_one.then(instrument::hand_over)
+    let is_measuring = name == "hop" || name == "load" || name.starts_with(latency::echo::PREFIX);
+    is_measuring.then(instrument::hand_over)
 }
 
-/// Says so when this executable was not built as one that is installed.
+/// Prints a note when this executable was built with another profile than an installed one.
 pub fn warn_of_profile() {
     if PROFILE != MEASURED_PROFILE {
         note!(

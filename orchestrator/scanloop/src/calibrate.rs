@@ -1,6 +1,6 @@
 //! `scanloop calibrate`: from recorded or driven runs to the calibration file that `run --calibration` uses.
 //!
-//! The fits themselves are pure and stand in the crate `calibration`; here files are read and written.
+//! The fits are pure functions of the crate `calibration`; this module reads and writes files.
 
 mod arguments;
 
@@ -16,25 +16,26 @@ pub use arguments::{CalibrateArguments, Kind};
 
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use console::user_file::{self, DATA_BYTES};
 use plan::Choice;
 use plan::{Plan, calibration_file};
 use report::picture::panels;
 use report::write_atomically;
 
-/// What one calibration found, and what it was found from.
+use crate::print_json;
+
+/// The result of one calibration.
 struct Found {
     /// The file with the new part only.
     file: CalibrationFile,
     charts: Vec<Chart>,
-    /// Lines for people.
+    /// The summary.
     text: String,
     /// The table of driven runs.
     table: Option<String>,
 }
 
-/// Calibrates, merges the result into the calibration file, and draws what the fit misses.
+/// Calibrates, merges the result into the calibration file, and draws the residuals of the fit.
 ///
 /// # Errors
 /// Runs that cannot be read or are refused, with the reason, exit code 2; errors of the file system.
@@ -57,9 +58,7 @@ pub(crate) fn calibrate(arguments: &CalibrateArguments) -> anyhow::Result<Exit> 
     write(&out.join(format!("{name}.svg")), &panels::draw(&found.charts)?, "picture")?;
     write(&into, &merged.to_toml(), "calibration")?;
     note!("{}", found.text);
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&found.file)?)?;
-    }
+    print_json(arguments.json, &found.file)?;
     Ok(Exit::Done)
 }
 
@@ -73,12 +72,8 @@ fn of_velocity(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
         fit.residual_s
     );
     let velocity = Some(VelocityPart::of(&fit, origin));
-    Ok(Found {
-        file: CalibrationFile { velocity, ..CalibrationFile::default() },
-        charts: fit.charts,
-        text,
-        table,
-    })
+    let file = CalibrationFile { velocity, ..CalibrationFile::default() };
+    Ok(Found { file, charts: fit.charts, text, table })
 }
 
 fn of_steering(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
@@ -110,15 +105,11 @@ fn of_drift(arguments: &CalibrateArguments) -> anyhow::Result<Found> {
         1e3 * fit.residual_m
     );
     let drift = Some(DriftPart::of(&fit, origin));
-    Ok(Found {
-        file: CalibrationFile { drift, ..CalibrationFile::default() },
-        charts: fit.charts,
-        text,
-        table,
-    })
+    let file = CalibrationFile { drift, ..CalibrationFile::default() };
+    Ok(Found { file, charts: fit.charts, text, table })
 }
 
-/// The runs of all files, or driven ones with their table; and where they come from.
+/// The runs of all files, or driven ones with their table; and their origin.
 fn collect<R: Record>(
     arguments: &CalibrateArguments,
     drive: fn(&Scenario, u64) -> Vec<R>,
@@ -144,7 +135,7 @@ fn collect<R: Record>(
     Ok((runs, Origin { obtained: format!("recorded in {}", names.join(", ")), note }, None))
 }
 
-/// The file there is, with the parts that are new.
+/// The existing file with the new parts.
 fn merge(path: &Path, new: &CalibrationFile) -> anyhow::Result<CalibrationFile> {
     let old = if path.exists() { calibration_file::read_file(path)? } else { CalibrationFile::default() };
     Ok(CalibrationFile {
@@ -166,13 +157,8 @@ fn shown(estimate: &Estimate, scale: f64, unit: &str) -> String {
     // Two digits of the standard error, at least three decimals.
     let digits = (2.0 - (scale * standard_error).abs().max(1e-9).log10().ceil()).clamp(3.0, 9.0) as usize;
     let number = |value: f64| format!("{:.digits$}", scale * value);
-    format!(
-        "{} +- {}{unit}, 95 %: {} to {}",
-        number(value),
-        number(standard_error),
-        number(low),
-        number(high)
-    )
+    let [value, standard_error, low, high] = [value, standard_error, low, high].map(number);
+    format!("{value} +- {standard_error}{unit}, 95 %: {low} to {high}")
 }
 
 fn play(play: Option<Estimate>) -> String {

@@ -1,4 +1,4 @@
-//! `scanloop campaign`: many random courses through the pipeline, and which of them went wrong.
+//! `scanloop campaign`: drives many random courses through the pipeline, and lists those that went wrong.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -9,7 +9,6 @@ use std::sync::mpsc;
 use anyhow::Context;
 use console::exit::Exit;
 use console::note;
-use console::output::data;
 use console::progress::Steps;
 use emulator::course::{Family, of_campaign};
 use emulator::{Outcome, Scenario, feasible};
@@ -18,10 +17,11 @@ use report::NO_OBSTACLE_M;
 use serde::Serialize;
 
 use crate::cli::CampaignArguments;
+use crate::print_json;
 
 /// How one course ended.
 #[derive(Debug, Clone)]
-struct Run {
+struct CourseRun {
     seed: u64,
     family: Family,
     passable: bool,
@@ -31,9 +31,9 @@ struct Run {
     min_clearance_m: f64,
 }
 
-/// A course that did not end as it should.
+/// A course with a wrong outcome.
 #[derive(Debug, Clone, Serialize)]
-struct Bad {
+struct BadCourse {
     seed: u64,
     family: &'static str,
     outcome: Outcome,
@@ -41,7 +41,7 @@ struct Bad {
     scenario: PathBuf,
 }
 
-/// What a campaign found.
+/// The result of a campaign.
 #[derive(Debug, Clone, Default, Serialize)]
 struct Summary {
     runs: u64,
@@ -57,7 +57,7 @@ struct Summary {
     min_clearance_m: f64,
     time_to_goal_s: BTreeMap<&'static str, f64>,
     families: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
-    bad: Vec<Bad>,
+    bad: Vec<BadCourse>,
 }
 
 /// Drives the courses and prints how they ended; exit code 3 when one collided, 1 when another was bad.
@@ -68,9 +68,7 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     let runs = drive_all(arguments)?;
     let summary = summarise(&runs, arguments)?;
     note!("{}", text(&summary));
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&summary)?)?;
-    }
+    print_json(arguments.json, &summary)?;
     Ok(match (summary.collision, summary.bad.is_empty()) {
         (0, true) => Exit::Done,
         (0, false) => Exit::NotReached,
@@ -78,7 +76,7 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
     })
 }
 
-fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
+fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     let mut steps = Steps::new(arguments.runs, "courses");
     let next = AtomicU64::new(0);
     let (sender, receiver) = mpsc::channel();
@@ -98,23 +96,31 @@ fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<Run>> {
             });
         }
         drop(sender);
-        receiver.iter().inspect(|_| steps.step("")).collect::<anyhow::Result<Vec<Run>>>()
+        receiver.iter().inspect(|_| steps.step("")).collect::<anyhow::Result<Vec<CourseRun>>>()
     })?;
     runs.sort_by_key(|run| run.seed);
     Ok(runs)
 }
 
-fn drive(seed: u64) -> anyhow::Result<Run> {
+fn drive(seed: u64) -> anyhow::Result<CourseRun> {
     let (family, scenario) = of_campaign(seed);
     let passable = feasible::passable(&scenario);
     let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
     let drive = pipeline::drive(&Settings::of(scenario), |step| {
         (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
     })?;
-    Ok(Run { seed, family, passable, outcome: drive.outcome, reason: drive.reason, time_s, min_clearance_m })
+    Ok(CourseRun {
+        seed,
+        family,
+        passable,
+        outcome: drive.outcome,
+        reason: drive.reason,
+        time_s,
+        min_clearance_m,
+    })
 }
 
-fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summary> {
+fn summarise(runs: &[CourseRun], arguments: &CampaignArguments) -> anyhow::Result<Summary> {
     let mut summary =
         Summary { runs: runs.len() as u64, min_clearance_m: NO_OBSTACLE_M, ..Summary::default() };
     let mut times: Vec<f64> = Vec::new();
@@ -142,11 +148,11 @@ fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summ
                 summary.blocked_stopped += u64::from(run.outcome == Outcome::Stopped);
                 run.outcome != Outcome::Stopped
             }
-            // What appears late or moves may be passed or stopped for.
+            // For obstacles that appear late or move, passing and stopping are both right.
             _ => !matches!(run.outcome, Outcome::Reached | Outcome::Stopped),
         };
         if bad {
-            summary.bad.push(keep(run, arguments)?);
+            summary.bad.push(save(run, arguments)?);
         }
     }
     times.sort_by(f64::total_cmp);
@@ -157,19 +163,14 @@ fn summarise(runs: &[Run], arguments: &CampaignArguments) -> anyhow::Result<Summ
     Ok(summary)
 }
 
-/// Writes the scenario of a bad course, so that `scanloop run FILE` shows it.
-fn keep(run: &Run, arguments: &CampaignArguments) -> anyhow::Result<Bad> {
+/// Writes the scenario of a bad course, so that `scanloop run FILE` repeats it.
+fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCourse> {
     let (family, scenario): (Family, Scenario) = of_campaign(run.seed);
     std::fs::create_dir_all(&arguments.out).with_context(|| format!("--out {}", arguments.out.display()))?;
     let path = arguments.out.join(format!("{}.toml", scenario.name));
     std::fs::write(&path, scenario.to_toml()).with_context(|| format!("{}", path.display()))?;
-    Ok(Bad {
-        seed: run.seed,
-        family: family.name(),
-        outcome: run.outcome,
-        reason: run.reason.clone(),
-        scenario: path,
-    })
+    let CourseRun { seed, outcome, ref reason, .. } = *run;
+    Ok(BadCourse { seed, family: family.name(), outcome, reason: reason.clone(), scenario: path })
 }
 
 fn text(summary: &Summary) -> String {
@@ -185,15 +186,11 @@ fn text(summary: &Summary) -> String {
             outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();
         let _ = writeln!(text, "  {family:<13} {}", counts.join(", "));
     }
-    for bad in &summary.bad {
+    for BadCourse { seed, family, outcome, reason, scenario } in &summary.bad {
         let _ = writeln!(
             text,
-            "bad             seed {} ({}): {}, {}; scanloop run --lockstep {}",
-            bad.seed,
-            bad.family,
-            bad.outcome,
-            bad.reason,
-            bad.scenario.display()
+            "bad             seed {seed} ({family}): {outcome}, {reason}; scanloop run --lockstep {}",
+            scenario.display()
         );
     }
     text

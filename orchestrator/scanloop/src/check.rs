@@ -20,7 +20,7 @@ use crate::cli::CheckArguments;
 /// Validates all files named, or the default scenario and system, and prints the graph.
 ///
 /// # Errors
-/// The first file that is not allowed, with key, value and range; exit code 2.
+/// The first bad file, with key, value and range; exit code 2.
 pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     if arguments.list {
         data(&Scenario::names().collect::<Vec<_>>().join("\n"))?;
@@ -40,12 +40,8 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     let mut plan = None;
     for scenario in &scenarios {
         let checked = Plan::read(Some(scenario), &choice)?;
-        note!(
-            "{scenario}: a valid scenario, {} obstacles, goal at ({}, {})",
-            checked.scenario.placed_obstacles().len(),
-            checked.scenario.goal.x_m,
-            checked.scenario.goal.y_m
-        );
+        let (obstacles, goal) = (checked.scenario.placed_obstacles().len(), &checked.scenario.goal);
+        note!("{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})", goal.x_m, goal.y_m);
         plan = Some(checked);
     }
     let plan = match plan {
@@ -61,16 +57,11 @@ pub(crate) fn graph(system: &System) -> String {
     let mut text = format!("{} Hz, {} processes\n", system.rate_hz, system.processes.len());
     for role in Role::ALL {
         let label = system.entry(*role).map_or_else(String::new, |entry| entry.label());
-        let _ = writeln!(
-            text,
-            "  {:<22} -> [{} = {label}] -> {}",
-            names(role.reads()),
-            role.name(),
-            names(role.writes())
-        );
+        let (inputs, outputs) = (names(role.reads()), names(role.writes()));
+        let _ = writeln!(text, "  {inputs:<22} -> [{role} = {label}] -> {outputs}");
     }
     let latched: Vec<Topic> = TOPICS.into_iter().filter(|topic| topic.writer().is_none()).collect();
-    let _ = writeln!(text, "  beside the loop: {}, truth", names(&latched));
+    let _ = writeln!(text, "  outside the loop: {}, truth", names(&latched));
     text
 }
 
@@ -86,7 +77,7 @@ fn is_system(file: &str) -> anyhow::Result<bool> {
     }
     let text =
         user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
-    // What is no TOML is reported as a scenario, with the line.
+    // A file that is not TOML is refused as a scenario, with the line.
     let Ok(table) = text.parse::<Table>() else { return Ok(false) };
     let system_keys = [
         "process",

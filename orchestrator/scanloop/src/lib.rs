@@ -1,4 +1,4 @@
-//! The commands of the executable `scanloop`: each reads its arguments, asks the crates below, and prints.
+//! The commands of the executable `scanloop`: each reads its arguments, calls the crates below, and prints the result.
 
 pub mod analyse;
 pub mod bench;
@@ -23,12 +23,13 @@ use clap::Parser;
 use console::exit::{Exit, exit_of};
 use console::limits;
 use console::output::data;
+use serde::Serialize;
 use session::{adopt, run};
 
 use cli::{Cli, Command, TopicCommand};
 
-/// A terminal that is read takes the summary within microseconds; for one that is not, no command waits for longer.
-const FLUSH_LIMIT: Duration = Duration::from_millis(300);
+/// Limit for the last output at exit. A terminal usually takes it within microseconds.
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// Runs the command line and returns its exit code.
 pub fn main() -> ExitCode {
@@ -42,11 +43,11 @@ pub fn program(command: fn() -> anyhow::Result<Exit>) -> ExitCode {
         runtime::print(runtime::Priority::Error, &format!("error: {error:#}"));
         exit_of(&error)
     });
-    runtime::flush_terminal(FLUSH_LIMIT);
+    runtime::flush_terminal(FLUSH_TIMEOUT);
     ExitCode::from(exit as u8)
 }
 
-/// In a frame of its own, which a small stack has no room for.
+/// Not inlined: its large frame comes after the check of the stack.
 #[inline(never)]
 fn parse_and_run() -> anyhow::Result<Exit> {
     let cli = Cli::parse();
@@ -61,6 +62,14 @@ fn parse_and_run() -> anyhow::Result<Exit> {
         runtime::start_terminal();
     }
     dispatch(&cli)
+}
+
+/// Prints a value as JSON to standard output, if `--json` asks for it.
+fn print_json(asked: bool, value: &impl Serialize) -> anyhow::Result<()> {
+    if asked {
+        data(&serde_json::to_string_pretty(value)?)?;
+    }
+    Ok(())
 }
 
 fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {

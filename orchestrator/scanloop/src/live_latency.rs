@@ -1,8 +1,7 @@
-//! `scanloop latency`: the way of each scan, read from the headers of the actuations on the bus.
+//! `scanloop latency`: where the time of each scan goes, from the headers of the actuations on the bus.
 
 use console::exit::Exit;
 use console::note;
-use console::output::data;
 use report::latency::Latencies;
 use report::summary::latency_table;
 use runtime::{Bus, Observer, Shutdown, monotonic_ns, wait_for};
@@ -10,7 +9,9 @@ use session::arguments::check_duration;
 use session::control::{Reply, Request, ask};
 use shared_types::Actuation;
 
-/// Longest sleep between two looks: of actuations 256 wait, a quarter of a second at 1 kHz.
+use crate::print_json;
+
+/// Longest sleep between two polls; the buffer of 256 actuations lasts a quarter of a second at 1 kHz.
 const POLL_NS: u64 = 20_000_000;
 /// Time between two tables.
 const TABLE_NS: u64 = 1_000_000_000;
@@ -48,8 +49,6 @@ pub(crate) fn watch(system_id: &str, duration_s: f64, json: bool) -> anyhow::Res
     }
     note!("system {}, {}, whole time:", status.system_id, status.scenario);
     note!("{}", latency_table(&all.report()));
-    if json {
-        data(&serde_json::to_string_pretty(&serde_json::json!({ "latency_us": all.report() }))?)?;
-    }
+    print_json(json, &serde_json::json!({ "latency_us": all.report() }))?;
     Ok(Exit::Done)
 }

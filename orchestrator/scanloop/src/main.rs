@@ -1,4 +1,4 @@
-//! The one executable: every process of a system is this file.
+//! The executable `scanloop`: all built-in processes of a system are this file.
 
 fn main() -> std::process::ExitCode {
     commands::main()

@@ -6,7 +6,7 @@ use supervision::entry::IMPLEMENTATIONS;
 use crate::bench::latency::noise;
 use crate::bench::measuring_service;
 
-/// Runs one built-in implementation until it is asked to end.
+/// Runs one built-in implementation until it is told to end.
 ///
 /// # Errors
 /// An unknown name, a process that was started by hand (both exit code 2), and errors of the process itself.
@@ -25,11 +25,9 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
         "nmpc" => nmpc::service::run()?,
         "actuation" => actuation::service::run()?,
         _ => {
-            let known: Vec<&str> = IMPLEMENTATIONS.iter().map(|(name, _)| *name).collect();
-            return Err(Failure::bad_input(format!(
-                "unknown implementation `{name}`: expected one of {}",
-                known.join(", ")
-            )));
+            let known = IMPLEMENTATIONS.map(|(name, _)| name).join(", ");
+            let message = format!("unknown implementation `{name}`: expected one of {known}");
+            return Err(Failure::bad_input(message));
         }
     }
     Ok(Exit::Done)

@@ -1,19 +1,19 @@
-//! `scanloop shadow`: asks a running system to let a process run in the shadow, and prints what became of it.
+//! `scanloop shadow`: runs a process in the shadow of a role of a running system, and prints the report.
 
 use std::time::Duration;
 
 use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use runtime::Shutdown;
 use session::control::{Reply, Request, ShadowRequest, ask};
 
+use crate::print_json;
 use crate::successor::{SuccessorArguments, begin};
 
-/// Time between two looks at a shadow [ns].
+/// Time between two polls of a shadow [ns].
 const POLL_NS: u64 = 50_000_000;
-/// How long a shadow runs when nothing is said.
+/// How long a shadow runs without `--for`.
 const DEFAULT: Duration = Duration::from_secs(30);
 /// Shortest and longest time that can be asked for.
 const RANGE: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(24 * 3600)];
@@ -35,8 +35,8 @@ pub struct ShadowArguments {
 /// Lets a process run in the shadow and prints the report; Ctrl-C ends it early.
 ///
 /// # Errors
-/// An unknown role or implementation, a system that is not running, does not drive, runs in lock-step or has a
-/// process beside that role already; exit code 2.
+/// An unknown role or implementation; a system that is not running, does not drive, runs in lock-step, or already has a
+/// second process for the role; exit code 2.
 pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Exit> {
     let (command, duration) = split(&arguments.successor.command, arguments.duration)?;
     let successor = SuccessorArguments { command: command.to_vec(), ..arguments.successor.clone() };
@@ -47,10 +47,10 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
     let shutdown = Shutdown::on_signals()?;
     let request = ShadowRequest { successor: successor.named()?, duration_ms: duration.as_millis() as u64 };
     let number = begin(domain, &Request::Shadow(request))?;
-    let mut told = false;
+    let mut end_requested = false;
     let report = loop {
-        if shutdown.requested() && !told {
-            told = true;
+        if shutdown.requested() && !end_requested {
+            end_requested = true;
             ask(domain, &Request::ShadowEnd { number })?;
         }
         match ask(domain, &Request::ShadowResult { number }) {
@@ -58,7 +58,7 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
             Ok(_) => {
                 let signal = [shutdown.descriptor()];
-                runtime::wait_for(if told { &[] } else { &signal }, POLL_NS);
+                runtime::wait_for(if end_requested { &[] } else { &signal }, POLL_NS);
             }
             Err(error) => {
                 note!("the system ended before the shadow did: {error:#}");
@@ -66,14 +66,12 @@ pub fn shadow(system_id: &str, arguments: &ShadowArguments) -> anyhow::Result<Ex
             }
         }
     };
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&report)?)?;
-    }
+    print_json(arguments.json, &report)?;
     note!("{report}");
     Ok(if report.outcome.is_good() { Exit::Done } else { Exit::NotReached })
 }
 
-/// The command without `--for TIME` at its very end, which is ours unless it was said before.
+/// The command and the time. `--for TIME` at the end of the command belongs to this program, unless it is given before.
 fn split(command: &[String], duration: Option<Duration>) -> anyhow::Result<(&[String], Duration)> {
     match (command, duration) {
         (_, Some(duration)) => Ok((command, duration)),
@@ -118,16 +116,16 @@ mod tests {
     }
 
     #[test]
-    fn the_time_may_stand_at_the_very_end() {
-        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
-        let (all, ten) = (words("./c --fast --for 10s"), Duration::from_secs(10));
-        assert_eq!(split(&all, None).unwrap(), (&words("./c --fast")[..], ten));
+    fn the_time_may_be_at_the_end_of_the_command() {
+        let split_at_blanks = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let (all, ten) = (split_at_blanks("./c --fast --for 10s"), Duration::from_secs(10));
+        assert_eq!(split(&all, None).unwrap(), (&split_at_blanks("./c --fast")[..], ten));
         assert_eq!(
             split(&all, Some(DEFAULT)).unwrap(),
             (&all[..], DEFAULT),
-            "said before, so this is its own"
+            "given before, so the second one belongs to the command"
         );
-        assert_eq!(split(&words("./c"), None).unwrap().1, DEFAULT);
-        assert!(split(&words("./c --for ever"), None).is_err());
+        assert_eq!(split(&split_at_blanks("./c"), None).unwrap().1, DEFAULT);
+        assert!(split(&split_at_blanks("./c --for ever"), None).is_err());
     }
 }

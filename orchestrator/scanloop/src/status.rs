@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 
 use console::exit::Exit;
 use console::note;
-use console::output::data;
 use runtime::{Domain, RuntimeError};
 use session::control::{Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
+
+use crate::print_json;
 
 /// Prints the state of the system.
 ///
@@ -22,9 +23,8 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
             _ => return Err(error),
         },
     };
-    if json {
-        data(&serde_json::to_string_pretty(&status)?)?;
-    } else {
+    print_json(json, &status)?;
+    if !json {
         note!("{}", table(&status));
         if status.state == ORPHANED {
             note!("its orchestrator died: `scanloop adopt` takes it over, `scanloop stop` ends it");
@@ -38,21 +38,11 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 }
 
 fn table(status: &Status) -> String {
+    let Status { system_id, state, scenario, scan, .. } = status;
     let mut text = format!(
-        "system {}: {}, scenario {}, scan {}\n{:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
-        status.system_id,
-        status.state,
-        status.scenario,
-        status.scan,
-        "role",
-        "implementation",
-        "pid",
-        "state",
-        "restarts",
-        "rate/Hz",
-        "age/ms",
-        "cpu/%",
-        "mem/KiB"
+        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n\
+         {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
+        "role", "implementation", "pid", "state", "restarts", "rate/Hz", "age/ms", "cpu/%", "mem/KiB"
     );
     for process in &status.processes {
         let _ = writeln!(

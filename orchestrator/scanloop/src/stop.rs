@@ -1,12 +1,13 @@
-//! `scanloop stop`: blocks the wheels within a second, whatever the orchestrator does.
+//! `scanloop stop`: blocks the wheels within a second, even without the help of the orchestrator.
 //!
-//! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. What follows takes
-//! longer: rest, reports, the end of the processes, the removal of files. A copy of this program does that in a session
-//! of its own, so it goes on when the terminal is closed.
+//! The command finds runs in `/proc`, latches their stop words and waits for the acknowledgement. The rest takes
+//! longer: standstill, reports, the end of the processes, the removal of files. A copy of this program does that in a
+//! session of its own, so closing the terminal does not interrupt it.
 
 use std::process::{Command, Stdio};
 
 use console::exit::{Exit, Failure};
+use console::note;
 use runtime::{Domain, Priority, RuntimeError, print};
 use rustix::process::{geteuid, setsid};
 use supervision::child::this_program;
@@ -16,7 +17,7 @@ use supervision::runs::LivingRun;
 
 use crate::cli::StopArguments;
 
-/// The command returns this long after its start at the latest when wheels are blocked [ns].
+/// The command returns at most this long after its start when the wheels are blocked [ns].
 const RETURN_NS: u64 = 900_000_000;
 
 /// Stops systems.
@@ -40,41 +41,33 @@ pub(crate) fn stop(system_id: &str, arguments: &StopArguments) -> anyhow::Result
     if chosen.is_empty() {
         return nothing(system_id, arguments, &living);
     }
-    // All of them at once, before any is waited for.
+    // All runs are stopped before the first one is waited for.
     chosen.iter().filter_map(|run| run.word.as_ref()).for_each(runtime::StopWord::latch);
     let all_confirmed = chosen.iter().map(|run| stop_one(run)).fold(true, |all, confirmed| all & confirmed);
     Ok(if all_confirmed { Exit::Done } else { Exit::ProcessFailed })
 }
 
-/// Stops a run and says what became of it; whether its wheels are known to be blocked.
+/// Stops a run and prints the result; true when its wheels are confirmed to be blocked.
 fn stop_one(run: &LivingRun) -> bool {
     let orphaned = run.orchestrator().is_none();
     let Blocked { confirmed, after_ns } = halt::block(run);
     let system_id = &run.system_id;
     let after_ms = after_ns / 1_000_000;
     if !confirmed {
+        let what = format!("the block of the wheels is not confirmed after {after_ms} ms");
         let alive = run.alive().join(", ");
-        print(
-            Priority::Error,
-            &format!(
-                "system `{system_id}`: the block of the wheels is not confirmed after {after_ms} ms; alive: {alive}"
-            ),
-        );
+        print(Priority::Error, &format!("system `{system_id}`: {what}; alive: {alive}"));
     }
     let is_over = halt::wait_for_end(run, RETURN_NS.saturating_sub(after_ns));
-    if !is_over && let Err(error) = detach(run) {
-        print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
-    }
     if is_over {
         halt::finish(run);
+    } else if let Err(error) = detach(run) {
+        print(Priority::Warning, &format!("system `{system_id}`: nothing ends its processes: {error}"));
     }
     if confirmed {
-        let gone = if orphaned { ", which had lost its orchestrator," } else { "" };
+        let state = if orphaned { ", which had lost its orchestrator," } else { "" };
         let end = if is_over { "and it has ended" } else { "its processes are ending" };
-        print(
-            Priority::Notice,
-            &format!("system `{system_id}`{gone} is stopped: wheels blocked after {after_ms} ms, {end}"),
-        );
+        note!("system `{system_id}`{state} is stopped: wheels blocked after {after_ms} ms, {end}");
     }
     confirmed
 }
@@ -88,9 +81,9 @@ fn detach(run: &LivingRun) -> std::io::Result<()> {
     command.spawn().map(drop)
 }
 
-/// What [`detach`] starts.
+/// The process that [`detach`] starts: ends what is left of a run.
 fn finish(run_id: &str, uid: Option<u32>) -> anyhow::Result<Exit> {
-    // Not of the terminal, whose end must not end this.
+    // A session without the terminal, so that closing it does not end this process.
     let _ = setsid();
     let runs = LivingRun::all(uid.unwrap_or_else(|| geteuid().as_raw()));
     let Some(run) = runs.into_iter().find(|run| run.run_id == run_id) else { return Ok(Exit::Done) };
@@ -98,10 +91,10 @@ fn finish(run_id: &str, uid: Option<u32>) -> anyhow::Result<Exit> {
     Ok(if left.is_empty() { Exit::Done } else { Exit::ProcessFailed })
 }
 
-/// No such system lives: what a dead one has left is removed, and those that live are named.
+/// No such system is running: removes the files of a dead one, and names the running ones.
 fn nothing(system_id: &str, arguments: &StopArguments, living: &[LivingRun]) -> anyhow::Result<Exit> {
     if arguments.all {
-        print(Priority::Notice, "no system is running");
+        note!("no system is running");
         return Ok(Exit::Done);
     }
     if arguments.uid.is_none()

@@ -1,4 +1,4 @@
-//! What `swap` and `shadow` have in common: a process that comes beside the one that fills a role.
+//! The common part of `swap` and `shadow`: a second process for a role.
 
 use clap::{ArgGroup, Args};
 use console::exit::Failure;
@@ -20,7 +20,7 @@ pub struct SuccessorArguments {
 }
 
 impl SuccessorArguments {
-    /// The process as the orchestrator has to know it, whose working folder is another one.
+    /// The process in the form that the orchestrator needs; its working folder is another one.
     ///
     /// # Errors
     /// An unknown role; exit code 2.
@@ -31,10 +31,10 @@ impl SuccessorArguments {
     }
 }
 
-/// Asks for an exchange or a shadow; returns its number.
+/// Requests a swap or a shadow; returns its number.
 ///
 /// # Errors
-/// What was refused, exit code 2, and a system that is not running.
+/// A refused request, exit code 2, and a system that is not running.
 pub(crate) fn begin(domain: &Domain, request: &Request) -> anyhow::Result<u64> {
     match ask(domain, request)? {
         Reply::Accepted(number) => Ok(number),
@@ -43,7 +43,7 @@ pub(crate) fn begin(domain: &Domain, request: &Request) -> anyhow::Result<u64> {
     }
 }
 
-/// A command as the orchestrator has to start it, whose working folder is another one.
+/// The command with an absolute path, because the working folder of the orchestrator is another one.
 fn from_here(command: &[String]) -> Vec<String> {
     let mut command = command.to_vec();
     if let Some(program) = command.first_mut()

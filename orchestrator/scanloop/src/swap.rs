@@ -1,17 +1,17 @@
-//! `scanloop swap` and `scanloop restart`: ask a running system to exchange a process, and print what became of it.
+//! `scanloop swap` and `scanloop restart`: request the swap of a process, and print the certificate.
 
 use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use runtime::Domain;
 use session::control::{Reply, Request, SwapRequest, ask};
 use shared_types::Role;
 
+use crate::print_json;
 use crate::successor::{SuccessorArguments, begin};
 
-/// Time between two looks at an exchange: a fifth of a scan period.
+/// Time between two polls of a swap: a fifth of a scan period.
 const SWAP_POLL: std::time::Duration = std::time::Duration::from_millis(20);
 
 /// Arguments of `swap`.
@@ -35,13 +35,13 @@ pub struct SwapArguments {
     pub json: bool,
 }
 
-/// Exchanges one process and prints what became of it.
+/// Swaps one process and prints the certificate.
 ///
 /// # Errors
-/// An unknown role or implementation, a system that is not running or already exchanges one; exit code 2.
+/// An unknown role or implementation, a system that is not running or already swaps a process; exit code 2.
 pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
     let tolerance = arguments.tolerance;
-    // JSON has no word for NaN, so the orchestrator could not say what is wrong with it.
+    // JSON has no NaN, so the orchestrator can't name it in a message.
     if !(0.0..=MAX_TOLERANCE).contains(&tolerance) {
         return Err(Failure::bad_input(format!(
             "--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"
@@ -56,14 +56,12 @@ pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result
     let domain = &supervision::runs::existing(system_id)?;
     let number = begin(domain, &Request::Swap(request))?;
     let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&certificate)?)?;
-    }
+    print_json(arguments.json, &certificate)?;
     note!("{certificate}");
     Ok(exit_of(&certificate))
 }
 
-/// Restarts one process; waits until the new one drives when the one before works.
+/// Restarts one process; when the old one works, waits until the new one is in charge.
 ///
 /// # Errors
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
@@ -83,7 +81,7 @@ pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
     Ok(exit_of(&certificate))
 }
 
-/// Waits for the certificate of a swap; none when the system ends before.
+/// Waits for the certificate of a swap; `None` when the system ends first.
 fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificate>> {
     loop {
         match ask(domain, &Request::SwapResult { number }) {

@@ -1,10 +1,10 @@
-//! `scanloop topic list / hz / echo`, and `scanloop types`.
+//! `scanloop topic list / hz / echo`.
 
-use std::fmt::Write as _;
 use std::time::Duration;
 
 use console::exit::Failure;
 use console::output::data;
+use figures::{Align, Table};
 use runtime::{Bus, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
@@ -13,15 +13,17 @@ use shared_types::{
     Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
-/// Longest sleep between two looks at a topic; a buffer of 16 samples lasts this long at 500 Hz.
+/// Longest sleep between two polls of a topic; a buffer of 16 samples lasts longer than this at 500 Hz.
 const POLL_NS: u64 = 20_000_000;
 
-/// Arrays of bytes up to this length hold texts [bytes].
+/// Arrays of bytes up to this length are texts [bytes].
 const MAX_TEXT: usize = 64;
 
 /// The table of topics as text.
 pub(crate) fn list() -> String {
-    let mut text = String::from("topic       bytes  writer        readers                type\n");
+    let [left, right] = [Align::Left, Align::Right];
+    let mut table =
+        Table::new(&[("topic", left), ("bytes", right), ("writer", left), ("readers", left), ("type", left)]);
     for topic in TOPICS {
         let readers: Vec<&str> =
             Role::ALL.iter().filter(|role| role.reads().contains(&topic)).map(|role| role.name()).collect();
@@ -35,46 +37,10 @@ pub(crate) fn list() -> String {
             _ if readers.is_empty() => "orchestrator".to_owned(),
             _ => readers.join(", "),
         };
-        let _ = writeln!(
-            text,
-            "{:<10} {:>6}  {writer:<12}  {readers:<21}  {}",
-            topic.name(),
-            topic.size(),
-            topic.type_name()
-        );
+        let size = topic.size().to_string();
+        table.row([topic.name(), &size, writer, &readers, topic.type_name()].map(str::to_owned));
     }
-    text
-}
-
-/// All samples as Markdown: one table per topic.
-pub(crate) fn markdown() -> String {
-    let mut text = String::from("# Topics and their samples\n");
-    for topic in TOPICS {
-        let _ = writeln!(
-            text,
-            "\n## {topic}\n\n`{}`, {} bytes, published {}.",
-            topic.type_name(),
-            topic.size(),
-            topic.published()
-        );
-        field_table(&mut text, topic.fields());
-    }
-    let mut structs: Vec<(&str, &[Field])> = Vec::new();
-    for topic in TOPICS {
-        topic.fields().iter().for_each(|field| collect(&field.kind, &mut structs));
-    }
-    for (name, fields) in structs {
-        let _ = writeln!(text, "\n## struct {name}");
-        field_table(&mut text, fields);
-    }
-    text
-}
-
-fn field_table(text: &mut String, fields: &[Field]) {
-    let _ = writeln!(text, "\n| offset | field | type | meaning [unit] |\n|---:|---|---|---|");
-    for Field { name, doc, offset, kind } in fields {
-        let _ = writeln!(text, "| {offset} | `{name}` | {} | {doc} |", kind_name(kind));
-    }
+    table.to_string()
 }
 
 /// Counts the samples of a topic and prints its rate once a second.
@@ -124,10 +90,10 @@ pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool
     Ok(())
 }
 
-/// Gives the bytes of the next sample of a topic.
+/// Returns the bytes of the next sample of a topic.
 type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
 
-/// A topic under observation, of whatever type.
+/// A topic under observation, of any type.
 struct Watch {
     topic: Topic,
     next: NextSample,
@@ -161,13 +127,13 @@ impl Watch {
         Ok(Self { topic, next, shutdown: Shutdown::on_signals()?, seen: 0, lost: 0, last: (0, 0), _bus: bus })
     }
 
-    /// Sleeps until the next look; false when the user wants to end.
+    /// Sleeps until the next poll; false when the user wants to end.
     fn sleep(&self) -> bool {
         wait_for(&[self.shutdown.descriptor()], POLL_NS);
         !self.shutdown.requested()
     }
 
-    /// Hands the bytes of all samples that are there to `each` until it returns false.
+    /// Passes the bytes of the samples that have arrived to `each` until it returns false.
     fn poll(&mut self, each: &mut impl FnMut(&[u8]) -> bool) -> anyhow::Result<()> {
         while let Some(bytes) = (self.next)()? {
             self.seen += 1;
@@ -187,27 +153,6 @@ impl Watch {
     }
 }
 
-fn collect(kind: &'static Kind, structs: &mut Vec<(&'static str, &'static [Field])>) {
-    match kind {
-        Kind::Scalar(_) => {}
-        Kind::Array(element, _) => collect(element, structs),
-        Kind::Struct(name, fields) => {
-            if structs.iter().all(|(known, _)| known != name) {
-                structs.push((name, fields));
-                fields.iter().for_each(|field| collect(&field.kind, structs));
-            }
-        }
-    }
-}
-
-fn kind_name(kind: &Kind) -> String {
-    match kind {
-        Kind::Scalar(name) => format!("`{name}`"),
-        Kind::Array(element, length) => format!("{} x {length}", kind_name(element)),
-        Kind::Struct(name, _) => format!("[{name}](#struct-{})", name.to_lowercase()),
-    }
-}
-
 fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
     let mut object = Map::new();
     for field in fields {
@@ -221,7 +166,7 @@ fn decode_struct(fields: &[Field], bytes: &[u8], short: bool) -> Value {
     Value::Object(object)
 }
 
-/// The name of a number of an enumeration, which the documentation of its field names; `None` for one without a meaning.
+/// The name of a number of an enumeration, which the documentation of its field names; `None` for an unknown number.
 fn name_of(field: &Field, bytes: &[u8]) -> Option<Value> {
     if field.kind != Kind::Scalar("u32") {
         return None;

@@ -1,12 +1,11 @@
 //! `scanloop types`: the samples as a page of documentation, a C header or a Python module.
 
 mod c;
+mod markdown;
 mod python;
 
 use clap::Args;
 use shared_types::{Field, Kind, TOPICS};
-
-use crate::topic;
 
 /// Arguments of `types`.
 #[derive(Debug, Args)]
@@ -22,16 +21,16 @@ pub struct TypesArguments {
     pub python: bool,
 }
 
-/// The samples of all topics in the form that was asked for.
+/// The samples of all topics in the requested form.
 pub(crate) fn print(arguments: &TypesArguments) -> String {
     match arguments {
         TypesArguments { c: true, .. } => c::header(),
         TypesArguments { python: true, .. } => python::module(),
-        _ => topic::markdown(),
+        _ => markdown::page(),
     }
 }
 
-/// All structs of the samples but the samples themselves, each behind the structs it is made of.
+/// All structs inside of samples, each after the structs it contains.
 fn structs() -> Vec<(&'static str, &'static [Field])> {
     fn add(kind: &'static Kind, found: &mut Vec<(&'static str, &'static [Field])>) {
         match kind {
@@ -52,7 +51,7 @@ fn structs() -> Vec<(&'static str, &'static [Field])> {
     found
 }
 
-/// What a field is made of and how often; `None` for one that is no array.
+/// The element type of a field and the length of its array; `None` for a field that is not an array.
 fn element(kind: &'static Kind) -> (&'static Kind, Option<usize>) {
     match kind {
         Kind::Array(element, count) => (element, Some(*count)),

@@ -30,4 +30,5 @@ pub use ocp::Budget;
 pub use reference_path::LatticeSettings;
 pub use side::Side;
 pub use state::ControllerState;
+pub use warm::shift;
 pub use weights::WeightSettings;

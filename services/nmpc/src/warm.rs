@@ -22,7 +22,7 @@ const COURSE_GAIN: f64 = 1.4;
 /// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
 ///
 /// An interval that contains a change of the control gets the mean over its time; the last control is held.
-pub(crate) fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mut Vec<Control>) {
+pub fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mut Vec<Control>) {
     shifted.clear();
     let Some(&last) = controls.last() else { return };
     let at = |index: usize| controls.get(index).copied().unwrap_or(last);

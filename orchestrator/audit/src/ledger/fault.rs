@@ -1,16 +1,16 @@
-//! What the books found wrong with one sample.
+//! A fault that the sample audit found with one sample.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use shared_types::Topic;
 
-/// A sample that was lost, repeated or out of order although no rule says so.
+/// A sample that was lost, repeated or out of order, and no rule explains it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault {
     /// Name of the topic.
     pub topic: String,
-    /// What is wrong.
+    /// The kind of fault.
     pub kind: Kind,
     /// Incarnation of the process that wrote it, or should have.
     pub incarnation: u32,
@@ -18,17 +18,17 @@ pub struct Fault {
     pub sequence: u64,
     /// The scan it belongs to; 0 when that is not known.
     pub scan_id: u64,
-    /// Who noticed it: `bus` for the orchestrator itself, else the role whose account shows it.
+    /// `bus` when the orchestrator noticed it, else the role whose counters show it.
     pub noticed_by: String,
 }
 
-/// What is wrong with a sample.
+/// The kind of fault of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// It should have come and did not.
+    /// It should have arrived and did not.
     Missing,
-    /// It came to a process, which neither used nor dropped it.
+    /// It arrived at a process, which neither used nor dropped it.
     Vanished,
     /// It came twice, under the same number or for the same scan.
     Duplicate,
@@ -50,11 +50,11 @@ impl Fault {
         Self { scan_id, ..self }
     }
 
-    pub(super) fn noticed_by(self, who: impl fmt::Display) -> Self {
-        Self { noticed_by: who.to_string(), ..self }
+    pub(super) fn noticed_by(self, role: impl fmt::Display) -> Self {
+        Self { noticed_by: role.to_string(), ..self }
     }
 
-    /// Whether both speak of the same sample, perhaps noticed by different processes.
+    /// Whether both are faults of the same sample, perhaps noticed by different processes.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         let alike = |mine: u64, theirs: u64| mine != 0 && mine == theirs;
         self.topic == other.topic
@@ -66,25 +66,22 @@ impl Fault {
 
 impl fmt::Display for Fault {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}", self.topic)?;
-        match (self.sequence, self.scan_id) {
-            (0, 0) => write!(formatter, " of incarnation {}", self.incarnation)?,
-            (0, scan) => write!(formatter, " for scan {scan} of incarnation {}", self.incarnation)?,
-            (sequence, 0) => write!(formatter, " number {sequence} of incarnation {}", self.incarnation)?,
-            (sequence, scan) => {
-                write!(
-                    formatter,
-                    " number {sequence} of incarnation {}, for scan {scan},",
-                    self.incarnation
-                )?;
-            }
-        }
-        match self.kind {
-            Kind::Missing => write!(formatter, " is missing")?,
-            Kind::Vanished => write!(formatter, " came and vanished")?,
-            Kind::Duplicate => write!(formatter, " came twice")?,
-            Kind::Reordered => write!(formatter, " came after a later one")?,
-        }
+        let Self { topic, incarnation, sequence, scan_id, .. } = self;
+        match (sequence, scan_id) {
+            (0, 0) => write!(formatter, "{topic} of incarnation {incarnation}"),
+            (0, _) => write!(formatter, "{topic} for scan {scan_id} of incarnation {incarnation}"),
+            (_, 0) => write!(formatter, "{topic} number {sequence} of incarnation {incarnation}"),
+            _ => write!(
+                formatter,
+                "{topic} number {sequence} of incarnation {incarnation}, for scan {scan_id},"
+            ),
+        }?;
+        formatter.write_str(match self.kind {
+            Kind::Missing => " is missing",
+            Kind::Vanished => " came and vanished",
+            Kind::Duplicate => " came twice",
+            Kind::Reordered => " came after a later one",
+        })?;
         match self.noticed_by.as_str() {
             "bus" => Ok(()),
             role => write!(formatter, " (noticed by the {role})"),
@@ -108,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_sample_is_one_fault_whoever_noticed_it() {
+    fn the_same_sample_is_one_fault_at_whichever_process_it_was_noticed() {
         let numbered = Fault::new(Topic::Scan, Kind::Missing, 1).sequence(17).scan(18);
         assert!(
             numbered.is_same(&Fault::new(Topic::Scan, Kind::Missing, 1).scan(18).noticed_by("obstacles"))

@@ -1,15 +1,15 @@
 //! Samples that their readers dropped or refused because of their content: by writer, reader and rule.
 //!
-//! A heartbeat names the newest such sample of each input and says how many there were. Where samples fail several
-//! rules between two heartbeats, all of them count for the rule of the newest.
+//! A heartbeat has the newest such sample of each input and their number. Where samples fail several rules between two
+//! heartbeats, all of them count for the rule of the newest.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use shared_types::{Heartbeat, Refusal, Role, Rule, Topic};
 
-/// How many rows are kept; later ones are not.
-const KEPT: usize = 100;
+/// Maximum number of rows; later ones are not stored.
+const MAX_ROWS: usize = 100;
 
 /// Samples of one writer that failed one rule at one reader.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -48,7 +48,7 @@ pub struct NewRefusal {
     pub reader: Role,
     /// The rule that it failed.
     pub rule: Rule,
-    /// What is told.
+    /// The row with the new samples only.
     pub row: RefusedRow,
 }
 
@@ -56,29 +56,26 @@ pub struct NewRefusal {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Refused {
     rows: Vec<RefusedRow>,
-    news: Vec<NewRefusal>,
-    /// What was told before, by incarnation of the reader and topic.
-    told: BTreeMap<(u32, Topic), u64>,
+    new: Vec<NewRefusal>,
+    /// Counts of the heartbeat before, by incarnation of the reader and topic.
+    counted: BTreeMap<(u32, Topic), u64>,
 }
 
 impl Refused {
-    /// A process said what it dropped and refused. With `midway` it may have said so to another orchestrator before.
+    /// Adds what a process dropped and refused since its last heartbeat. With `midway` the counts of its first
+    /// heartbeat belong to another orchestrator.
     pub(super) fn add_heartbeat(&mut self, role: Role, heartbeat: &Heartbeat, midway: bool) {
         let incarnation = heartbeat.header.incarnation;
         for (topic, refusal) in role.reads().iter().zip(&heartbeat.refused) {
             let first = if midway { refusal.count } else { 0 };
-            let told = self.told.entry((incarnation, *topic)).or_insert(first);
-            let count = refusal.count.saturating_sub(*told);
-            *told = refusal.count.max(*told);
+            let counted = self.counted.entry((incarnation, *topic)).or_insert(first);
+            let count = refusal.count.saturating_sub(*counted);
+            *counted = refusal.count.max(*counted);
             if count > 0
                 && let Some(writer) = topic.writer()
             {
-                self.add(
-                    RefusedRow { count, ..row(*topic, writer, role, refusal) },
-                    writer,
-                    role,
-                    refusal.failed(),
-                );
+                let row = RefusedRow { count, ..row(*topic, writer, role, refusal) };
+                self.add(row, writer, role, refusal.failed());
             }
         }
     }
@@ -88,39 +85,37 @@ impl Refused {
         &self.rows
     }
 
-    /// What was dropped and refused since the last time.
-    pub(super) fn take_news(&mut self) -> Vec<NewRefusal> {
-        std::mem::take(&mut self.news)
+    /// What was dropped and refused since the last call.
+    pub(super) fn take_new(&mut self) -> Vec<NewRefusal> {
+        std::mem::take(&mut self.new)
     }
 
     fn add(&mut self, row: RefusedRow, writer: Role, reader: Role, rule: Rule) {
         let known = self.rows.iter_mut().find(|known| known.is_same(&row));
-        self.news.push(NewRefusal { is_first: known.is_none(), writer, reader, rule, row: row.clone() });
+        self.new.push(NewRefusal { is_first: known.is_none(), writer, reader, rule, row: row.clone() });
         if let Some(known) = known {
             known.count += row.count;
             (known.value, known.newest_scan) = (row.value, row.newest_scan);
-        } else if self.rows.len() < KEPT {
+        } else if self.rows.len() < MAX_ROWS {
             self.rows.push(row);
         }
     }
 }
 
 impl RefusedRow {
-    /// What is wrong with the samples, as `not verified (verified = 0)`.
+    /// The rule, field and value as text, like `not verified (verified = 0)`.
     pub fn fault(&self) -> String {
-        let words = self.rule.replace('_', " ");
+        let rule = self.rule.replace('_', " ");
         match (self.field.as_str(), self.rule == Rule::NotFinite.name()) {
-            ("", _) => words,
-            (field, true) => format!("{words} ({field})"),
-            (field, false) => format!("{words} ({field} = {})", self.value),
+            ("", _) => rule,
+            (field, true) => format!("{rule} ({field})"),
+            (field, false) => format!("{rule} ({field} = {})", self.value),
         }
     }
 
     fn is_same(&self, other: &Self) -> bool {
-        let key = |row: &Self| {
-            (row.topic.clone(), row.incarnation, row.reader.clone(), row.rule.clone(), row.field.clone())
-        };
-        key(self) == key(other)
+        (&self.topic, self.incarnation, &self.reader) == (&other.topic, other.incarnation, &other.reader)
+            && (&self.rule, &self.field) == (&other.rule, &other.field)
     }
 }
 
@@ -157,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn refused_samples_are_added_up_by_writer_and_rule_and_told_once() {
+    fn refused_samples_are_added_up_by_writer_and_rule_and_counted_once() {
         let mut refused = Refused::default();
         let mut heartbeat = Heartbeat::default();
         heartbeat.header.incarnation = 5;
@@ -173,9 +168,9 @@ mod tests {
             refused.add_heartbeat(Role::Actuator, &heartbeat, false);
             refused.add_heartbeat(Role::Actuator, &heartbeat, false);
         }
-        let told: Vec<String> = refused.rows().iter().map(ToString::to_string).collect();
+        let rows: Vec<String> = refused.rows().iter().map(ToString::to_string).collect();
         assert_eq!(
-            told,
+            rows,
             [
                 "2 command of controller (incarnation 4) dropped by actuator: not verified (verified = 0)",
                 "1 command of controller (incarnation 4) dropped by actuator: not finite (steering_rad)",
@@ -183,15 +178,15 @@ mod tests {
             ]
         );
         assert_eq!((refused.rows()[0].first_scan, refused.rows()[0].newest_scan), (1, 2));
-        let news = refused.take_news();
-        let first: Vec<bool> = news.iter().map(|refusal| refusal.is_first).collect();
+        let new = refused.take_new();
+        let first: Vec<bool> = new.iter().map(|refusal| refusal.is_first).collect();
         assert_eq!(first, [true, false, true, true]);
-        assert_eq!((news[0].writer, news[0].rule), (Role::Controller, Rule::NotVerified));
-        assert_eq!(refused.take_news(), []);
+        assert_eq!((new[0].writer, new[0].rule), (Role::Controller, Rule::NotVerified));
+        assert_eq!(refused.take_new(), []);
     }
 
     #[test]
-    fn what_another_orchestrator_was_told_is_not_told_again() {
+    fn what_another_orchestrator_has_counted_is_not_counted_again() {
         let mut refused = Refused::default();
         let mut heartbeat = Heartbeat::default();
         heartbeat.refused[0].note(&Header::default(), &Fault::NotVerified { value: 0 });

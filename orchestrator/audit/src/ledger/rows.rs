@@ -1,4 +1,4 @@
-//! The accounts as `report.json` has them.
+//! Scans, samples and refusals as `report.json` has them.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::fault::Fault;
 use super::refused::RefusedRow;
 
-/// Account of all scans: `published = commanded + lost + unaccounted`.
+/// Counts of scans: `published = commanded + lost + unaccounted`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ScanReport {
@@ -19,7 +19,7 @@ pub struct ScanReport {
     pub late: u64,
     /// Scans never answered.
     pub lost: u64,
-    /// Scans that nothing is known of; must be 0.
+    /// Scans without a fate; must be 0.
     pub unaccounted: u64,
     /// Answers to scans that had been answered already.
     pub duplicates: u64,
@@ -27,11 +27,11 @@ pub struct ScanReport {
     pub lost_reasons: BTreeMap<String, u64>,
 }
 
-/// Account of all samples of all topics.
+/// Result of the sample audit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LedgerReport {
-    /// How often the books were closed.
+    /// How often samples were reconciled.
     pub closings: u64,
     /// Samples that are missing without a reason; must be 0.
     pub residual: u64,
@@ -39,17 +39,17 @@ pub struct LedgerReport {
     pub duplicates: u64,
     /// Samples that came after a later one; must be 0.
     pub reordered: u64,
-    /// Samples that the orchestrator looked for too late; their readers account for them.
+    /// Samples that the orchestrator polled too late to see; their readers counted them.
     pub unobserved: u64,
-    /// The account per topic and role that reads it.
+    /// Counts per topic and role that reads it.
     pub topics: Vec<LedgerRow>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     pub refused: Vec<RefusedRow>,
-    /// What was found wrong, sample by sample; at most a thousand.
+    /// Faults sample by sample; at most a thousand.
     pub faults: Vec<Fault>,
 }
 
-/// Account of one topic at one reader: `published = used + replaced + lost + in_flight + residual`.
+/// Counts of one topic at one reader: `published = used + replaced + lost + in_flight + residual`.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LedgerRow {
@@ -57,19 +57,19 @@ pub struct LedgerRow {
     pub topic: String,
     /// Role that reads it.
     pub reader: String,
-    /// Samples published, once per process that was to get them.
+    /// Samples published, once per process that should receive them.
     pub published: u64,
     /// Samples used.
     pub used: u64,
     /// Samples that a rule drops: a newer one was used, too old, without authority, bad content.
     pub replaced: u64,
-    /// Samples that went with a process that died.
+    /// Samples lost with a process that died.
     pub lost: u64,
     /// Samples on their way or waiting at the end.
     pub in_flight: u64,
-    /// Samples that nothing explains; must be 0.
+    /// Unexplained samples; must be 0.
     pub residual: u64,
-    /// Samples that came twice, beside the account; must be 0.
+    /// Samples that came twice, not part of the sum; must be 0.
     pub duplicates: u64,
     /// Samples that came after a later one and were dropped, part of the residual; must be 0.
     pub reordered: u64,

@@ -1,13 +1,13 @@
-//! The books of a run: the accounts of all topics, kept from what was seen on the bus and from what processes say.
+//! The sample audit of a run: what became of every sample of every topic.
 //!
-//! Three witnesses are compared. The *bus*: the orchestrator sees all samples of all topics, whether they count or
-//! not. The *readers*: each heartbeat says what became of the samples of each input. The *writers*: each says which
-//! numbers it has used up, and which of its inputs it has answered. What one of them has and another lacks is a fault
-//! with a topic and a number or a scan. Nothing is judged before it is certain: a sample may be on its way, a buffer
-//! may have been full, a process may have died.
+//! Three sources are compared. The *bus*: the orchestrator receives all samples of all topics, whether they count or
+//! not. The *readers*: each heartbeat has counters of the samples of each input. The *writers*: each heartbeat has the
+//! numbers that were used, and the inputs that were answered. A sample that one source has and another lacks is a fault
+//! with a topic and a number or a scan. A fault is reported only when it is certain: a sample may be on its way, a
+//! buffer may have been full, a process may have died.
 //!
-//! What it can't see: the first samples of a process that was started while the robot drove, and what a process does
-//! between its last word and its death. A process that sends no accounts is judged from the bus alone.
+//! Not covered: the first samples of a process that was started while the robot drove, and what a process does between
+//! its last heartbeat and its death. A process that sends no counters is judged from the bus alone.
 
 use std::collections::BTreeMap;
 
@@ -19,8 +19,9 @@ use super::rows::LedgerReport;
 use super::sweep::{Lack, Sweep};
 use super::topic::{InputReport, TopicLedger};
 use super::{NOT_OBSERVED, ROBOT_HELD_UP, TIMEOUT_NS};
-/// The topics that have an account: those of the loop, and the truth.
-pub const ACCOUNTS: [Topic; 7] = [
+
+/// The topics that are audited: those of the loop, and the truth.
+pub const AUDITED_TOPICS: [Topic; 7] = [
     Topic::Odometry,
     Topic::Scan,
     Topic::Pose,
@@ -30,50 +31,42 @@ pub const ACCOUNTS: [Topic; 7] = [
     Topic::Truth,
 ];
 
-/// How many faults are kept one by one; more are counted.
-const KEPT: usize = 1000;
+/// Maximum number of faults that are stored one by one; more are counted.
+const MAX_FAULTS: usize = 1000;
 
-/// The books of one run.
-#[derive(Debug, Clone)]
+/// The sample audit of one run.
+#[derive(Debug, Clone, Default)]
 pub struct SampleAudit {
     lockstep: bool,
     midway: bool,
     driving: bool,
-    ending: bool,
+    run_ended: bool,
     topics: BTreeMap<Topic, TopicLedger>,
     workers: BTreeMap<u32, Worker>,
     sweeps: BTreeMap<u32, Sweep>,
-    /// Robots that died: what comes of them yet may be half of a sweep.
+    /// Robots that died: their last sweep may be incomplete.
     dead: Vec<u32>,
     excused: Vec<(u64, &'static str)>,
-    faults: Vec<Fault>,
+    /// The faults so far and their numbers.
+    found: LedgerReport,
+    /// How many of the faults were returned.
     reported: usize,
-    counts: Counts,
     refused: Refused,
-    closings: u64,
 }
 
-/// Faults by their kind.
-#[derive(Debug, Clone, Copy, Default)]
-struct Counts {
-    residual: u64,
-    duplicates: u64,
-    reordered: u64,
-}
-
-/// A process as it describes itself.
+/// A process, from its heartbeats.
 #[derive(Debug, Clone, Default)]
 struct Worker {
     from_start: bool,
     connected_ns: Option<u64>,
-    /// It ended when the run did, with all that it had begun.
+    /// It ended with the run and finished its work.
     has_finished: bool,
-    /// Answers it owes and that were told: how many, and the sum of their scans.
-    told: (u64, u64),
+    /// Missing answers that were reported: how many, and the sum of their scans.
+    reported: (u64, u64),
     owes: Option<Debt>,
 }
 
-/// Inputs that a process has taken and not answered.
+/// Inputs that a process took and has not answered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Debt {
     role: Role,
@@ -84,32 +77,23 @@ struct Debt {
 }
 
 impl SampleAudit {
-    /// Empty books; in lock-step a robot never skips a scan.
+    /// An empty audit; in lock-step a robot never skips a scan.
     pub fn new(lockstep: bool) -> Self {
         Self {
             lockstep,
-            midway: false,
-            driving: false,
-            ending: false,
-            topics: ACCOUNTS.map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic)))).into(),
-            workers: BTreeMap::new(),
-            sweeps: BTreeMap::new(),
-            dead: Vec::new(),
-            excused: Vec::new(),
-            faults: Vec::new(),
-            reported: 0,
-            counts: Counts::default(),
-            refused: Refused::default(),
-            closings: 0,
+            topics: AUDITED_TOPICS
+                .map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic))))
+                .into(),
+            ..Self::default()
         }
     }
 
-    /// Empty books of a run that was begun by another orchestrator: what processes say first is where they begin.
+    /// An audit of a run that another orchestrator started: counts begin at the first heartbeat of each process.
     pub fn midway() -> Self {
         Self { midway: true, driving: true, ..Self::new(false) }
     }
 
-    /// All processes are connected and the first sample may be published.
+    /// All processes are connected; the first sample may be published.
     pub fn driving(&mut self) {
         if !self.driving {
             self.driving = true;
@@ -118,23 +102,23 @@ impl SampleAudit {
         }
     }
 
-    /// Processes that end from now on were asked to.
+    /// The run has ended: processes that end from now on did not die.
     pub fn run_ended(&mut self) {
-        self.ending = true;
+        self.run_ended = true;
     }
 
-    /// A look at a topic begins.
+    /// A poll of a topic begins.
     pub fn poll(&mut self, topic: Topic, now_ns: u64) {
         if let Some(ledger) = self.topics.get_mut(&topic) {
             ledger.poll(now_ns);
         }
     }
 
-    /// The look at `now_ns` found a sample.
+    /// The poll at `now_ns` found a sample.
     pub fn see<S: Sample>(&mut self, sample: &S, now_ns: u64) {
         let (topic, header) = (S::TOPIC, sample.header());
         let from_start = self.is_from_start(header.incarnation);
-        // What the actuator decides by itself stands under the scan before.
+        // The actuator's own decisions carry the number of the scan before.
         let is_answer = sample.is_answer();
         let fault = self.topics.get_mut(&topic).and_then(|ledger| ledger.see(header, is_answer, from_start));
         self.note(fault);
@@ -145,7 +129,7 @@ impl SampleAudit {
         }
     }
 
-    /// The look found as many samples as can wait, or more: some may have been overwritten.
+    /// The poll found a full buffer: samples may have been overwritten.
     pub fn overflowed(&mut self, topic: Topic) {
         let ledger = self.topics.get_mut(&topic);
         let (scans, began) =
@@ -159,7 +143,7 @@ impl SampleAudit {
         }
     }
 
-    /// A process said how it is.
+    /// A heartbeat arrived.
     pub fn receive(&mut self, heartbeat: &Heartbeat, now_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
         let (Ok(role), Ok(state)) = (Role::try_from(heartbeat.role), ProcessState::try_from(heartbeat.state))
@@ -169,13 +153,13 @@ impl SampleAudit {
         let midway = self.midway;
         self.refused.add_heartbeat(role, heartbeat, midway && !self.workers.contains_key(&incarnation));
         let worker = self.workers.entry(incarnation).or_insert_with(|| Worker {
-            told: if midway { Worker::debt(heartbeat) } else { (0, 0) },
+            reported: if midway { Worker::debt(heartbeat) } else { (0, 0) },
             ..Worker::default()
         });
         if [ProcessState::Connected, ProcessState::Ready].contains(&state) {
             worker.connected_ns.get_or_insert(heartbeat.issued_ns);
         }
-        worker.has_finished |= self.ending && state == ProcessState::Ending;
+        worker.has_finished |= self.run_ended && state == ProcessState::Ending;
         worker.receive(role, heartbeat);
         let (from_start, connected_ns) = (worker.from_start, worker.connected_ns);
         for (topic, sequence) in role.writes().iter().zip(heartbeat.written) {
@@ -184,30 +168,29 @@ impl SampleAudit {
             }
         }
         if let Some(connected_ns) = connected_ns {
-            self.receive_accounts(role, heartbeat, from_start, connected_ns);
+            self.receive_counters(role, heartbeat, from_start, connected_ns);
         }
         if state == ProcessState::Ending {
             self.ended(incarnation, now_ns);
         }
     }
 
-    fn receive_accounts(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
+    fn receive_counters(&mut self, role: Role, heartbeat: &Heartbeat, from_start: bool, connected_ns: u64) {
         let incarnation = heartbeat.header.incarnation;
-        for (topic, account) in role.reads().iter().zip(&heartbeat.inputs) {
+        let (midway, polled_ns) = (self.midway, heartbeat.looked_ns);
+        for (topic, counters) in role.reads().iter().zip(&heartbeat.inputs) {
             let Some(ledger) = self.topics.get_mut(topic) else { continue };
-            if heartbeat.looked_ns == 0 {
+            if polled_ns == 0 {
                 ledger.add_silent_reader(incarnation, role);
             } else {
-                let looked_ns = heartbeat.looked_ns;
-                let midway = self.midway;
-                ledger.received(InputReport {
+                ledger.receive(InputReport {
                     incarnation,
                     role,
                     from_start,
                     midway,
                     connected_ns,
-                    looked_ns,
-                    account,
+                    polled_ns,
+                    counters,
                 });
             }
         }
@@ -215,35 +198,35 @@ impl SampleAudit {
 
     /// A process ended.
     pub fn ended(&mut self, incarnation: u32, now_ns: u64) {
-        let is_death = !self.ending;
+        let is_death = !self.run_ended;
         self.topics.values_mut().for_each(|ledger| ledger.ended(incarnation, now_ns, is_death));
         if is_death {
             self.dead.push(incarnation);
         }
     }
 
-    /// Closes the books; what was found since the last time. At the end of a run, when all processes have said their
-    /// last word, nothing is waited for.
-    pub fn close(&mut self, is_last: bool) -> Vec<Fault> {
-        self.closings += 1;
+    /// Compares what all sources report; returns the faults found since the last call. With `is_last`, after the last
+    /// heartbeats of a run, late samples are not waited for.
+    pub fn reconcile(&mut self, is_last: bool) -> Vec<Fault> {
+        self.found.closings += 1;
         let mut found: Vec<Fault> =
-            self.topics.values_mut().flat_map(|ledger| ledger.close(is_last)).collect();
+            self.topics.values_mut().flat_map(|ledger| ledger.reconcile(is_last)).collect();
         found.extend(self.unanswered());
         found.extend(self.lacking(is_last));
         found.into_iter().for_each(|fault| self.note(Some(fault)));
-        let news = self.faults[self.reported..].to_vec();
-        self.reported = self.faults.len();
-        news
+        let new = self.found.faults[self.reported..].to_vec();
+        self.reported = self.found.faults.len();
+        new
     }
 
     /// Whether a sample is known to be missing.
     pub fn is_something_missing(&self) -> bool {
-        self.counts.residual > 0
+        self.found.residual > 0
     }
 
-    /// What readers dropped or refused because of its content since the last time.
+    /// What readers dropped or refused because of its content since the last call.
     pub fn new_refusals(&mut self) -> Vec<NewRefusal> {
-        self.refused.take_news()
+        self.refused.take_new()
     }
 
     /// Samples that readers dropped or refused because of their content.
@@ -251,23 +234,19 @@ impl SampleAudit {
         self.refused.rows()
     }
 
-    /// Scans that nothing needs to be known of, since the last time, each with the reason.
+    /// Scans that may stay without an answer, since the last call, each with the reason.
     pub fn excused(&mut self) -> Vec<(u64, &'static str)> {
         std::mem::take(&mut self.excused)
     }
 
-    /// The account of all topics, as if the run had ended now.
+    /// The result, as if the run had ended now.
     pub fn report(&self) -> LedgerReport {
         let loop_topics = self.topics.iter().filter(|(topic, _)| **topic != Topic::Truth);
         LedgerReport {
-            closings: self.closings,
-            residual: self.counts.residual,
-            duplicates: self.counts.duplicates,
-            reordered: self.counts.reordered,
             unobserved: self.topics.values().map(TopicLedger::unobserved).sum(),
             topics: loop_topics.flat_map(|(_, ledger)| ledger.rows()).collect(),
             refused: self.refused.rows().to_vec(),
-            faults: self.faults.clone(),
+            ..self.found.clone()
         }
     }
 
@@ -275,21 +254,21 @@ impl SampleAudit {
         self.workers.get(&incarnation).is_some_and(|worker| worker.from_start)
     }
 
-    /// Inputs that were used and that no output answers.
+    /// Outputs that are missing: the inputs for them were used.
     fn unanswered(&mut self) -> Vec<Fault> {
         let mut found = Vec::new();
         for (incarnation, worker) in &mut self.workers {
             let Some(debt) = worker.owes.take_if(|debt| debt.is_certain) else { continue };
-            worker.told = (worker.told.0 + debt.count, worker.told.1.wrapping_add(debt.scans));
+            worker.reported = (worker.reported.0 + debt.count, worker.reported.1.wrapping_add(debt.scans));
             let Some(topic) = debt.role.writes().first() else { continue };
             let scan_id = if debt.count == 1 { debt.scans } else { 0 };
-            // An input that comes twice is rightly answered once, and one that comes after a later one not at all.
+            // An input that came twice is answered once, and one that came after a later one not at all.
             let is_excused = |fault: &Fault| {
                 matches!(fault.kind, Kind::Duplicate | Kind::Reordered)
                     && debt.role.answers().is_some_and(|topic| fault.topic == topic.name())
                     && fault.scan_id == scan_id
             };
-            if scan_id == 0 || !self.faults.iter().any(is_excused) {
+            if scan_id == 0 || !self.found.faults.iter().any(is_excused) {
                 found.push(
                     Fault::new(*topic, Kind::Missing, *incarnation).scan(scan_id).noticed_by(debt.role),
                 );
@@ -298,17 +277,17 @@ impl SampleAudit {
         found
     }
 
-    /// Samples that the robot did not make for a scan.
+    /// Samples that the robot did not publish for a scan.
     fn lacking(&mut self, is_last: bool) -> Vec<Fault> {
         let mut found = Vec::new();
-        let now_ns = self.topics.values().map(TopicLedger::looked_ns).min().unwrap_or(0);
+        let now_ns = self.topics.values().map(TopicLedger::polled_ns).min().unwrap_or(0);
         for (incarnation, sweep) in &mut self.sweeps {
             let has_finished = self.workers.get(incarnation).is_some_and(|robot| robot.has_finished);
             let is_dead = self.dead.contains(incarnation);
-            for lack in sweep.close(now_ns, is_dead || is_last && has_finished) {
+            for lack in sweep.reconcile(now_ns, is_dead || is_last && has_finished) {
                 let missing = |topic, scan_id| Fault::new(topic, Kind::Missing, *incarnation).scan(scan_id);
                 match lack {
-                    // It may have died between two topics; a number that it skipped before is skipped.
+                    // It may have died between two topics.
                     Lack::Sample(..) if is_dead => {}
                     Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
                     Lack::Skipped(scan_id) if self.lockstep => found.push(missing(Topic::Scan, scan_id)),
@@ -321,18 +300,18 @@ impl SampleAudit {
 
     fn note(&mut self, fault: Option<Fault>) {
         let Some(fault) = fault else { return };
-        if let Some(known) = self.faults.iter_mut().find(|known| known.is_same(&fault)) {
+        if let Some(known) = self.found.faults.iter_mut().find(|known| known.is_same(&fault)) {
             known.sequence = if known.sequence == 0 { fault.sequence } else { known.sequence };
             known.scan_id = if known.scan_id == 0 { fault.scan_id } else { known.scan_id };
             return;
         }
         match fault.kind {
-            Kind::Missing | Kind::Vanished => self.counts.residual += 1,
-            Kind::Duplicate => self.counts.duplicates += 1,
-            Kind::Reordered => self.counts.reordered += 1,
+            Kind::Missing | Kind::Vanished => self.found.residual += 1,
+            Kind::Duplicate => self.found.duplicates += 1,
+            Kind::Reordered => self.found.reordered += 1,
         }
-        if self.faults.len() < KEPT {
-            self.faults.push(fault);
+        if self.found.faults.len() < MAX_FAULTS {
+            self.found.faults.push(fault);
         }
     }
 }
@@ -346,8 +325,8 @@ impl Worker {
 
     fn receive(&mut self, role: Role, heartbeat: &Heartbeat) {
         let debt = Self::debt(heartbeat);
-        let (count, scans) = (debt.0.saturating_sub(self.told.0), debt.1.wrapping_sub(self.told.1));
-        // One that was started without the state it needs is silent on purpose.
+        let (count, scans) = (debt.0.saturating_sub(self.reported.0), debt.1.wrapping_sub(self.reported.1));
+        // A process that was started without the state it needs sends no output at first.
         let is_silent = heartbeat.answered == 0 && !self.from_start;
         if count == 0 || is_silent {
             self.owes = None;
@@ -376,9 +355,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_that_is_first_heard_behind_a_full_buffer_lacks_nothing() {
+    fn a_robot_that_is_first_seen_behind_a_full_buffer_lacks_nothing() {
         let mut sample_audit = SampleAudit::midway();
-        fn look<S: Sample + Default>(sample_audit: &mut SampleAudit, scans: std::ops::RangeInclusive<u64>) {
+        fn poll<S: Sample + Default>(sample_audit: &mut SampleAudit, scans: std::ops::RangeInclusive<u64>) {
             sample_audit.poll(S::TOPIC, 10);
             for scan_id in scans {
                 let mut sample = S::default();
@@ -387,18 +366,18 @@ mod tests {
                 sample_audit.see(&sample, 10);
             }
         }
-        look::<Truth>(&mut sample_audit, 101..=140);
-        look::<Scan>(&mut sample_audit, 125..=140);
+        poll::<Truth>(&mut sample_audit, 101..=140);
+        poll::<Scan>(&mut sample_audit, 125..=140);
         sample_audit.overflowed(Topic::Scan);
-        look::<Odometry>(&mut sample_audit, 125..=140);
+        poll::<Odometry>(&mut sample_audit, 125..=140);
         sample_audit.overflowed(Topic::Odometry);
-        ACCOUNTS.iter().for_each(|topic| sample_audit.poll(*topic, 10 + 2 * TIMEOUT_NS));
-        assert_eq!(sample_audit.close(false), []);
+        AUDITED_TOPICS.iter().for_each(|topic| sample_audit.poll(*topic, 10 + 2 * TIMEOUT_NS));
+        assert_eq!(sample_audit.reconcile(false), []);
     }
 
     #[test]
     fn scans_that_a_robot_skipped_before_it_died_are_excused() {
-        // What was seen before its death, and only after it.
+        // Scans seen before its death, and after it.
         for (before, after, skipped) in
             [(vec![1, 5], vec![], 2..=4), (vec![1], vec![5], 2..=4), (vec![], vec![5], 1..=4)]
         {
@@ -416,7 +395,7 @@ mod tests {
             before.into_iter().for_each(|scan_id| see(&mut sample_audit, scan_id));
             sample_audit.ended(9, 20);
             after.into_iter().for_each(|scan_id| see(&mut sample_audit, scan_id));
-            sample_audit.close(false);
+            sample_audit.reconcile(false);
             assert_eq!(sample_audit.excused(), skipped.map(|scan| (scan, ROBOT_HELD_UP)).collect::<Vec<_>>());
         }
     }
@@ -430,7 +409,7 @@ mod tests {
         sample_audit.ended(9, 20);
         (truth.header.sequence, truth.header.scan_id) = (2, 2);
         sample_audit.see(&truth, 30);
-        ACCOUNTS.iter().for_each(|topic| sample_audit.poll(*topic, 30 + 2 * TIMEOUT_NS));
-        assert_eq!(sample_audit.close(false), []);
+        AUDITED_TOPICS.iter().for_each(|topic| sample_audit.poll(*topic, 30 + 2 * TIMEOUT_NS));
+        assert_eq!(sample_audit.reconcile(false), []);
     }
 }

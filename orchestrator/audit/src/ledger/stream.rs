@@ -1,7 +1,7 @@
-//! The samples of one writer on one topic, as they came to the orchestrator.
+//! The samples of one writer on one topic, as the orchestrator received them.
 //!
 //! Numbers of a writer have no gaps, and its scans only grow. A gap is a sample that is missing, unless so many came
-//! at once that the orchestrator's buffer was full: then it is *unobserved*, and only its readers know of it.
+//! at once that the orchestrator's buffer was full: then it is *unobserved*, and only its readers can count it.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
@@ -11,11 +11,11 @@ use shared_types::{Header, Topic};
 use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 
-/// How many of the newest samples are remembered one by one.
+/// Number of newest samples that are stored.
 const RECENT: usize = 64;
-/// How many gaps are remembered, to tell a late sample from a repeated one.
+/// Number of gaps that are stored, to tell a late sample from a repeated one.
 const HOLES: usize = 16;
-/// Most samples of one gap that are named one by one.
+/// Maximum number of samples of one gap that are named.
 pub(super) const NAMED: usize = 8;
 
 /// One writer's samples.
@@ -28,24 +28,24 @@ pub(super) struct Stream {
     claim: Option<Claim>,
     holes: VecDeque<Hole>,
     recent: VecDeque<Seen>,
-    /// The first number must be 1: everyone was connected before it was published.
+    /// The first number must be 1: all readers were connected before it was published.
     pub(super) from_start: bool,
     pub(super) unobserved: u64,
     pub(super) ended_ns: Option<u64>,
 }
 
-/// A sample that came, between two looks.
+/// A sample that arrived between two polls.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
     pub(super) sequence: u64,
     pub(super) scan_id: u64,
-    /// The look before, when it had not come yet [ns].
+    /// The poll before, when it had not arrived yet [ns].
     pub(super) after_ns: u64,
-    /// The look that found it [ns].
+    /// The poll that found it [ns].
     pub(super) seen_ns: u64,
 }
 
-/// Numbers that did not come.
+/// Numbers that did not arrive.
 #[derive(Debug, Clone, Copy)]
 struct Hole {
     first: u64,
@@ -55,11 +55,11 @@ struct Hole {
     /// Scan of the sample after; 0 when none has come.
     before_scan: u64,
     seen_ns: u64,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Hole {
-    /// The scan of one of its numbers, where scans went on like numbers; else 0.
+    /// The scan of one of its numbers, where scans grew like numbers; else 0.
     fn scan_of(&self, sequence: u64) -> u64 {
         let scan_id = self.after_scan + 1 + (sequence - self.first);
         let is_known = self.before_scan == 0 || self.before_scan == self.after_scan + self.count() + 1;
@@ -75,7 +75,7 @@ impl Hole {
     }
 }
 
-/// What the writer says it has numbered.
+/// The last number that the writer reports to have used.
 #[derive(Debug, Clone, Copy)]
 struct Claim {
     sequence: u64,
@@ -83,7 +83,7 @@ struct Claim {
 }
 
 impl Stream {
-    /// Nothing has come yet; unless `from_start`, what the writer published before `first` counts for nobody.
+    /// An empty stream; unless `from_start`, samples before the number `first` count for no reader.
     pub(super) fn new(topic: Topic, incarnation: u32, first: u64, from_start: bool) -> Self {
         Self {
             topic,
@@ -104,8 +104,8 @@ impl Stream {
         self.newest
     }
 
-    /// Notes a sample, found by the look at `seen_ns` and not by the one at `after_ns`. Its scan is to grow when it
-    /// `answers` one.
+    /// Notes a sample, found by the poll at `seen_ns` and not by the one at `after_ns`. When it `answers` a scan, its
+    /// scan must be newer than the one before.
     pub(super) fn see(
         &mut self,
         header: &Header,
@@ -140,9 +140,9 @@ impl Stream {
         found
     }
 
-    /// Notes that the look at `seen_ns` found as many samples as can wait, or more; whether some were overwritten. A
-    /// gap means nothing then when `capacity` newer samples have followed it: it takes so many to overwrite one.
-    /// Returns the scans of which nothing was observed.
+    /// Notes that the poll at `seen_ns` found a full buffer, so that samples may have been overwritten. A gap of that
+    /// poll counts only with fewer than `capacity` newer samples: it takes so many to overwrite one. Returns the scans
+    /// that were not observed.
     pub(super) fn overflowed(&mut self, seen_ns: u64, capacity: u64) -> Vec<RangeInclusive<u64>> {
         let Self { newest, unobserved, holes, .. } = self;
         let mut scans = Vec::new();
@@ -157,19 +157,19 @@ impl Stream {
         scans
     }
 
-    /// Whether nothing is known of what came before the look at `now_ns`, although there was something.
+    /// Whether the first sample came in the poll at `now_ns`, but is not the first of its writer.
     pub(super) fn began_midway(&self, now_ns: u64) -> bool {
         !self.from_start && self.recent.front().is_some_and(|seen| seen.seen_ns == now_ns)
     }
 
-    /// Notes that the writer said it has used up the numbers up to `sequence`.
+    /// Notes that the writer reports to have used the numbers up to `sequence`.
     pub(super) fn claimed(&mut self, sequence: u64, now_ns: u64) {
         if sequence > self.newest && self.claim.is_none_or(|claim| claim.sequence <= self.newest) {
             self.claim = Some(Claim { sequence, since_ns: now_ns });
         }
     }
 
-    /// Notes that the writer ended. What it still claims may have been lost with it when it was not asked to.
+    /// Notes that the writer ended. When it died, samples that it claimed may have been lost with it.
     pub(super) fn ended(&mut self, now_ns: u64, is_death: bool) {
         self.ended_ns.get_or_insert(now_ns);
         if is_death {
@@ -177,8 +177,8 @@ impl Stream {
         }
     }
 
-    /// What is certain to be missing after the look at `now_ns`; at the end of a run nothing is waited for.
-    pub(super) fn close(&mut self, now_ns: u64, is_last: bool) -> Vec<Fault> {
+    /// The samples that are certainly missing after the poll at `now_ns`; with `is_last` without waiting for late ones.
+    pub(super) fn reconcile(&mut self, now_ns: u64, is_last: bool) -> Vec<Fault> {
         if let Some(Claim { sequence, since_ns }) = self.claim
             && sequence > self.newest
             && (is_last || now_ns.saturating_sub(since_ns) >= TIMEOUT_NS)
@@ -188,8 +188,8 @@ impl Stream {
             self.claim = None;
         }
         let mut faults = Vec::new();
-        for hole in self.holes.iter_mut().filter(|hole| !hole.is_told) {
-            hole.is_told = true;
+        for hole in self.holes.iter_mut().filter(|hole| !hole.is_reported) {
+            hole.is_reported = true;
             for sequence in (hole.first..=hole.last).take(NAMED) {
                 let fault = Fault::new(self.topic, Kind::Missing, self.incarnation);
                 faults.push(fault.sequence(sequence).scan(hole.scan_of(sequence)));
@@ -198,14 +198,14 @@ impl Stream {
         faults
     }
 
-    /// The scan of a sample, where those around it came lately and tell; else 0.
+    /// The scan of a sample, if it or its neighbours are among the newest; else 0.
     pub(super) fn scan_of(&self, sequence: u64) -> u64 {
         let after = self.recent.iter().position(|seen| seen.sequence >= sequence);
         let Some(after) = after else { return 0 };
         let (next, before) = (self.recent[after], after.checked_sub(1).map(|index| self.recent[index]));
         match before {
             _ if next.sequence == sequence => next.scan_id,
-            // Scans went on like the numbers.
+            // Scans grew like the numbers.
             Some(before)
                 if next.scan_id.checked_sub(before.scan_id) == Some(next.sequence - before.sequence) =>
             {
@@ -215,7 +215,7 @@ impl Stream {
         }
     }
 
-    /// When a sample came: itself, or one after it.
+    /// The arrival of a sample, or of the first one after it.
     pub(super) fn arrival_of(&self, sequence: u64) -> Option<&Seen> {
         self.recent.iter().find(|seen| seen.sequence >= sequence)
     }
@@ -224,16 +224,16 @@ impl Stream {
         let first = self.newest + 1;
         let after_scan = match self.recent.back() {
             Some(seen) => seen.scan_id,
-            // The first of a writer, of whom only the numbers are known.
+            // The first of a writer: only the numbers are known.
             None => before_scan.saturating_sub(last + 2 - first),
         };
-        // One that was not told yet is until the books are closed.
+        // A gap that was not reported yet stays until samples are reconciled.
         if self.holes.len() >= HOLES
-            && let Some(oldest) = self.holes.iter().position(|hole| hole.is_told)
+            && let Some(oldest) = self.holes.iter().position(|hole| hole.is_reported)
         {
             self.holes.remove(oldest);
         }
-        self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_told: false });
+        self.holes.push_back(Hole { first, last, after_scan, before_scan, seen_ns, is_reported: false });
     }
 
     /// Takes a late sample out of the gap it belongs to, if there is one.
@@ -258,19 +258,19 @@ mod tests {
         Header { incarnation: 2, sequence, scan_id, ..Header::default() }
     }
 
-    /// What is noticed when these numbers come, each for the scan 10 later.
+    /// The faults of these numbers in this order, each for the scan 10 later.
     fn noticed(sequences: &[u64]) -> Vec<(Kind, u64, u64)> {
         let mut stream = Stream::new(Topic::Pose, 2, 1, true);
         let mut faults = Vec::new();
         for &sequence in sequences {
             faults.extend(stream.see(&header(sequence, sequence + 10), true, 0, 1));
         }
-        faults.extend(stream.close(2, false));
+        faults.extend(stream.reconcile(2, false));
         faults.iter().map(|fault| (fault.kind, fault.sequence, fault.scan_id)).collect()
     }
 
     #[test]
-    fn one_that_is_dropped_repeated_or_exchanged_is_named() {
+    fn a_dropped_repeated_or_reordered_sample_is_named() {
         assert_eq!(noticed(&[1, 2, 3, 4]), []);
         assert_eq!(noticed(&[1, 2, 4]), [(Kind::Missing, 3, 13)]);
         assert_eq!(noticed(&[2, 3]), [(Kind::Missing, 1, 11)], "all were connected before the first");
@@ -297,7 +297,7 @@ mod tests {
         }
         assert_eq!(stream.overflowed(2, 16), [2..=8]);
         assert_eq!(stream.unobserved, 7);
-        let missing: Vec<u64> = stream.close(3, true).iter().map(|fault| fault.sequence).collect();
+        let missing: Vec<u64> = stream.reconcile(3, true).iter().map(|fault| fault.sequence).collect();
         assert_eq!(missing, [20], "too few have followed it");
     }
 
@@ -306,8 +306,8 @@ mod tests {
         let mut stream = Stream::new(Topic::Pose, 2, 1, true);
         stream.see(&header(1, 1), true, 0, 1);
         stream.claimed(2, 10);
-        assert_eq!(stream.close(10 + TIMEOUT_NS - 1, false), []);
-        let faults = stream.close(10 + TIMEOUT_NS, false);
+        assert_eq!(stream.reconcile(10 + TIMEOUT_NS - 1, false), []);
+        let faults = stream.reconcile(10 + TIMEOUT_NS, false);
         assert_eq!((faults.len(), faults[0].sequence, faults[0].scan_id), (1, 2, 2));
         assert_eq!(stream.see(&header(2, 2), true, 0, 1).unwrap().kind, Kind::Reordered, "it came late");
     }

@@ -1,5 +1,5 @@
-//! The robot publishes one sample per scan on each of its topics: what one of them lacks was dropped before it got
-//! a number.
+//! The samples of the robot scan by scan: it publishes one per scan on each of its topics. A sample that one topic
+//! lacks was dropped before it got a number.
 
 use std::collections::BTreeMap;
 
@@ -7,16 +7,16 @@ use shared_types::Topic;
 
 use super::TIMEOUT_NS;
 
-/// Topics of the robot; the truth only where it is told.
+/// Topics of the robot; the truth only where it is published.
 const TOPICS: [Topic; 3] = [Topic::Odometry, Topic::Scan, Topic::Truth];
 const TRUTH: usize = 2;
 
-/// What came of each scan of one robot.
+/// Samples of each scan of one robot.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Sweep {
     open: BTreeMap<u64, Scan>,
     settled: u64,
-    tells_truth: bool,
+    has_truth: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -25,17 +25,17 @@ struct Scan {
     since_ns: u64,
 }
 
-/// What is wrong with a scan.
+/// A fault of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Lack {
     /// One topic lacks it.
     Sample(Topic, u64),
-    /// All topics lack it: the robot did not make it.
+    /// All topics lack it: the robot skipped it.
     Skipped(u64),
 }
 
 impl Sweep {
-    /// Nothing has come; the scan numbered `first` is the first that must.
+    /// An empty sweep; the scan numbered `first` is the first that must come.
     pub(super) fn new(first: u64) -> Self {
         Self { settled: first.saturating_sub(1), ..Self::default() }
     }
@@ -43,15 +43,15 @@ impl Sweep {
     /// Notes a sample of the robot.
     pub(super) fn see(&mut self, topic: Topic, scan_id: u64, now_ns: u64) {
         let Some(index) = TOPICS.iter().position(|of_robot| *of_robot == topic) else { return };
-        self.tells_truth |= index == TRUTH;
+        self.has_truth |= index == TRUTH;
         if scan_id > self.settled {
             let scan = self.open.entry(scan_id).or_insert(Scan { came: [false; 3], since_ns: now_ns });
             scan.came[index] = true;
         }
     }
 
-    /// Notes that samples may not have been observed: nothing is known of the scans so far. Returns those of which nothing
-    /// was seen, which the robot may have skipped.
+    /// Notes that samples may not have been observed, so that scans so far are not judged. Returns those without any
+    /// sample, which the robot may have skipped.
     pub(super) fn overflowed(&mut self) -> Vec<u64> {
         let newest = self.open.last_key_value().map_or(self.settled, |(newest, _)| *newest);
         let unseen = (self.settled + 1..newest).filter(|scan_id| !self.open.contains_key(scan_id)).collect();
@@ -60,11 +60,12 @@ impl Sweep {
         unseen
     }
 
-    /// What is certain to be lacking now: later scans are complete, or it was waited for, or nothing can follow.
-    pub(super) fn close(&mut self, now_ns: u64, is_last: bool) -> Vec<Lack> {
+    /// Samples and scans that are certainly lacking: later scans are complete, or the time is up, or with `is_last`
+    /// nothing can follow.
+    pub(super) fn reconcile(&mut self, now_ns: u64, is_last: bool) -> Vec<Lack> {
         let mut lacks = Vec::new();
         let complete = |scan: &Scan| {
-            scan.came[..TRUTH].iter().all(|came| *came) && (scan.came[TRUTH] || !self.tells_truth)
+            scan.came[..TRUTH].iter().all(|came| *came) && (scan.came[TRUTH] || !self.has_truth)
         };
         let newest = self.open.iter().rev().find(|(_, scan)| complete(scan)).map_or(0, |(newest, _)| *newest);
         while let Some((&scan_id, scan)) = self.open.first_key_value() {
@@ -73,7 +74,7 @@ impl Sweep {
                 break;
             }
             lacks.extend((self.settled + 1..scan_id).map(Lack::Skipped));
-            let expected = if self.tells_truth { TOPICS.len() } else { TRUTH };
+            let expected = if self.has_truth { TOPICS.len() } else { TRUTH };
             let missing = TOPICS.iter().zip(scan.came).take(expected).filter(|(_, came)| !came);
             lacks.extend(missing.map(|(topic, _)| Lack::Sample(*topic, scan_id)));
             self.settled = scan_id;
@@ -101,16 +102,20 @@ mod tests {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Truth, 3, 5);
         sweep.see(Topic::Scan, 3, 5);
-        assert_eq!(sweep.close(6, false), [], "the odometry may be on its way");
-        assert_eq!(sweep.clone().close(6, true), [Lack::Sample(Topic::Odometry, 3)], "it is not any more");
-        assert_eq!(sweep.close(5 + TIMEOUT_NS, false), [Lack::Sample(Topic::Odometry, 3)]);
-        assert_eq!(sweep.close(6 + TIMEOUT_NS, false), []);
+        assert_eq!(sweep.reconcile(6, false), [], "the odometry may be on its way");
+        assert_eq!(
+            sweep.clone().reconcile(6, true),
+            [Lack::Sample(Topic::Odometry, 3)],
+            "it is not any more"
+        );
+        assert_eq!(sweep.reconcile(5 + TIMEOUT_NS, false), [Lack::Sample(Topic::Odometry, 3)]);
+        assert_eq!(sweep.reconcile(6 + TIMEOUT_NS, false), []);
     }
 
     #[test]
     fn a_scan_that_all_topics_lack_was_skipped() {
-        assert_eq!(sweep(&[1, 2, 4]).close(0, false), [Lack::Skipped(3)]);
-        assert_eq!(sweep(&[2]).close(0, false), [Lack::Skipped(1)]);
+        assert_eq!(sweep(&[1, 2, 4]).reconcile(0, false), [Lack::Skipped(3)]);
+        assert_eq!(sweep(&[2]).reconcile(0, false), [Lack::Skipped(1)]);
     }
 
     #[test]
@@ -118,15 +123,15 @@ mod tests {
         let mut sweep = Sweep::new(1);
         sweep.see(Topic::Scan, 1, 0);
         sweep.see(Topic::Odometry, 1, 0);
-        assert_eq!(sweep.close(TIMEOUT_NS, false), []);
+        assert_eq!(sweep.reconcile(TIMEOUT_NS, false), []);
     }
 
     #[test]
-    fn nothing_is_known_of_scans_behind_a_full_buffer() {
+    fn scans_behind_a_full_buffer_are_not_judged() {
         let mut sweep = sweep(&[1, 2]);
         sweep.see(Topic::Scan, 9, 0);
         assert_eq!(sweep.overflowed(), [3_u64, 4, 5, 6, 7, 8]);
-        assert_eq!(sweep.close(TIMEOUT_NS, false), []);
+        assert_eq!(sweep.reconcile(TIMEOUT_NS, false), []);
         assert_eq!(sweep.overflowed(), [0_u64; 0]);
     }
 }

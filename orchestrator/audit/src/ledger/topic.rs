@@ -1,4 +1,4 @@
-//! The account of one topic: what was published, and what became of it at each reader.
+//! The ledger of one topic: what was published, and what became of it at each reader.
 //!
 //! For every role that reads the topic
 //!
@@ -6,12 +6,12 @@
 //! published = used + replaced + lost + in flight + residual
 //! ```
 //!
-//! *Published* counts each sample once per process that was to get it, so during an exchange twice. *Replaced* is
-//! everything a rule drops: a newer one was used, it was too old, its writer had no authority, its content was bad.
-//! *Lost* went with a process that died: it waited there, or had not come yet. *In flight* waits at a reader, or was
-//! published after the reader's last word. The *residual* is what none of this explains; it must be none.
+//! *Published* counts each sample once per process that should receive it, so twice during a swap. *Replaced* are
+//! samples that a rule drops: a newer one was used, too old, writer without authority, bad content. *Lost* are samples
+//! that waited at a process that died, or had not reached it yet. *In flight* are samples that wait at a reader, or
+//! were published after its last heartbeat. The *residual* is unexplained; it must be zero.
 //!
-//! What a reader that was killed did after its last word is not known: it counts as lost with it.
+//! What a reader that was killed did after its last heartbeat is not known: those samples count as lost.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -22,53 +22,55 @@ use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
 use super::stream::{NAMED, Seen, Stream};
-/// The account of one topic.
+
+/// The ledger of one topic.
 #[derive(Debug, Clone)]
 pub struct TopicLedger {
     topic: Topic,
     capacity: u64,
     streams: BTreeMap<u32, Stream>,
     readers: BTreeMap<u32, Reader>,
-    /// Processes that read the topic and send no accounts.
+    /// Processes that read the topic and send no counters.
     silent: BTreeMap<u32, SilentReader>,
     before_ns: u64,
     now_ns: u64,
 }
 
-/// One process that reads the topic, as its heartbeats tell.
+/// One process that reads the topic, from its heartbeats.
 #[derive(Debug, Clone)]
 struct Reader {
     role: Role,
     from_start: bool,
     connected_ns: u64,
-    looked_ns: u64,
-    account: InputAccount,
-    told: InputAccount,
-    /// What it has noticed since the last closing: kind, writer and number.
+    polled_ns: u64,
+    counters: InputAccount,
+    /// Counters of the report before.
+    reported: InputAccount,
+    /// Faults that it noticed since the last reconciliation: kind, writer and number.
     noticed: Vec<(Kind, u32, u64)>,
-    /// By writer: the first sample beyond the last that came here, as it came to everyone else.
+    /// By writer: the first sample after the last that arrived here, as it arrived at the orchestrator.
     beyond: BTreeMap<u32, Seen>,
     spans: BTreeMap<u32, Span>,
-    /// First spans that do not begin with 1, and too short for the buffer to have been full before.
+    /// First spans that do not begin with 1, too short for the buffer to have been full.
     begun: Vec<Span>,
     end: Option<ReaderEnd>,
 }
 
-/// A process that says nothing of its samples: what was published while it lived was for it.
+/// A process that sends no counters: samples that were published while it lived were for it.
 #[derive(Debug, Clone)]
 struct SilentReader {
     role: Role,
     end: Option<ReaderEnd>,
 }
 
-/// How far the writers were when a reader ended.
+/// The newest number of each writer when a reader ended.
 #[derive(Debug, Clone)]
 struct ReaderEnd {
     newest: BTreeMap<u32, u64>,
     is_death: bool,
 }
 
-/// A word of a reader.
+/// The counters of one input in a heartbeat.
 #[derive(Debug, Clone, Copy)]
 pub struct InputReport<'a> {
     /// Its incarnation.
@@ -77,18 +79,18 @@ pub struct InputReport<'a> {
     pub role: Role,
     /// Whether it was connected before the first sample was published.
     pub from_start: bool,
-    /// Whether what it says first was told to another orchestrator.
+    /// Whether the counts of its first heartbeat belong to another orchestrator.
     pub midway: bool,
     /// Since when it is connected [ns].
     pub connected_ns: u64,
-    /// When it last took samples from the bus [ns].
-    pub looked_ns: u64,
+    /// When it last polled the bus [ns].
+    pub polled_ns: u64,
     /// What became of them.
-    pub account: &'a InputAccount,
+    pub counters: &'a InputAccount,
 }
 
 impl TopicLedger {
-    /// An account that is empty; `capacity` samples of a writer can wait at a reader.
+    /// An empty ledger; `capacity` samples of a writer can wait at a reader.
     pub fn new(topic: Topic, capacity: usize) -> Self {
         let capacity = capacity as u64;
         Self {
@@ -102,19 +104,19 @@ impl TopicLedger {
         }
     }
 
-    /// When the topic was last looked at [ns].
-    pub fn looked_ns(&self) -> u64 {
+    /// When the topic was last polled [ns].
+    pub fn polled_ns(&self) -> u64 {
         self.now_ns
     }
 
-    /// A look at the topic begins.
+    /// A poll of the topic begins.
     pub fn poll(&mut self, now_ns: u64) {
         self.before_ns = self.now_ns;
         self.now_ns = now_ns;
     }
 
-    /// The look found a sample; `answers` unless its scan may be an older one. With `from_start` its writer began
-    /// when everyone was connected.
+    /// The poll found a sample; `answers` unless its scan may be an older one. With `from_start` its writer started
+    /// when all readers were connected.
     pub fn see(&mut self, header: &Header, answers: bool, from_start: bool) -> Option<Fault> {
         let (topic, after_ns, now_ns) = (self.topic, self.before_ns, self.now_ns);
         let Header { incarnation, sequence, .. } = *header;
@@ -122,19 +124,18 @@ impl TopicLedger {
         self.streams.entry(incarnation).or_insert_with(begin).see(header, answers, after_ns, now_ns)
     }
 
-    /// The look found as many samples as can wait, or more: some may have been overwritten before. Returns the scans
-    /// of which nothing was observed.
+    /// The poll found a full buffer: samples may have been overwritten. Returns the scans that were not observed.
     pub fn overflowed(&mut self) -> Vec<RangeInclusive<u64>> {
         let (now_ns, capacity) = (self.now_ns, self.capacity);
         self.streams.values_mut().flat_map(|stream| stream.overflowed(now_ns, capacity)).collect()
     }
 
-    /// Whether a writer was first heard in this look, in the middle of its work.
+    /// Whether this poll found the first sample of a writer that had published before.
     pub fn began_midway(&self) -> bool {
         self.streams.values().any(|stream| stream.began_midway(self.now_ns))
     }
 
-    /// A writer said that it has used up the numbers up to `sequence`.
+    /// A writer reports to have used the numbers up to `sequence`.
     pub fn claimed(&mut self, incarnation: u32, from_start: bool, sequence: u64, now_ns: u64) {
         if from_start && sequence > 0 {
             let begin = || Stream::new(self.topic, incarnation, 1, true);
@@ -145,27 +146,27 @@ impl TopicLedger {
         }
     }
 
-    /// A reader said what became of its samples.
-    pub fn received(&mut self, word: InputReport<'_>) {
-        let InputReport { incarnation, role, from_start, midway, connected_ns, looked_ns, account } = word;
+    /// A reader reports what became of its samples.
+    pub fn receive(&mut self, report: InputReport<'_>) {
+        let InputReport { incarnation, role, from_start, midway, connected_ns, polled_ns, counters } = report;
         self.silent.remove(&incarnation);
         let reader = self.readers.entry(incarnation).or_insert_with(|| Reader {
             role,
             from_start,
             connected_ns,
-            looked_ns,
-            account: InputAccount::default(),
-            told: if midway { *account } else { InputAccount::default() },
+            polled_ns,
+            counters: InputAccount::default(),
+            reported: if midway { *counters } else { InputAccount::default() },
             noticed: Vec::new(),
             beyond: BTreeMap::new(),
             spans: BTreeMap::new(),
             begun: Vec::new(),
             end: None,
         });
-        (reader.looked_ns, reader.account) = (looked_ns, *account);
+        (reader.polled_ns, reader.counters) = (polled_ns, *counters);
         reader.notice();
         (reader.from_start, reader.connected_ns) = (from_start, connected_ns);
-        for span in account.writers.iter().filter(|span| span.incarnation != 0) {
+        for span in counters.writers.iter().filter(|span| span.incarnation != 0) {
             let Reader { spans, begun, .. } = &mut *reader;
             let known = spans.entry(span.incarnation).or_insert_with(|| {
                 if span.first > 1 && span.count() < self.capacity {
@@ -177,12 +178,12 @@ impl TopicLedger {
         }
     }
 
-    /// A process reads the topic and sends no accounts.
+    /// A process reads the topic and sends no counters.
     pub fn add_silent_reader(&mut self, incarnation: u32, role: Role) {
         self.silent.entry(incarnation).or_insert(SilentReader { role, end: None });
     }
 
-    /// A process ended, as writer or as reader; `is_death` when it was not asked to.
+    /// A process ended, as writer or as reader; `is_death` when it did not end with the run.
     pub fn ended(&mut self, incarnation: u32, now_ns: u64, is_death: bool) {
         if let Some(stream) = self.streams.get_mut(&incarnation) {
             stream.ended(now_ns, is_death);
@@ -196,21 +197,21 @@ impl TopicLedger {
         }
     }
 
-    /// What is certain to be wrong after the last look. At the end of a run, when all processes have said their last
-    /// word, nothing is waited for.
-    pub fn close(&mut self, is_last: bool) -> Vec<Fault> {
+    /// The faults that are certain after the last poll. With `is_last`, after the last heartbeats of a run, late
+    /// samples are not waited for.
+    pub fn reconcile(&mut self, is_last: bool) -> Vec<Fault> {
         let mut faults = Vec::new();
         let Self { topic, streams, readers, now_ns, .. } = self;
         for stream in streams.values_mut() {
-            faults.extend(stream.close(*now_ns, is_last));
+            faults.extend(stream.reconcile(*now_ns, is_last));
         }
         for reader in readers.values_mut() {
-            reader.close(*topic, streams, &mut faults);
+            reader.reconcile(*topic, streams, &mut faults);
         }
         faults
     }
 
-    /// The account per role that reads the topic, as if the run had ended now.
+    /// Counts per role that reads the topic, as if the run had ended now.
     pub fn rows(&self) -> Vec<LedgerRow> {
         let mut roles: Vec<Role> = self.readers.values().map(|reader| reader.role).collect();
         roles.sort_unstable();
@@ -218,7 +219,7 @@ impl TopicLedger {
         roles.into_iter().map(|role| self.row(role)).collect()
     }
 
-    /// Samples that only their readers know of, because the orchestrator looked too late.
+    /// Samples that only their readers counted, because the orchestrator polled too late.
     pub fn unobserved(&self) -> u64 {
         self.streams.values().map(|stream| stream.unobserved).sum()
     }
@@ -231,25 +232,25 @@ impl TopicLedger {
         };
         let mut covered: BTreeMap<u32, u64> = BTreeMap::new();
         for (&incarnation, reader) in self.readers.iter().filter(|(_, reader)| reader.role == role) {
-            let account = &reader.account;
+            let counters = &reader.counters;
             row.published += reader.spans.values().map(Span::count).sum::<u64>();
-            row.used += account.used;
-            row.replaced += account.by_policy();
-            row.duplicates += account.duplicate;
-            row.reordered += account.reordered;
-            let mut waiting = [0, account.waiting];
+            row.used += counters.used;
+            row.replaced += counters.by_policy();
+            row.duplicates += counters.duplicate;
+            row.reordered += counters.reordered;
+            let mut waiting = [0, counters.waiting];
             for (&writer, stream) in &self.streams {
                 let span = reader.spans.get(&writer);
-                // What a reader that died had not heard of, its successor may have missed too.
+                // Samples that a dead reader had not received may have been published before its successor came.
                 if let (Some(span), Some(end)) = (span, covered.get(&writer)) {
-                    let end = self.silent_until(role, incarnation, writer).max(*end);
+                    let end = self.silent_until(role, incarnation, writer, stream).max(*end);
                     let gap = span.first.saturating_sub(end + 1);
                     (row.published, row.lost) = (row.published + gap, row.lost + gap);
                 }
-                let newest = reader.newest(writer, stream);
+                let newest = newest_for(reader.end.as_ref(), writer, stream);
                 let tail = reader.last(writer, stream).map_or(0, |last| newest.saturating_sub(last));
                 row.published += tail;
-                let is_lost = stream.ended_ns.is_some_and(|ended_ns| reader.looked_ns > ended_ns);
+                let is_lost = stream.ended_ns.is_some_and(|ended_ns| reader.polled_ns > ended_ns);
                 waiting[usize::from(!is_lost)] += tail;
                 let end = span.map_or(0, |span| span.last).max(newest);
                 covered.entry(writer).and_modify(|known| *known = end.max(*known)).or_insert(end);
@@ -261,76 +262,67 @@ impl TopicLedger {
         row.residual = row.published.saturating_sub(row.used + row.replaced + row.lost + row.in_flight);
         row
     }
+
+    /// The largest number of a writer that was for a reader without counters before `incarnation`.
+    fn silent_until(&self, role: Role, incarnation: u32, writer: u32, stream: &Stream) -> u64 {
+        let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
+        before.map(|(_, reader)| newest_for(reader.end.as_ref(), writer, stream)).max().unwrap_or(0)
+    }
 }
 
-impl TopicLedger {
-    /// The largest number of a writer that was for a reader without accounts which came before `incarnation`.
-    fn silent_until(&self, role: Role, incarnation: u32, writer: u32) -> u64 {
-        let before = self.silent.range(..incarnation).filter(|(_, reader)| reader.role == role);
-        let newest = before.map(|(_, reader)| match &reader.end {
-            Some(end) => end.newest.get(&writer).copied().unwrap_or(0),
-            None => self.streams.get(&writer).map_or(0, Stream::newest),
-        });
-        newest.max().unwrap_or(0)
-    }
+/// The largest number of a writer that was for a reader, whose end is given if it has ended.
+fn newest_for(end: Option<&ReaderEnd>, writer: u32, stream: &Stream) -> u64 {
+    end.map_or(stream.newest(), |end| end.newest.get(&writer).copied().unwrap_or(0))
 }
 
 impl Reader {
-    /// The largest number of a writer that was for this reader.
-    fn newest(&self, writer: u32, stream: &Stream) -> u64 {
-        match &self.end {
-            Some(end) => end.newest.get(&writer).copied().unwrap_or(0),
-            None => stream.newest(),
-        }
-    }
-
-    /// The largest number of a writer that came to this reader; `None` when it is not known where it began to hear it.
+    /// The largest number of a writer that arrived at this reader; `None` when its first number is not known.
     fn last(&self, writer: u32, stream: &Stream) -> Option<u64> {
         let from_start = self.from_start && stream.from_start;
         self.spans.get(&writer).map(|span| span.last).or(from_start.then_some(0))
     }
 
-    /// Notes what the last word has that the words before had not: of several of a kind an account names the newest.
+    /// Notes the faults that are new in the last report: of several of a kind the counters name the newest.
     fn notice(&mut self) {
-        let Self { account, told, noticed, .. } = self;
-        let hole = &account.hole;
-        for back in (0..account.missing.saturating_sub(told.missing)).rev() {
+        let Self { counters, reported, noticed, .. } = self;
+        let hole = &counters.hole;
+        for back in (0..counters.missing.saturating_sub(reported.missing)).rev() {
             let is_known = hole.incarnation != 0 && hole.last.saturating_sub(back) >= hole.first;
             let sequence = if is_known { hole.last - back } else { 0 };
             noticed.push((Kind::Missing, hole.incarnation, sequence));
         }
-        let twice = (Kind::Duplicate, account.twice.incarnation, account.twice.first);
-        noticed.extend((told.duplicate..account.duplicate).map(|_| twice));
-        let late = (Kind::Reordered, account.late.incarnation, account.late.first);
-        noticed.extend((told.reordered..account.reordered).map(|_| late));
-        (told.missing, told.duplicate, told.reordered) =
-            (account.missing, account.duplicate, account.reordered);
+        let twice = (Kind::Duplicate, counters.twice.incarnation, counters.twice.first);
+        noticed.extend((reported.duplicate..counters.duplicate).map(|_| twice));
+        let late = (Kind::Reordered, counters.late.incarnation, counters.late.first);
+        noticed.extend((reported.reordered..counters.reordered).map(|_| late));
+        (reported.missing, reported.duplicate, reported.reordered) =
+            (counters.missing, counters.duplicate, counters.reordered);
     }
 
-    fn close(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
+    fn reconcile(&mut self, topic: Topic, streams: &BTreeMap<u32, Stream>, faults: &mut Vec<Fault>) {
         for (&writer, stream) in streams {
             if let Some(next) = self.last(writer, stream).map(|last| last + 1) {
-                // Remembered here, because a stream remembers the newest only.
+                // Stored here, because a stream stores the newest only.
                 if self.beyond.get(&writer).is_none_or(|seen| seen.sequence < next) {
                     self.beyond.remove(&writer);
                     self.beyond.extend(stream.arrival_of(next).map(|seen| (writer, *seen)));
                 }
             }
         }
-        let (account, told, role) = (&self.account, &self.told, self.role);
+        let (counters, reported, role) = (&self.counters, &self.reported, self.role);
         let scan = |writer: u32, sequence| streams.get(&writer).map_or(0, |stream| stream.scan_of(sequence));
         let mut note = |kind, writer: u32, sequence: u64| {
             let fault = Fault::new(topic, kind, writer).sequence(sequence).scan(scan(writer, sequence));
             faults.push(fault.noticed_by(role));
         };
         self.noticed.drain(..).for_each(|(kind, writer, sequence)| note(kind, writer, sequence));
-        // One number: the sum of all without a fate but those that wait and those told before.
-        let vanished = |account: &InputAccount| account.open.saturating_sub(account.waiting);
-        let sum = |account: &InputAccount| account.open_sum.wrapping_sub(account.waiting_sum);
-        match vanished(account).saturating_sub(vanished(told)) {
+        // Of one sample: the sum of the numbers without a fate, less those that wait and those reported before.
+        let vanished = |counters: &InputAccount| counters.open.saturating_sub(counters.waiting);
+        let sum = |counters: &InputAccount| counters.open_sum.wrapping_sub(counters.waiting_sum);
+        match vanished(counters).saturating_sub(vanished(reported)) {
             0 => {}
-            1 => note(Kind::Vanished, newest_writer(account), sum(account).wrapping_sub(sum(told))),
-            _ => note(Kind::Vanished, newest_writer(account), 0),
+            1 => note(Kind::Vanished, newest_writer(counters), sum(counters).wrapping_sub(sum(reported))),
+            _ => note(Kind::Vanished, newest_writer(counters), 0),
         }
         for Span { incarnation, first, .. } in self.begun.drain(..) {
             if self.from_start && streams.get(&incarnation).is_some_and(|stream| stream.from_start) {
@@ -338,23 +330,23 @@ impl Reader {
             }
         }
         for (&writer, stream) in streams {
-            // It looked long after the sample had come to everyone else.
+            // It polled long after the sample had arrived at the orchestrator.
             if self.end.is_none()
                 && stream.ended_ns.is_none()
                 && let Some(last) = self.last(writer, stream)
                 && let Some(seen) = self.beyond.get(&writer)
                 && seen.after_ns > self.connected_ns
-                && self.looked_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
+                && self.polled_ns >= seen.seen_ns.saturating_add(TIMEOUT_NS)
             {
                 note(Kind::Missing, writer, last + 1);
             }
         }
-        self.told = *account;
+        self.reported = *counters;
     }
 }
 
-fn newest_writer(account: &InputAccount) -> u32 {
-    account.writers.iter().map(|span| span.incarnation).max().unwrap_or(0)
+fn newest_writer(counters: &InputAccount) -> u32 {
+    counters.writers.iter().map(|span| span.incarnation).max().unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -372,7 +364,7 @@ mod tests {
         Span { incarnation: WRITER, first, last, ..Span::default() }
     }
 
-    fn word(account: &InputAccount, looked_ns: u64) -> InputReport<'_> {
+    fn report(counters: &InputAccount, polled_ns: u64) -> InputReport<'_> {
         let (incarnation, role) = (READER, Role::Obstacles);
         InputReport {
             incarnation,
@@ -380,8 +372,8 @@ mod tests {
             from_start: true,
             midway: false,
             connected_ns: 1,
-            looked_ns,
-            account,
+            polled_ns,
+            counters,
         }
     }
 
@@ -390,14 +382,14 @@ mod tests {
     }
 
     #[test]
-    fn what_a_reader_without_accounts_had_between_two_others_is_not_lost() {
+    fn samples_of_a_reader_without_counters_between_two_others_are_not_lost() {
         for (is_received, lost) in [(true, 0), (false, 20)] {
             let mut ledger = TopicLedger::new(Topic::Pose, 16);
             ledger.poll(5);
-            let mut account = InputAccount { used: 4, arrived: 4, ..InputAccount::default() };
+            let mut counters = InputAccount { used: 4, arrived: 4, ..InputAccount::default() };
             (1..=4).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
-            account.writers[0] = span(1, 4);
-            ledger.received(word(&account, 5));
+            counters.writers[0] = span(1, 4);
+            ledger.receive(report(&counters, 5));
             if is_received {
                 ledger.add_silent_reader(5, Role::Obstacles);
             }
@@ -405,8 +397,8 @@ mod tests {
             (5..=24).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
             ledger.ended(5, 7, true);
             (25..=28).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
-            account.writers[0] = span(25, 28);
-            ledger.received(InputReport { incarnation: 7, from_start: false, ..word(&account, 8) });
+            counters.writers[0] = span(25, 28);
+            ledger.receive(InputReport { incarnation: 7, from_start: false, ..report(&counters, 8) });
             let rows = ledger.rows();
             let row = rows.first().unwrap();
             assert_eq!((row.lost, row.used, row.residual), (lost, 8, 0), "{row:?}");
@@ -414,40 +406,40 @@ mod tests {
     }
 
     #[test]
-    fn several_faults_that_one_reader_noticed_between_two_closings_are_all_named() {
+    fn several_faults_that_one_reader_noticed_between_two_reconciliations_are_all_named() {
         let mut ledger = TopicLedger::new(Topic::Pose, 16);
         ledger.poll(5);
         (1..=9).for_each(|sequence| assert_eq!(ledger.see(&header(sequence), true, true), None));
-        let mut account = InputAccount { missing: 1, hole: span(3, 3), ..InputAccount::default() };
-        account.writers[0] = span(1, 4);
-        ledger.received(word(&account, 5));
-        account.writers[0] = span(1, 9);
-        (account.missing, account.hole) = (2, span(7, 7));
-        (account.duplicate, account.twice) = (1, span(8, 8));
-        ledger.received(word(&account, 6));
+        let mut counters = InputAccount { missing: 1, hole: span(3, 3), ..InputAccount::default() };
+        counters.writers[0] = span(1, 4);
+        ledger.receive(report(&counters, 5));
+        counters.writers[0] = span(1, 9);
+        (counters.missing, counters.hole) = (2, span(7, 7));
+        (counters.duplicate, counters.twice) = (1, span(8, 8));
+        ledger.receive(report(&counters, 6));
         let expected = [(Kind::Missing, 3, 3), (Kind::Missing, 7, 7), (Kind::Duplicate, 8, 8)];
-        assert_eq!(named(&ledger.close(false)), expected);
-        ledger.received(word(&account, 7));
-        assert_eq!(ledger.close(false), [], "once is enough");
+        assert_eq!(named(&ledger.reconcile(false)), expected);
+        ledger.receive(report(&counters, 7));
+        assert_eq!(ledger.reconcile(false), [], "once is enough");
     }
 
     #[test]
-    fn a_reader_that_hears_nothing_any_more_is_noticed_at_any_rate() {
+    fn a_reader_that_receives_nothing_any_more_is_noticed_at_any_rate() {
         for period_ns in [2_000_000, 20_000_000] {
             let mut ledger = TopicLedger::new(Topic::Pose, 16);
-            let mut account = InputAccount::default();
-            let (mut found, mut closed_ns) = (Vec::new(), 0);
+            let mut counters = InputAccount::default();
+            let (mut found, mut reconciled_ns) = (Vec::new(), 0);
             for sequence in 1..=3_000_000_000 / period_ns {
                 let now_ns = 1_000_000_000 + sequence * period_ns;
                 ledger.poll(now_ns);
                 ledger.see(&header(sequence), true, true);
                 if sequence <= 10 {
-                    account.writers[0] = span(1, sequence);
+                    counters.writers[0] = span(1, sequence);
                 }
-                ledger.received(word(&account, now_ns));
-                if now_ns >= closed_ns + 1_000_000_000 {
-                    closed_ns = now_ns;
-                    found.extend(named(&ledger.close(false)));
+                ledger.receive(report(&counters, now_ns));
+                if now_ns >= reconciled_ns + 1_000_000_000 {
+                    reconciled_ns = now_ns;
+                    found.extend(named(&ledger.reconcile(false)));
                 }
             }
             assert!(

@@ -129,7 +129,7 @@ fn one_run_tells_about_how_small_a_difference_to_another_would_show() {
 }
 
 #[test]
-fn too_few_scans_say_nothing() {
+fn too_few_scans_have_no_interval() {
     let short = run(1, 250, QUIET, 0.0);
     assert_eq!(stretches(&short[..5], &short[..5], 0.5), None);
     let few = run(1, 10, QUIET, 0.0);

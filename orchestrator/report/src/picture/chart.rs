@@ -1,11 +1,12 @@
-//! Curves in one pair of axes: the picture of a design analysis.
+//! A chart of curves: the picture of a design analysis.
 //!
-//! A logarithmic axis is drawn by its exponents. What is not finite, or not positive on a logarithmic axis, is left out.
+//! A logarithmic axis is drawn by its exponents. Values that are not finite, or not positive on a logarithmic axis, are
+//! left out.
 
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{Area, EDGE, FINE, GRID, INK, PictureError, WIDTH, fine, font};
+use super::legend::{LEFT, Sample, width};
+use super::{Area, EDGE, INK, Result, WIDTH, fine, mesh, svg, text};
 
 /// Height of the picture [pixels].
 const HEIGHT: u32 = 560;
@@ -13,15 +14,9 @@ const HEIGHT: u32 = 560;
 const HEAD: u32 = 84;
 /// Height of a further row of the legend [pixels].
 const ROW: u32 = 22;
-/// Left end of text [pixels].
-const LEFT: u32 = 60;
-/// Width of a sample in the legend [pixels].
-const SAMPLE: u32 = 26;
-/// Estimated width of a letter; the library can't measure text [pixels].
-const LETTER: f64 = 6.6;
-/// What must not be passed.
+/// Limits.
 const LIMIT: RGBColor = RGBColor(190, 60, 30);
-/// One colour per curve, told apart in grey too.
+/// One colour per curve, distinguishable in grey too.
 const PALETTE: [RGBColor; 8] = [
     RGBColor(0, 92, 158),
     RGBColor(240, 110, 0),
@@ -72,27 +67,20 @@ pub struct Curve {
 /// Draws curves as the text of an SVG file.
 ///
 /// # Errors
-/// [`PictureError`] when the drawing library refuses.
-pub fn draw(chart: &Chart) -> Result<String, PictureError> {
+/// [`super::PictureError`] when the drawing library refuses.
+pub fn draw(chart: &Chart) -> Result<String> {
     let legend = Legend::of(chart);
     let head = HEAD + (legend.rows - 1) * ROW;
-    let height = HEIGHT + head - HEAD;
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
-        root.fill(&WHITE).map_err(PictureError::of)?;
+    svg(HEIGHT + head - HEAD, |root| {
         let (top, below) = root.split_vertically(fine(head));
         text(&top, &chart.title, 19, LEFT, 20)?;
         text(&top, &chart.subtitle, 13, LEFT, 44)?;
         legend.draw(&top)?;
-        curves(&below, chart)?;
-        root.present().map_err(PictureError::of)?;
-    }
-    let drawn = format!("width=\"{}\" height=\"{}\"", WIDTH * FINE, height * FINE);
-    Ok(svg.replacen(&drawn, &format!("width=\"{WIDTH}\" height=\"{height}\""), 1))
+        curves(&below, chart)
+    })
 }
 
-fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
+fn curves(area: &Area<'_>, chart: &Chart) -> Result<()> {
     let place = |point: &[f64; 2]| {
         let value = if chart.logarithmic { point[1].log10() } else { point[1] };
         let x = if chart.logarithmic_x { point[0].log10() } else { point[0] };
@@ -117,14 +105,10 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
         .margin_right(fine(28))
         .x_label_area_size(fine(46))
         .y_label_area_size(fine(84 - EDGE))
-        .build_cartesian_2d(left..right, low..high)
-        .map_err(PictureError::of)?;
+        .build_cartesian_2d(left..right, low..high)?;
     let decimals = if right - left < 1.0 { 2 } else { usize::from(right - left < 5.0) };
     let logarithmic = chart.logarithmic;
-    axes.configure_mesh()
-        .max_light_lines(0)
-        .bold_line_style(GRID.stroke_width(fine(1) as u32))
-        .axis_style(INK.stroke_width(fine(1) as u32))
+    mesh(&mut axes)
         .x_labels(14)
         .y_labels(8)
         .x_label_formatter(&|value| match value.fract().abs() > 1e-6 {
@@ -136,34 +120,24 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
         .y_label_formatter(&|value| {
             if logarithmic { format!("{:.0e}", 10f64.powf(*value)) } else { format!("{value:.0}") }
         })
-        .label_style(font(12).into_font().color(&INK))
-        .axis_desc_style(font(13).into_font().color(&INK))
         .x_desc(&chart.x)
         .y_desc(&chart.y)
-        .set_all_tick_mark_size(fine(4))
-        .draw()
-        .map_err(PictureError::of)?;
+        .draw()?;
     for limit in limits {
-        let line = DashedLineSeries::new(
-            [(left, limit), (right, limit)],
-            fine(8),
-            fine(5),
-            LIMIT.stroke_width(fine(1) as u32),
-        );
-        axes.draw_series(line).map_err(PictureError::of)?;
+        let (ends, style) = ([(left, limit), (right, limit)], LIMIT.stroke_width(fine(1) as u32));
+        axes.draw_series(DashedLineSeries::new(ends, fine(8), fine(5), style))?;
     }
     for (curve, colour) in chart.curves.iter().zip(PALETTE.iter().cycle()) {
         let points: Vec<(f64, f64)> = curve.points.iter().filter_map(place).collect();
-        axes.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(fine(2) as u32)))
-            .map_err(PictureError::of)?;
+        axes.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(fine(2) as u32)))?;
         if curve.dots {
             let dots = points.iter().map(|point| Circle::new(*point, fine(4), colour.filled()));
-            axes.draw_series(dots).map_err(PictureError::of)?;
+            axes.draw_series(dots)?;
         }
     }
     if let Some(point) = chart.mark.as_ref().and_then(|(_, point)| place(point)) {
         let ring = Circle::new(point, fine(8), INK.stroke_width(fine(2) as u32));
-        axes.draw_series([ring]).map_err(PictureError::of)?;
+        axes.draw_series([ring])?;
     }
     Ok(())
 }
@@ -179,7 +153,7 @@ fn significant(value: f64) -> String {
 }
 
 /// Smallest and largest value with a share of the range added at both ends.
-fn range(values: impl Iterator<Item = f64>, share: f64) -> (f64, f64) {
+pub(super) fn range(values: impl Iterator<Item = f64>, share: f64) -> (f64, f64) {
     let (low, high) = values
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
     if low > high {
@@ -192,15 +166,8 @@ fn range(values: impl Iterator<Item = f64>, share: f64) -> (f64, f64) {
 /// Names and colours, in rows.
 struct Legend<'a> {
     rows: u32,
-    /// Name, colour, kind and place of the left end [pixels].
-    entries: Vec<(&'a str, RGBColor, Kind, u32, u32)>,
-}
-
-#[derive(Clone, Copy)]
-enum Kind {
-    Line,
-    Dashes,
-    Ring,
+    /// Name, colour, sample, left end and middle of the row [pixels].
+    entries: Vec<(&'a str, RGBColor, Sample, u32, u32)>,
 }
 
 impl<'a> Legend<'a> {
@@ -209,52 +176,32 @@ impl<'a> Legend<'a> {
             .curves
             .iter()
             .zip(PALETTE.iter().cycle())
-            .map(|(curve, colour)| (curve.name.as_str(), *colour, Kind::Line));
-        // Two limits of one name, for both sides, are told once.
-        let told = |index: usize| chart.limits[..index].iter().any(|limit| limit.0 == chart.limits[index].0);
+            .map(|(curve, colour)| (curve.name.as_str(), *colour, Sample::Line));
+        // Two limits of one name, for both sides, have one entry.
+        let is_repeated =
+            |index: usize| chart.limits[..index].iter().any(|limit| limit.0 == chart.limits[index].0);
         let limits = (0..chart.limits.len())
-            .filter(|index| !told(*index))
-            .map(|index| (chart.limits[index].0.as_str(), LIMIT, Kind::Dashes));
-        let mark = chart.mark.iter().map(|(name, _)| (name.as_str(), INK, Kind::Ring));
+            .filter(|index| !is_repeated(*index))
+            .map(|index| (chart.limits[index].0.as_str(), LIMIT, Sample::Dashes));
+        let mark = chart.mark.iter().map(|(name, _)| (name.as_str(), INK, Sample::Ring));
         let mut legend = Self { rows: 1, entries: Vec::new() };
         let mut left = LEFT;
-        for (name, colour, kind) in curves.chain(limits).chain(mark) {
-            let width = SAMPLE + 6 + (name.len() as f64 * LETTER) as u32 + 16;
-            if left > LEFT && left + width > WIDTH - EDGE {
+        for (name, colour, sample) in curves.chain(limits).chain(mark) {
+            if left > LEFT && left + width(name) > WIDTH - EDGE {
                 left = LEFT;
                 legend.rows += 1;
             }
-            legend.entries.push((name, colour, kind, left, 68 + (legend.rows - 1) * ROW));
-            left += width;
+            legend.entries.push((name, colour, sample, left, 68 + (legend.rows - 1) * ROW));
+            left += width(name);
         }
         legend
     }
 
-    fn draw(&self, area: &Area<'_>) -> Result<(), PictureError> {
-        for (name, colour, kind, left, middle) in &self.entries {
-            let at = |x: u32| (fine(left + x), fine(*middle));
-            let mut bars: Vec<Vec<(i32, i32)>> = Vec::new();
-            match kind {
-                Kind::Line => bars.push(vec![at(0), at(SAMPLE)]),
-                Kind::Dashes => bars.extend([0, 10, 20].map(|dash| vec![at(dash), at(dash + 6)])),
-                Kind::Ring => {
-                    let ring = Circle::new(at(SAMPLE / 2), fine(6), colour.stroke_width(fine(2) as u32));
-                    area.draw(&ring).map_err(PictureError::of)?;
-                }
-            }
-            for bar in bars {
-                area.draw(&PathElement::new(bar, colour.stroke_width(fine(2) as u32)))
-                    .map_err(PictureError::of)?;
-            }
-            text(area, name, 12, left + SAMPLE + 6, *middle)?;
-        }
-        Ok(())
+    fn draw(&self, area: &Area<'_>) -> Result<()> {
+        let mut entries = self.entries.iter();
+        entries
+            .try_for_each(|(name, colour, sample, left, row)| sample.draw(area, name, *colour, *left, *row))
     }
-}
-
-fn text(area: &Area<'_>, text: &str, size: u32, x: u32, y: u32) -> Result<(), PictureError> {
-    let style = font(size).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
-    area.draw_text(text, &style, (fine(x), fine(y))).map_err(PictureError::of)
 }
 
 #[cfg(test)]

@@ -3,21 +3,21 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::{Area, EDGE, GRID, INK, Moment, PictureError, WIDTH, fine, font};
+use super::{Area, EDGE, INK, Moment, Result, WIDTH, fine, font, mesh};
 
 /// Height of this part [pixels].
 pub(super) const HEIGHT: u32 = 210;
 
 const SPEED: RGBColor = RGBColor(0, 92, 158);
 const STEERING: RGBColor = RGBColor(190, 60, 30);
-/// Points per curve at most, about four per pixel; peaks are kept.
+/// Maximum number of points per curve, about four per pixel; peaks are kept.
 const MAX_POINTS: usize = 4000;
-/// Curves are cut off here, so that one absurd value does not hide the rest [m/s].
+/// Curves are clamped here, so that one absurd value does not hide the rest [m/s].
 const HIGHEST_SPEED_MPS: f64 = 10.0;
 /// As above [rad].
 const HIGHEST_STEERING_RAD: f64 = 1.0;
 
-pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<(), PictureError> {
+pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<()> {
     let curve = |pick: fn(&Moment) -> f64, highest: f64| {
         let points = moments.iter().map(|moment| (moment.time_s, pick(moment).clamp(-highest, highest)));
         keep_peaks(points.filter(|(time, value)| time.is_finite() && value.is_finite()).collect())
@@ -39,24 +39,16 @@ pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<(), PictureErr
         .x_label_area_size(fine(38))
         .y_label_area_size(fine(60 - EDGE))
         .right_y_label_area_size(fine(66 - EDGE))
-        .build_cartesian_2d(start..end, 0.0..fastest)
-        .map_err(PictureError::of)?
+        .build_cartesian_2d(start..end, 0.0..fastest)?
         .set_secondary_coord(start..end, -sharpest..sharpest);
-    chart
-        .configure_mesh()
-        .max_light_lines(0)
-        .bold_line_style(GRID.stroke_width(fine(1) as u32))
-        .axis_style(INK.stroke_width(fine(1) as u32))
+    mesh(&mut chart)
         .x_labels(14)
         .y_labels(5)
         .x_label_formatter(&|time| format!("{time:.0}"))
         .y_label_formatter(&|speed| format!("{speed:.1}"))
-        .label_style(font(12).into_font().color(&INK))
         .axis_desc_style(font(13).into_font().color(&SPEED))
         .y_desc("speed [m/s]")
-        .set_all_tick_mark_size(fine(4))
-        .draw()
-        .map_err(PictureError::of)?;
+        .draw()?;
     chart
         .configure_secondary_axes()
         .axis_style(INK.stroke_width(fine(1) as u32))
@@ -66,16 +58,13 @@ pub(super) fn draw(area: &Area<'_>, moments: &[Moment]) -> Result<(), PictureErr
         .axis_desc_style(font(13).into_font().color(&STEERING))
         .y_desc("steering [rad]")
         .set_all_tick_mark_size(fine(4))
-        .draw()
-        .map_err(PictureError::of)?;
+        .draw()?;
     let width = fine(2) as u32 * 4 / 5;
-    chart
-        .draw_secondary_series(LineSeries::new(steering, STEERING.stroke_width(width)))
-        .map_err(PictureError::of)?;
-    chart.draw_series(LineSeries::new(speed, SPEED.stroke_width(width))).map_err(PictureError::of)?;
-    // The axes are named in the colours of their curves; time is not one of them.
+    chart.draw_secondary_series(LineSeries::new(steering, STEERING.stroke_width(width)))?;
+    chart.draw_series(LineSeries::new(speed, SPEED.stroke_width(width)))?;
+    // Each vertical axis is named in the colour of its curve, so the horizontal one is named here.
     let style = font(13).into_font().color(&INK).pos(Pos::new(HPos::Center, VPos::Bottom));
-    area.draw_text("time [s]", &style, (fine(WIDTH / 2), fine(HEIGHT - 5))).map_err(PictureError::of)
+    Ok(area.draw_text("time [s]", &style, (fine(WIDTH / 2), fine(HEIGHT - 5)))?)
 }
 
 /// At most about [`MAX_POINTS`] points: of each group the lowest and the highest, in their order.

@@ -1,15 +1,14 @@
 //! The drive on the map, in one strip or several.
 
-use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use vehicle::frame::to_track;
 
 use super::clip::{self, View};
 use super::{
-    Area, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, GRID, INK, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
+    Area, Axes, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
 };
-use super::{Drive, Ellipse, Moment, PictureError, Scene, fine, font};
+use super::{Drive, Ellipse, Moment, Result, Scene, fine, mesh};
 
 /// Room for labels on the left [pixels].
 const LEFT: u32 = 60;
@@ -21,41 +20,39 @@ const ACROSS: u32 = WIDTH - LEFT - RIGHT;
 const BELOW: u32 = 26;
 /// More room below the last strip for the name of its axis [pixels].
 const BELOW_LAST: u32 = 16;
-/// Least height of a strip [pixels].
+/// Smallest height of a strip [pixels].
 const MIN_DOWN: u32 = 90;
 /// Largest height of a strip [pixels].
 const MAX_DOWN: u32 = 640;
 
 /// A drive is folded beyond this length [m].
 const FOLD_M: f64 = 26.0;
-/// Number of strips at most.
+/// Maximum number of strips.
 const MAX_STRIPS: usize = 8;
-/// Length of a strip at most; what is longer than all strips together is cut at its beginning [m].
+/// Maximum length of a strip; of a longer drive the first part is left out [m].
 const MAX_STRIP_M: f64 = 60.0;
 /// Room around the drive [m].
 const AROUND_M: f64 = 0.7;
-/// A bound of the track that is not further from the drive than this is shown [m].
+/// Bounds of the track are shown up to this distance from the drive [m].
 const NEAR_M: f64 = 3.0;
 /// Positions beyond this are nonsense and not shown [m].
 const FARTHEST_M: f64 = 1e6;
-/// Bodies per strip at most.
+/// Maximum number of bodies per strip.
 const MAX_BODIES: usize = 40;
-/// Points of a path at most; more are thinned further.
+/// Maximum number of points of a path; more are thinned further.
 const MAX_POINTS: usize = 8000;
 /// Corners of a drawn ellipse.
 const CORNERS: usize = 72;
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-
 /// What part of the track each strip shows, and how large.
 #[derive(Debug, Clone)]
-pub(super) struct Plan {
+pub(super) struct Layout {
     strips: Vec<View>,
     down: u32,
     cut: bool,
 }
 
-impl Plan {
+impl Layout {
     /// Lays out the strips for a drive.
     pub(super) fn of(scene: &Scene, drive: &Drive) -> Self {
         let whole = viewed(scene, drive);
@@ -95,7 +92,7 @@ impl Plan {
         self.strips.len() as u32 * (self.down + BELOW) + BELOW_LAST
     }
 
-    /// Whether the beginning of the drive is not shown.
+    /// Whether the first part of the drive is left out.
     pub(super) fn is_cut(&self) -> bool {
         self.cut
     }
@@ -108,7 +105,7 @@ impl Plan {
     }
 
     /// Draws all strips.
-    pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<(), PictureError> {
+    pub(super) fn draw(&self, area: &Area<'_>, scene: &Scene, drive: &Drive) -> Result<()> {
         let bodies = bodies(&drive.moments, MAX_BODIES * self.strips.len());
         let mut rest = area.clone();
         for (index, view) in self.strips.iter().enumerate() {
@@ -122,7 +119,7 @@ impl Plan {
     }
 }
 
-/// The part of the track that matters: the drive, start and goal, and the bounds near them.
+/// The part of the track that is shown: the drive, start and goal, and the bounds near them.
 fn viewed(scene: &Scene, drive: &Drive) -> View {
     let path = drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
     let points = path.chain(drive.estimates.iter().copied()).chain([scene.start_m, scene.goal_m]);
@@ -142,12 +139,12 @@ fn viewed(scene: &Scene, drive: &Drive) -> View {
     view
 }
 
-/// The moments at which the body is drawn: every second, or more rarely where that would be too many.
-fn bodies(moments: &[Moment], most: usize) -> Vec<Moment> {
+/// The moments at which the body is drawn: one per second, or fewer where that would be too many.
+fn bodies(moments: &[Moment], max: usize) -> Vec<Moment> {
     let finite = moments.iter().filter(|moment| moment.time_s.abs() < FARTHEST_M);
     let last_s = finite.clone().next_back().map_or(0.0, |moment| moment.time_s);
     let first_s = finite.clone().next().map_or(0.0, |moment| moment.time_s);
-    let every_s = ((last_s - first_s) / most as f64).ceil().max(1.0);
+    let every_s = ((last_s - first_s) / max as f64).ceil().max(1.0);
     // Half a scan at 100 Hz of tolerance: scans do not fall on whole seconds exactly.
     let mut due_s = first_s - 0.005;
     let mut chosen: Vec<Moment> = Vec::new();
@@ -160,7 +157,7 @@ fn bodies(moments: &[Moment], most: usize) -> Vec<Moment> {
     chosen
 }
 
-/// One strip: what it shows of what.
+/// One strip: the part of the plane it shows, and what is drawn in it.
 struct Strip<'a> {
     view: &'a View,
     scene: &'a Scene,
@@ -168,15 +165,14 @@ struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    fn draw(&self, area: &Area<'_>, bodies: &[Moment], labels: u32, last: bool) -> Result<(), PictureError> {
+    fn draw(&self, area: &Area<'_>, bodies: &[Moment], labels: u32, last: bool) -> Result<()> {
         let View { x, y } = *self.view;
         let mut chart = ChartBuilder::on(area)
             .margin_left(fine(EDGE))
             .margin_right(fine(RIGHT))
             .x_label_area_size(fine(labels))
             .y_label_area_size(fine(LEFT - EDGE))
-            .build_cartesian_2d(x[0]..x[1], y[0]..y[1])
-            .map_err(PictureError::of)?;
+            .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
         self.draw_ground(&mut chart)?;
         self.draw_mesh(&mut chart, last)?;
         self.draw_bounds(&mut chart)?;
@@ -187,32 +183,26 @@ impl Strip<'_> {
         self.draw_paths(&mut chart)
     }
 
-    fn draw_mesh(&self, chart: &mut Chart<'_, '_>, last: bool) -> Result<(), PictureError> {
+    fn draw_mesh(&self, chart: &mut Axes<'_, '_>, last: bool) -> Result<()> {
         let height = self.view.y[1] - self.view.y[0];
-        let mut mesh = chart.configure_mesh();
-        mesh.max_light_lines(0)
-            .bold_line_style(GRID.stroke_width(fine(1) as u32))
-            .axis_style(INK.stroke_width(fine(1) as u32))
-            .x_labels(14)
+        let mut mesh = mesh(chart);
+        mesh.x_labels(14)
             .y_labels(if height < 3.0 { 4 } else { 6 })
             .x_label_formatter(&|x| trim(*x))
             .y_label_formatter(&|y| trim(*y))
-            .label_style(font(12).into_font().color(&INK))
-            .axis_desc_style(font(13).into_font().color(&INK))
-            .set_all_tick_mark_size(fine(4))
             .y_desc("y [m]");
         if last {
             mesh.x_desc("x [m]");
         }
-        mesh.draw().map_err(PictureError::of)
+        Ok(mesh.draw()?)
     }
 
-    fn draw_ground(&self, chart: &mut Chart<'_, '_>) -> Result<(), PictureError> {
+    fn draw_ground(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let Scene { track_x_m: [left, right], track_y_m: [low, high], .. } = *self.scene;
         self.fill(chart, &[[left, low], [right, low], [right, high], [left, high]], TRACK.filled())
     }
 
-    fn draw_bounds(&self, chart: &mut Chart<'_, '_>) -> Result<(), PictureError> {
+    fn draw_bounds(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let Scene { track_x_m: [left, right], track_y_m: [low, high], walls, .. } = *self.scene;
         let bound = BOUND.stroke_width(fine(1) as u32 * 3 / 2);
         let lateral = if walls { OBSTACLE.stroke_width(fine(4) as u32) } else { bound };
@@ -226,7 +216,7 @@ impl Strip<'_> {
     }
 
     /// Obstacles, ellipses and the goal.
-    fn draw_things(&self, chart: &mut Chart<'_, '_>) -> Result<(), PictureError> {
+    fn draw_things(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         for ellipse in &self.drive.ellipses {
             let corners = corners(ellipse);
             self.fill(chart, &corners, ELLIPSE.mix(0.10).filled())?;
@@ -242,7 +232,7 @@ impl Strip<'_> {
         self.dot(chart, self.scene.goal_m, 2, GOAL)
     }
 
-    fn draw_paths(&self, chart: &mut Chart<'_, '_>) -> Result<(), PictureError> {
+    fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
         let fine_step = (self.view.x[1] - self.view.x[0]) / f64::from(fine(ACROSS));
         let path = self.drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
         let path = thinned(path, 2.0 * fine_step);
@@ -262,61 +252,43 @@ impl Strip<'_> {
         })
     }
 
-    fn fill(
-        &self,
-        chart: &mut Chart<'_, '_>,
-        points: &[[f64; 2]],
-        style: ShapeStyle,
-    ) -> Result<(), PictureError> {
+    fn fill(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], style: ShapeStyle) -> Result<()> {
         let inside = pairs(&clip::polygon(points, self.view));
-        if inside.len() < 3 {
-            return Ok(());
+        if inside.len() >= 3 {
+            chart.draw_series([Polygon::new(inside, style)])?;
         }
-        chart.draw_series([Polygon::new(inside, style)]).map(|_| ()).map_err(PictureError::of)
+        Ok(())
     }
 
-    fn outline(
-        &self,
-        chart: &mut Chart<'_, '_>,
-        points: &[[f64; 2]],
-        style: ShapeStyle,
-    ) -> Result<(), PictureError> {
+    fn outline(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], style: ShapeStyle) -> Result<()> {
         let closed: Vec<[f64; 2]> = points.iter().chain(points.first()).copied().collect();
         self.line(chart, &closed, style, false)
     }
 
     fn line(
         &self,
-        chart: &mut Chart<'_, '_>,
+        chart: &mut Axes<'_, '_>,
         points: &[[f64; 2]],
         style: ShapeStyle,
         dashed: bool,
-    ) -> Result<(), PictureError> {
+    ) -> Result<()> {
         for part in clip::line(points, self.view) {
             let part = pairs(&part);
             if dashed {
-                let dashes = DashedPathElement::new(part, fine(6), fine(4), style);
-                chart.draw_series([dashes]).map_err(PictureError::of)?;
+                chart.draw_series([DashedPathElement::new(part, fine(6), fine(4), style)])?;
             } else {
-                chart.draw_series([PathElement::new(part, style)]).map_err(PictureError::of)?;
+                chart.draw_series([PathElement::new(part, style)])?;
             }
         }
         Ok(())
     }
 
-    fn dot(
-        &self,
-        chart: &mut Chart<'_, '_>,
-        [x, y]: [f64; 2],
-        radius: u32,
-        colour: RGBColor,
-    ) -> Result<(), PictureError> {
+    fn dot(&self, chart: &mut Axes<'_, '_>, [x, y]: [f64; 2], radius: u32, colour: RGBColor) -> Result<()> {
         let View { x: [left, right], y: [low, high] } = *self.view;
-        if !(left..=right).contains(&x) || !(low..=high).contains(&y) {
-            return Ok(());
+        if (left..=right).contains(&x) && (low..=high).contains(&y) {
+            chart.draw_series([Circle::new((x, y), fine(radius), colour.filled())])?;
         }
-        let dot = Circle::new((x, y), fine(radius), colour.filled());
-        chart.draw_series([dot]).map(|_| ()).map_err(PictureError::of)
+        Ok(())
     }
 }
 

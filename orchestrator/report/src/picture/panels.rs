@@ -1,11 +1,12 @@
-//! Several small pairs of axes, one below the other: what a fit shows and what it misses.
+//! Several charts, one below the other: measured points, the fit, and its residuals.
 
 use calibration::Chart;
 use plotters::prelude::*;
 
-use super::{Area, EDGE, FINE, GRID, INK, PictureError, WIDTH, fine, font};
+use super::chart::range;
+use super::{Area, EDGE, INK, Result, fine, font, mesh, svg};
 
-/// Height of one pair of axes [pixels].
+/// Height of one chart [pixels].
 const HEIGHT: u32 = 300;
 /// Radius of a point [pixels].
 const POINT: u32 = 3;
@@ -17,75 +18,48 @@ const FITTED: RGBColor = RGBColor(240, 110, 0);
 /// Draws charts as the text of an SVG file.
 ///
 /// # Errors
-/// [`PictureError`] when the drawing library refuses.
-pub fn draw(charts: &[Chart]) -> Result<String, PictureError> {
-    let height = HEIGHT * charts.len().max(1) as u32;
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, height * FINE)).into_drawing_area();
-        root.fill(&WHITE).map_err(PictureError::of)?;
-        for (area, chart) in root.split_evenly((charts.len().max(1), 1)).iter().zip(charts) {
-            panel(area, chart)?;
-        }
-        root.present().map_err(PictureError::of)?;
-    }
-    let drawn = format!("width=\"{}\" height=\"{}\"", WIDTH * FINE, height * FINE);
-    Ok(svg.replacen(&drawn, &format!("width=\"{WIDTH}\" height=\"{height}\""), 1))
+/// [`super::PictureError`] when the drawing library refuses.
+pub fn draw(charts: &[Chart]) -> Result<String> {
+    let count = charts.len().max(1);
+    svg(HEIGHT * count as u32, |root| {
+        let areas = root.split_evenly((count, 1));
+        areas.iter().zip(charts).try_for_each(|(area, chart)| panel(area, chart))
+    })
 }
 
-fn panel(area: &Area<'_>, chart: &Chart) -> Result<(), PictureError> {
+fn panel(area: &Area<'_>, chart: &Chart) -> Result<()> {
     let finite = |points: &[[f64; 2]]| -> Vec<(f64, f64)> {
         let pairs = points.iter().map(|[x, y]| (*x, *y));
         pairs.filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
     };
     let (points, line) = (finite(&chart.points), finite(&chart.line));
     let all = || points.iter().chain(&line);
-    let (left, right) = range(all().map(|point| point.0));
+    let (left, right) = range(all().map(|point| point.0), 0.06);
     // The zero line belongs to every picture of errors.
-    let (low, high) = range(all().map(|point| point.1).chain([0.0]));
+    let (low, high) = range(all().map(|point| point.1).chain([0.0]), 0.06);
     let mut axes = ChartBuilder::on(area)
         .caption(&chart.title, font(15).into_font().color(&INK))
         .margin(fine(EDGE))
         .margin_right(fine(28))
         .x_label_area_size(fine(42))
         .y_label_area_size(fine(84 - EDGE))
-        .build_cartesian_2d(left..right, low..high)
-        .map_err(PictureError::of)?;
+        .build_cartesian_2d(left..right, low..high)?;
     let decimals = |span: f64| (1.0 - span.log10().floor()).clamp(0.0, 6.0) as usize;
     let (across, up) = (decimals(right - left), decimals(high - low));
-    axes.configure_mesh()
-        .max_light_lines(0)
-        .bold_line_style(GRID.stroke_width(fine(1) as u32))
-        .axis_style(INK.stroke_width(fine(1) as u32))
+    mesh(&mut axes)
         .x_labels(10)
         .y_labels(5)
         .x_label_formatter(&|value| format!("{value:.across$}"))
         .y_label_formatter(&|value| format!("{value:.up$}"))
-        .label_style(font(12).into_font().color(&INK))
-        .axis_desc_style(font(13).into_font().color(&INK))
         .x_desc(chart.across)
         .y_desc(chart.up)
-        .set_all_tick_mark_size(fine(4))
-        .draw()
-        .map_err(PictureError::of)?;
+        .draw()?;
     let thin = fine(1) as u32;
-    axes.draw_series(LineSeries::new([(left, 0.0), (right, 0.0)], INK.stroke_width(thin)))
-        .map_err(PictureError::of)?;
-    axes.draw_series(LineSeries::new(line, FITTED.stroke_width(2 * thin))).map_err(PictureError::of)?;
+    axes.draw_series(LineSeries::new([(left, 0.0), (right, 0.0)], INK.stroke_width(thin)))?;
+    axes.draw_series(LineSeries::new(line, FITTED.stroke_width(2 * thin)))?;
     let dot = |point: &(f64, f64)| Circle::new(*point, fine(POINT), MEASURED.filled());
-    axes.draw_series(points.iter().map(dot)).map_err(PictureError::of)?;
+    axes.draw_series(points.iter().map(dot))?;
     Ok(())
-}
-
-/// The range of values with a little space, never empty.
-fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    let (low, high) = values
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
-    if low > high {
-        return (0.0, 1.0);
-    }
-    let space = (0.06 * (high - low)).max(1e-9 * (1.0 + low.abs() + high.abs()));
-    (low - space, high + space)
 }
 
 #[cfg(test)]

@@ -1,13 +1,13 @@
-//! The drive scan by scan: true state and estimate of the same scan side by side.
+//! The drive scan by scan: true state and estimate of the same scan in one row.
 
 use std::collections::BTreeMap;
 
 use crate::picture::Moment;
 
-/// How many rows of the drive are kept.
+/// Maximum number of rows of the drive.
 pub const MAX_ROWS: usize = 200_000;
 
-/// Rows by scan, and the error of the estimate over all rows that ever were whole.
+/// Rows by scan, and the error of the estimate over all rows that had both halves.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Rows {
     rows: BTreeMap<u64, Row>,
@@ -15,7 +15,7 @@ pub(super) struct Rows {
     error: EstimateError,
 }
 
-/// What is known of one scan; both halves come on topics of their own, in any order.
+/// True state and estimate of one scan; the two come on different topics, in any order.
 #[derive(Debug, Clone, Copy, Default)]
 struct Row {
     moment: Option<Moment>,
@@ -51,7 +51,7 @@ impl Rows {
         self.rows.values().filter_map(|row| row.estimate)
     }
 
-    /// How many rows were left out at the beginning.
+    /// Number of first rows that were dropped.
     pub(super) fn dropped(&self) -> u64 {
         self.dropped
     }
@@ -61,7 +61,7 @@ impl Rows {
         self.error
     }
 
-    /// Fills one half of a row with `put`, which says whether that half is new, and compares both once.
+    /// Fills one half of a row with `put`, which returns whether that half is new, and compares both once.
     fn fill(&mut self, scan_id: u64, put: impl FnOnce(&mut Row) -> bool) {
         let row = self.rows.entry(scan_id).or_default();
         let new = put(row);
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn an_hour_is_kept_whole_and_a_day_is_bounded() {
+    fn the_oldest_rows_beyond_the_maximum_are_dropped() {
         let mut rows = Rows::default();
         for scan_id in 1..=MAX_ROWS as u64 + 10 {
             rows.put_moment(scan_id, Moment::default());

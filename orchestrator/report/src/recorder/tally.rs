@@ -1,4 +1,4 @@
-//! Counts of what the controller and the actuator said.
+//! Counts of commands, blocks of the actuator and alarms of the estimator.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Nothing counted yet. In lock-step the solver's time means nothing and is left out.
+    /// Zero counts. In lock-step the solver's time is left out: it is not the time of this computer.
     pub(super) fn new(lockstep: bool) -> Self {
         Self {
             lockstep,
@@ -43,7 +43,7 @@ impl Tally {
         }
     }
 
-    /// Notes what the estimator says of its calibration.
+    /// Counts an alarm of the estimator's self-check of the calibration.
     pub(super) fn pose(&mut self, pose: &Pose) {
         let seen = &mut self.self_check;
         seen.rejected = pose.rejected;
@@ -63,7 +63,7 @@ impl Tally {
         self.alarmed = alarm != Alarm::None;
     }
 
-    /// What the watch over the calibration noticed.
+    /// What the self-check of the calibration found.
     pub(super) fn self_check(&self) -> SelfCheckReport {
         self.self_check.clone()
     }
@@ -87,7 +87,7 @@ impl Tally {
         }
     }
 
-    /// Counts blocks that the actuator decided by itself, each once however often it is repeated.
+    /// Counts blocks that the actuator decided by itself, each once, however often it is repeated.
     pub(super) fn actuation(&mut self, actuation: &Actuation) {
         let reason = BlockReason::try_from(actuation.reason).ok().filter(|reason| {
             actuation.kind == ActuationKind::Block.wire()
@@ -112,7 +112,7 @@ impl Tally {
         }
     }
 
-    /// How often which reason blocked the wheels.
+    /// How often each reason blocked the wheels.
     pub(super) fn stops(&self) -> BTreeMap<String, u64> {
         self.stops.clone()
     }

@@ -3,30 +3,30 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Writes a file beside its final name and renames it, so that it is never seen half-written.
+/// Writes a file under a temporary name and renames it, so that it is never seen half-written.
 ///
 /// # Errors
-/// The first error of the file system; the file beside is removed then.
+/// The first error of the file system; the temporary file is removed then.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let name = path.file_name().ok_or_else(|| io::Error::from(io::ErrorKind::InvalidInput))?;
-    let candidate = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    let written = std::fs::File::create(&candidate)
+    let temporary = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
+    let written = std::fs::File::create(&temporary)
         .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()))
-        .and_then(|()| std::fs::rename(&candidate, path));
+        .and_then(|()| std::fs::rename(&temporary, path));
     if written.is_err() {
         // The error that counts is the first one.
-        let _ = std::fs::remove_file(&candidate);
+        let _ = std::fs::remove_file(&temporary);
     }
     written
 }
 
-/// Longest line that a joined object or array may make.
-const LINE: usize = 200;
+/// Maximum length of a line with a joined object or array.
+const MAX_LINE: usize = 200;
 
 /// Puts every object and array that holds plain values only on one line, if it fits.
 ///
-/// Works on the lines of the pretty printer: texts hold no raw line ends, so an opening bracket at the end of a
-/// line is one.
+/// Works on the lines of the pretty printer. JSON strings hold no raw line ends, so a bracket at the end of a line
+/// always opens an object or array.
 pub(super) fn join_leaves(pretty: &str) -> String {
     let mut joined = String::with_capacity(pretty.len());
     // Lines since the last opening bracket that has not been closed; empty when there is none.
@@ -60,7 +60,7 @@ fn append(text: &mut String, lines: &[&str]) {
 fn append_joined(text: &mut String, leaf: &[&str]) {
     let (first, last) = (leaf[0], leaf[leaf.len() - 1].trim_start());
     let length: usize = first.len() + leaf[1..].iter().map(|line| line.trim_start().len() + 1).sum::<usize>();
-    if length > LINE {
+    if length > MAX_LINE {
         append(text, leaf);
         return;
     }

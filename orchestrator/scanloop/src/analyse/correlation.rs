@@ -9,15 +9,15 @@ use serde::Serialize;
 use vehicle::{Bounds, Control, Parameters};
 
 use super::arguments::{SCHEMES, name_of};
-use super::{CorrelationArguments, publish, refuse};
+use super::{CorrelationArguments, OperatingPoint, publish, refuse};
 
 const DEFINITION: &str = "angle between the columns of the sensitivity of an end state (sideslip, yaw, yaw rate, x, y, \
     SI units) to (velocity, steering), of the model from the zero state; `interval`: of an interval's end to its own \
     control; `held`: of the same end to a control held since the start";
 
-/// The answer.
+/// What is printed as JSON.
 #[derive(Debug, Serialize)]
-struct Answer {
+struct CorrelationResult {
     angle_deg: f64,
     min_angle_deg: f64,
     box_min_angle_deg: f64,
@@ -27,25 +27,9 @@ struct Answer {
     tf_s: f64,
     n: usize,
     scheme: &'static str,
-    intervals: Vec<Row>,
-    box_worst: At,
+    intervals: Vec<Angles>,
+    box_worst: OperatingPoint,
     definition: &'static str,
-}
-
-/// Angles at the end of one interval.
-#[derive(Debug, Serialize)]
-struct Row {
-    time_s: f64,
-    interval_deg: f64,
-    held_deg: f64,
-    scheme_deg: f64,
-}
-
-/// A control.
-#[derive(Debug, Serialize)]
-struct At {
-    velocity_mps: f64,
-    steering_rad: f64,
 }
 
 pub(super) fn analyse(arguments: &CorrelationArguments) -> anyhow::Result<Exit> {
@@ -58,19 +42,13 @@ pub(super) fn analyse(arguments: &CorrelationArguments) -> anyhow::Result<Exit> 
     };
     let control = Control { velocity: arguments.velocity, steering: arguments.steering };
     let found = settings.analyse(control).map_err(refuse)?;
-    let answer = answer(arguments, &found);
-    publish(&arguments.output, "correlation", &table(&answer), &chart(&settings, &answer), &answer)?;
-    Ok(if answer.bfgs_admissible { Exit::Done } else { Exit::NotReached })
+    let result = result(arguments, &found);
+    let (table, chart) = (table(&result), chart(&settings, &result));
+    publish(&arguments.output, "correlation", &table, &chart, &result, result.bfgs_admissible)
 }
 
-fn answer(arguments: &CorrelationArguments, found: &Correlation) -> Answer {
-    let row = |angles: &Angles| Row {
-        time_s: angles.time_s,
-        interval_deg: angles.interval_deg,
-        held_deg: angles.held_deg,
-        scheme_deg: angles.scheme_deg,
-    };
-    Answer {
+fn result(arguments: &CorrelationArguments, found: &Correlation) -> CorrelationResult {
+    CorrelationResult {
         angle_deg: found.angle_deg(),
         min_angle_deg: found.min_angle_deg,
         box_min_angle_deg: found.box_min_angle_deg,
@@ -80,42 +58,39 @@ fn answer(arguments: &CorrelationArguments, found: &Correlation) -> Answer {
         tf_s: arguments.tf,
         n: arguments.n,
         scheme: name_of(&SCHEMES, arguments.scheme),
-        intervals: found.intervals.iter().map(row).collect(),
-        box_worst: At { velocity_mps: found.box_worst.velocity, steering_rad: found.box_worst.steering },
+        intervals: found.intervals.clone(),
+        box_worst: OperatingPoint::from(&found.box_worst),
         definition: DEFINITION,
     }
 }
 
-fn table(answer: &Answer) -> String {
-    let Answer { velocity_mps, steering_rad, tf_s, n, scheme, .. } = answer;
+fn table(result: &CorrelationResult) -> String {
+    let CorrelationResult { velocity_mps, steering_rad, tf_s, n, scheme, .. } = result;
     let mut text =
         format!("operating point {velocity_mps} m/s, {steering_rad:+} rad; {tf_s} s in {n} intervals\n");
     let _ =
         writeln!(text, "  {:>7}  {:>14}  {:>10}  {:>14}", "end [s]", "interval [deg]", "held [deg]", scheme);
-    for row in &answer.intervals {
-        let Row { time_s, interval_deg, held_deg, scheme_deg } = row;
+    for row in &result.intervals {
+        let Angles { time_s, interval_deg, held_deg, scheme_deg } = row;
         let _ = writeln!(text, "  {time_s:>7.4}  {interval_deg:>14.2}  {held_deg:>10.2}  {scheme_deg:>14.2}");
     }
-    let _ = writeln!(text, "angle           {:.2} deg, first interval", answer.angle_deg);
+    let _ = writeln!(text, "angle           {:.2} deg, first interval", result.angle_deg);
     let _ = writeln!(
         text,
         "smallest        {:.2} deg of angle and 180 - angle over the horizon",
-        answer.min_angle_deg
+        result.min_angle_deg
     );
     let _ = writeln!(
         text,
         "over the box    {:.2} deg, at {:.3} m/s, {:+.4} rad",
-        answer.box_min_angle_deg, answer.box_worst.velocity_mps, answer.box_worst.steering_rad
+        result.box_min_angle_deg, result.box_worst.velocity_mps, result.box_worst.steering_rad
     );
-    let _ = writeln!(
-        text,
-        "result          {}",
-        if answer.bfgs_admissible {
-            format!("not correlated, BFGS is admissible: no angle below {CORRELATED_BELOW_DEG} deg")
-        } else {
-            format!("warning: correlated, BFGS is not advised: an angle below {CORRELATED_BELOW_DEG} deg")
-        }
-    );
+    let verdict = if result.bfgs_admissible {
+        "not correlated, BFGS is admissible: no angle"
+    } else {
+        "warning: correlated, BFGS is not advised: an angle"
+    };
+    let _ = writeln!(text, "result          {verdict} below {CORRELATED_BELOW_DEG} deg");
     let _ = writeln!(
         text,
         "definition      {DEFINITION}; `{scheme}`: as `interval`, but with one collocation interval, which passes over \
@@ -124,7 +99,7 @@ fn table(answer: &Answer) -> String {
     text
 }
 
-fn chart(settings: &Settings, answer: &Answer) -> Chart {
+fn chart(settings: &Settings, result: &CorrelationResult) -> Chart {
     /// Points of a curve.
     const POINTS: i32 = 48;
     let bounds = &settings.bounds;
@@ -148,19 +123,16 @@ fn chart(settings: &Settings, answer: &Answer) -> Chart {
     };
     let velocities = [bounds.velocity_min_mps, bounds.velocity_max_mps];
     Chart {
-        logarithmic_x: false,
         title: format!(
             "Control-variable correlation: {:.2} deg at {} m/s, {:+} rad",
-            answer.angle_deg, answer.velocity_mps, answer.steering_rad
+            result.angle_deg, result.velocity_mps, result.steering_rad
         ),
         subtitle: format!(
             "{} s in {} intervals; smallest of angle and 180 - angle {:.1} deg there, {:.1} deg over the box",
-            answer.tf_s, answer.n, answer.min_angle_deg, answer.box_min_angle_deg
+            result.tf_s, result.n, result.min_angle_deg, result.box_min_angle_deg
         ),
         x: "steering [rad]".to_owned(),
-        whole: false,
         y: "angle [deg]".to_owned(),
-        logarithmic: false,
         curves: [false, true]
             .into_iter()
             .flat_map(|held| velocities.map(|velocity| curve(velocity, held)))
@@ -169,6 +141,7 @@ fn chart(settings: &Settings, answer: &Answer) -> Chart {
             ("correlated".to_owned(), CORRELATED_BELOW_DEG),
             ("correlated".to_owned(), 180.0 - CORRELATED_BELOW_DEG),
         ],
-        mark: Some(("operating point".to_owned(), [answer.steering_rad, answer.angle_deg])),
+        mark: Some(("operating point".to_owned(), [result.steering_rad, result.angle_deg])),
+        ..Chart::default()
     }
 }

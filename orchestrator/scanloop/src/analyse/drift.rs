@@ -1,10 +1,9 @@
-//! `scanloop analyse drift`: what each form of the correction of measured data leaves, and what it is good for.
-
-use std::fmt::Write as _;
+//! `scanloop analyse drift`: the position error that each form of the correction of measured data leaves.
 
 use console::exit::Exit;
 use estimator::correction::Mode;
 use estimator::forms::{Form, LATERAL_RATE, LONGITUDINAL, OFFSET_RAD, Robot, errors, largest};
+use figures::Table;
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
 
@@ -13,7 +12,7 @@ use super::{DriftArguments, publish};
 const DEFINITION: &str = "largest distance of corrected and true position so far, without noise and filter; sine of \
     0.06 rad and 5 s period at 1 m/s, df = 0.01, dds = 0.053 1/s, offset and play 0.0098 rad";
 
-/// Times that the table tells [s].
+/// Times of the table [s].
 const TIMES_S: [f64; 3] = [5.0, 10.0, 20.0];
 
 /// How long the robot drives [s].
@@ -34,30 +33,30 @@ const ROBOTS: [(&str, Robot); 3] = [
 ];
 
 #[derive(Debug, Serialize)]
-struct Answer {
+struct DriftResult {
     times_s: [f64; 3],
     longitudinal: f64,
     lateral_rate_per_s: f64,
     offset_rad: f64,
-    robots: Vec<RobotAnswer>,
+    robots: Vec<RobotErrors>,
     definition: &'static str,
 }
 
 #[derive(Debug, Serialize)]
-struct RobotAnswer {
+struct RobotErrors {
     robot: &'static str,
-    forms: Vec<FormAnswer>,
+    forms: Vec<FormErrors>,
 }
 
 #[derive(Debug, Serialize)]
-struct FormAnswer {
+struct FormErrors {
     form: &'static str,
     /// Largest error up to each of the times.
     largest_error_m: [f64; 3],
 }
 
 pub(super) fn analyse(arguments: &DriftArguments) -> anyhow::Result<Exit> {
-    let answer = Answer {
+    let result = DriftResult {
         times_s: TIMES_S,
         longitudinal: LONGITUDINAL,
         lateral_rate_per_s: LATERAL_RATE,
@@ -65,35 +64,34 @@ pub(super) fn analyse(arguments: &DriftArguments) -> anyhow::Result<Exit> {
         robots: ROBOTS.iter().map(|(name, robot)| of_robot(name, *robot)).collect(),
         definition: DEFINITION,
     };
-    publish(&arguments.output, "drift", &table(&answer), &chart(), &answer)?;
-    Ok(Exit::Done)
+    publish(&arguments.output, "drift", &table(&result), &chart(), &result, true)
 }
 
-fn of_robot(name: &'static str, robot: Robot) -> RobotAnswer {
+fn of_robot(name: &'static str, robot: Robot) -> RobotErrors {
     let forms = FORMS.iter().map(|(form_name, form)| {
         let found = errors(robot, *form, SECONDS);
-        FormAnswer { form: form_name, largest_error_m: TIMES_S.map(|time_s| largest(&found, time_s)) }
+        FormErrors { form: form_name, largest_error_m: TIMES_S.map(|time_s| largest(&found, time_s)) }
     });
-    RobotAnswer { robot: name, forms: forms.collect() }
+    RobotErrors { robot: name, forms: forms.collect() }
 }
 
-fn table(answer: &Answer) -> String {
-    let mut text = format!("{:<44}{:>8}{:>10}{:>10}\n", "largest error [m] after", "5 s", "10 s", "20 s");
-    for RobotAnswer { robot, forms } in &answer.robots {
-        let _ = writeln!(text, "{robot}");
-        for FormAnswer { form, largest_error_m: [first, second, third] } in forms {
-            let _ = writeln!(text, "  {form:<40}{first:>10.3}{second:>10.3}{third:>10.3}");
+fn table(result: &DriftResult) -> String {
+    let mut table = Table::of_numbers("largest error [m] after", &["5 s", "10 s", "20 s"]);
+    for RobotErrors { robot, forms } in &result.robots {
+        table.row([(*robot).to_owned()]);
+        for FormErrors { form, largest_error_m } in forms {
+            let errors = largest_error_m.map(|error_m| format!("{error_m:.3}"));
+            table.row(std::iter::once(format!("  {form}")).chain(errors));
         }
     }
-    let _ = writeln!(text, "definition      {DEFINITION}");
-    text
+    format!("{table}definition      {DEFINITION}\n")
 }
 
-/// The errors of the robot with the offset, which is the source's.
+/// The errors of the robot with the steering offset, as in the source.
 fn chart() -> Chart {
     let curve = |(name, form): &(&str, Form)| Curve {
         name: (*name).to_owned(),
-        // Zero has no place on a logarithmic axis; a millimetre is beyond interest.
+        // The logarithmic axis has no zero; errors below a millimetre do not matter.
         points: errors(Robot::Offset, *form, SECONDS)
             .into_iter()
             .map(|[t, error]| [t, error.max(1e-3)])
@@ -101,15 +99,12 @@ fn chart() -> Chart {
         dots: false,
     };
     Chart {
-        logarithmic_x: false,
         title: "What the forms of the correction leave of a steering offset of 0.0098 rad".to_owned(),
         subtitle: "\"moving\" is \"time\" here, as the robot never rests".to_owned(),
         x: "time [s]".to_owned(),
-        whole: false,
         y: "distance of corrected and true position [m]".to_owned(),
         logarithmic: true,
         curves: FORMS.iter().filter(|(name, _)| *name != "moving").map(curve).collect(),
-        limits: Vec::new(),
-        mark: None,
+        ..Chart::default()
     }
 }

@@ -1,4 +1,4 @@
-//! `scanloop analyse intervals`: how many intervals a horizon needs, or how long a horizon they carry.
+//! `scanloop analyse intervals`: how many intervals a horizon needs, or the longest horizon of N intervals.
 
 use std::fmt::Write as _;
 
@@ -6,14 +6,14 @@ use console::exit::Exit;
 use ocp::analysis::intervals::{Definition, ErrorMeasure, Family, Grid, Horizons, Worst};
 use report::picture::chart::{Chart, Curve};
 use serde::Serialize;
-use vehicle::{Control, require};
+use vehicle::require;
 
 use super::arguments::{ERRORS, FAMILIES, GRIDS, SCHEMES, name_of};
-use super::{IntervalsArguments, publish, refuse};
+use super::{IntervalsArguments, OperatingPoint, publish, refuse};
 
-/// The answer.
+/// What is printed as JSON.
 #[derive(Debug, Serialize)]
-struct Answer {
+struct IntervalsResult {
     /// 1: the smallest number of intervals is asked for; 2: the longest horizon.
     bilevel: u8,
     /// The smallest number of intervals within the tolerance, or the number asked about.
@@ -22,7 +22,7 @@ struct Answer {
     max_error: f64,
     /// For 1, 2, ... intervals.
     errors: Vec<f64>,
-    worst_controls: Vec<At>,
+    worst_controls: Vec<OperatingPoint>,
     lengths_s: Vec<f64>,
     tf_s: f64,
     tol: f64,
@@ -43,7 +43,7 @@ struct Answer {
 #[derive(Debug, Serialize)]
 struct MaxTf {
     max_error: f64,
-    worst_controls: Vec<At>,
+    worst_controls: Vec<OperatingPoint>,
     lengths_s: Vec<f64>,
     at_limit: bool,
 }
@@ -64,13 +64,6 @@ struct OtherScheme {
     n: Option<usize>,
 }
 
-/// A control.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-struct At {
-    velocity_mps: f64,
-    steering_rad: f64,
-}
-
 pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
     let definition = Definition {
         scheme: arguments.scheme,
@@ -81,9 +74,9 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
         ..Definition::default()
     };
     definition.validate(arguments.tf, arguments.n.unwrap_or(1)).map_err(refuse)?;
-    let most = definition.most_intervals();
-    let limit = arguments.limit.unwrap_or(most.min(24));
-    require("limit", limit as f64, 1.0..=most as f64).map_err(refuse)?;
+    let max = definition.most_intervals();
+    let limit = arguments.limit.unwrap_or(max.min(24));
+    require("limit", limit as f64, 1.0..=max as f64).map_err(refuse)?;
 
     let (errors, found, n) = match arguments.n {
         Some(n) => {
@@ -102,24 +95,23 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
     };
     let horizons = arguments.n.map(|n| definition.longest_horizon(n));
     let schemes = other_schemes(&definition, arguments.tf, found.lengths_s.len(), limit);
-    let answer = answer(arguments, &definition, errors, &found, n, horizons.as_ref(), schemes);
+    let result = result(arguments, &definition, errors, &found, n, horizons.as_ref(), schemes);
     let chart = match &horizons {
-        None => count_chart(&answer, &definition),
-        Some(horizons) => horizon_chart(&answer, horizons),
+        None => count_chart(&result, &definition),
+        Some(horizons) => horizon_chart(&result, horizons),
     };
-    publish(&arguments.output, "intervals", &table(&answer, limit), &chart, &answer)?;
-    let kept = match &horizons {
-        None => answer.n.is_some(),
+    let is_kept = match &horizons {
+        None => result.n.is_some(),
         Some(horizons) => horizons.longest_s.is_some(),
     };
-    Ok(if kept { Exit::Done } else { Exit::NotReached })
+    publish(&arguments.output, "intervals", &table(&result, limit), &chart, &result, is_kept)
 }
 
-/// All schemes on equal intervals: errors for `count` of them, and the smallest number for a held control.
+/// All schemes on equal intervals: the error of `count` intervals, and the smallest number for a held control.
 fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: usize) -> Vec<OtherScheme> {
     let of = move |(name, scheme): &(&'static str, ocp::Scheme)| {
         let equal = Definition { scheme: *scheme, grid: Grid::Uniform, ..*definition };
-        // A search over jumps takes too long to be made for all schemes and numbers.
+        // For piecewise controls the search takes too long for all schemes and numbers.
         let held = equal.controls == Family::Constant;
         let n = held.then(|| equal.smallest_count(horizon_s, limit).smallest).flatten();
         OtherScheme { scheme: name, max_error: equal.worst(horizon_s, count).error, n }
@@ -130,7 +122,7 @@ fn other_schemes(definition: &Definition, horizon_s: f64, count: usize, limit: u
     })
 }
 
-fn answer(
+fn result(
     arguments: &IntervalsArguments,
     definition: &Definition,
     errors: Vec<f64>,
@@ -138,22 +130,22 @@ fn answer(
     n: Option<usize>,
     horizons: Option<&Horizons>,
     other_schemes: Vec<OtherScheme>,
-) -> Answer {
+) -> IntervalsResult {
     let others = definition.others(&found.lengths_s);
     let max_tf = horizons.and_then(|horizons| {
         horizons.worst.as_ref().map(|worst| MaxTf {
             max_error: worst.error,
-            worst_controls: worst.controls.iter().map(at).collect(),
+            worst_controls: worst.controls.iter().map(OperatingPoint::from).collect(),
             lengths_s: worst.lengths_s.clone(),
             at_limit: horizons.at_limit,
         })
     });
-    Answer {
+    IntervalsResult {
         bilevel: if horizons.is_some() { 2 } else { 1 },
         n,
         max_error: found.error,
         errors,
-        worst_controls: found.controls.iter().map(at).collect(),
+        worst_controls: found.controls.iter().map(OperatingPoint::from).collect(),
         lengths_s: found.lengths_s.clone(),
         tf_s: arguments.tf,
         tol: arguments.tol,
@@ -172,16 +164,12 @@ fn answer(
             })
             .collect(),
         other_schemes,
-        definition: words(definition),
+        definition: sentence(definition),
     }
 }
 
-fn at(control: &Control) -> At {
-    At { velocity_mps: control.velocity, steering_rad: control.steering }
-}
-
-/// The definition in words.
-fn words(definition: &Definition) -> String {
+/// The definition as a sentence.
+fn sentence(definition: &Definition) -> String {
     let error = match definition.error {
         ErrorMeasure::PositionEnds => "the larger error of x and y [m] at interval ends",
         ErrorMeasure::AllStatesEnds => {
@@ -206,71 +194,71 @@ fn words(definition: &Definition) -> String {
     )
 }
 
-fn table(answer: &Answer, limit: usize) -> String {
-    let mut text = format!("definition      {}\n", answer.definition);
-    let _ = writeln!(text, "horizon         {} s, tolerance {:e}", answer.tf_s, answer.tol);
+fn table(result: &IntervalsResult, limit: usize) -> String {
+    let mut text = format!("definition      {}\n", result.definition);
+    let _ = writeln!(text, "horizon         {} s, tolerance {:e}", result.tf_s, result.tol);
     let _ = writeln!(text, "  {:>3}  {:>13}", "N", "largest error");
-    for (index, error) in answer.errors.iter().enumerate() {
+    for (index, error) in result.errors.iter().enumerate() {
         let count = index + 1;
-        let mark = match answer.n {
-            Some(n) if n == count && *error <= answer.tol => "  <- within the tolerance",
+        let mark = match result.n {
+            Some(n) if n == count && *error <= result.tol => "  <- within the tolerance",
             Some(n) if n == count => "  <- above the tolerance",
             _ => "",
         };
         let _ = writeln!(text, "  {count:>3}  {error:>13.3e}{mark}");
     }
-    let _ = writeln!(text, "worst controls  {}", controls(&answer.worst_controls));
-    if answer.grid == "free" {
-        let _ = writeln!(text, "lengths         {} s", lengths(&answer.lengths_s));
+    let _ = writeln!(text, "worst controls  {}", controls(&result.worst_controls));
+    if result.grid == "free" {
+        let _ = writeln!(text, "lengths         {} s", lengths(&result.lengths_s));
     }
-    text += &result(answer, limit);
+    text += &verdict(result, limit);
     let _ = writeln!(text, "same intervals by other definitions");
     for (name, _) in ERRORS {
         let of = |family: &str| {
             let found =
-                answer.other_definitions.iter().find(|other| other.error == name && other.controls == family);
+                result.other_definitions.iter().find(|other| other.error == name && other.controls == family);
             found.map_or("not searched".to_owned(), |other| format!("{:.3e}", other.max_error))
         };
         let _ =
             writeln!(text, "  {name:<16} constant {:>9}  piecewise {:>9}", of("constant"), of("piecewise"));
     }
     let _ = writeln!(text, "other schemes, equal intervals");
-    for other in &answer.other_schemes {
-        let n = match (answer.controls, other.n) {
+    for other in &result.other_schemes {
+        let n = match (result.controls, other.n) {
             ("piecewise", _) => String::new(),
             (_, Some(n)) => format!("  smallest N {n}"),
             (_, None) => format!("  smallest N above {limit}"),
         };
-        let count = answer.lengths_s.len();
+        let count = result.lengths_s.len();
         let _ = writeln!(text, "  {:<16} {:>9.3e} for N = {count}{n}", other.scheme, other.max_error);
     }
     text
 }
 
-fn result(answer: &Answer, limit: usize) -> String {
-    let Answer { tol, tf_s, .. } = answer;
-    match (&answer.max_tf, answer.n) {
+fn verdict(result: &IntervalsResult, limit: usize) -> String {
+    let IntervalsResult { tol, tf_s, .. } = result;
+    match (&result.max_tf, result.n) {
         (Some(longest), Some(n)) => {
-            let tf = answer.max_tf_s.unwrap_or(f64::NAN);
+            let tf = result.max_tf_s.unwrap_or(f64::NAN);
             let more = if longest.at_limit { " or more" } else { "" };
             let mut text = format!(
                 "result          {n} intervals keep {tol:e} up to {tf:.3} s{more}, largest error {:.3e}\n",
                 longest.max_error
             );
-            if answer.grid == "free" {
+            if result.grid == "free" {
                 let _ = writeln!(text, "  with lengths  {} s", lengths(&longest.lengths_s));
             }
             text
         }
-        (None, Some(n)) if answer.bilevel == 2 => {
+        (None, Some(n)) if result.bilevel == 2 => {
             format!("result          {n} intervals keep {tol:e} over no horizon\n")
         }
         (_, Some(n)) => {
-            format!("result          N = {n}: largest error {:.4e} over {tf_s} s\n", answer.max_error)
+            format!("result          N = {n}: largest error {:.4e} over {tf_s} s\n", result.max_error)
         }
         (_, None) => format!(
             "result          more than {limit} intervals are needed: the smallest error is {:.3e}\n",
-            answer.max_error
+            result.max_error
         ),
     }
 }
@@ -279,84 +267,84 @@ fn lengths(lengths_s: &[f64]) -> String {
     lengths_s.iter().map(|length| format!("{length:.4}")).collect::<Vec<_>>().join(" ")
 }
 
-/// Controls in words; those that repeat once.
-fn controls(controls: &[At]) -> String {
-    let one = |at: &At| format!("{:.3} m/s {:+.4} rad", at.velocity_mps, at.steering_rad);
+/// Controls as text; equal ones are written once.
+fn controls(controls: &[OperatingPoint]) -> String {
+    let one =
+        |point: &OperatingPoint| format!("{:.3} m/s {:+.4} rad", point.velocity_mps, point.steering_rad);
     match controls {
         [first, rest @ ..] if rest.iter().all(|other| other == first) => one(first),
         all => all.iter().map(one).collect::<Vec<_>>().join(", "),
     }
 }
 
-fn count_chart(answer: &Answer, definition: &Definition) -> Chart {
+fn count_chart(result: &IntervalsResult, definition: &Definition) -> Chart {
     let by_count = |errors: &[f64]| -> Vec<[f64; 2]> {
         errors.iter().enumerate().map(|(index, error)| [(index + 1) as f64, *error]).collect()
     };
     let mut curves = vec![Curve {
-        name: format!("{}, as asked", answer.scheme),
-        points: by_count(&answer.errors),
+        name: format!("{}, as asked", result.scheme),
+        points: by_count(&result.errors),
         dots: true,
     }];
-    // Held controls on equal intervals are quick to search: the other schemes of the spec for comparison.
-    for name in ["gauss-2", "gauss-3", "radau-2", "radau-3"].into_iter().filter(|name| *name != answer.scheme)
+    // For comparison the other schemes, with held controls on equal intervals, which are quick to search.
+    for name in ["gauss-2", "gauss-3", "radau-2", "radau-3"].into_iter().filter(|name| *name != result.scheme)
     {
         let Some((_, scheme)) = SCHEMES.iter().find(|(other, _)| *other == name) else { continue };
         let other =
             Definition { scheme: *scheme, controls: Family::Constant, grid: Grid::Uniform, ..*definition };
-        let count = answer.errors.len();
-        let errors: Vec<f64> = (1..=count).map(|count| other.worst(answer.tf_s, count).error).collect();
+        let count = result.errors.len();
+        let errors: Vec<f64> = (1..=count).map(|count| other.worst(result.tf_s, count).error).collect();
         curves.push(Curve {
             name: format!("{name}, constant, uniform"),
             points: by_count(&errors),
             dots: true,
         });
     }
-    let title = match answer.n {
-        Some(n) => format!("Bilevel-I: {n} intervals over {} s keep {:e}", answer.tf_s, answer.tol),
+    let title = match result.n {
+        Some(n) => format!("Bilevel-I: {n} intervals over {} s keep {:e}", result.tf_s, result.tol),
         None => {
-            format!("Bilevel-I: no number of intervals tried keeps {:e} over {} s", answer.tol, answer.tf_s)
+            format!("Bilevel-I: no number of intervals tried keeps {:e} over {} s", result.tol, result.tf_s)
         }
     };
     Chart {
-        logarithmic_x: false,
         title,
-        subtitle: subtitle(answer),
+        subtitle: subtitle(result),
         x: "number of intervals N".to_owned(),
         whole: true,
         y: "largest error".to_owned(),
         logarithmic: true,
         curves,
-        limits: vec![("tolerance".to_owned(), answer.tol)],
-        mark: answer.n.map(|n| (format!("N = {n}: {:.3e}", answer.max_error), [n as f64, answer.max_error])),
+        limits: vec![("tolerance".to_owned(), result.tol)],
+        mark: result.n.map(|n| (format!("N = {n}: {:.3e}", result.max_error), [n as f64, result.max_error])),
+        ..Chart::default()
     }
 }
 
-fn horizon_chart(answer: &Answer, horizons: &Horizons) -> Chart {
-    let count = answer.lengths_s.len();
-    let title = match answer.max_tf_s {
-        Some(tf) => format!("Bilevel-II: {count} intervals keep {:e} up to {tf:.3} s", answer.tol),
-        None => format!("Bilevel-II: {count} intervals keep {:e} over no horizon", answer.tol),
+fn horizon_chart(result: &IntervalsResult, horizons: &Horizons) -> Chart {
+    let count = result.lengths_s.len();
+    let title = match result.max_tf_s {
+        Some(tf) => format!("Bilevel-II: {count} intervals keep {:e} up to {tf:.3} s", result.tol),
+        None => format!("Bilevel-II: {count} intervals keep {:e} over no horizon", result.tol),
     };
     let points = horizons.tried.iter().map(|(horizon, error)| [*horizon, *error]).collect();
     Chart {
-        logarithmic_x: false,
         title,
-        subtitle: subtitle(answer),
+        subtitle: subtitle(result),
         x: "horizon tf [s]".to_owned(),
-        whole: false,
         y: "largest error".to_owned(),
         logarithmic: true,
-        curves: vec![Curve { name: format!("{}, N = {count}", answer.scheme), points, dots: true }],
-        limits: vec![("tolerance".to_owned(), answer.tol)],
-        mark: answer
+        curves: vec![Curve { name: format!("{}, N = {count}", result.scheme), points, dots: true }],
+        limits: vec![("tolerance".to_owned(), result.tol)],
+        mark: result
             .max_tf
             .as_ref()
-            .zip(answer.max_tf_s)
+            .zip(result.max_tf_s)
             .map(|(longest, tf)| (format!("tf = {tf:.3} s"), [tf, longest.max_error])),
+        ..Chart::default()
     }
 }
 
-fn subtitle(answer: &Answer) -> String {
-    let Answer { scheme, error, controls, grid, .. } = answer;
+fn subtitle(result: &IntervalsResult) -> String {
+    let IntervalsResult { scheme, error, controls, grid, .. } = result;
     format!("{scheme}, error {error}, controls {controls}, grid {grid}, from the zero state")
 }

@@ -1,4 +1,4 @@
-//! `scanloop analyse observability`: the rank of what is measured, and why it is too small.
+//! `scanloop analyse observability`: the rank of the observability matrix, and which states it leaves open.
 
 use std::fmt::Write as _;
 
@@ -20,9 +20,9 @@ const ALL: [Measured; STATES] = [Measured::Yaw, Measured::X, Measured::Y];
 const DEFINITION: &str = "rank of (H; H A; H A^2), (7.2), for the state (yaw, x, y): A moves it by one scan period \
     of 100 ms in a steady turn, H picks what is measured; singular values above 1e-9 of the largest count";
 
-/// The answer.
+/// What is printed as JSON.
 #[derive(Debug, Serialize)]
-struct Answer {
+struct ObservabilityResult {
     rank: usize,
     states: usize,
     observable: bool,
@@ -47,13 +47,13 @@ pub(super) fn analyse(arguments: &ObservabilityArguments) -> anyhow::Result<Exit
         let names: Vec<_> = measured.iter().map(|state| state.name()).collect();
         return Err(refuse(Invalid::new("measure", names.join(","), "each of yaw, x, y at most once")));
     }
-    let answer = answer(arguments);
-    publish(&arguments.output, "observability", &table(&answer), &chart(&answer, measured), &answer)?;
-    Ok(if answer.observable { Exit::Done } else { Exit::NotReached })
+    let result = result(arguments);
+    let (table, chart) = (table(&result), chart(&result, measured));
+    publish(&arguments.output, "observability", &table, &chart, &result, result.observable)
 }
 
-/// The way driven in one period, in the frame of the robot at its start [m].
-fn way(velocity: f64, steering: f64) -> [f64; 2] {
+/// The displacement in one period, in the frame of the robot at its start [m].
+fn displacement(velocity: f64, steering: f64) -> [f64; 2] {
     let (parameters, control) = (Parameters::default(), Control { velocity, steering });
     let (sideslip, yaw_rate) = steady_turn(&parameters, &control);
     let start = State { sideslip, yaw_rate, ..State::default() };
@@ -62,21 +62,21 @@ fn way(velocity: f64, steering: f64) -> [f64; 2] {
 }
 
 /// Singular values of (7.2), the largest first.
-fn singular_values(measured: &[Measured], way: [f64; 2]) -> Vec<f64> {
-    let matrix = observability_matrix(measured, &motion_jacobian(way[0], way[1]));
+fn singular_values(measured: &[Measured], [x, y]: [f64; 2]) -> Vec<f64> {
+    let matrix = observability_matrix(measured, &motion_jacobian(x, y));
     let mut values: Vec<f64> = matrix.singular_values().iter().copied().collect();
     values.sort_by(|left, right| right.total_cmp(left));
     values
 }
 
-fn answer(arguments: &ObservabilityArguments) -> Answer {
+fn result(arguments: &ObservabilityArguments) -> ObservabilityResult {
     let measured = &arguments.measure;
     let moving = !arguments.standing;
     let velocity_mps = if moving { arguments.velocity } else { 0.0 };
-    let way = if moving { way(arguments.velocity, arguments.steering) } else { [0.0; 2] };
-    let matrix = observability_matrix(measured, &motion_jacobian(way[0], way[1]));
+    let displacement = if moving { displacement(arguments.velocity, arguments.steering) } else { [0.0; 2] };
+    let matrix = observability_matrix(measured, &motion_jacobian(displacement[0], displacement[1]));
     let found = rank(&matrix);
-    // A state is determined when measuring it would be no news.
+    // A state is determined when measuring it would not raise the rank.
     let open: Vec<Measured> = ALL
         .into_iter()
         .filter(|state| {
@@ -85,7 +85,7 @@ fn answer(arguments: &ObservabilityArguments) -> Answer {
             rank(&more) > found
         })
         .collect();
-    Answer {
+    ObservabilityResult {
         rank: found,
         states: STATES,
         observable: found == STATES,
@@ -95,7 +95,7 @@ fn answer(arguments: &ObservabilityArguments) -> Answer {
         moving,
         velocity_mps,
         steering_rad: arguments.steering,
-        singular_values: singular_values(measured, way),
+        singular_values: singular_values(measured, displacement),
         definition: DEFINITION,
     }
 }
@@ -113,23 +113,23 @@ fn reason(open: &[Measured], moving: bool) -> String {
     }
 }
 
-fn table(answer: &Answer) -> String {
-    let mut text = format!("measured        {}\n", answer.measured.join(", "));
-    let motion = if answer.moving {
-        format!("moving, {} m/s, {:+} rad", answer.velocity_mps, answer.steering_rad)
+fn table(result: &ObservabilityResult) -> String {
+    let mut text = format!("measured        {}\n", result.measured.join(", "));
+    let motion = if result.moving {
+        format!("moving, {} m/s, {:+} rad", result.velocity_mps, result.steering_rad)
     } else {
         "standing".to_owned()
     };
     let _ = writeln!(text, "motion          {motion}");
-    let values: Vec<String> = answer.singular_values.iter().map(|value| format!("{value:.4}")).collect();
+    let values: Vec<String> = result.singular_values.iter().map(|value| format!("{value:.4}")).collect();
     let _ = writeln!(text, "singular values {}", values.join("  "));
-    let verdict = if answer.observable { "observable" } else { "not observable" };
-    let _ = writeln!(text, "result          rank {} of {STATES}: {verdict}; {}", answer.rank, answer.reason);
+    let verdict = if result.observable { "observable" } else { "not observable" };
+    let _ = writeln!(text, "result          rank {} of {STATES}: {verdict}; {}", result.rank, result.reason);
     let _ = writeln!(text, "definition      {DEFINITION}");
     text
 }
 
-fn chart(answer: &Answer, measured: &[Measured]) -> Chart {
+fn chart(result: &ObservabilityResult, measured: &[Measured]) -> Chart {
     /// Points of a curve.
     const POINTS: usize = 60;
     let lowest = Bounds::default().velocity_min_mps;
@@ -137,25 +137,23 @@ fn chart(answer: &Answer, measured: &[Measured]) -> Chart {
     let curve = |index: usize| {
         let point = |step: usize| {
             let velocity = lowest + (highest - lowest) * step as f64 / POINTS as f64;
-            [velocity, singular_values(measured, way(velocity, answer.steering_rad))[index]]
+            [velocity, singular_values(measured, displacement(velocity, result.steering_rad))[index]]
         };
         let name = ["largest singular value", "second singular value", "third singular value"][index];
-        // What is zero up to rounding is not drawn.
+        // Values that are zero up to rounding are not drawn.
         let points = (0..=POINTS).map(point).filter(|point| point[1] > 1e-9).collect();
         Curve { name: name.to_owned(), points, dots: false }
     };
-    let smallest = answer.singular_values.iter().rev().find(|value| **value > 1e-9);
+    let smallest = result.singular_values.iter().rev().find(|value| **value > 1e-9);
     Chart {
-        logarithmic_x: false,
-        title: format!("Observability of ({}): rank {} of {STATES}", answer.measured.join(", "), answer.rank),
-        subtitle: answer.reason.clone(),
+        title: format!("Observability of ({}): rank {} of {STATES}", result.measured.join(", "), result.rank),
+        subtitle: result.reason.clone(),
         x: "velocity [m/s]".to_owned(),
-        whole: false,
         y: "singular values of (H; H A; H A^2)".to_owned(),
         logarithmic: true,
         curves: (0..STATES).map(curve).filter(|curve| !curve.points.is_empty()).collect(),
-        limits: Vec::new(),
         mark: smallest
-            .map(|value| ("smallest that counts, as asked".to_owned(), [answer.velocity_mps, *value])),
+            .map(|value| ("smallest that counts, as asked".to_owned(), [result.velocity_mps, *value])),
+        ..Chart::default()
     }
 }

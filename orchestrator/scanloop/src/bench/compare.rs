@@ -1,7 +1,8 @@
-//! `scanloop bench compare`: whether B is slower than A, how sure that is, and how small a difference would have shown.
+//! `scanloop bench compare`: whether B is slower than A, with a confidence interval and the smallest visible
+//! difference.
 //!
-//! Two files were made one after the other, so what changed on the machine in between is in their difference.
-//! Two commands are run in turns, which is how two builds should be compared. How sure either is:
+//! Two files were made one after the other, so their difference includes what changed on the machine in between.
+//! Two commands are run in turns, which is the way to compare two builds. For the confidence of both see
 //! `figures::difference`.
 
 mod files;
@@ -13,14 +14,14 @@ use std::path::PathBuf;
 use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use figures::difference::{MAX_ROUNDS, MIN_ROUNDS};
 use serde::Serialize;
 use serde_json::Value;
 
 use self::verdict::Verdict;
+use crate::print_json;
 
-/// What is compared without `--metric`; the first is the one that counts.
+/// The metrics without `--metric`; the first one is the main result.
 const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p99"];
 
 /// Arguments of `bench compare`.
@@ -47,7 +48,7 @@ pub struct CompareArguments {
 
 /// What is printed as JSON.
 #[derive(Debug, Serialize)]
-struct Answer {
+struct Comparison {
     #[serde(flatten)]
     first: Verdict,
     /// Further figures.
@@ -56,7 +57,7 @@ struct Answer {
     rounds: Vec<[f64; 2]>,
 }
 
-/// Compares and says what was found.
+/// Compares and prints the result.
 ///
 /// # Errors
 /// Bad arguments and files, commands that fail.
@@ -70,7 +71,7 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
         (_, commands @ [_, _]) => {
             if !(MIN_ROUNDS..=MAX_ROUNDS).contains(&arguments.rounds) {
                 return Err(Failure::bad_input(format!(
-                    "--rounds {} is not allowed: {MIN_ROUNDS} to {MAX_ROUNDS}; fewer can't be 99 % sure of anything",
+                    "--rounds {} is not allowed: {MIN_ROUNDS} to {MAX_ROUNDS}; fewer give no 99 % confidence",
                     arguments.rounds
                 )));
             }
@@ -86,14 +87,11 @@ pub(crate) fn compare(arguments: &CompareArguments) -> anyhow::Result<Exit> {
     let Some(first) = verdicts.next() else {
         return Err(Failure::bad_input("a figure was not a finite number in every round"));
     };
-    if arguments.json {
-        let answer = Answer { first, others: verdicts.collect(), rounds };
-        data(&serde_json::to_string_pretty(&answer)?)?;
-    }
+    print_json(arguments.json, &Comparison { first, others: verdicts.collect(), rounds })?;
     Ok(Exit::Done)
 }
 
-/// The number at a path of keys and places like `solvers.0.solve_us.p50`.
+/// The number at a path of keys and indices like `solvers.0.solve_us.p50`.
 fn figure(json: &Value, metric: &str) -> Option<f64> {
     let pointer = format!("/{}", metric.replace('.', "/"));
     json.pointer(&pointer)?.as_f64()

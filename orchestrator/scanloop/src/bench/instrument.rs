@@ -1,30 +1,28 @@
-//! The executable `scanloop-bench`: what only measures, and so is no part of this one.
+//! The executable `scanloop-bench`, short the instrument: programs that are only needed for measurements.
 //!
-//! It is looked for next to this executable, under its name with `-bench`, and in the folders of the other profiles of
-//! the same target folder. `bench transport` is all its own; `bench solver` is handed over where it is there, because it
-//! counts heap allocations; `bench latency` takes from it the stages that compute nothing and the load.
+//! Its path is that of this executable with `-bench` added, or the same name in the folder of another profile of the
+//! target folder. `bench transport` runs there only. `bench solver` runs there if the instrument exists, because it
+//! counts heap allocations. `bench latency` starts its stages that compute nothing, and its load.
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
-use std::time::Duration;
 
 use anyhow::Context;
 use console::exit::Failure;
 use console::note;
 use figures::{MEASURED_PROFILE, PROFILE};
 
-/// What the name of an executable gets to make that of its instrument.
+use crate::FLUSH_TIMEOUT;
+
+/// Added to the name of an executable, this is the name of its instrument.
 const SUFFIX: &str = "-bench";
 
-/// A terminal that is read takes what was written within microseconds.
-const FLUSH_LIMIT: Duration = Duration::from_millis(300);
-
-/// The instrument of this executable.
+/// The path of the instrument.
 ///
 /// # Errors
-/// The command that builds it when it is not there; exit code 4.
+/// A missing instrument, with the command that builds it; exit code 4.
 pub(crate) fn find() -> anyhow::Result<PathBuf> {
     let own = std::env::current_exe().context("path of this executable")?;
     candidates(&own).into_iter().find(|path| path.is_file()).ok_or_else(|| {
@@ -42,22 +40,22 @@ pub(crate) fn build_command() -> String {
     format!("cargo build --profile {PROFILE} -p scanloop-bench")
 }
 
-/// Becomes the instrument, with the arguments of this process; returns when that fails.
+/// Replaces this process by the instrument with the same arguments; returns when that fails.
 pub(crate) fn hand_over() -> anyhow::Error {
     let instrument = match find_current() {
         Ok(instrument) => instrument,
         Err(missing) => return missing,
     };
-    // What is still in the queue would be lost with this program.
-    runtime::flush_terminal(FLUSH_LIMIT);
+    // The queue of the terminal is lost when the process is replaced.
+    runtime::flush_terminal(FLUSH_TIMEOUT);
     let error = Command::new(&instrument).args(std::env::args_os().skip(1)).exec();
     Failure::process(format!("{}: {error}", instrument.display()))
 }
 
-/// Where the instrument of an executable may be, the likeliest first.
+/// Paths where the instrument of an executable may be, the likeliest first.
 fn candidates(own: &Path) -> Vec<PathBuf> {
     let name = own.file_name().unwrap_or_default().to_string_lossy();
-    // The kernel says so of a file that was replaced.
+    // The kernel adds this when the file was replaced.
     let name = name.strip_suffix(" (deleted)").unwrap_or(&name);
     let name = format!("{name}{SUFFIX}");
     let Some(folder) = own.parent() else { return Vec::new() };
@@ -65,7 +63,7 @@ fn candidates(own: &Path) -> Vec<PathBuf> {
     std::iter::once(folder.to_owned()).chain(profiles).map(|folder| folder.join(&name)).collect()
 }
 
-/// [`find`]; says so when sources of the instrument have changed since it was built: it measures what they were then.
+/// Like [`find`]; prints a note when sources of the instrument have changed since it was built.
 ///
 /// # Errors
 /// As [`find`].
@@ -75,12 +73,13 @@ pub(crate) fn find_current() -> anyhow::Result<PathBuf> {
     let sources = sources(&std::fs::read_to_string(instrument.with_extension("d")).unwrap_or_default());
     if sources.iter().any(|source| changed(source) > changed(&instrument)) {
         let (file, build) = (instrument.display(), build_command());
-        note!("{file} is older than its sources, and measures what they were: `{build}` renews it");
+        note!("{file} is older than its sources, so it measures an old build: `{build}` rebuilds it");
     }
     Ok(instrument)
 }
 
-/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a blank.
+/// The source files that Cargo lists next to an executable: `EXECUTABLE: FILE FILE...`, with a backslash before a
+/// blank.
 fn sources(list: &str) -> Vec<PathBuf> {
     let files = list.split_once(": ").map_or("", |(_, files)| files).replace("\\ ", "\0");
     files.split_whitespace().map(|file| PathBuf::from(file.replace('\0', " "))).collect()
@@ -90,7 +89,7 @@ fn sources(list: &str) -> Vec<PathBuf> {
 pub(crate) struct Load {
     process: Child,
     loops: usize,
-    _keeps_it_alive: Option<ChildStdin>,
+    _keeps_alive: Option<ChildStdin>,
 }
 
 impl Load {
@@ -112,11 +111,11 @@ impl Load {
         if let Some(output) = process.stdout.take() {
             let _ = BufReader::new(output).read_line(&mut line);
         }
-        let load = Self { loops: line.trim().parse().unwrap_or(0), process, _keeps_it_alive: alive };
+        let load = Self { loops: line.trim().parse().unwrap_or(0), process, _keeps_alive: alive };
         if load.loops == 0 { Err(failed("it starts no loop")) } else { Ok(load) }
     }
 
-    /// How many loops there are.
+    /// Number of loops.
     pub(crate) fn count(&self) -> usize {
         self.loops
     }
@@ -134,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_instrument_is_looked_for_next_to_the_executable_and_then_in_the_folders_of_other_profiles() {
+    fn the_instrument_is_next_to_the_executable_or_in_the_folder_of_another_profile() {
         let places = candidates(Path::new("/src/target/release/scanloop (deleted)"));
         let expected = ["release", "dist", "release", "debug"]
             .map(|profile| PathBuf::from(format!("/src/target/{profile}/scanloop-bench")));

@@ -1,9 +1,8 @@
-//! `scanloop bench latency`: where the time from scan to actuation goes, with what it has to be read against.
+//! `scanloop bench latency`: where the time from scan to actuation goes, and the noise of the machine.
 //!
-//! One run: look at the machine, measure its own wake-ups, start the five processes and drive (or answer at once),
-//! keep every scan, say what was found. The processes are those of `run`, on the same bus, under the same supervisor;
-//! the orchestrator records them as `run` does. What the figures are not: times of another machine, or of this one
-//! on another day. To compare two builds use `bench compare`.
+//! One run: start the five processes, inspect the machine, measure its own wake-ups, drive (or answer at once), record
+//! every scan, print the result. The processes are those of `run`, on the same bus, under the same supervisor, recorded
+//! in the same way. The figures hold for this machine and this day only; to compare two builds use `bench compare`.
 
 pub mod arguments;
 mod collector;
@@ -28,7 +27,6 @@ use shared_types::Role;
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use plan::Choice;
 use plan::Plan;
 use report::{Outcome, Report};
@@ -40,12 +38,13 @@ use supervision::realtime;
 
 use self::collector::Collector;
 use self::machine::{Machine, Ticks};
-use self::results::{Results, SCHEMA, Smallest};
+use self::results::{LatencyResults, SCHEMA, Smallest};
 use super::instrument::{self, Load};
 use super::scheduling::Scheduling;
 use super::warn_of_profile;
+use crate::print_json;
 
-/// What is driven: 10 km, nearly three hours.
+/// The scenario: 10 km, nearly three hours.
 const SCENARIO: &str = "endless";
 
 /// Runs the bench.
@@ -64,13 +63,13 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         None => domain.directory().to_owned(),
     };
     let shutdown = Shutdown::of_orchestrator()?;
-    let manner = RunOptions {
+    let options = RunOptions {
         lockstep: false,
         duration_s: Some(arguments.duration),
         quiet: arguments.quiet,
         out: logs,
     };
-    let mut session = start(&domain, &plan, manner, lock, shutdown)?;
+    let mut session = start(&domain, &plan, options, lock, shutdown)?;
     if arguments.payload.is_some() {
         for topic in echo::PAYLOAD_TOPICS {
             session.create_blobs(topic)?;
@@ -83,18 +82,18 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
 
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
-    let fed = Rc::clone(&collector);
-    session.listen(Box::new(move |scan| fed.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    let shared = Rc::clone(&collector);
+    session.listen(Box::new(move |scan| shared.borrow_mut().scan(&scan.truth, &scan.actuations)));
     let before = Ticks::now();
-    let ending = session.drive()?;
+    let result = session.drive()?;
     machine.note_use(before, Ticks::now());
-    let report = session.finish().0.report(&ending);
+    let report = session.finish().0.report(&result);
     drop(load);
 
     let mut collector = collector.borrow_mut();
     let interval_scans = collector.interval_scans();
     let intervals = collector.take_lines();
-    let results = Results {
+    let results = LatencyResults {
         payload_bytes: arguments.payload,
         compute: arguments.compute.name(),
         rate_hz: arguments.rate,
@@ -115,30 +114,28 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         files::write(out, &results, &collector, &noise)?;
         note!("{:<18} {}", "files", out.display());
     }
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&results)?)?;
-    }
+    print_json(arguments.json, &results)?;
     Ok(exit(&report))
 }
 
-/// How the command ends: a drive that ended early, or samples that nothing explains, make no measurement.
+/// The exit code: a drive that ended early, or unexplained samples, make no valid measurement.
 fn exit(report: &Report) -> Exit {
     if report.outcome != Outcome::Timeout {
         note!("the drive ended early: {}: {}", report.outcome, report.reason);
     }
-    let Report { ledger, scans, .. } = report;
-    if ledger.residual + scans.unaccounted > 0 {
-        note!("{} samples and {} scans are unaccounted for", ledger.residual, scans.unaccounted);
+    let (samples, scans) = (report.ledger.residual, report.scans.unaccounted);
+    if samples + scans > 0 {
+        note!("{samples} samples and {scans} scans are unaccounted for");
     }
     match (report.outcome, report.outcome.exit_code()) {
-        (Outcome::Timeout, _) if ledger.residual + scans.unaccounted == 0 => Exit::Done,
+        (Outcome::Timeout, _) if samples + scans == 0 => Exit::Done,
         (_, 3) => Exit::Collision,
         (_, 4) => Exit::ProcessFailed,
         _ => Exit::NotReached,
     }
 }
 
-/// The system to be measured: that of `run`, or its echo, run as the scheduling asks.
+/// The system to be measured, with the scheduling of the arguments: that of `run`, or stages that compute nothing.
 fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result<Plan> {
     let mut choice: Choice = arguments.choice.clone();
     choice.overrides.push(format!("rate_hz={}", arguments.rate));
@@ -159,40 +156,28 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     Ok(plan)
 }
 
-/// What the report of the run says.
-fn of_report(report: &Report) -> Results {
-    let (scans, latency) = (&report.scans, &report.latency_us);
-    let stages = &latency.stages;
-    Results {
+/// The results that come from the report of the run.
+fn of_report(report: &Report) -> LatencyResults {
+    let latency = &report.latency_us;
+    LatencyResults {
         schema: SCHEMA,
         duration_s: report.duration_s,
         outcome: report.outcome.to_string(),
         reason: report.reason.clone(),
-        published: scans.published,
-        commanded: scans.commanded,
-        late: scans.late,
-        lost: scans.lost,
-        lost_reasons: scans.lost_reasons.clone(),
-        unaccounted: scans.unaccounted,
-        duplicates: scans.duplicates,
+        scans: report.scans.clone(),
         residual: report.ledger.residual,
         faults: report.ledger.faults.iter().map(ToString::to_string).collect(),
         scan_to_actuation_us: latency.scan_to_actuation,
         data_age_us: latency.data_age,
-        transport_us: stages.transport,
-        stages_us: report::PerStage {
-            estimator: stages.estimator,
-            obstacles: stages.obstacles,
-            controller: stages.controller,
-            actuator: stages.actuator,
-        },
+        transport_us: latency.stages.transport,
+        stages_us: latency.stages.compute.clone(),
         hops_us: latency.hops.clone(),
         publications_us: latency.publications.clone(),
-        ..Results::default()
+        ..LatencyResults::default()
     }
 }
 
-/// From what the run shows of itself: transport hardly depends on the place of the drive.
+/// The smallest visible differences, with transport as the series that hardly depends on the place of the drive.
 fn smallest(lines: &[String]) -> Smallest {
     let read = |series| intervals::read(lines, series).unwrap_or_default();
     let (reaction, transport) = (read("scan_to_actuation"), read("transport"));

@@ -1,8 +1,8 @@
-//! Under which policy and on which processors the processes of a bench run.
+//! Scheduling policy and processors of the processes of a bench.
 //!
-//! Processes of the loop get them as those of `run` do, when they have joined the bus. Processes of other transports get
-//! them before their program begins, so that all of its threads inherit them. What a command line asks for is tried
-//! before anything is started: SCHED_FIFO takes a privilege.
+//! They are set for processes of the loop when these have joined the bus, as in `run`, and for processes of other
+//! transports before their program starts, so that all threads inherit them. The options are tried out before anything
+//! is started, because SCHED_FIFO needs a privilege.
 
 use clap::{Args, ValueEnum};
 use console::exit::Failure;
@@ -43,16 +43,16 @@ impl Scheduling {
     /// Checks the arguments, and that the kernel allows what they ask for.
     ///
     /// # Errors
-    /// A list that is none, or a processor that is not there (exit code 2); what the kernel refuses (exit code 4).
+    /// A bad list or a processor that does not exist (exit code 2); settings that the kernel refuses (exit code 4).
     pub fn read(arguments: &SchedulingArguments) -> anyhow::Result<Self> {
         let mut scheduling = Self { policy: arguments.sched, cpus: Vec::new() };
         if let Some(list) = &arguments.cpu {
             let bad = |why: String| Failure::bad_input(format!("--cpu {list} is not allowed: {why}"));
             let cpus = parse(list).ok_or_else(|| bad("a list like `0` or `0,2-3`".to_owned()))?;
-            // Those set apart by `isolcpus` are not among those that this process may use, and yet may be asked for.
-            let there = processors();
-            if let Some(cpu) = cpus.iter().find(|cpu| **cpu >= CpuSet::MAX_CPU || !there.contains(cpu)) {
-                let count = there.len();
+            // Processors of `isolcpus` are allowed too, although this process may not use them by default.
+            let existing = processors();
+            if let Some(cpu) = cpus.iter().find(|cpu| **cpu >= CpuSet::MAX_CPU || !existing.contains(cpu)) {
+                let count = existing.len();
                 return Err(bad(format!("processor {cpu} is not among the {count} of this machine")));
             }
             scheduling.cpus = cpus;
@@ -61,7 +61,7 @@ impl Scheduling {
         Ok(scheduling)
     }
 
-    /// Has the processes of a system run so, where this says something.
+    /// Applies the settings that were asked for to those of a system.
     pub fn apply(&self, realtime: &mut Realtime) {
         match self.policy {
             Some(Policy::Fifo) => realtime.scheduler = Scheduler::Fifo,
@@ -92,17 +92,17 @@ impl Scheduling {
     }
 }
 
-/// Whether the kernel grants this to a thread that does nothing else.
+/// Whether the kernel grants the settings to a new thread.
 fn is_granted(realtime: Realtime) -> bool {
     let try_out = move || {
-        // The kernel takes the number of a thread for that of a process.
+        // The kernel accepts the id of a thread as that of a process.
         let thread = rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned();
         Realtime { slice_us: 0, ..realtime }.apply_to(thread).is_empty()
     };
     std::thread::spawn(try_out).join().unwrap_or(false)
 }
 
-/// The processors of this machine that are switched on.
+/// The processors of this machine that are online.
 fn processors() -> Vec<usize> {
     let online = std::fs::read_to_string("/sys/devices/system/cpu/online").ok();
     online.and_then(|list| parse(list.trim())).unwrap_or_else(|| {
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_command_line_asks_for_goes_before_the_system() {
+    fn the_command_line_overrides_the_system() {
         let fifo = Realtime { scheduler: Scheduler::Fifo, cpu: vec![0], ..Realtime::default() };
         let applied = |policy, cpus: &[usize]| {
             let mut realtime = fifo.clone();
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_processor_that_is_not_there_is_refused() {
+    fn a_processor_that_does_not_exist_is_refused() {
         let arguments = SchedulingArguments { sched: None, cpu: Some("1000".to_owned()) };
         let error = Scheduling::read(&arguments).unwrap_err();
         assert!(error.to_string().contains("processor 1000 is not among"), "{error}");

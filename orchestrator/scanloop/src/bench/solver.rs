@@ -1,10 +1,10 @@
-//! `scanloop bench solver`: what a solve costs, on recorded initial states, and what others take for the same ones.
+//! `scanloop bench solver`: the time of a solve on recorded initial states, compared with other solvers.
 //!
-//! Each case is solved from the same start by every configuration, one after the other, and then by the peers, so that
-//! whatever slows the machine down slows all of them. The start of a case is the last case's solution moved on by a
-//! period where both are scans of the same lap, and straight on otherwise. Times are wall time of the calling thread
-//! around the call alone: it includes rolling out the start, which peers get done for them. What the figures are not:
-//! times in a controller that was asleep for most of a period, whose caches are cold; the table of a run has those.
+//! Each case is solved from the same start by every configuration in turn, and then by the peers, so that a slow phase
+//! of the machine affects all of them. The start of a case is the solution of the case before, shifted by a period,
+//! where both are scans of the same lap, else driving straight on. Times are wall time of the calling thread around
+//! the call. They include the roll-out of the start, which peers get ready-made. Caches are warm: times of a
+//! controller that slept for most of a period are in the table of a run.
 
 mod cases;
 mod contender;
@@ -18,7 +18,6 @@ use std::path::Path;
 
 use console::exit::{Exit, Failure};
 use console::note;
-use console::output::data;
 use console::progress::Steps;
 use console::user_file::{self, DATA_BYTES};
 use figures::PROFILE;
@@ -26,29 +25,30 @@ use ocp::{Budget, Collocation, Problem, Solution, Solver, SolverSettings, Status
 use serde::Serialize;
 
 use self::cases::SHIPPED;
-use self::contender::Contender;
+use self::contender::{Contender, ContenderRow};
 use self::fit::{Fit, fit};
 use self::peers::{About, Peers};
 use self::problem::{Case, guess, problem};
-use self::versus::Versus;
+use self::versus::{PeerRow, Versus};
 use super::{SolverArguments, warn_of_profile};
+use crate::print_json;
 
 /// The number of intervals that peers are compared with.
 const PEER_INTERVALS: usize = 6;
-/// From this many intervals on the growth of the cost is fitted: below, what does not depend on them weighs too much.
+/// The growth of the cost is fitted from this many intervals on: below, constant costs dominate.
 const FIT_FROM: usize = 24;
 
-/// Everything that was measured.
-#[derive(Debug, Serialize)]
-struct Results {
+/// What is printed as JSON.
+#[derive(Debug, Default, Serialize)]
+struct SolverResults {
     profile: &'static str,
     cases: usize,
     laps: usize,
     start: &'static str,
-    solvers: Vec<contender::Row>,
+    solvers: Vec<ContenderRow>,
     growth: Vec<Growth>,
     about_peers: Option<About>,
-    peers: Vec<versus::Row>,
+    peers: Vec<PeerRow>,
     skipped: Vec<Skipped>,
 }
 
@@ -72,7 +72,7 @@ struct Skipped {
 /// Blocks that the calling thread has allocated or grown since it started.
 pub type AllocationCount = fn() -> u64;
 
-/// Measures all configurations and prints what they took; heap allocations where they are counted.
+/// Measures all configurations and prints the results, with heap allocations where they are counted.
 ///
 /// # Errors
 /// A bad file of cases, or peers that have stopped answering.
@@ -83,16 +83,12 @@ pub fn solver(arguments: &SolverArguments, allocations: Option<AllocationCount>)
     lists.sort_unstable();
     lists.dedup();
     let has_laps = cases.iter().any(|case| case.lap.is_some());
-    let mut results = Results {
+    let mut results = SolverResults {
         profile: PROFILE,
         cases: cases.len(),
         laps: laps(&cases),
         start: if has_laps { "warm" } else { "cold" },
-        solvers: Vec::new(),
-        growth: Vec::new(),
-        about_peers: None,
-        peers: Vec::new(),
-        skipped: Vec::new(),
+        ..SolverResults::default()
     };
     let mut steps = Steps::new((cases.len() * lists.len()) as u64, "cases");
     for intervals in lists {
@@ -113,14 +109,12 @@ pub fn solver(arguments: &SolverArguments, allocations: Option<AllocationCount>)
     }
     results.growth = growth(&results.solvers);
     note!("{}", table::text(&results));
-    if arguments.json {
-        data(&serde_json::to_string_pretty(&results)?)?;
-    }
+    print_json(arguments.json, &results)?;
     Ok(Exit::Done)
 }
 
 fn read(file: Option<&Path>) -> anyhow::Result<Vec<Case>> {
-    let Some(file) = file else { return Ok(cases::parse(SHIPPED)?) };
+    let Some(file) = file else { return cases::parse(SHIPPED).map_err(anyhow::Error::msg) };
     let text = user_file::read(file, DATA_BYTES)
         .map_err(|error| Failure::bad_input(format!("--cases {}: {error}", file.display())))?;
     cases::parse(&text).map_err(|error| Failure::bad_input(format!("{}: {error}", file.display())))
@@ -138,7 +132,7 @@ fn measure(
     mut contenders: Vec<Contender>,
     mut peers: Option<&mut Peers>,
     steps: &mut Steps,
-    results: &mut Results,
+    results: &mut SolverResults,
 ) -> anyhow::Result<()> {
     let intervals = contenders.first().map_or(PEER_INTERVALS, Contender::intervals);
     let names = peers.as_ref().map(|peers| peers.about.peers.clone()).unwrap_or_default();
@@ -158,9 +152,9 @@ fn measure(
             }
         }
         let Some(peers) = peers.as_mut() else { continue };
-        for answer in peers.measure(&problem, &guess)? {
-            if let Some(other) = others.iter_mut().find(|other| other.name() == answer.name) {
-                other.add(case.line, &answer, ours.as_ref());
+        for result in peers.measure(&problem, &guess)? {
+            if let Some(other) = others.iter_mut().find(|other| other.name() == result.name) {
+                other.add(case.line, &result, ours.as_ref());
             }
         }
     }
@@ -173,7 +167,7 @@ fn measure(
     Ok(())
 }
 
-/// Problem and start of every case; the chain of warm starts is that of the default settings, for all the same.
+/// Problem and start of every case; all configurations get the warm starts of the default settings.
 fn starts(cases: &[Case], intervals: usize) -> Vec<(Case, Problem, Trajectory)> {
     let settings = SolverSettings::default();
     let collocation = Collocation::new(settings.scheme);
@@ -193,8 +187,8 @@ fn starts(cases: &[Case], intervals: usize) -> Vec<(Case, Problem, Trajectory)> 
         .collect()
 }
 
-/// Fits over the numbers of intervals of each configuration that has enough of them.
-fn growth(rows: &[contender::Row]) -> Vec<Growth> {
+/// Fits over the numbers of intervals, for each configuration with enough of them.
+fn growth(rows: &[ContenderRow]) -> Vec<Growth> {
     let mut found: Vec<Growth> = Vec::new();
     for row in rows.iter().filter(|row| row.refine) {
         if found.iter().any(|growth| growth.name == row.name && growth.hessian == row.hessian) {
@@ -205,19 +199,14 @@ fn growth(rows: &[contender::Row]) -> Vec<Growth> {
             .filter(|other| other.name == row.name && other.hessian == row.hessian)
             .filter(|other| other.refine && other.n >= FIT_FROM)
             .collect();
-        let pairs = |cost: fn(&contender::Row) -> f64| -> Vec<(f64, f64)> {
+        let pairs = |cost: fn(&ContenderRow) -> f64| -> Vec<(f64, f64)> {
             same.iter().map(|row| (row.n as f64, cost(row))).collect()
         };
         let (step, solve) = (fit(&pairs(|row| row.step_us.p50)), fit(&pairs(|row| row.solve_us.p50)));
         let solve_p99 = fit(&pairs(|row| row.solve_us.p99));
         if step.is_some() || solve.is_some() {
-            found.push(Growth {
-                name: row.name.clone(),
-                hessian: row.hessian.clone(),
-                step,
-                solve,
-                solve_p99,
-            });
+            let (name, hessian) = (row.name.clone(), row.hessian.clone());
+            found.push(Growth { name, hessian, step, solve, solve_p99 });
         }
     }
     found

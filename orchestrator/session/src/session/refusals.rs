@@ -83,7 +83,7 @@ impl Session {
 
     /// Closes the books, and says what was found.
     pub(super) fn reconcile(&mut self, is_last: bool) {
-        for fault in self.sample_audit.close(is_last) {
+        for fault in self.sample_audit.reconcile(is_last) {
             self.progress.warn(&format!("error: ledger: {fault}"));
         }
         for (scan_id, reason) in self.sample_audit.excused() {

@@ -38,7 +38,7 @@ pub struct Settings {
 }
 
 /// Angles at the end of one interval [deg].
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
 pub struct Angles {
     /// End of the interval [s].
     pub time_s: f64,

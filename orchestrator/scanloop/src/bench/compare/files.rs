@@ -13,9 +13,9 @@ use serde_json::Value;
 use super::verdict::Verdict;
 use crate::bench::latency::intervals;
 
-/// What of a result is needed.
+/// The part of a result that is compared.
 #[derive(Debug, Deserialize)]
-struct Run {
+struct LatencyRun {
     profile: Option<String>,
     rate_hz: f64,
     compute: String,
@@ -24,10 +24,10 @@ struct Run {
     intervals: Vec<String>,
 }
 
-/// Compares the figures `metrics` of two files; a figure that the runs are too short for is left out, which is said.
+/// Compares the figures `metrics` of two files. A figure is left out, with a note, when the runs are too short for it.
 ///
 /// # Errors
-/// Files that are no results, or were made with other arguments, and figures that they do not have; exit code 2.
+/// Files that are no results, that were made with different arguments, or that lack a figure; exit code 2.
 pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<Vec<Verdict>> {
     let [(a, a_json), (b, b_json)] = [read(files[0])?, read(files[1])?];
     let names = [files[0].display(), files[1].display()];
@@ -46,7 +46,7 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
     if let (Some(of_a), Some(of_b)) = (&a.profile, &b.profile)
         && of_a != of_b
     {
-        note!("A was built with the profile `{of_a}`, B with `{of_b}`: that is in the difference");
+        note!("A was built with the profile `{of_a}`, B with `{of_b}`: the difference includes that");
     }
     let mut verdicts = Vec::new();
     for metric in metrics {
@@ -82,13 +82,13 @@ pub(super) fn compare(files: [&Path; 2], metrics: &[String]) -> anyhow::Result<V
 
 /// The difference of a quantile of a series [us]; `None` for too few scans.
 fn difference(
-    a: &Run,
-    b: &Run,
+    a: &LatencyRun,
+    b: &LatencyRun,
     files: [&Path; 2],
     series: &str,
     quantile: f64,
 ) -> anyhow::Result<Option<Difference>> {
-    let histograms = |run: &Run, file: &Path| {
+    let histograms = |run: &LatencyRun, file: &Path| {
         intervals::read(&run.intervals, series).ok_or_else(|| {
             Failure::bad_input(format!("{}: intervals: not the lines of a HdrHistogram log", file.display()))
         })
@@ -97,11 +97,11 @@ fn difference(
     Ok(found.map(|difference| difference.scaled(1e-3)))
 }
 
-/// The part of a figure of the whole chain in which a difference is seen, or else that in which the smallest one would
-/// be; `None` when no part varies less than the whole, or the figure is a part itself.
+/// The part of a figure of the whole chain with a visible difference, or else with the smallest visible one; `None`
+/// when no part varies less than the whole, or the figure is a part itself.
 fn steadier_part(
-    a: &Run,
-    b: &Run,
+    a: &LatencyRun,
+    b: &LatencyRun,
     files: [&Path; 2],
     metric: &str,
     whole: &Difference,
@@ -123,11 +123,11 @@ fn steadier_part(
     Ok(best)
 }
 
-fn read(file: &Path) -> anyhow::Result<(Run, Value)> {
+fn read(file: &Path) -> anyhow::Result<(LatencyRun, Value)> {
     let bad = |reason: String| Failure::bad_input(format!("{}: {reason}", file.display()));
     let text = user_file::read(file, DATA_BYTES).map_err(bad)?;
     let json: Value = serde_json::from_str(&text).map_err(|error| bad(error.to_string()))?;
-    let run = Run::deserialize(&json)
+    let run = LatencyRun::deserialize(&json)
         .map_err(|error| bad(format!("{error}: not what `scanloop bench latency --json` prints")))?;
     Ok((run, json))
 }

@@ -10,10 +10,10 @@ use serde_json::Value;
 
 use super::verdict::Verdict;
 
-/// The metric that is no key but the run time of the command.
+/// The metric for the run time of the command.
 pub(super) const WALL: &str = "wall";
 
-/// What came of all rounds.
+/// The results of all rounds.
 pub(super) struct Turns {
     /// One verdict per metric.
     pub verdicts: Vec<Verdict>,
@@ -56,7 +56,7 @@ pub(super) fn compare(commands: &[String], count: usize, metrics: &[String]) -> 
     Ok(Turns { verdicts, figures: figures.swap_remove(0) })
 }
 
-/// Runs a command once and takes its figures.
+/// Runs a command once and returns its figures.
 fn run(command: &str, metrics: &[String]) -> anyhow::Result<Vec<f64>> {
     let started_ns = monotonic_ns();
     let output = Command::new("sh")
@@ -66,9 +66,12 @@ fn run(command: &str, metrics: &[String]) -> anyhow::Result<Vec<f64>> {
         .map_err(|error| Failure::process(format!("sh: {error}")))?;
     let wall_s = (monotonic_ns() - started_ns) as f64 * 1e-9;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
-        return Err(Failure::process(format!("`{command}` ended with {}; it said: {last}", output.status)));
+        let messages = String::from_utf8_lossy(&output.stderr);
+        let last = messages.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("nothing");
+        return Err(Failure::process(format!(
+            "`{command}` ended with {}; last message: {last}",
+            output.status
+        )));
     }
     let printed = String::from_utf8_lossy(&output.stdout);
     let json = value_of(&printed);
@@ -112,7 +115,9 @@ mod tests {
     #[test]
     fn commands_that_fail_or_print_something_else_are_named() {
         let refusal = |command: &str| run(command, &metrics(&["t_us"])).unwrap_err().to_string();
-        assert!(refusal("echo broken >&2; exit 3").contains("ended with exit status: 3; it said: broken"));
+        assert!(
+            refusal("echo broken >&2; exit 3").contains("ended with exit status: 3; last message: broken")
+        );
         assert!(refusal("echo '{}'").contains("does not print JSON with a number at t_us"));
         assert!(refusal("true").contains("does not print JSON"));
     }

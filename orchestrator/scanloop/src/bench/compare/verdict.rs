@@ -1,4 +1,4 @@
-//! What a comparison says, in words and as JSON.
+//! The result of a comparison, as text and as JSON.
 
 use figures::difference::{CONFIDENCE, Difference, MAX_ROUNDS};
 use serde::Serialize;
@@ -14,53 +14,44 @@ pub(crate) struct Verdict {
     pub b: f64,
     /// Best estimate of B minus A.
     pub difference: f64,
-    /// Where B minus A lies.
+    /// Confidence interval of B minus A.
     pub interval: [f64; 2],
     /// Share of such intervals that hold the true difference.
     pub confidence: f64,
     /// `no difference`, or what B is: `slower`, `faster`; `higher`, `lower` for figures that are no times.
     pub verdict: &'static str,
-    /// A difference this large would have been seen nine times in ten.
+    /// The smallest difference that is detected with 90 % probability.
     pub smallest_visible: f64,
-    /// For `no difference`: how many rounds in turns would show a difference as large as the one estimated here; null
-    /// when it takes more than a thousand.
+    /// For `no difference`: how many rounds in turns would show a difference of the estimated size; null when it takes
+    /// more than a thousand.
     pub rounds_to_settle: Option<usize>,
     /// For `no difference` between files: a figure that is part of this one and varies less.
     pub metric_to_settle: Option<String>,
-    /// All of it as a sentence.
+    /// The result as a sentence.
     pub text: String,
 }
 
 impl Verdict {
     /// The verdict on a figure after so many rounds; two files count as one.
     pub(crate) fn new(metric: &str, [a, b]: [f64; 2], difference: &Difference, rounds: usize) -> Self {
-        let unit = unit(metric);
-        let words = if unit.is_empty() { ["higher", "lower"] } else { ["slower", "faster"] };
-        let verdict = match difference.is_seen() {
-            false => "no difference",
-            true if difference.value > 0.0 => words[0],
-            true => words[1],
+        let (directions, unit) = match unit(metric) {
+            "" => (["higher", "lower"], String::new()),
+            unit => (["slower", "faster"], format!(" {unit}")),
         };
-        let [low, high] = difference.interval;
-        let percent = CONFIDENCE * 100.0;
-        let space = if unit.is_empty() { "" } else { " " };
-        let text = if difference.is_seen() {
-            format!(
-                "B is {}{space}{unit} {verdict} ({percent} % interval {} to {})",
-                number(difference.value.abs()),
-                number(low),
-                number(high)
-            )
+        let [low, high] = difference.interval.map(number);
+        let interval = format!("({} % interval {low} to {high})", CONFIDENCE * 100.0);
+        let (verdict, text, rounds_to_settle) = if difference.is_seen() {
+            let verdict = directions[usize::from(difference.value < 0.0)];
+            let size = number(difference.value.abs());
+            (verdict, format!("B is {size}{unit} {verdict} {interval}"), None)
         } else {
-            format!(
-                "no difference seen ({percent} % interval {} to {}); one below {}{space}{unit} could have stayed unseen; {}",
-                number(low),
-                number(high),
-                number(difference.smallest_visible),
-                settlement(difference, rounds, &format!("{space}{unit}"))
-            )
+            let smallest = number(difference.smallest_visible);
+            let text = format!(
+                "no difference seen {interval}; a difference below {smallest}{unit} may be missed; {}",
+                settlement(difference, rounds, &unit)
+            );
+            ("no difference", text, difference.rounds_to_settle(rounds))
         };
-        let rounds_to_settle = if difference.is_seen() { None } else { difference.rounds_to_settle(rounds) };
         Self {
             metric: metric.to_owned(),
             a,
@@ -85,10 +76,10 @@ impl Verdict {
     }
 }
 
-/// What would show whether the difference that was estimated is one.
+/// The number of rounds that would show whether the estimated difference is real.
 fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
     if difference.value == 0.0 {
-        return "the two are equal as far as was seen".to_owned();
+        return "the two figures are equal".to_owned();
     }
     let size = number(difference.value.abs()) + unit;
     let turns = if rounds == 1 { "of `--ab` " } else { "" };
@@ -102,29 +93,18 @@ fn settlement(difference: &Difference, rounds: usize, unit: &str) -> String {
 
 /// The unit of time that a key of the path ends with; empty for anything else.
 fn unit(metric: &str) -> &'static str {
-    let ends = |key: &str| match key.rsplit_once('_').map(|(_, unit)| unit) {
-        Some("ns") => "ns",
-        Some("us") => "us",
-        Some("ms") => "ms",
-        Some("s") => "s",
-        _ => "",
+    let unit_of = |key: &str| {
+        let (_, end) = key.rsplit_once('_')?;
+        ["ns", "us", "ms", "s"].into_iter().find(|unit| *unit == end)
     };
-    metric.rsplit('.').map(ends).find(|unit| !unit.is_empty()).unwrap_or_default()
+    metric.rsplit('.').find_map(unit_of).unwrap_or_default()
 }
 
-/// Three digits that count, and the sign of what is below zero.
+/// A number with three significant digits.
 fn number(value: f64) -> String {
-    let size = value.abs();
-    let decimals = if size >= 100.0 || size == 0.0 {
-        0
-    } else if size >= 10.0 {
-        1
-    } else if size >= 1.0 {
-        2
-    } else {
-        (2 - size.log10().floor() as i32).clamp(3, 9)
-    };
-    format!("{value:.*}", decimals as usize)
+    let magnitude = if value == 0.0 { 2.0 } else { value.abs().log10().floor() };
+    let decimals = (2.0 - magnitude).clamp(0.0, 9.0) as usize;
+    format!("{value:.decimals$}")
 }
 
 #[cfg(test)]
@@ -132,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_difference_is_told_with_its_interval_and_none_with_what_could_be_hidden() {
+    fn a_difference_has_its_interval_and_none_has_the_smallest_visible_one() {
         let seen = Difference { value: 12.34, interval: [8.1, 16.44], smallest_visible: 6.2 };
         let verdict = Verdict::new("scan_to_actuation_us.p50", [100.0, 112.34], &seen, 12);
         assert_eq!(verdict.text, "B is 12.3 us slower (99 % interval 8.10 to 16.4)");
@@ -145,9 +125,8 @@ mod tests {
         let none = Difference { value: 1.0, interval: [-3.0, 5.0], smallest_visible: 5.99 };
         let verdict = Verdict::new("late", [0.0, 1.0], &none, 12);
         assert_eq!((verdict.verdict, verdict.rounds_to_settle), ("no difference", Some(431)));
-        let words =
-            "one below 5.99 could have stayed unseen; 431 rounds (--rounds 431) would settle one of 1.00";
-        assert!(verdict.text.ends_with(words), "{}", verdict.text);
+        let end = "a difference below 5.99 may be missed; 431 rounds (--rounds 431) would settle one of 1.00";
+        assert!(verdict.text.ends_with(end), "{}", verdict.text);
     }
 
     #[test]

@@ -1,11 +1,11 @@
-//! Everything the bench keeps of the scans of a run, fed scan by scan.
+//! Collects the latencies of a run scan by scan.
 //!
-//! **Coordinated omission.** Scans are published by a schedule. A machine that stalls delays the scanner too, and
-//! the time of publication in the sample then hides the stall; and a scan that is never answered has no latency at
-//! all. The corrected series counts as a scanner would that is a device of its own: a scan's time runs from when it
-//! was due on the robot's schedule, and a scan that was lost, or that the robot skipped because it was held up,
-//! waits until the next actuation there is. What the emulator takes to make a scan is left out, because a real
-//! scanner does not do it on this machine. Where this fails: scans in flight when the run ends are not counted.
+//! **Coordinated omission.** Scans are published by a schedule. A machine that stalls delays the emulated scanner too,
+//! so the time of publication in the sample hides the stall; and a scan without an answer has no latency at all. The
+//! corrected series counts like a scanner that is a separate device: a scan's latency starts when it was due on the
+//! robot's schedule. A scan that was lost or skipped waits until the next actuation. The emulator's time to make a scan
+//! is left out, because a real scanner does not make it on this machine. Limit: scans in flight at the end of the run
+//! are not counted.
 
 use std::collections::BTreeMap;
 
@@ -15,12 +15,12 @@ use shared_types::{Actuation, Header, Role, Truth};
 
 use super::intervals::{Intervals, Series};
 
-/// Scans from the start of the run that are kept one by one.
-const FIRST: usize = 1000;
-/// Slowest scans that are kept one by one.
-const SLOWEST: usize = 100;
+/// Number of first scans of the run that are stored.
+const MAX_FIRST: usize = 1000;
+/// Number of slowest scans that are stored.
+const MAX_SLOWEST: usize = 100;
 
-/// What is kept of a run.
+/// The latencies of a run.
 #[derive(Debug)]
 pub(crate) struct Collector {
     period_ns: u64,
@@ -44,7 +44,7 @@ pub(crate) struct Collector {
 }
 
 impl Collector {
-    /// Nothing yet; about so many scans are to come.
+    /// An empty collector for about `expected_scans` scans.
     pub(crate) fn new(period_ns: u64, expected_scans: u64) -> Self {
         Self {
             period_ns,
@@ -96,7 +96,7 @@ impl Collector {
             self.correct(reaction_ns + late_ns);
             self.reaction.record(reaction_ns);
             self.intervals.record(Series::ScanToActuation, reaction_ns);
-            self.keep(reaction_ns, header);
+            self.store(reaction_ns, header);
         }
         if let Ok(attribution) = attribute(header) {
             self.attribution(&attribution);
@@ -118,13 +118,13 @@ impl Collector {
         self.intervals.record(Series::Corrected, time_ns);
     }
 
-    /// Keeps the first scans and the slowest.
-    fn keep(&mut self, reaction_ns: u64, header: &Header) {
-        if self.first.len() < FIRST {
+    /// Stores the header if the scan is among the first or the slowest.
+    fn store(&mut self, reaction_ns: u64, header: &Header) {
+        if self.first.len() < MAX_FIRST {
             return self.first.push(*header);
         }
         self.slowest.insert((reaction_ns, header.scan_id), *header);
-        if self.slowest.len() > SLOWEST {
+        if self.slowest.len() > MAX_SLOWEST {
             self.slowest.pop_first();
         }
     }
@@ -134,8 +134,8 @@ impl Collector {
         header.acquired_ns + self.period_ns / 3
     }
 
-    /// The scans that were kept one by one, in order: the first thousand, and the hundred slowest after them.
-    pub(crate) fn kept(&self) -> Vec<Header> {
+    /// The stored scans in order: the first thousand, and the hundred slowest after them.
+    pub(crate) fn stored(&self) -> Vec<Header> {
         let mut all: Vec<Header> = self.first.iter().chain(self.slowest.values()).copied().collect();
         all.sort_by_key(|header| header.scan_id);
         all
@@ -192,16 +192,16 @@ mod tests {
         let collector = collect([(1, 0, true), (2, 0, false), (5, 0, true)]);
         let figures = collector.corrected.figures();
         assert_eq!((figures.count, collector.reaction.count()), (5, 2));
-        let longest_us = (3 * PERIOD_NS + 500 + 2550) as f64 * 1e-3;
-        assert_eq!(figures.max, longest_us, "{figures:?}");
+        let max_us = (3 * PERIOD_NS + 500 + 2550) as f64 * 1e-3;
+        assert_eq!(figures.max, max_us, "{figures:?}");
     }
 
     #[test]
-    fn the_first_scans_and_the_slowest_are_kept() {
+    fn the_first_scans_and_the_slowest_are_stored() {
         let collector = collect((1..=1500).map(|scan_id| (scan_id, 0, true)));
-        let kept = collector.kept();
-        assert_eq!(kept.len(), FIRST + SLOWEST);
-        assert!(kept.is_sorted_by_key(|header| header.scan_id));
+        let stored = collector.stored();
+        assert_eq!(stored.len(), MAX_FIRST + MAX_SLOWEST);
+        assert!(stored.is_sorted_by_key(|header| header.scan_id));
     }
 
     #[test]

@@ -1,14 +1,14 @@
-//! How the stages that compute nothing are called: services of the instrument, one per role.
+//! Names and arguments of the stages that compute nothing: services of the executable `scanloop-bench`, one per role.
 
 use shared_types::{Role, Topic};
 
-/// The topics whose samples carry a payload beside them, in the order of the chain.
+/// The topics whose samples are followed by a payload, in the order of the chain.
 pub const PAYLOAD_TOPICS: [Topic; 4] = [Topic::Odometry, Topic::Pose, Topic::Obstacles, Topic::Command];
 
-/// Startup of the names of these services; the role follows, and after a colon the bytes of the payload.
+/// Prefix of the names of these services; the role follows, and after a colon the bytes of the payload.
 pub const PREFIX: &str = "echo-";
 
-/// Arguments that make the instrument the echo of a role.
+/// Arguments that start the empty stage of a role.
 pub fn arguments(role: Role, payload: Option<usize>) -> [String; 2] {
     let bytes = payload.map_or_else(String::new, |bytes| format!(":{bytes}"));
     ["service".to_owned(), format!("{PREFIX}{role}{bytes}")]

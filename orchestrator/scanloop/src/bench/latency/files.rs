@@ -10,7 +10,7 @@ use report::picture::chart;
 use report::write_atomically;
 
 use super::collector::Collector;
-use super::results::Results;
+use super::results::LatencyResults;
 use super::{pictures, trace};
 
 /// Writes all files into a folder.
@@ -19,7 +19,7 @@ use super::{pictures, trace};
 /// The first error of the file system, with the file.
 pub(crate) fn write(
     folder: &Path,
-    results: &Results,
+    results: &LatencyResults,
     collector: &Collector,
     noise: &Distribution,
 ) -> anyhow::Result<()> {
@@ -33,11 +33,11 @@ pub(crate) fn write(
     put("scan_to_actuation_corrected.hgrm", &percentiles(collector.corrected.histogram()))?;
     put("histogram.svg", &chart::draw(&pictures::histogram(collector, noise, results))?)?;
     put("ccdf.svg", &chart::draw(&pictures::exceedance(collector, noise, results))?)?;
-    put("trace.json", &trace::text(&collector.kept()))
+    put("trace.json", &trace::text(&collector.stored()))
 }
 
-/// A HdrHistogram log: the stretches of the run with all series as tags.
-fn log(results: &Results) -> String {
+/// A HdrHistogram log: all series of the stretches of the run, with their names as tags.
+fn log(results: &LatencyResults) -> String {
     let mut text = String::from(
         "#[Histogram log format version 1.3]\n\
          #[Times in nanoseconds, start and length of intervals in seconds since the first scan]\n\

@@ -1,8 +1,8 @@
-//! Figures of consecutive stretches of a run as lines of a HdrHistogram log, written by one and read by all.
+//! Histograms of consecutive stretches of a run, as lines of a HdrHistogram log.
 //!
 //! A run is cut into about [`INTERVALS`] stretches of equal numbers of scans. Each has one histogram per series, in
 //! nanoseconds with three significant digits, written as a line of the log format V2 with the name of the series as
-//! its tag. The lines stand in the JSON and make the `.hlog` file, so every tool for such logs reads them, and
+//! its tag. The lines are part of the JSON and of the `.hlog` file, so every tool for such logs reads them, and
 //! `bench compare` needs no file of its own.
 
 use std::time::Duration;
@@ -16,17 +16,17 @@ use hdrhistogram::serialization::{Deserializer, V2DeflateSerializer};
 
 /// Stretches that a run is cut into, as far as it has enough scans.
 pub(crate) const INTERVALS: u64 = 24;
-/// Fewest scans of a stretch.
-const FEWEST: u64 = 10;
-/// Longest time that is told apart [ns].
+/// Smallest number of scans of a stretch.
+const MIN_SCANS: u64 = 10;
+/// Longest time of the histograms; longer ones count as this [ns].
 const MAX_NS: u64 = 60_000_000_000;
 
-/// What is measured of each scan; the order is that of [`NAMES`].
+/// A measured time of each scan; the order is that of [`NAMES`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Series {
     /// From the publication of the scan to that of its actuation.
     ScanToActuation,
-    /// The same, as a scanner would see it that is never late, and with what was lost.
+    /// The same, from when the scan was due, including lost scans.
     Corrected,
     /// Scan to actuation without compute.
     Transport,
@@ -56,7 +56,7 @@ impl Series {
     }
 }
 
-/// The stretches of a run while it goes on.
+/// The stretches of a run in progress.
 #[derive(Debug)]
 pub(crate) struct Intervals {
     scans: u64,
@@ -69,10 +69,10 @@ pub(crate) struct Intervals {
 }
 
 impl Intervals {
-    /// Stretches of a run of about so many scans.
+    /// The stretches of a run of about `expected_scans` scans.
     pub(crate) fn new(expected_scans: u64) -> Self {
         Self {
-            scans: expected_scans.div_ceil(INTERVALS).max(FEWEST),
+            scans: expected_scans.div_ceil(INTERVALS).max(MIN_SCANS),
             histograms: std::array::from_fn(|_| empty()),
             first_scan: None,
             origin_ns: 0,
@@ -87,7 +87,7 @@ impl Intervals {
         self.scans
     }
 
-    /// A scan begins that was due at a time; what is recorded from now on belongs to its stretch.
+    /// Starts a scan with its due time; values recorded from now on belong to its stretch.
     pub(crate) fn scan(&mut self, scan_id: u64, due_ns: u64) {
         match self.first_scan {
             None => {
@@ -110,7 +110,7 @@ impl Intervals {
         self.histograms[series.index()].saturating_record(value_ns);
     }
 
-    /// The lines of all stretches. The last one counts only if it is at least half as long as the others.
+    /// The lines of all stretches. The last stretch is left out if it is shorter than half of the others.
     pub(crate) fn finish(mut self) -> Vec<String> {
         let few = 2 * self.histograms[0].len() < self.scans;
         if !few || self.lines.is_empty() {
@@ -136,7 +136,7 @@ impl Intervals {
     }
 }
 
-/// The histograms of one series, in the order of the stretches; `None` when a line is not one of such a log.
+/// The histograms of one series, in the order of the stretches; `None` when a line is not of such a log.
 pub(crate) fn read(lines: &[String], series: &str) -> Option<Vec<Histogram<u64>>> {
     let mut found = Vec::new();
     let mut deserializer = Deserializer::new();

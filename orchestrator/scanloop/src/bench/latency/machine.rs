@@ -1,11 +1,11 @@
-//! What of this machine a latency depends on, as far as the kernel tells it; what it does not tell is null.
+//! Properties of this machine that latencies depend on; null where the kernel does not tell.
 
 use std::path::Path;
 
 use runtime::{Realtime, Scheduler};
 use serde::Serialize;
 
-/// Facts that stand beside the figures.
+/// Properties of the machine.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(crate) struct Machine {
     /// Release of the kernel.
@@ -28,11 +28,11 @@ pub(crate) struct Machine {
     pub idle_states: Vec<IdleState>,
     /// Driver and governor of idling.
     pub idle_driver: Option<String>,
-    /// Longest latency of leaving an idle state that someone has asked for [us]; null when it can't be read.
+    /// Limit for the exit latency of idle states that a process requested [us]; null when it can't be read.
     pub cpu_dma_latency_us: Option<i32>,
     /// Source of the clock.
     pub clocksource: Option<String>,
-    /// How many flaws of the processor are worked around, and how many of those listed are not there.
+    /// How many of the listed processor vulnerabilities are mitigated, open, or do not apply.
     pub mitigations: Option<String>,
     /// Load average over one minute when the bench began.
     pub load_average: Option<f64>,
@@ -40,11 +40,11 @@ pub(crate) struct Machine {
     pub scheduling: Scheduler,
     /// Processors that the machine grants the processes; empty for all.
     pub pinned_to: Vec<usize>,
-    /// Busy loops that ran beside.
+    /// Number of busy loops during the run.
     pub busy_loops: usize,
-    /// Share of the processors' time that was used during the run, by anybody [%].
+    /// Share of the processors' time that was used during the run, by any process [%].
     pub busy_percent: f64,
-    /// Share of the processors' time that the host gave to others [%].
+    /// Share of the processors' time that the host gave to other virtual machines [%].
     pub steal_percent: f64,
 }
 
@@ -60,7 +60,7 @@ pub(crate) struct IdleState {
 }
 
 impl Machine {
-    /// The facts now, with the settings that the machine `granted`; shares of time are filled in at the end of the run.
+    /// The properties now, with the settings that the machine `granted`; [`Machine::note_use`] adds the shares of time.
     pub(crate) fn inspect(granted: &Realtime, busy_loops: usize) -> Self {
         let processors = read("/proc/cpuinfo").unwrap_or_default();
         let of_cpu = |key: &str| {
@@ -94,7 +94,7 @@ impl Machine {
         }
     }
 
-    /// Fills in how busy the processors were between two looks.
+    /// Sets the shares of time between two readings.
     pub(crate) fn note_use(&mut self, before: Ticks, after: Ticks) {
         let all = after.all.saturating_sub(before.all).max(1) as f64;
         self.busy_percent = 100.0 * after.busy.saturating_sub(before.busy) as f64 / all;
@@ -154,12 +154,8 @@ fn mitigations(folder: &Path) -> Option<String> {
     let entries: Vec<String> =
         std::fs::read_dir(folder).ok()?.flatten().filter_map(|entry| read(entry.path())).collect();
     let count = |start: &str| entries.iter().filter(|text| text.starts_with(start)).count();
-    Some(format!(
-        "{} worked around, {} vulnerable, {} not affected",
-        count("Mitigation"),
-        count("Vulnerable"),
-        count("Not affected")
-    ))
+    let [mitigated, vulnerable, unaffected] = ["Mitigation", "Vulnerable", "Not affected"].map(count);
+    Some(format!("{mitigated} worked around, {vulnerable} vulnerable, {unaffected} not affected"))
 }
 
 #[cfg(test)]
@@ -174,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_of_time_are_those_between_two_looks() {
+    fn shares_of_time_are_those_between_two_readings() {
         let before = Ticks::parse("cpu 100 0 50 800 0 0 0 50 0 0\ncpu0 1 1 1 1");
         let after = Ticks::parse("cpu 120 0 60 860 0 0 0 60 0 0");
         let mut machine = Machine::default();

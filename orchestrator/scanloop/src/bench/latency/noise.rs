@@ -1,9 +1,9 @@
-//! What this machine adds to any wake-up, with nothing of ours in the way, and what a stamp costs.
+//! The wake-up latency of this machine, without any part of the loop, and the time that a stamp takes.
 //!
-//! A process of its own, run as the stages will be (processors, scheduler, slice, timer slack), sleeps until absolute times at the rate of the scans and
-//! notes how late it wakes: what `cyclictest` does. No chain of processes can be quieter than its wake-ups, so this
-//! is what figures of the chain are to be read against. Where it fails: it sees the seconds before the run only, and
-//! a machine that is noisy once a minute looks quiet.
+//! Like `cyclictest`, a process with the settings of the stages (processors, scheduler, slice, timer slack) sleeps
+//! until absolute times at the rate of the scans and notes how late it wakes. No chain of processes is quieter than
+//! its wake-ups, so this is the floor for the figures of the chain. Limit: it measures only the seconds before the
+//! run, so noise once a minute is missed.
 
 use std::num::NonZeroU64;
 use std::process::{Command, Stdio};
@@ -16,19 +16,19 @@ use rustix::thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack}
 use rustix::time::Timespec;
 use shared_types::StageStamps;
 use supervision::child::this_program;
-/// Startup of the name of this service; period, number of wake-ups and timer slack follow, each after a
-/// colon.
+
+/// Prefix of the name of this service; period, number of wake-ups and timer slack follow, separated by colons.
 pub(crate) const PREFIX: &str = "wake-up-noise:";
 /// Longest and shortest time that is spent on it [s].
 const MAX_S: f64 = 5.0;
-const SHORTEST_S: f64 = 0.5;
+const MIN_S: f64 = 0.5;
 /// Share of the duration of the bench that is spent on it.
 const SHARE: f64 = 0.1;
 /// Clock readings per stage and scan: woken, taken, computed, published.
 const STAMPS: usize = 4;
 
-/// Measures how late wake-ups of a process are that has the settings `realtime`, for a bench of `duration_s` at a period.
-/// Also returns the settings as the machine grants them; what it refuses is said when the run begins.
+/// Measures how late a process with the settings `realtime` wakes, for a bench of `duration_s` at a period.
+/// Also returns the settings that the machine grants; refused ones are logged when the run starts.
 ///
 /// # Errors
 /// When the process can't be started, or does not answer.
@@ -37,7 +37,7 @@ pub(crate) fn measure(
     duration_s: f64,
     realtime: &Realtime,
 ) -> anyhow::Result<(Distribution, Realtime)> {
-    let seconds = (SHARE * duration_s).clamp(SHORTEST_S, MAX_S);
+    let seconds = (SHARE * duration_s).clamp(MIN_S, MAX_S);
     let count = ((seconds * 1e9 / period_ns as f64) as u64).max(5);
     let service = format!("{PREFIX}{period_ns}:{count}:{}", realtime.timer_slack_ns);
     let mut child = Command::new(this_program())
@@ -48,7 +48,7 @@ pub(crate) fn measure(
         .context("the process for the wake-up noise")?;
     let _ = realtime.apply_to(child.id());
     let granted = realtime.granted(child.id());
-    // It begins when nothing more can come.
+    // The process begins when its standard input is closed.
     drop(child.stdin.take());
     let output = child.wait_with_output().context("the process for the wake-up noise")?;
     let mut late = Distribution::of_times();
@@ -79,7 +79,7 @@ fn sleep_and_print(period_ns: u64, count: usize, slack_ns: u64) -> anyhow::Resul
         while clock_nanosleep_absolute(ClockId::Monotonic, &due).is_err() {}
         let now_ns = monotonic_ns();
         late_ns.push(now_ns.saturating_sub(due_ns));
-        // A wake-up that was missed altogether has been late by that much; it is not made up for.
+        // Missed wake-ups are not made up for: their time is part of this lateness.
         due_ns += period_ns * (1 + now_ns.saturating_sub(due_ns) / period_ns);
     }
     let mut text = String::new();
@@ -90,7 +90,7 @@ fn sleep_and_print(period_ns: u64, count: usize, slack_ns: u64) -> anyhow::Resul
     Ok(())
 }
 
-/// What the stamps of one stage cost for one scan: four readings of the clock and their places in the header [us].
+/// Time for the stamps of one stage and scan: four readings of the clock, written to the header [us].
 pub(crate) fn stamp_cost_us() -> f64 {
     const LAPS: u32 = 20_000;
     const REPEATS: usize = 15;

@@ -1,19 +1,20 @@
 //! Two pictures of a run: how often each time was seen (the plot of `cyclictest`), and how often it was exceeded.
 
-use figures::Distribution;
+use figures::{Distribution, Figures};
 use hdrhistogram::Histogram;
+use report::ScanReport;
 use report::latency::STAGES;
 use report::picture::chart::{Chart, Curve};
 
 use super::collector::Collector;
-use super::results::Results;
+use super::results::LatencyResults;
 
 /// Bins of the histogram.
 const BINS: usize = 160;
-/// What lies beyond so many medians of the slowest series is counted in the last bin.
+/// Values above this many medians of scan to actuation are counted in the last bin.
 const MEDIANS: f64 = 6.0;
 
-/// The series of both pictures with their names, the whole first.
+/// The series of both pictures with their names, scan to actuation first.
 fn series<'a>(
     collector: &'a Collector,
     noise: &'a Distribution,
@@ -28,22 +29,18 @@ fn series<'a>(
         .map(|(name, distribution)| (name.to_owned(), distribution.histogram()))
 }
 
-fn subtitle(results: &Results) -> String {
+fn subtitle(results: &LatencyResults) -> String {
+    let LatencyResults { rate_hz, compute, .. } = results;
+    let ScanReport { published, late, lost, .. } = results.scans;
+    let Figures { p50, p99, max, .. } = results.scan_to_actuation_us;
     format!(
-        "{} scans at {} Hz, compute {}, {} late, {} lost; median {:.0} us, 99 % {:.0} us, largest {:.0} us",
-        results.published,
-        results.rate_hz,
-        results.compute,
-        results.late,
-        results.lost,
-        results.scan_to_actuation_us.p50,
-        results.scan_to_actuation_us.p99,
-        results.scan_to_actuation_us.max
+        "{published} scans at {rate_hz} Hz, compute {compute}, {late} late, {lost} lost; median {p50:.0} us, \
+         99 % {p99:.0} us, largest {max:.0} us"
     )
 }
 
 /// How often each time was seen.
-pub(crate) fn histogram(collector: &Collector, noise: &Distribution, results: &Results) -> Chart {
+pub(crate) fn histogram(collector: &Collector, noise: &Distribution, results: &LatencyResults) -> Chart {
     let figures = &results.scan_to_actuation_us;
     let right_us = (MEDIANS * figures.p50).clamp(1.0, figures.max.max(1.0));
     let width_ns = (right_us * 1e3 / BINS as f64).max(1.0);
@@ -75,7 +72,7 @@ fn bins(histogram: &Histogram<u64>, width_ns: f64) -> Vec<u64> {
     bins
 }
 
-/// The outline of the bins that have something, and of the gaps between them; half a scan stands for none.
+/// The outline of the bins from the first to the last that is not empty; an empty bin is drawn as half a scan.
 fn steps(bins: &[u64], width_ns: f64) -> Vec<[f64; 2]> {
     let Some(first) = bins.iter().position(|&count| count > 0) else { return Vec::new() };
     let last = bins.iter().rposition(|&count| count > 0).unwrap_or(first);
@@ -90,7 +87,7 @@ fn steps(bins: &[u64], width_ns: f64) -> Vec<[f64; 2]> {
 }
 
 /// How often each time was exceeded.
-pub(crate) fn exceedance(collector: &Collector, noise: &Distribution, results: &Results) -> Chart {
+pub(crate) fn exceedance(collector: &Collector, noise: &Distribution, results: &LatencyResults) -> Chart {
     let corrected = ("corrected".to_owned(), collector.corrected.histogram());
     let curves = series(collector, noise)
         .chain([corrected])
@@ -119,16 +116,16 @@ pub(crate) fn exceedance(collector: &Collector, noise: &Distribution, results: &
     }
 }
 
-/// At most a thousand points that look the same: what lies closer than a thousandth of the height is left out.
+/// Leaves out points that are closer to the one before than 0.004 decades in both directions.
 fn thinned(points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
-    let near = |one: f64, other: f64| (one.log10() - other.log10()).abs() < 0.004;
-    let mut kept: Vec<[f64; 2]> = Vec::new();
+    let is_near = |one: f64, other: f64| (one.log10() - other.log10()).abs() < 0.004;
+    let mut left: Vec<[f64; 2]> = Vec::new();
     for point in points.into_iter().filter(|point| point[1] > 0.0) {
-        if kept.last().is_none_or(|last| !near(last[0], point[0]) || !near(last[1], point[1])) {
-            kept.push(point);
+        if left.last().is_none_or(|last| !is_near(last[0], point[0]) || !is_near(last[1], point[1])) {
+            left.push(point);
         }
     }
-    kept
+    left
 }
 
 #[cfg(test)]
@@ -154,7 +151,8 @@ mod tests {
     fn both_pictures_are_drawn_even_of_nothing() {
         let collector = Collector::new(1_000_000, 10);
         let noise = Distribution::of_times();
-        for chart in [histogram, exceedance].map(|make| make(&collector, &noise, &Results::default())) {
+        for chart in [histogram, exceedance].map(|make| make(&collector, &noise, &LatencyResults::default()))
+        {
             assert!(chart::draw(&chart).unwrap().contains(&chart.title));
         }
     }

@@ -1,9 +1,7 @@
-//! What the bench found, as the JSON that it prints.
-
-use std::collections::BTreeMap;
+//! The result of the bench, as the JSON that it prints.
 
 use figures::Figures;
-use report::PerStage;
+use report::{PerStage, ScanReport};
 use serde::Serialize;
 
 use super::machine::Machine;
@@ -13,7 +11,7 @@ pub(crate) const SCHEMA: u32 = 1;
 
 /// The whole result; keys carry their unit as the last word.
 #[derive(Debug, Clone, Default, Serialize)]
-pub(crate) struct Results {
+pub(crate) struct LatencyResults {
     /// [`SCHEMA`].
     pub schema: u32,
     /// The Cargo profile that the executable was built with.
@@ -28,31 +26,20 @@ pub(crate) struct Results {
     pub payload_bytes: Option<usize>,
     /// How the drive ended; `timeout` is as asked for.
     pub outcome: String,
-    /// Why, in words.
+    /// Why.
     pub reason: String,
-    /// Scans published.
-    pub published: u64,
-    /// Scans that an actuation answered, the late ones included.
-    pub commanded: u64,
-    /// Scans answered after the next one was published.
-    pub late: u64,
-    /// Scans never answered.
-    pub lost: u64,
-    /// How many scans were lost for which reason.
-    pub lost_reasons: BTreeMap<String, u64>,
-    /// Scans that nothing is known of.
-    pub unaccounted: u64,
-    /// Answers to scans that had been answered already.
-    pub duplicates: u64,
-    /// Samples of all topics that nothing is known of.
+    /// What became of the scans.
+    #[serde(flatten)]
+    pub scans: ScanReport,
+    /// Unexplained samples of all topics.
     pub residual: u64,
-    /// What the ledger found, in words.
+    /// Faults that the sample audit found.
     pub faults: Vec<String>,
     /// Actuations that carry the stamps of all stages.
     pub complete_chains: u64,
     /// From the publication of a scan to that of its actuation.
     pub scan_to_actuation_us: Figures,
-    /// The same from when the scan was due, with lost scans: corrected for coordinated omission.
+    /// The same from when the scan was due, including lost scans: corrected for coordinated omission.
     pub scan_to_actuation_corrected_us: Figures,
     /// From the front beam of a scan to its actuation.
     pub data_age_us: Figures,
@@ -66,11 +53,12 @@ pub(crate) struct Results {
     pub publications_us: PerStage,
     /// How late the robot woke for a scan.
     pub robot_lateness_us: Figures,
-    /// How late a process wakes that does nothing else, measured before the run.
+    /// How late an idle process wakes, measured before the run.
     pub wake_up_noise_us: Figures,
-    /// What the stamps of one stage cost for one scan.
+    /// Time for the stamps of one stage and scan.
     pub stamps_us_per_stage: f64,
-    /// Difference to another run like this that `bench compare` would see nine times in ten; null for too short a run.
+    /// The smallest difference to a like run that `bench compare` detects with 90 % probability; null for too short a
+    /// run.
     pub smallest_visible_us: Smallest,
     /// The machine.
     pub machine: Machine,
@@ -80,7 +68,7 @@ pub(crate) struct Results {
     pub intervals: Vec<String>,
 }
 
-/// Smallest differences that would be seen [us].
+/// Smallest differences that are detected [us].
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub(crate) struct Smallest {
     /// Of the medians of scan to actuation.

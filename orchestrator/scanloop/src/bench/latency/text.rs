@@ -1,16 +1,20 @@
-//! What the bench found, for people.
+//! The result of the bench as text.
 
 use std::fmt::Write as _;
 
 use figures::{Figures, Table};
+use report::ScanReport;
+use report::summary::counts;
+use runtime::Scheduler;
 
-use super::results::Results;
+use super::machine::{IdleState, Machine};
+use super::results::{LatencyResults, Smallest};
 
-/// Shortest run whose 99.9 % mean something [scans].
-const ENOUGH: u64 = 1000;
+/// Below this the 99.9 % are close to the largest value [scans].
+const MIN_SCANS: u64 = 1000;
 
 /// The table of a bench.
-pub(crate) fn text(results: &Results) -> String {
+pub(crate) fn text(results: &LatencyResults) -> String {
     let mut text = String::new();
     for (name, value) in head(results) {
         let _ = writeln!(text, "{name:<18} {value}");
@@ -40,52 +44,34 @@ pub(crate) fn text(results: &Results) -> String {
         table.row(std::iter::once(name.to_owned()).chain(values.map(shown)));
     }
     let _ = write!(text, "\n{table}");
-    if results.scan_to_actuation_us.count < ENOUGH {
-        let _ = writeln!(
-            text,
-            "\n{} scans are few: their 99 % and 99.9 % are close to the largest value",
-            results.scan_to_actuation_us.count
-        );
+    let count = results.scan_to_actuation_us.count;
+    if count < MIN_SCANS {
+        let _ =
+            writeln!(text, "\n{count} scans are few: their 99 % and 99.9 % are close to the largest value");
     }
     text
 }
 
-fn head(results: &Results) -> Vec<(&'static str, String)> {
-    let machine = &results.machine;
+fn head(results: &LatencyResults) -> Vec<(&'static str, String)> {
+    let LatencyResults { machine, scans, .. } = results;
     let compute = match (results.compute, results.payload_bytes) {
         ("none", Some(bytes)) => format!("none, {bytes} bytes on each hop"),
         ("none", None) => "none, the pipeline's own samples".to_owned(),
         (name, _) => name.to_owned(),
     };
-    let mut lost = format!("{} lost", results.lost);
-    if !results.lost_reasons.is_empty() {
-        let reasons: Vec<String> = results
-            .lost_reasons
-            .iter()
-            .map(|(reason, count)| format!("{count} {}", reason.replace('_', " ")))
-            .collect();
-        let _ = write!(lost, " ({})", reasons.join(", "));
-    }
+    let ScanReport { published, commanded, late, unaccounted, .. } = scans;
+    let Machine { cores, busy_percent, steal_percent, .. } = machine;
     let known = |value: &Option<String>| value.clone().unwrap_or_else(|| "unknown".to_owned());
-    let idle: Vec<String> = machine
-        .idle_states
-        .iter()
-        .map(|state| {
-            let off = if state.disabled { " (off)" } else { "" };
-            format!("{} {} us{off}", state.name, state.exit_latency_us)
-        })
-        .collect();
+    let load_average = known(&machine.load_average.map(|load| load.to_string()));
     vec![
         ("profile", results.profile.to_owned()),
         ("rate", format!("{} Hz for {:.1} s, compute {compute}", results.rate_hz, results.duration_s)),
         (
             "scans",
             format!(
-                "{} published, {} commanded, {} late, {lost}, {} unaccounted, {} complete chains",
-                results.published,
-                results.commanded,
-                results.late,
-                results.unaccounted,
+                "{published} published, {commanded} commanded, {late} late, {}, {unaccounted} unaccounted, \
+                 {} complete chains",
+                lost(scans),
                 results.complete_chains
             ),
         ),
@@ -96,29 +82,11 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
                 residual => format!("{residual} unaccounted: {}", results.faults.join("; ")),
             },
         ),
-        (
-            "scheduling",
-            format!(
-                "{}{}{}",
-                match machine.scheduling {
-                    runtime::Scheduler::Other => "default",
-                    runtime::Scheduler::Fifo => "fifo",
-                },
-                match machine.pinned_to.as_slice() {
-                    [] => String::new(),
-                    cpus => format!(", processors {cpus:?}"),
-                },
-                match machine.busy_loops {
-                    0 => String::new(),
-                    count => format!(", {count} busy loops beside"),
-                }
-            ),
-        ),
+        ("scheduling", scheduling(machine)),
         (
             "machine",
             format!(
-                "{} cores of {}{}, kernel {}, clock {}",
-                machine.cores,
+                "{cores} cores of {}{}, kernel {}, clock {}",
                 known(&machine.cpu_model),
                 if machine.virtual_machine { " (virtual)" } else { "" },
                 known(&machine.kernel),
@@ -130,7 +98,7 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
             format!(
                 "governor {}, idle states {}, cpu_dma_latency {}, timer slack {} us",
                 known(&machine.governor),
-                if idle.is_empty() { "unknown".to_owned() } else { idle.join(", ") },
+                idle_states(&machine.idle_states),
                 machine.cpu_dma_latency_us.map_or("unknown".to_owned(), |us| match us {
                     2_000_000_000.. => "not asked for".to_owned(),
                     us => format!("{us} us"),
@@ -141,10 +109,8 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
         (
             "use",
             format!(
-                "processors {:.0} % busy during the run, {:.1} % taken by the host; load average {} before",
-                machine.busy_percent,
-                machine.steal_percent,
-                machine.load_average.map_or("unknown".to_owned(), |load| load.to_string())
+                "processors {busy_percent:.0} % busy during the run, {steal_percent:.1} % taken by the host; \
+                 load average {load_average} before"
             ),
         ),
         ("stamps", format!("{:.2} us per stage and scan", results.stamps_us_per_stage)),
@@ -152,15 +118,43 @@ fn head(results: &Results) -> Vec<(&'static str, String)> {
     ]
 }
 
-fn smallest(results: &Results) -> String {
-    match results.smallest_visible_us.p50 {
-        Some(p50) => format!(
-            "a difference of {p50:.1} us in the median{} to another run like this",
-            results
-                .smallest_visible_us
-                .p99
-                .map_or(String::new(), |p99| format!(", of {p99:.1} us in the 99 %,"))
-        ),
-        None => "the run is too short to say".to_owned(),
+fn lost(scans: &ScanReport) -> String {
+    match counts(scans.lost_reasons.iter()) {
+        reasons if reasons.is_empty() => format!("{} lost", scans.lost),
+        reasons => format!("{} lost ({reasons})", scans.lost),
     }
+}
+
+fn scheduling(machine: &Machine) -> String {
+    let policy = match machine.scheduling {
+        Scheduler::Other => "default",
+        Scheduler::Fifo => "fifo",
+    };
+    let pinned = match machine.pinned_to.as_slice() {
+        [] => String::new(),
+        cpus => format!(", processors {cpus:?}"),
+    };
+    let load = match machine.busy_loops {
+        0 => String::new(),
+        count => format!(", {count} busy loops in parallel"),
+    };
+    format!("{policy}{pinned}{load}")
+}
+
+fn idle_states(states: &[IdleState]) -> String {
+    let text = |state: &IdleState| {
+        let off = if state.disabled { " (off)" } else { "" };
+        format!("{} {} us{off}", state.name, state.exit_latency_us)
+    };
+    match states {
+        [] => "unknown".to_owned(),
+        states => states.iter().map(text).collect::<Vec<_>>().join(", "),
+    }
+}
+
+fn smallest(results: &LatencyResults) -> String {
+    let Smallest { p50, p99 } = results.smallest_visible_us;
+    let Some(p50) = p50 else { return "the run is too short".to_owned() };
+    let p99 = p99.map_or(String::new(), |p99| format!(", of {p99:.1} us in the 99 %,"));
+    format!("a difference of {p50:.1} us in the median{p99} to another run like this")
 }

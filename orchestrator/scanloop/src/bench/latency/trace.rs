@@ -1,9 +1,9 @@
 //! Scans on a time line, for ui.perfetto.dev: one lane per process, an arrow from stage to stage of each scan.
 //!
 //! The format is the trace event JSON that Perfetto and Chrome read. A stage's lane shows for each scan *wait* (awake,
-//! but not all inputs taken), *compute* and *publish*; the gap before is sleep or the way to a processor. The arrows
-//! go from the robot's publication through all stages to the actuation. What is kept is the beginning of a run and
-//! its slowest scans, see `Collector::kept`, so that the file stays below a megabyte or two.
+//! but not all inputs taken), *compute* and *publish*; the gap before is sleep or waiting for a processor. The arrows
+//! go from the robot's publication through all stages to the actuation. The trace has the first scans of a run and its
+//! slowest ones, see `Collector::stored`, so that the file stays below two megabytes.
 
 use std::fmt::Write as _;
 

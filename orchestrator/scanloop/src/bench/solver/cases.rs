@@ -1,9 +1,9 @@
 //! Initial states for the benchmark, from a CSV file with a header.
 //!
 //! Columns are found by name: `x1` to `x5` (sideslip, yaw, yaw rate, x, y) must be there, `goal_x_m`, `goal_y_m`,
-//! `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` and `lap` may be, others are ignored. Rows of the same
-//! `lap` that follow each other are consecutive scans; without that column every row stands for itself. There is no
-//! quoting inside of fields: all that is read is numbers.
+//! `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` and `lap` may be, others are ignored. Rows of the
+//! same `lap` that follow each other are consecutive scans; without that column each row starts straight on. Quotes
+//! inside of fields have no meaning: all values are numbers.
 
 use vehicle::State;
 
@@ -12,66 +12,20 @@ use super::problem::{Case, Ellipse};
 /// The default set: three laps, recorded by `cargo run -p scanloop-benches --example record_solver_cases`.
 pub(super) const SHIPPED: &str = include_str!("../../../../../benches/cases/solver.csv");
 
-/// More rows than this are a mistake.
+/// Maximum number of rows.
 const MAX_ROWS: usize = 100_000;
 
-/// What is wrong with a file of cases.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(super) enum BadCases {
-    /// Nothing to read the names of the columns from.
-    #[error("line 1: a header with the columns x1, x2, x3, x4, x5 is missing")]
-    NoHeader,
-    /// A column that must be there is not.
-    #[error("line 1: column `{column}` is missing; x1, x2, x3, x4, x5 must be there")]
-    Missing {
-        /// Its name.
-        column: String,
-    },
-    /// A column that is used stands there twice.
-    #[error("line 1: column `{column}` is there twice")]
-    Twice {
-        /// Its name.
-        column: String,
-    },
-    /// A row is shorter than the header.
-    #[error("line {line}: column `{column}` is missing")]
-    Short {
-        /// Number of the line.
-        line: usize,
-        /// The column.
-        column: String,
-    },
-    /// A field is not what it must be.
-    #[error("line {line}, column `{column}`: `{value}` is not {allowed}")]
-    Value {
-        /// Number of the line.
-        line: usize,
-        /// The column.
-        column: String,
-        /// What stands there.
-        value: String,
-        /// What may stand there.
-        allowed: String,
-    },
-    /// No rows.
-    #[error("no case below the header")]
-    Empty,
-    /// Too many rows.
-    #[error("line {line}: more than {MAX_ROWS} cases")]
-    TooMany {
-        /// Number of the line.
-        line: usize,
-    },
-}
-
 /// Reads all cases.
-pub(super) fn parse(text: &str) -> Result<Vec<Case>, BadCases> {
+///
+/// # Errors
+/// A text that names line and column, and what is allowed.
+pub(super) fn parse(text: &str) -> Result<Vec<Case>, String> {
     let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
-    // A mark of byte order, as some programs write it, is no part of the first name.
-    let (_, header) = lines.next().ok_or(BadCases::NoHeader)?;
+    // Some programs write a byte order mark before the first name.
+    let header = lines.next().map_or("", |(_, header)| header);
     let header: Vec<&str> = header.trim_start_matches('\u{feff}').split(',').map(bare).collect();
     if header.iter().all(|name| name.is_empty()) {
-        return Err(BadCases::NoHeader);
+        return Err("line 1: a header with the columns x1, x2, x3, x4, x5 is missing".to_owned());
     }
     let states = ["x1", "x2", "x3", "x4", "x5"].map(|name| required(&header, name));
     let [x1, x2, x3, x4, x5] = states;
@@ -94,12 +48,12 @@ pub(super) fn parse(text: &str) -> Result<Vec<Case>, BadCases> {
     let mut cases = Vec::new();
     for (line, text) in lines.filter(|(_, text)| !text.trim().is_empty()) {
         if cases.len() == MAX_ROWS {
-            return Err(BadCases::TooMany { line });
+            return Err(format!("line {line}: more than {MAX_ROWS} cases"));
         }
-        let row = Row { line, header: &header, fields: text.split(',').map(bare).collect() };
+        let row = CaseRow { line, header: &header, fields: text.split(',').map(bare).collect() };
         let [sideslip, yaw, yaw_rate, x, y] = states;
         let state = State {
-            // The model divides by cos(sideslip); a yaw beyond a turn and a track beyond 100 km are slips of the pen.
+            // The model divides by cos(sideslip); larger yaws and positions are typing errors.
             sideslip: row.number(sideslip, -1.5, 1.5)?,
             yaw: row.number(yaw, -10.0, 10.0)?,
             yaw_rate: row.number(yaw_rate, -100.0, 100.0)?,
@@ -108,62 +62,57 @@ pub(super) fn parse(text: &str) -> Result<Vec<Case>, BadCases> {
         };
         let mut values = [0.0; 6];
         for (index, (column, value)) in optional.iter().enumerate() {
-            let (least, most) = if index < 4 { (-1e5, 1e5) } else { (0.01, 100.0) };
-            values[index] = column.map_or(Ok(*value), |column| row.number(column, least, most))?;
+            let (min, max) = if index < 4 { (-1e5, 1e5) } else { (0.01, 100.0) };
+            values[index] = column.map_or(Ok(*value), |column| row.number(column, min, max))?;
         }
         let [goal_x, goal_y, x, y, a, b] = values;
         let lap = lap.map(|column| row.whole(column)).transpose()?;
         cases.push(Case { line, state, goal: [goal_x, goal_y], obstacle: Ellipse { x, y, a, b }, lap });
     }
-    if cases.is_empty() { Err(BadCases::Empty) } else { Ok(cases) }
+    if cases.is_empty() { Err("no case below the header".to_owned()) } else { Ok(cases) }
 }
 
-/// A field without blanks and the quotes that some programs put around names.
+/// A field without blanks and quotes around it.
 fn bare(field: &str) -> &str {
     field.trim().trim_matches('"')
 }
 
-fn find(header: &[&str], name: &str) -> Result<Option<usize>, BadCases> {
+fn find(header: &[&str], name: &str) -> Result<Option<usize>, String> {
     let mut found = header.iter().enumerate().filter(|(_, column)| **column == name).map(|(index, _)| index);
     let first = found.next();
     match found.next() {
-        Some(_) => Err(BadCases::Twice { column: name.to_owned() }),
+        Some(_) => Err(format!("line 1: column `{name}` is there twice")),
         None => Ok(first),
     }
 }
 
-fn required(header: &[&str], name: &str) -> Result<usize, BadCases> {
-    find(header, name)?.ok_or_else(|| BadCases::Missing { column: name.to_owned() })
+fn required(header: &[&str], name: &str) -> Result<usize, String> {
+    find(header, name)?
+        .ok_or_else(|| format!("line 1: column `{name}` is missing; x1, x2, x3, x4, x5 must be there"))
 }
 
-struct Row<'a> {
+struct CaseRow<'a> {
     line: usize,
     header: &'a [&'a str],
     fields: Vec<&'a str>,
 }
 
-impl Row<'_> {
-    fn field(&self, column: usize) -> Result<&str, BadCases> {
-        self.fields
-            .get(column)
-            .copied()
-            .ok_or_else(|| BadCases::Short { line: self.line, column: self.header[column].to_owned() })
+impl CaseRow<'_> {
+    /// The value of a column, if `read` accepts it as `allowed`.
+    fn value<T>(&self, column: usize, allowed: &str, read: impl Fn(&str) -> Option<T>) -> Result<T, String> {
+        let (line, name) = (self.line, self.header[column]);
+        let field =
+            self.fields.get(column).ok_or_else(|| format!("line {line}: column `{name}` is missing"))?;
+        read(field).ok_or_else(|| format!("line {line}, column `{name}`: `{field}` is not {allowed}"))
     }
 
-    fn bad(&self, column: usize, value: &str, allowed: String) -> BadCases {
-        let (column, value) = (self.header[column].to_owned(), value.to_owned());
-        BadCases::Value { line: self.line, column, value, allowed }
+    fn number(&self, column: usize, min: f64, max: f64) -> Result<f64, String> {
+        let read = |field: &str| field.parse().ok().filter(|value| (min..=max).contains(value));
+        self.value(column, &format!("a number from {min} to {max}"), read)
     }
 
-    fn number(&self, column: usize, least: f64, most: f64) -> Result<f64, BadCases> {
-        let field = self.field(column)?;
-        let value = field.parse::<f64>().ok().filter(|value| (least..=most).contains(value));
-        value.ok_or_else(|| self.bad(column, field, format!("a number from {least} to {most}")))
-    }
-
-    fn whole(&self, column: usize) -> Result<u64, BadCases> {
-        let field = self.field(column)?;
-        field.parse().map_err(|_| self.bad(column, field, "a whole number from 0".to_owned()))
+    fn whole(&self, column: usize) -> Result<u64, String> {
+        self.value(column, "a whole number from 0", |field| field.parse().ok())
     }
 }
 
@@ -172,7 +121,7 @@ mod tests {
     use super::*;
 
     fn message(text: &str) -> String {
-        parse(text).unwrap_err().to_string()
+        parse(text).unwrap_err()
     }
 
     #[test]

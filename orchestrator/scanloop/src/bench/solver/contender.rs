@@ -1,4 +1,4 @@
-//! One configuration of the solver and what it took for the cases so far.
+//! One configuration of the solver and its measurements so far.
 
 use std::time::{Duration, Instant};
 
@@ -8,37 +8,35 @@ use serde::Serialize;
 
 use super::AllocationCount;
 
-/// Timed solves per case, whose median counts; one before them warms caches and buffers up and does not count. The
-/// median of three keeps out what the system does to a single one, for us and for the peers alike.
+/// Timed solves per case, whose median counts; one untimed solve before them warms up caches and buffers. The median of
+/// three removes a single disturbance by the system, for the peers as well.
 pub(super) const REPEATS: usize = 3;
-/// A first solve that took longer than this counts itself: what warm caches change is small against it.
+/// A first solve that took longer than this counts itself: warm caches change it little.
 const SLOW: Duration = Duration::from_millis(10);
-/// Time that a configuration may take for all cases. One that takes longer leaves out cases, evenly over all of them: the
+/// Time that a configuration may take for all cases. A slower one leaves out cases, evenly over all of them: the
 /// interior point with 96 intervals would take minutes.
 const BUDGET: Duration = Duration::from_secs(8);
 
-/// A solver with its tallies.
+/// A solver with its measurements.
 pub(super) struct Contender {
     solver: Solver,
     count: Option<AllocationCount>,
     solution: Solution,
-    intervals: usize,
-    cases: u64,
-    converged: u64,
+    /// Without figures.
+    row: ContenderRow,
     step: Distribution,
     feedback: Distribution,
     solve: Distribution,
     iterations: Distribution,
-    allocations: u64,
     spent: Duration,
 }
 
 /// What is printed of a contender.
-#[derive(Debug, Clone, Serialize)]
-pub(super) struct Row {
-    /// Of the solver of the quadratic programs.
+#[derive(Debug, Clone, Default, Serialize)]
+pub(super) struct ContenderRow {
+    /// Name of the solver of the quadratic programs.
     pub name: String,
-    /// Of the quadratic programs.
+    /// Hessian of the quadratic programs.
     pub hessian: String,
     /// Whether steps are refined by Newton's method on the active set.
     pub refine: bool,
@@ -46,15 +44,15 @@ pub(super) struct Row {
     pub n: usize,
     /// `condensed` to the controls, or stage by stage: `stages`.
     pub layout: &'static str,
-    /// How many cases it was measured on; less than all where it would take too long.
+    /// Number of measured cases; less than all where they would take too long.
     pub cases: u64,
-    /// How many of them it converged in.
+    /// Number of them in which it converged.
     pub converged: u64,
-    /// How many it did not.
+    /// Number of them in which it did not.
     pub failed: u64,
     /// One SQP iteration from the warm start [us].
     pub step_us: Figures,
-    /// What is left of it when the initial state arrives [us].
+    /// The part of it after the initial state has arrived [us].
     pub feedback_us: Figures,
     /// Converged solve [us].
     pub solve_us: Figures,
@@ -66,18 +64,25 @@ pub(super) struct Row {
 
 impl Contender {
     pub(super) fn new(settings: SolverSettings, intervals: usize, count: Option<AllocationCount>) -> Self {
+        let is_by_stages = settings.qp == QpChoice::ActiveSet && intervals > settings.condense_up_to;
+        let row = ContenderRow {
+            name: name_of(&settings.qp),
+            hessian: name_of(&settings.hessian),
+            refine: settings.refine,
+            n: intervals,
+            layout: if is_by_stages { "stages" } else { "condensed" },
+            allocations: count.map(|_| 0),
+            ..ContenderRow::default()
+        };
         Self {
             solver: Solver::new(settings),
             count,
             solution: Solution::default(),
-            intervals,
-            cases: 0,
-            converged: 0,
+            row,
             step: Distribution::of_times(),
             feedback: Distribution::of_times(),
             solve: Distribution::of_times(),
             iterations: Distribution::of_counts(),
-            allocations: 0,
             spent: Duration::ZERO,
         }
     }
@@ -101,7 +106,7 @@ impl Contender {
 
     /// Its number of intervals.
     pub(super) fn intervals(&self) -> usize {
-        self.intervals
+        self.row.n
     }
 
     /// Whether it has the settings of the controller.
@@ -109,25 +114,27 @@ impl Contender {
         *self.solver.settings() == SolverSettings::default()
     }
 
-    /// Whether the case after this share of all cases is left out, because the time for that share is used up.
+    /// Whether to leave out the case after this share of all cases, because the time for that share is used up.
     pub(super) fn leaves_out(&self, share: f64) -> bool {
-        self.spent > BUDGET.mul_f64(share.clamp(0.0, 1.0)) && self.cases > 0 && !self.is_default()
+        self.spent > BUDGET.mul_f64(share.clamp(0.0, 1.0)) && self.row.cases > 0 && !self.is_default()
     }
 
     /// Measures one case; the converged solution where there is one.
     pub(super) fn measure(&mut self, problem: &Problem, guess: &Trajectory) -> Option<&Solution> {
-        self.cases += 1;
+        self.row.cases += 1;
         let started = Instant::now();
         let (step_ns, _) = self.timed(problem, guess, &Budget::Iterations(1));
         self.step.record(step_ns);
         let (solve_ns, allocations) = self.timed(problem, guess, &Budget::Iterations(u32::MAX));
-        self.allocations = self.allocations.max(allocations);
+        self.row.allocations = self.row.allocations.max(allocations);
         self.measure_feedback(problem, guess);
         let converged = self.solution.status == Status::Converged;
         if converged {
-            self.converged += 1;
+            self.row.converged += 1;
             self.solve.record(solve_ns);
             self.iterations.record(u64::from(self.solution.iterations));
+        } else {
+            self.row.failed += 1;
         }
         self.spent += started.elapsed();
         converged.then_some(&self.solution)
@@ -158,8 +165,8 @@ impl Contender {
         self.feedback.record(times[REPEATS / 2]);
     }
 
-    /// Nanoseconds of a solve, and how many allocations the last one made.
-    fn timed(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (u64, u64) {
+    /// Nanoseconds of a solve, and the allocations of the last one if they are counted.
+    fn timed(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (u64, Option<u64>) {
         let mut times = [0; REPEATS];
         let (first, mut allocations) = self.once(problem, guess, budget);
         if first > SLOW {
@@ -173,39 +180,22 @@ impl Contender {
         (times[REPEATS / 2], allocations)
     }
 
-    fn once(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (Duration, u64) {
-        let before = self.allocated();
+    fn once(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> (Duration, Option<u64>) {
+        let before = self.count.map(|count| count());
         let started = Instant::now();
         self.solver.solve_into(problem, guess, budget, &mut self.solution);
         let elapsed = started.elapsed();
         std::hint::black_box(&self.solution);
-        (elapsed, self.allocated() - before)
+        (elapsed, self.count.zip(before).map(|(count, before)| count() - before))
     }
 
-    fn allocated(&self) -> u64 {
-        self.count.map_or(0, |count| count())
-    }
-
-    pub(super) fn row(&self) -> Row {
-        let settings = self.solver.settings();
-        Row {
-            name: name_of(&settings.qp),
-            hessian: name_of(&settings.hessian),
-            refine: settings.refine,
-            n: self.intervals,
-            layout: if settings.qp == QpChoice::ActiveSet && self.intervals > settings.condense_up_to {
-                "stages"
-            } else {
-                "condensed"
-            },
-            cases: self.cases,
-            converged: self.converged,
-            failed: self.cases - self.converged,
+    pub(super) fn row(&self) -> ContenderRow {
+        ContenderRow {
             step_us: self.step.figures(),
             feedback_us: self.feedback.figures(),
             solve_us: self.solve.figures(),
             iterations: self.iterations.figures(),
-            allocations: self.count.map(|_| self.allocations),
+            ..self.row.clone()
         }
     }
 }
@@ -246,10 +236,10 @@ mod tests {
         let mut slow =
             Contender::new(SolverSettings { qp: QpChoice::Clarabel, ..SolverSettings::default() }, 6, None);
         assert!(!slow.leaves_out(0.0), "the first case is never left out");
-        (slow.cases, slow.spent) = (1, BUDGET / 2);
+        (slow.row.cases, slow.spent) = (1, BUDGET / 2);
         assert!(slow.leaves_out(0.4) && !slow.leaves_out(0.6));
         let mut default = Contender::new(SolverSettings::default(), 6, None);
-        (default.cases, default.spent) = (1, 2 * BUDGET);
+        (default.row.cases, default.spent) = (1, 2 * BUDGET);
         assert!(!default.leaves_out(0.5));
     }
 

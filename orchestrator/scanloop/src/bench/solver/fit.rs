@@ -5,9 +5,9 @@ use serde::Serialize;
 /// `cost = intercept + slope n` and `cost ~ n^exponent`, by least squares.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Fit {
-    /// Cost of nothing [us].
+    /// Constant part of the cost [us].
     pub intercept_us: f64,
-    /// Cost of one more interval [us].
+    /// Cost per interval [us].
     pub slope_us: f64,
     /// Share of the variance that the line explains.
     pub r_squared: f64,
@@ -15,7 +15,7 @@ pub(super) struct Fit {
     pub exponent: f64,
 }
 
-/// The fit through pairs (n, cost); `None` for less than three or where a cost is not above zero.
+/// The fit through pairs (n, cost); `None` for fewer than three, or where a value is not above zero.
 pub(super) fn fit(pairs: &[(f64, f64)]) -> Option<Fit> {
     if pairs.len() < 3 || pairs.iter().any(|&(n, cost)| !(n > 0.0 && cost > 0.0)) {
         return None;

@@ -1,4 +1,4 @@
-//! CasADi's solvers in a process of Python, one case at a time over its standard input and output.
+//! CasADi's solvers in a Python process, one case at a time over its standard input and output.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -13,26 +13,26 @@ use serde::{Deserialize, Serialize};
 use super::contender::REPEATS;
 use super::problem::HORIZON_S;
 
-/// The command that makes the environment of the peers.
+/// The command that installs the environment of the peers.
 pub(super) const SETUP: &str = "benches/peers/setup.sh";
-/// Generating and compiling C takes some seconds, on a loaded machine many.
-const START: Duration = Duration::from_secs(300);
-/// A case takes some ten milliseconds.
-const ANSWER: Duration = Duration::from_secs(60);
+/// Timeout of the start: generating and compiling C takes seconds, on a loaded machine many.
+const START_TIMEOUT: Duration = Duration::from_secs(300);
+/// Timeout of a case, which takes some ten milliseconds.
+const CASE_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// A running process of Python with its solvers.
+/// A running Python process with its solvers.
 pub(super) struct Peers {
     child: Child,
-    questions: ChildStdin,
-    answers: Receiver<String>,
-    /// What it said about itself.
+    requests: ChildStdin,
+    responses: Receiver<String>,
+    /// Its description of itself.
     pub about: About,
 }
 
-/// What the process says before its first case.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+/// The description that the process sends before its first case.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct About {
-    /// Of CasADi.
+    /// Version of CasADi.
     pub version: String,
     /// Whether derivatives are compiled C.
     pub compiled: bool,
@@ -40,9 +40,9 @@ pub(super) struct About {
     pub peers: Vec<String>,
 }
 
-/// What one solver says about a case.
+/// The result of one solver for a case.
 #[derive(Debug, Clone, Deserialize)]
-pub(super) struct Answer {
+pub(super) struct PeerResult {
     /// Its name.
     pub name: String,
     /// Whether it found a solution.
@@ -54,7 +54,7 @@ pub(super) struct Answer {
     /// (velocity, steering) of the intervals, one after the other.
     #[serde(default)]
     pub controls: Vec<f64>,
-    /// The optimum to 1e-10 that its answer is near to, solved without being timed.
+    /// The optimum near its result to 1e-10, from an untimed solve.
     #[serde(default)]
     pub optimum: Option<Optimum>,
 }
@@ -81,11 +81,10 @@ fn folder() -> Option<PathBuf> {
     })
 }
 
-/// The folder of the peers if their environment is there, otherwise why not and what to do.
+/// The folder of the peers, or why they can't run and what to do.
 pub(super) fn find() -> Result<PathBuf, String> {
-    let Some(folder) = folder() else {
-        return Err("benches/peers is not found from here: run it in the source tree".to_owned());
-    };
+    let missing = || "benches/peers is not found from here: run it in the source tree".to_owned();
+    let folder = folder().ok_or_else(missing)?;
     if folder.join(".venv/bin/python").exists() {
         Ok(folder)
     } else {
@@ -102,9 +101,9 @@ impl Peers {
             .stdout(Stdio::piped())
             .spawn()
             .context("the peers' Python does not start")?;
-        let questions = child.stdin.take().context("the peers have no standard input")?;
+        let requests = child.stdin.take().context("the peers have no standard input")?;
         let output = child.stdout.take().context("the peers have no standard output")?;
-        let (sender, answers) = channel();
+        let (sender, responses) = channel();
         std::thread::spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 if sender.send(line).is_err() {
@@ -112,14 +111,17 @@ impl Peers {
                 }
             }
         });
-        let about = About { version: String::new(), compiled: false, peers: Vec::new() };
-        let mut peers = Self { child, questions, answers, about };
-        peers.about = peers.ask(&setting(problem), START)?;
+        let mut peers = Self { child, requests, responses, about: About::default() };
+        peers.about = peers.ask(&setting(problem), START_TIMEOUT)?;
         Ok(peers)
     }
 
-    /// What the solvers say about a case that starts from `guess`.
-    pub(super) fn measure(&mut self, problem: &Problem, guess: &Trajectory) -> anyhow::Result<Vec<Answer>> {
+    /// The results of the solvers for a case that starts from `guess`.
+    pub(super) fn measure(
+        &mut self,
+        problem: &Problem,
+        guess: &Trajectory,
+    ) -> anyhow::Result<Vec<PeerResult>> {
         let references: Vec<[f64; 5]> =
             problem.references.iter().map(|state| state.to_vector().into()).collect();
         let controls: Vec<[f64; 2]> =
@@ -132,23 +134,23 @@ impl Peers {
             "ellipse": [ellipse.centres[0][0], ellipse.centres[0][1], ellipse.a, ellipse.b],
             "controls": controls,
         });
-        self.ask(&case, ANSWER)
+        self.ask(&case, CASE_TIMEOUT)
     }
 
     fn ask<T: serde::de::DeserializeOwned>(
         &mut self,
-        question: &serde_json::Value,
-        patience: Duration,
+        request: &serde_json::Value,
+        timeout: Duration,
     ) -> anyhow::Result<T> {
-        writeln!(self.questions, "{question}")
-            .and_then(|()| self.questions.flush())
+        writeln!(self.requests, "{request}")
+            .and_then(|()| self.requests.flush())
             .context("the peers have ended")?;
-        let line = match self.answers.recv_timeout(patience) {
+        let line = match self.responses.recv_timeout(timeout) {
             Ok(line) => line,
-            Err(RecvTimeoutError::Timeout) => bail!("the peers did not answer within {patience:?}"),
-            Err(RecvTimeoutError::Disconnected) => bail!("the peers have ended; what they said is above"),
+            Err(RecvTimeoutError::Timeout) => bail!("the peers did not answer within {timeout:?}"),
+            Err(RecvTimeoutError::Disconnected) => bail!("the peers have ended; their messages are above"),
         };
-        serde_json::from_str(&line).with_context(|| format!("the peers answered `{line}`"))
+        serde_json::from_str(&line).with_context(|| format!("unexpected response of the peers: `{line}`"))
     }
 }
 
@@ -159,7 +161,7 @@ impl Drop for Peers {
     }
 }
 
-/// Everything that the transcription of the peers has to know beside the cases.
+/// The parameters of the optimal control problem that all cases share.
 fn setting(problem: &Problem) -> serde_json::Value {
     let (bounds, weights) = (&problem.bounds, &problem.weights);
     let limits = [bounds.sideslip_max_rad, bounds.yaw_max_rad, bounds.yaw_rate_max_radps];

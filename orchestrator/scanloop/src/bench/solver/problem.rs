@@ -1,13 +1,13 @@
 //! The optimal control problem of the benchmark: the published setting, not that of a run.
 //!
-//! With N = 6 node weights of (sideslip, yaw, yaw rate, x, y) are (0.1, 0.2, 0.1, 1, 1), at the end (0.1, 0.2, 0.1, 5, 5),
-//! those of the controls (0.5, 5) about (0.9, 0), no weights on changes; one ellipse without margin; horizon 2.72 s. With
-//! another N the horizon stays, and node and control weights are multiplied by 6 / N, so that their sums approximate
-//! the same integral. The weights at the end stay, because the end is one point for every N, and so do those of the
-//! slacks: a trajectory touches the ellipse at a few nodes however many there are, and the penalty has to exceed what
-//! the ellipse costs at those.
+//! With N = 6 node weights of (sideslip, yaw, yaw rate, x, y) are (0.1, 0.2, 0.1, 1, 1), at the end (0.1, 0.2, 0.1, 5,
+//! 5), those of the controls (0.5, 5) about (0.9, 0), no weights on changes; one ellipse without margin; horizon 2.72
+//! s. With another N the horizon stays, and node and control weights are multiplied by 6 / N, so that their sums
+//! approximate the same integral. The weights at the end stay, because the end is one point for every N. Those of the
+//! slacks stay too: a trajectory touches the ellipse at a few nodes for any N, and the penalty must exceed the
+//! multipliers there.
 //!
-//! The reference moves from the robot to the goal at the velocity limit, so it is never out of reach.
+//! The reference moves from the robot to the goal at the velocity limit, so the robot can always reach it.
 
 use std::sync::Arc;
 
@@ -18,12 +18,12 @@ use vehicle::{Bounds, Control, Parameters, State};
 pub const HORIZON_S: f64 = 2.72;
 /// Time between consecutive states of a lap [s].
 pub const PERIOD_S: f64 = 0.1;
-/// The number of intervals that the weights are written down for.
-const WEIGHTS_FOR: f64 = 6.0;
+/// The number of intervals of the published weights.
+const PUBLISHED_INTERVALS: f64 = 6.0;
 /// Reference of the controls.
 const CRUISE: Control = Control { velocity: 0.9, steering: 0.0 };
 
-/// An ellipse that stands still.
+/// A static ellipse.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
     /// Centre along the track [m].
@@ -36,16 +36,16 @@ pub struct Ellipse {
     pub b: f64,
 }
 
-/// One initial state with what there is to drive around and to.
+/// One initial state with obstacle and goal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Case {
     /// Line in the file.
     pub line: usize,
     /// State at node 0.
     pub state: State,
-    /// Where to go [m].
+    /// The goal [m].
     pub goal: [f64; 2],
-    /// What is in the way.
+    /// The obstacle.
     pub obstacle: Ellipse,
     /// Consecutive cases of the same lap are a period apart; `None` belongs to no lap.
     pub lap: Option<u64>,
@@ -62,7 +62,7 @@ impl Default for Case {
 pub fn problem(case: &Case, count: usize) -> Problem {
     let bounds = Bounds::default();
     let interval = HORIZON_S / count as f64;
-    let share = WEIGHTS_FOR / count as f64;
+    let share = PUBLISHED_INTERVALS / count as f64;
     let ahead = |node: usize| case.state.x + node as f64 * interval * bounds.velocity_max_mps;
     let Ellipse { x, y, a, b } = case.obstacle;
     Problem {
@@ -89,33 +89,18 @@ pub fn problem(case: &Case, count: usize) -> Problem {
     }
 }
 
-/// The start of a case: `before`, a solution one period earlier, moved on in time and driven through the model from
-/// the present state; or straight on at the reference velocity, where there is none.
+/// The start of a case: the controls of `before`, a solution one period earlier, shifted in time, or straight on at the
+/// reference velocity without one; and the states of the model with these controls from the present state on.
 ///
-/// No states where the model has no solution for them; a solver then does what it does without a guess.
+/// Without states where the model has no solution for them; a solver then starts as without a guess.
 pub fn guess(problem: &Problem, collocation: &Collocation, before: Option<&Trajectory>) -> Trajectory {
     let count = problem.intervals.len();
-    let controls = match before {
-        Some(before) => shifted(&before.controls, PERIOD_S / problem.intervals[0]),
-        None => vec![CRUISE; count],
-    };
+    let mut controls = vec![CRUISE; count];
+    if let Some(before) = before {
+        nmpc::shift(&before.controls, problem.intervals[0], PERIOD_S, &mut controls);
+    }
     roll_out(problem.model.as_ref(), collocation, &problem.initial, &controls, &problem.intervals)
         .unwrap_or(Trajectory { states: Vec::new(), controls })
-}
-
-/// Controls as they are `intervals` later, the mean over each interval's time; the last one is held.
-fn shifted(controls: &[Control], intervals: f64) -> Vec<Control> {
-    let (whole, share) = (intervals as usize, intervals.fract());
-    let at = |index: usize| controls[index.min(controls.len() - 1)];
-    (0..controls.len())
-        .map(|index| {
-            let (early, late) = (at(index + whole), at(index + whole + 1));
-            Control {
-                velocity: early.velocity + share * (late.velocity - early.velocity),
-                steering: early.steering + share * (late.steering - early.steering),
-            }
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -152,9 +137,13 @@ mod tests {
     #[test]
     fn controls_move_on_by_a_share_of_an_interval_or_by_several() {
         let controls = [1.0, 0.6, 0.2].map(|velocity| Control { velocity, steering: 0.0 });
-        let quarter: Vec<f64> = shifted(&controls, 0.25).iter().map(|control| control.velocity).collect();
+        let shifted = |intervals: f64| {
+            let mut shifted = Vec::new();
+            nmpc::shift(&controls, 1.0, intervals, &mut shifted);
+            shifted.iter().map(|control| control.velocity).collect::<Vec<f64>>()
+        };
+        let (quarter, one_and_half) = (shifted(0.25), shifted(1.5));
         assert!((quarter[0] - 0.9).abs() < 1e-12 && (quarter[1] - 0.5).abs() < 1e-12 && quarter[2] == 0.2);
-        let one_and_half: Vec<f64> = shifted(&controls, 1.5).iter().map(|control| control.velocity).collect();
         assert!((one_and_half[0] - 0.4).abs() < 1e-12 && one_and_half[1] == 0.2);
     }
 }

@@ -1,22 +1,23 @@
-//! What the benchmark found, for people.
+//! The results of the benchmark as text.
 
 use std::fmt::Write as _;
 
 use figures::{Align, Figures, Table};
 
-use super::Results;
-use super::versus::SAME;
+use super::SolverResults;
+use super::fit::Fit;
+use super::versus::{OtherOptimum, PeerRow, SAME_OPTIMUM};
 use crate::bench::instrument::build_command;
 
-/// Listed cases with another optimum at most; JSON has all.
-const LISTED: usize = 10;
+/// Maximum number of listed cases with another optimum; JSON has all.
+const MAX_LISTED: usize = 10;
 
-pub(super) fn text(results: &Results) -> String {
+pub(super) fn text(results: &SolverResults) -> String {
     let mut text = format!("profile    {}\ncases      {}", results.profile, results.cases);
     let _ = match results.start {
         "warm" => writeln!(
             text,
-            " in {} laps; start: the solution of the scan before, moved on by 0.1 s (first of a lap: straight on)",
+            " in {} laps; start: the solution of the scan before, shifted by 0.1 s (first of a lap: straight on)",
             results.laps
         ),
         _ => writeln!(text, ", no column `lap`; start: straight on at 0.9 m/s for every case"),
@@ -64,12 +65,12 @@ pub(super) fn text(results: &Results) -> String {
     }
     for growth in &results.growth {
         for (what, fit) in [("step", growth.step), ("solve", growth.solve), ("99 %", growth.solve_p99)] {
-            let Some(fit) = fit else { continue };
+            let Some(Fit { intercept_us, slope_us, r_squared, exponent }) = fit else { continue };
             let name = format!("{}, {}", growth.name, growth.hessian);
             let _ = writeln!(
                 text,
-                "{name:<26} {what:<6} a = {:.1}, b = {:.2}, share explained {:.4}, e = {:.2}",
-                fit.intercept_us, fit.slope_us, fit.r_squared, fit.exponent
+                "{name:<26} {what:<6} a = {intercept_us:.1}, b = {slope_us:.2}, share explained {r_squared:.4}, \
+                 e = {exponent:.2}"
             );
         }
     }
@@ -78,40 +79,39 @@ pub(super) fn text(results: &Results) -> String {
         let _ = writeln!(text, "\npeers      CasADi {}, {evaluation}", about.version);
     }
     for row in &results.peers {
+        let PeerRow { name, n, ratio_p50, ratio_p99, same, others, .. } = row;
         let _ = writeln!(
             text,
-            "{:<26} {:>3} {:>9}   {:<24} {} / {} / {} iterations; {:.0} times ours at the median, {:.0} at 99 %{}",
-            row.name,
-            row.n,
+            "{name:<26} {n:>3} {:>9}   {:<24} {} / {} / {} iterations; {ratio_p50:.0} times ours at the median, \
+             {ratio_p99:.0} at 99 %{}",
             format!("{}/{}", row.converged, row.converged + row.failed),
             times(&row.solve_us),
             row.iterations.p50,
             row.iterations.p99,
             row.iterations.max,
-            row.ratio_p50,
-            row.ratio_p99,
             row.ratio_acados_p50.map_or(String::new(), |ratio| format!(
                 "; acados by the stored ratio: {ratio:.1} times ours"
             )),
         );
         let _ = writeln!(
             text,
-            "{:<26} same optimum in {}, controls within {:.1e} (as stopped {:.1e}); another one (over {SAME:.0e}) in {}",
+            "{:<26} same optimum in {same}, controls within {:.1e} (as stopped {:.1e}); another one (over \
+             {SAME_OPTIMUM:.0e}) in {}",
             "",
-            row.same,
             row.largest_difference,
             row.largest_difference_as_stopped,
-            row.others.len()
+            others.len()
         );
-        for other in row.others.iter().take(LISTED) {
+        for OtherOptimum { line, difference, objective, peer_objective } in others.iter().take(MAX_LISTED) {
             let _ = writeln!(
                 text,
-                "{:<26}   line {}: controls differ by {:.1e}, objective {:.6} ours, {:.6} its",
-                "", other.line, other.difference, other.objective, other.peer_objective
+                "{:<26}   line {line}: controls differ by {difference:.1e}, objective {objective:.6} ours, \
+                 {peer_objective:.6} its",
+                ""
             );
         }
-        if row.others.len() > LISTED {
-            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", row.others.len() - LISTED);
+        if others.len() > MAX_LISTED {
+            let _ = writeln!(text, "{:<26}   and {} more, see --json", "", others.len() - MAX_LISTED);
         }
     }
     for skipped in &results.skipped {
