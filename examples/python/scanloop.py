@@ -374,7 +374,7 @@ class Process:
         self._next_heartbeat_ns, self._directive_seen_ns = 0, time.monotonic_ns()
 
     def settings(self, name=None):
-        """The settings of the role as a dict with all keys of docs/settings.md. For the robot it is the scenario."""
+        """The settings of the role as a dict with all keys of docs/system-file.md. For the robot it is the scenario."""
         own = "scenario" if self.role == Role.ROBOT else self.role.name.lower()
         return self._settings.get(name or own, {})
 

@@ -11,38 +11,38 @@ use hops::{BLOCK_BYTES, Contender, Payload, Policy};
 /// Arguments of `bench transport`.
 #[derive(Debug, Args)]
 pub(crate) struct TransportArguments {
-    /// Whom to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm, zeromq,
-    /// dora. Without it all.
+    /// Transports to measure besides `iceoryx2`: iceoryx2-listener, floor, floor-futex, unix-socket, zenoh, zenoh-shm,
+    /// zeromq, dora. Without it all.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub peers: Vec<Contender>,
-    /// Messages per second, 0.5 to 5000; one table each.
+    /// Messages per second, 0.5 to 5000; each rate has a table.
     #[arg(long, value_name = "HZ", value_delimiter = ',', default_values_t = [10.0, 1000.0], value_parser = rate)]
     pub rate: Vec<f64>,
     /// Size of a message: `pipeline` for the samples of the loop, or 1k, 4k, 16k, 64k, 256k, 1M, 4M on every hop.
     #[arg(long, value_name = "BYTES", default_value = "pipeline", value_parser = payload)]
     pub payload: Payload,
-    /// How long each contender sends at each rate, all rounds together [s].
+    /// Time for which each transport sends at each rate, over all rounds [s].
     #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = duration)]
     pub duration: f64,
-    /// How many messages each contender sends at each rate, all rounds together; instead of --duration.
+    /// Number of messages that each transport sends at each rate, over all rounds; instead of `--duration`.
     #[arg(long, value_name = "N", conflicts_with = "duration", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub samples: Option<u64>,
-    /// In how many rounds; each starts the processes of every contender anew.
+    /// Number of rounds; each starts new processes for every transport.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(3..=100))]
     pub rounds: u64,
-    /// Policy and processors of all processes of all contenders.
+    /// Scheduling policy and processors of all processes.
     #[command(flatten)]
     pub scheduling: SchedulingArguments,
-    /// Keep every processor busy with a process that computes.
+    /// Keep all processors busy during the measurement.
     #[arg(long)]
     pub load: bool,
-    /// How processes wait; without it both: `block` for all, `poll` for those that can.
+    /// How processes wait; without it `block` for all transports, and `poll` for those that can.
     #[arg(long, value_name = "HOW")]
     pub policy: Option<Waiting>,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Write `transport.json` and `transport.csv` (figures of every round) into this directory.
+    /// Folder for `transport.json` and `transport.csv`, the figures of every round.
     #[arg(long, value_name = "DIR", value_parser = folder())]
     pub out: Option<PathBuf>,
 }
@@ -50,9 +50,9 @@ pub(crate) struct TransportArguments {
 /// How processes wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Waiting {
-    /// Asleep until a message wakes them.
+    /// They sleep until a message wakes them.
     Block,
-    /// Awake for a fifth of a millisecond before and after a message is due, else asleep.
+    /// They poll for 0.2 ms before and after a message is due, and sleep otherwise.
     Poll,
 }
 

@@ -1,7 +1,7 @@
 //! The settings that this controller reads: part of the table `[controller]` of the system file.
 //!
 //! The orchestrator checks the whole table and writes it for the process, every key with its value. Keys that are not
-//! named here are ignored. `docs/settings.md` has all keys with their defaults and ranges.
+//! named here are ignored. `docs/system-file.md` has all keys with their defaults and ranges.
 
 use serde::Deserialize;
 use vehicle::{Bounds, Parameters};

@@ -51,31 +51,31 @@ use trouble::{Trouble, Verdict};
 #[derive(Debug, Args)]
 #[command(group = clap::ArgGroup::new("candidate"))]
 pub struct ConformanceArguments {
-    /// robot, estimator, obstacles, controller or actuator.
+    /// Role that the program fills: robot, estimator, obstacles, controller or actuator.
     #[arg(required_unless_present = "list")]
     pub role: Option<String>,
-    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    /// Built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "candidate")]
     pub to: Option<String>,
-    /// Play this case alone; repeat it for more.
+    /// Run only this case; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
     /// Scans per second, 2 to 50.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub rate: f64,
-    /// Cases that are played at the same time, 1 to 16.
+    /// Number of cases that run at the same time, 1 to 16.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=16))]
     pub jobs: u8,
-    /// A case in real time that failed is played this often at most, because a busy machine can spoil it; 1 to 3.
+    /// Limit of attempts for a case in real time that fails, 1 to 3, because a busy machine can make it fail.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
     pub tries: u8,
-    /// Print the requirements, of one role or of all, as Markdown to standard output; nothing is started.
+    /// Print the requirements of one role, or of all, as Markdown to standard output; no process is started.
     #[arg(long)]
     pub list: bool,
     /// Print the report as JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Any program that fills the role, with its arguments.
+    /// Program of your own that fills the role, with its arguments.
     #[arg(last = true, value_name = "COMMAND", group = "candidate")]
     pub command: Vec<OsString>,
 }

@@ -2,6 +2,7 @@
 
 pub mod calibration_file;
 pub mod overrides;
+pub mod reference;
 pub mod settings;
 pub mod system;
 
@@ -14,46 +15,35 @@ use emulator::Scenario;
 use runtime::{ClockKind, Domain, RunSettings};
 use supervision::realtime;
 use toml::{Table, Value};
+use vehicle::Setting;
 
 pub use system::System;
 
 /// Arguments that choose and change a scenario and a system.
 #[derive(Debug, Args, Clone, Default)]
 pub struct Choice {
-    /// The process table, a TOML file; without it the built-in one.
+    /// System file; without it the built-in one.
     #[arg(long, value_name = "FILE")]
     pub system: Option<PathBuf>,
-    /// A calibration file from `scanloop calibrate`; what it has replaces the system's calibration.
+    /// Calibration file from `scanloop calibrate`; its values replace the calibration of the system.
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Add the real-time profile to the system: one processor, SCHED_FIFO, no idle states, locked memory.
+    /// Add the real-time profile to the system: one processor, SCHED_FIFO, no idle states, locked memory (docs/tuning.md).
     #[arg(long)]
     pub realtime: bool,
     /// Seed of all random numbers of the scenario.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Override a value of the scenario or the system, for example `robot.velocity_factor=1.3`.
+    /// Override a key of the scenario or the system, for example `robot.velocity_factor=1.3`; may be repeated.
+    ///
+    /// `scanloop reference` lists the keys. Elements of a list are named by index or role: `obstacle.0.x_m=6`,
+    /// `process.controller.grace_ms=500`.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
 }
 
 /// Scenario of a run without one.
 const DEFAULT_SCENARIO: &str = "corridor";
-
-/// Tables and keys that belong to the scenario; all others belong to the system.
-const SCENARIO_KEYS: [&str; 11] = [
-    "name",
-    "seed",
-    "timeout_s",
-    "stop_final_s",
-    "track",
-    "start",
-    "goal",
-    "obstacle",
-    "robot",
-    "noise",
-    "endless",
-];
 
 /// What is to be driven, checked.
 #[derive(Debug, Clone)]
@@ -81,7 +71,7 @@ impl Plan {
         for text in &choice.overrides {
             let (key, value) = overrides::parse_override(text)?;
             let first = key.split('.').next().unwrap_or_default();
-            let target = if SCENARIO_KEYS.contains(&first) { &mut scenario } else { &mut system };
+            let target = if is_of_scenario(first) { &mut scenario } else { &mut system };
             overrides::set(target, &key, value)?;
         }
         if let Some(seed) = choice.seed {
@@ -114,6 +104,11 @@ impl Plan {
     }
 }
 
+/// Whether a key or table belongs to the scenario; all others belong to the system.
+fn is_of_scenario(name: &str) -> bool {
+    Scenario::keys().iter().any(|key| key.name == name)
+}
+
 /// The table of a scenario file, or of a shipped scenario, and its name in messages.
 fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
     let path = Path::new(name);
@@ -127,9 +122,5 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
             (text, name.to_owned())
         }
     };
-    let table = text.parse::<Table>().map_err(|error| {
-        let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-        Failure::bad_input(format!("{file}: line {line}: {}", error.message().replace('\n', ", ")))
-    })?;
-    Ok((table, file))
+    system::table_of(&text, file)
 }

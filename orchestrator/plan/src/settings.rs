@@ -52,8 +52,10 @@ mod tests {
     use std::collections::BTreeSet;
 
     use runtime::ClockKind;
+    use vehicle::{Key, Setting};
 
     use super::*;
+    use crate::System;
 
     fn files(tuning: &Tuning) -> Vec<(Role, Table)> {
         let run = RunSettings {
@@ -77,42 +79,25 @@ mod tests {
         }
     }
 
-    /// Keys that the page of settings has for a role, as `bounds.velocity_min_mps`.
-    fn documented(page: &str, role: Role) -> BTreeSet<String> {
-        let section = page.split("\n## ").find(|part| part.starts_with(&format!("`[{role}]`"))).unwrap();
-        let (mut table, mut found) = (String::new(), BTreeSet::new());
-        for row in section.lines().filter(|line| line.starts_with("| `")) {
-            for name in row.split('|').nth(1).unwrap().split('`').skip(1).step_by(2) {
-                match name.strip_prefix('[').and_then(|name| name.strip_suffix(']')) {
-                    Some(name) => table = name.split_once('.').map_or("", |(_, name)| name).to_owned() + ".",
-                    None => _ = found.insert(format!("{table}{name}")),
-                }
+    /// The same of keys as the documentation has them.
+    fn documented(keys: &[Key], around: &str, found: &mut BTreeSet<String>) {
+        for key in keys {
+            match key.keys.as_slice() {
+                [] => _ = found.insert(format!("{around}{}", key.name)),
+                inner => documented(inner, &format!("{around}{}.", key.name), found),
             }
         }
-        found
     }
 
     #[test]
     fn the_files_hold_every_documented_key_and_no_other() {
-        let page = include_str!("../../../docs/settings.md");
+        let of_system = System::keys();
         for (role, file) in files(&Tuning::default()).into_iter().filter(|(role, _)| *role != Role::Robot) {
-            let mut written = BTreeSet::new();
+            let (mut written, mut named) = (BTreeSet::new(), BTreeSet::new());
             keys(file[role.name()].as_table().unwrap(), "", &mut written);
-            let mut named = documented(page, role);
-            // The page refers to the controller's for these, and says in words what comes from the scenario.
-            match role {
-                Role::Actuator => {
-                    let bounds = documented(page, Role::Controller);
-                    named.extend(bounds.into_iter().filter(|key| key.starts_with("bounds.")));
-                }
-                Role::Obstacles => named.extend(["walls".to_owned(), "wall_y_m".to_owned()]),
-                Role::Controller => {
-                    let filled =
-                        ["goal.x_m", "goal.y_m", "goal.tolerance_m", "track.x_m", "track.y_m", "track.walls"];
-                    named.extend(filled.map(str::to_owned));
-                }
-                _ => {}
-            }
+            let table = of_system.iter().find(|key| key.name == role.name()).unwrap();
+            documented(&table.keys, "", &mut named);
+            assert!(named.len() >= 5);
             assert_eq!(written, named, "{role}");
         }
     }

@@ -5,47 +5,39 @@ use std::path::Path;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use pipeline::Tuning;
-use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
-use toml::{Table, Value};
-use vehicle::{Invalid, require};
+use toml::Table;
+use vehicle::{Invalid, parse, read, require, settings};
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
 
-/// A checked system file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct System {
-    /// Scans per second, 0.5 to 1000 [Hz].
-    #[serde(default = "default_rate")]
-    pub rate_hz: f64,
-    /// How long processes go on when no orchestrator speaks to them, 1 to 3600 [s].
-    #[serde(default = "default_orphan_timeout")]
-    pub orphan_timeout_s: f64,
-    /// How long the wheels may turn without a directive, 0.5 to `orphan_timeout_s` [s].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub orphan_stop_s: Option<f64>,
-    /// What is asked of the machine.
-    #[serde(default)]
-    pub realtime: runtime::Realtime,
-    /// One entry per role.
-    #[serde(rename = "process", default)]
-    pub processes: Vec<ProcessEntry>,
-    /// Settings of the estimator.
-    #[serde(default)]
-    pub estimator: estimator::Config,
-    /// Settings of the obstacle description.
-    #[serde(default)]
-    pub obstacles: obstacles::Config,
-    /// Settings of the controller.
-    #[serde(default)]
-    pub controller: nmpc::Config,
-    /// Settings of the actuator.
-    #[serde(default)]
-    pub actuator: actuation::Config,
+settings! {
+    /// A checked system file.
+    pub struct System {
+        /// Scans per second [Hz].
+        pub rate_hz: f64 = 10.0, 0.5..=1000.0;
+        /// All processes end when no directive of an orchestrator has come for this long [s].
+        pub orphan_timeout_s: f64 = 30.0, 1.0..=3600.0;
+        /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
+        /// `orphan_timeout_s` if that is less [s].
+        pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
+        /// Processors, scheduling, idle states and memory; the defaults need no privilege.
+        pub realtime: runtime::Realtime = runtime::Realtime::default();
+        /// One table for each role.
+        #[serde(rename = "process")]
+        pub processes: Vec<ProcessEntry> = Vec::new();
+        /// Settings of the estimator: measured states, noise, odometry correction and prediction.
+        pub estimator: estimator::Config = estimator::Config::default();
+        /// Settings of the obstacle detector: walls, ellipses, noise and memory.
+        pub obstacles: obstacles::Config = obstacles::Config::default();
+        /// Settings of the controller: body, horizon, velocities and time limits.
+        pub controller: nmpc::Config = nmpc::Config::default();
+        /// Settings of the actuator: calibration, limits and timeouts.
+        pub actuator: actuation::Config = actuation::Config::default();
+    }
 }
 
 impl System {
@@ -54,31 +46,9 @@ impl System {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
-        let known = [
-            "rate_hz",
-            "orphan_timeout_s",
-            "orphan_stop_s",
-            "realtime",
-            "process",
-            "estimator",
-            "obstacles",
-            "controller",
-            "actuator",
-        ];
-        if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
-            let known = known.map(|key| format!("`{key}`")).join(", ");
-            return Err(Failure::bad_input(format!(
-                "{file}: {key}: the key is unknown, expected one of {known}"
-            )));
-        }
-        let shown = table.clone();
-        let system: Self = serde_path_to_error::deserialize(Value::Table(table)).map_err(|error| {
-            let path = error.path().to_string();
-            let value = value_at(&shown, &path).map_or_else(String::new, |value| format!(" = {value}"));
-            let message = error.inner().message().lines().next().unwrap_or_default().to_owned();
-            Failure::bad_input(format!("{file}: {path}{value} is not allowed: {message}"))
-        })?;
-        system.validate().map_err(|invalid| Failure::bad_input(format!("{file}: {invalid}")))?;
+        let refuse = |invalid: Invalid| Failure::bad_input(format!("{file}: {invalid}"));
+        let system: Self = read(table).map_err(refuse)?;
+        system.validate().map_err(refuse)?;
         Ok(system)
     }
 
@@ -87,22 +57,10 @@ impl System {
     /// # Errors
     /// A message with the file, and the line where the text is no TOML; exit code 2.
     pub fn read_table(file: Option<&Path>) -> anyhow::Result<(Table, String)> {
-        let (text, name) = match file {
-            None => (BUILT_IN.to_owned(), "built-in system".to_owned()),
-            Some(path) => {
-                let name = path.display().to_string();
-                (
-                    user_file::read(path, TEXT_BYTES)
-                        .map_err(|error| Failure::bad_input(format!("{name}: {error}")))?,
-                    name,
-                )
-            }
-        };
-        let table = text.parse::<Table>().map_err(|error| {
-            let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-            Failure::bad_input(format!("{name}: line {line}: {}", error.message().replace('\n', ", ")))
-        })?;
-        Ok((table, name))
+        let Some(path) = file else { return table_of(BUILT_IN, "built-in system".to_owned()) };
+        let name = path.display().to_string();
+        let text = user_file::read(path, TEXT_BYTES);
+        table_of(&text.map_err(|error| Failure::bad_input(format!("{name}: {error}")))?, name)
     }
 
     /// How long the wheels may turn without a directive [s].
@@ -131,8 +89,7 @@ impl System {
     }
 
     fn validate(&self) -> Result<(), Invalid> {
-        require("rate_hz", self.rate_hz, 0.5..=1000.0)?;
-        require("orphan_timeout_s", self.orphan_timeout_s, 1.0..=3600.0)?;
+        self.require_ranges()?;
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
@@ -160,22 +117,15 @@ impl System {
     }
 }
 
-/// The value at a path like `controller.weights.x` or `process[2].role`.
-fn value_at<'a>(table: &'a Table, path: &str) -> Option<&'a Value> {
-    let mut parts = path.split(['.', '[']).map(|part| part.trim_end_matches(']'));
-    let mut value = table.get(parts.next()?)?;
-    for part in parts {
-        value = match value {
-            Value::Table(inner) => inner.get(part)?,
-            Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
-            _ => return None,
-        };
+/// The table in the text of a file, with the name of the file.
+///
+/// # Errors
+/// A message with the file, and the line where the text is no TOML; exit code 2.
+pub(crate) fn table_of(text: &str, file: String) -> anyhow::Result<(Table, String)> {
+    match parse(text) {
+        Ok(table) => Ok((table, file)),
+        Err(error) => Err(Failure::bad_input(format!("{file}: {error}"))),
     }
-    (!value.is_table() && !value.is_array()).then_some(value)
-}
-
-fn default_rate() -> f64 {
-    10.0
 }
 
 /// Directives come ten times a second, and a busy machine may hold them up.
@@ -183,12 +133,10 @@ const MIN_ORPHAN_STOP_S: f64 = 0.5;
 /// A robot without supervision drives on for this time at most [s].
 const ORPHAN_STOP_S: f64 = 5.0;
 
-fn default_orphan_timeout() -> f64 {
-    30.0
-}
-
 #[cfg(test)]
 mod tests {
+    use toml::Value;
+
     use super::*;
 
     fn error_of(text: &str) -> String {
@@ -212,12 +160,11 @@ mod tests {
     #[test]
     fn messages_name_file_key_value_and_what_is_allowed() {
         assert_eq!(error_of("rate_hz = nan"), "lab.toml: rate_hz = NaN is not allowed: 0.5 to 1000");
-        assert!(
-            error_of("rate = 10.0")
-                .starts_with("lab.toml: rate: the key is unknown, expected one of `rate_hz`")
-        );
+        assert!(error_of("rate = 10.0").starts_with(
+            "lab.toml: rate = 10.0 is not allowed: the key is unknown, expected one of `rate_hz`"
+        ));
         let typed = error_of("rate_hz = \"fast\"");
-        assert!(typed.starts_with("lab.toml: rate_hz = \"fast\" is not allowed: invalid type"), "{typed}");
+        assert_eq!(typed, "lab.toml: rate_hz = \"fast\" is not allowed: a number");
     }
 
     #[test]

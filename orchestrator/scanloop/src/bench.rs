@@ -22,42 +22,45 @@ use self::latency::LatencyArguments;
 /// What to measure.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// What one solve of the optimal control problem costs, on recorded initial states.
+    /// Measure the cost of one solve of the optimal control problem, on recorded initial states.
     ///
-    /// Reports median, 99 % and largest of microseconds per SQP step, feedback phase and converged solve, iterations,
-    /// failures and heap allocations per solve, for each Hessian, each QP solver and each number of intervals. The
-    /// weights are those of the published comparison, not those of a run. The feedback phase is what is left to do once the
-    /// measured state is there: moving the linearised model to it, condensing, one quadratic program.
+    /// Reports median, 99th percentile and maximum of the microseconds per SQP step, feedback phase and converged solve,
+    /// the iterations, the failures and the heap allocations per solve, for each Hessian, each QP solver and each number
+    /// of intervals. The weights are those of the published comparison, not those of a run. The feedback phase is the
+    /// work that remains when the measured state arrives: move the linearised model to it, condense, solve one quadratic
+    /// program.
     ///
     /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
-    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations` (null
-    /// without the executable `scanloop-bench`, which counts them and runs this bench where it is there); `profile`; `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`,
-    /// `ratio_p99`, `same`, `others`; `skipped`.
+    /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations`
+    /// (null without the executable `scanloop-bench`, which counts them and runs this bench if it exists); `profile`;
+    /// `growth` with the fits of cost over N; with `--peer` also `about_peers`, `peers` with `ratio_p50`, `ratio_p99`,
+    /// `same`, `others`; `skipped`.
     Solver(SolverArguments),
-    /// Where the time from scan to actuation goes, under a rate, a scheduling and a load of your choice.
+    /// Measure the time from scan to actuation at a given rate, scheduling and load.
     ///
-    /// Drives the scenario `endless` in real time, or with `--compute none` sends the same samples through five
-    /// processes of the executable `scanloop-bench` that compute nothing. Measures the machine's own wake-ups first. All times are corrected and not
-    /// corrected for coordinated omission (docs/latency.md). Files of `--out`: `report.json`, `latency.hlog`,
-    /// `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`, `trace.json` for ui.perfetto.dev.
+    /// Drives the scenario `endless` in real time. With `--compute none` it sends the same samples through five
+    /// processes of the executable `scanloop-bench` that compute nothing. It measures the wake-ups of the machine first.
+    /// All times are given corrected and not corrected for coordinated omission (docs/latency.md). Files of `--out`:
+    /// `report.json`, `latency.hlog`, `scan_to_actuation.hgrm` (and `_corrected`), `histogram.svg`, `ccdf.svg`,
+    /// `trace.json` for ui.perfetto.dev.
     ///
     /// JSON keys: `rate_hz`, `duration_s`, `published`, `commanded`, `late`, `lost`, `unaccounted`, `residual`, `faults`,
     /// `complete_chains`, `scan_to_actuation_us`, `scan_to_actuation_corrected_us`, `data_age_us`, `transport_us`,
     /// `stages_us`, `hops_us`, `publications_us`, `robot_lateness_us`, `wake_up_noise_us`, `stamps_us_per_stage`,
-    /// `smallest_visible_us`, `machine`, `profile`, `intervals` (lines of a HdrHistogram log), and what was asked for.
+    /// `smallest_visible_us`, `machine`, `profile`, `intervals` (lines of a HdrHistogram log), and the arguments.
     Latency(LatencyArguments),
-    /// Whether one of two builds is slower, with a confidence interval and the smallest difference that would show.
+    /// Compare two builds: whether one is slower, with a confidence interval and the smallest visible difference.
     ///
-    /// Either two files of `bench latency --json`, or two commands that are run in turns. Commands print JSON with
-    /// the figure that `--metric` names; with `--metric wall` their run time counts. JSON keys: `metric`, `a`, `b`,
-    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for
-    /// figures that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
-    /// `no difference`: what would show it, or null), `text`, `others`.
+    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with the
+    /// figure that `--metric` names; with `--metric wall` their run time is compared. JSON keys: `metric`, `a`, `b`,
+    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for figures
+    /// that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
+    /// `no difference`: the rounds or the metric that would show one, or null), `text`, `others`.
     Compare(CompareArguments),
-    /// What four hops between five processes cost over other transports, as ratios to ours.
+    /// Measure four hops between five processes over other transports, as ratios to ours.
     ///
-    /// Run by the executable `scanloop-bench`, with the same arguments; `scanloop bench transport --help` shows them once
-    /// it is built.
+    /// The executable `scanloop-bench` runs this bench; `scanloop bench transport --help` shows its arguments once that
+    /// is built.
     #[command(disable_help_flag = true)]
     Transport {
         /// Arguments of the bench.
@@ -71,16 +74,16 @@ pub enum BenchCommand {
 pub struct SolverArguments {
     /// Initial states, a CSV file with a header; without it the shipped ones.
     ///
-    /// Columns are found by name: `x1` to `x5` are sideslip, yaw, yaw rate, x and y. Columns `goal_x_m`, `goal_y_m`,
-    /// `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m`, `obstacle_b_m` may be there (default: goal (10, 0), ellipse at
-    /// (5, 0.1) with semi-axes 1.2 and 0.8), others are ignored. Following rows of the same `lap` are 0.1 s apart and
-    /// start from the solution before; rows without it start straight on.
+    /// Columns are found by name: `x1` to `x5` are sideslip, yaw, yaw rate, x and y. The columns `goal_x_m`, `goal_y_m`,
+    /// `obstacle_x_m`, `obstacle_y_m`, `obstacle_a_m` and `obstacle_b_m` are optional (default: goal (10, 0), ellipse at
+    /// (5, 0.1) with semi-axes 1.2 and 0.8); others are ignored. Consecutive rows with the same `lap` are 0.1 s apart and
+    /// start from the previous solution; rows without `lap` start straight ahead.
     #[arg(long, value_name = "CSV")]
     pub cases: Option<PathBuf>,
-    /// Solve the same cases with CasADi as well, in turns, and print ratios (`benches/peers/setup.sh` installs it).
+    /// Solve the same cases also with CasADi, in turns, and print ratios (`benches/peers/setup.sh` installs it).
     #[arg(long)]
     pub peer: bool,
-    /// Numbers of intervals N; peers are compared with 6.
+    /// Numbers of intervals N; peers are compared with N = 6.
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [6, 12, 24, 48, 96],
           value_parser = clap::value_parser!(u8).range(1..=200))]
     pub intervals: Vec<u8>,

@@ -14,6 +14,7 @@ use plan::system::System;
 use runtime::printable;
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
+use vehicle::Setting;
 
 use crate::cli::CheckArguments;
 
@@ -79,15 +80,5 @@ fn is_system(file: &str) -> anyhow::Result<bool> {
         user_file::read(path, TEXT_BYTES).map_err(|error| Failure::bad_input(format!("{file}: {error}")))?;
     // A file that is not TOML is refused as a scenario, with the line.
     let Ok(table) = text.parse::<Table>() else { return Ok(false) };
-    let system_keys = [
-        "process",
-        "rate_hz",
-        "orphan_timeout_s",
-        "orphan_stop_s",
-        "estimator",
-        "obstacles",
-        "controller",
-        "actuator",
-    ];
-    Ok(table.keys().any(|key| system_keys.contains(&key.as_str())))
+    Ok(System::keys().iter().any(|key| table.contains_key(key.name)))
 }

@@ -10,15 +10,26 @@ use session::arguments::{AdoptArguments, RunArguments};
 use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
 
+/// Exit codes, below the help of the program and on the page of the commands.
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  the command did what it was asked to do; for `run`: the goal was reached
+  1  the run ended without reaching the goal (missed, timeout, stopped, interrupted), or a check failed
+  2  wrong usage or a bad file; the message names file, key, value and what is allowed
+  3  collision
+  4  a process could not be started or kept running, or shared memory does not suffice
+  5  internal error";
+
 /// Autonomous driving that closes the loop within one laser scan.
 #[derive(Debug, Parser)]
-#[command(name = "scanloop", version, max_term_width = 100)]
+#[command(name = "scanloop", version, max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// Which system on this machine is meant: 1 to 16 letters, digits or `-`.
+    /// Name of the system on this machine: 1 to 16 letters, digits or `-`.
     #[arg(long, global = true, value_name = "NAME", env = runtime::SYSTEM_ID_VARIABLE, default_value = "default")]
     pub system_id: String,
     /// What to do.
@@ -29,19 +40,19 @@ pub struct Cli {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Start all processes, drive a scenario, stop everything, print a summary.
+    /// Start all processes, drive a scenario, stop everything and print a summary.
     ///
-    /// When an earlier run of this system lost its orchestrator and still drives, its wheels are blocked and its
-    /// processes end first; `--adopt` takes them over instead.
+    /// If processes of an earlier run of this system are orphaned and still drive, `run` blocks their wheels and ends
+    /// them first. With `--adopt` it takes them over instead.
     Run(RunArguments),
-    /// Take over the processes of a run whose orchestrator died, while they drive; the same as `run --adopt`.
+    /// Take over orphaned processes while they drive: those of a run whose orchestrator died. Same as `run --adopt`.
     ///
-    /// They are told by process id, start time, system and incarnation; a stranger is never touched. Exit code 2 when
-    /// there is nothing to adopt.
+    /// A process is identified by process id, start time, system and incarnation; no other process is touched. Exit
+    /// code 2 if there is nothing to adopt.
     Adopt(AdoptArguments),
     /// Validate scenario and system files and print the graph of processes and topics.
     Check(CheckArguments),
-    /// Show the processes of a running system.
+    /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]
@@ -49,77 +60,86 @@ pub enum Command {
     },
     /// Block the wheels of a running system and end all its processes.
     ///
-    /// Returns within a second, whether the orchestrator answers, hangs or is gone. Exit code 0: the block is acknowledged;
-    /// 4: it is not confirmed, and what still lives is listed. Rest follows by v / a; the processes end meanwhile. A stop is
-    /// never taken back: `run` starts the system anew. This does not replace a hardware emergency stop.
+    /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is
+    /// acknowledged. Exit code 4: it is not confirmed, and the processes that still live are listed. The robot comes to
+    /// rest after v / a; the processes end meanwhile. A stop can't be taken back: `run` starts the system again. This
+    /// does not replace a hardware emergency stop.
     Stop(StopArguments),
-    /// Start one process of a running system again, without losing a scan.
+    /// Restart one process of a running system without losing a scan.
     ///
-    /// The new process takes over from one that works and only then the old one ends; exit code 1 when the new one does
-    /// not come up, and the old one keeps driving. A process that does not work is ended first.
+    /// If the process works, the new one takes over first and then the old one ends. Exit code 1 if the new one does not
+    /// start; the old one then keeps driving. A process that does not work is ended before the new one starts.
     Restart {
-        /// robot, estimator, obstacles, controller or actuator.
+        /// Role of the process: robot, estimator, obstacles, controller or actuator.
         role: String,
     },
-    /// Exchange one process of a running system for another, without losing a scan.
+    /// Replace one process of a running system by another one without losing a scan.
     ///
-    /// The new process computes beside the old one until it has agreed with it for some scans, takes over at a scan
-    /// that both know beforehand, and is rolled back when it fails while the old one still stands by. Exit code 1
-    /// when it was refused or rolled back. JSON keys: `role`, `from`, `to`, `shadow_scans`, `last_scan_old`,
-    /// `first_scan_new`, `missed_scans`, `duplicate_scans`, `command_jump_rad`, `command_jump_mps`, `outcome`
-    /// (`swapped`, `refused`, `rolled_back`), `reason`.
+    /// The new process, the candidate, runs in shadow until its outputs have agreed with those of the old one for some
+    /// scans. It takes over at the handover scan, which both know beforehand. The old process stays ready as standby, and
+    /// takes over again if the new one fails. Exit code 1 if the swap was refused or rolled back. JSON keys: `role`,
+    /// `from`, `to`, `shadow_scans`, `last_scan_old`, `first_scan_new`, `missed_scans`, `duplicate_scans`,
+    /// `command_jump_rad`, `command_jump_mps`, `outcome` (`swapped`, `refused`, `rolled_back`), `reason`.
+    #[command(override_usage = "scanloop swap [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Swap(SwapArguments),
-    /// Find out whether a program, in whatever language, may fill a role.
+    /// Test whether a program, in any language, can fill a role.
     ///
-    /// The program is started alone, all other roles are played with a recorded drive, and each requirement is tried.
-    /// Exit code 1 when a required case failed, 4 when the program could not be started. JSON keys: `role`, `command`,
+    /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each requirement.
+    /// Exit code 1 if a required case failed, 4 if the program could not be started. JSON keys: `role`, `command`,
     /// `passed`, `failed` (required), `not_recommended`, `skipped`, `cases` with `name`, `level` (`required`,
     /// `recommended`), `outcome` (`passed`, `failed`, `skipped`), `reason`, `requirement`.
     Conformance(ConformanceArguments),
-    /// Let a process run beside the live one, with no authority ever, and compare both.
+    /// Run a process in shadow of the live one, which keeps driving, and compare both.
     ///
-    /// Both get the same samples. The report has the share of scans answered, differences with intervals, and times of
-    /// both with intervals of their ratio. Ctrl-C ends it early, with the report so far. Exit code 1 when the process
-    /// ended by itself or fell silent. JSON keys: `role`, `live`, `shadow`, `outcome` (`completed`, `interrupted`,
-    /// `run_ended`, `died`, `silent`), `reason`, `scans`, `answered`, `answered_share`, `late`, `invalid`, `repeated`,
-    /// `compared`, `kind_differs`, `differences`, `reaction_ms`, `compute_ms`.
+    /// Both receive the same samples. The report contains the fraction of answered scans, differences with confidence
+    /// intervals, and times of both with intervals of their ratio. Ctrl-C ends the comparison early, with the report so
+    /// far. Exit code 1 if the process ended by itself or stopped publishing. JSON keys: `role`, `live`, `shadow`,
+    /// `outcome` (`completed`, `interrupted`, `run_ended`, `died`, `silent`), `reason`, `scans`, `answered`,
+    /// `answered_share`, `late`, `invalid`, `repeated`, `compared`, `kind_differs`, `differences`, `reaction_ms`,
+    /// `compute_ms`.
+    #[command(override_usage = "scanloop shadow [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
-        /// emulator, ekf, ellipses, nmpc or actuation.
+        /// Name of the implementation: emulator, ekf, ellipses, nmpc or actuation.
         name: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and count how they end.
     ///
-    /// Six in ten courses have obstacles at rest; the others are symmetric, blocked, have an obstacle that appears
-    /// close ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`,
-    /// `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
+    /// Six of ten courses have obstacles at rest. The others are symmetric, blocked, have an obstacle that appears close
+    /// ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`,
+    /// `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
     /// Measure parts of the loop.
     #[command(subcommand)]
     Bench(BenchCommand),
-    /// Show where the time from scan to actuation goes, live from the samples of a running system.
+    /// Show how the time from scan to actuation is spent, live from the samples of a running system.
     Latency {
-        /// Stop after that many seconds.
+        /// Stop after this many seconds.
         #[arg(long, value_name = "S", default_value_t = 5.0)]
         duration: f64,
         /// Print the figures of the whole time as JSON to standard output: `latency_us` as in `report.json`.
         #[arg(long)]
         json: bool,
     },
-    /// Answer a question of the design: observability, correlation of the controls, number of intervals.
+    /// Answer a design question: observability, correlation of the controls, number of intervals, odometry drift.
     #[command(subcommand)]
     Analyse(AnalyseCommand),
-    /// Find what is wrong with a robot from recorded or driven runs, for `run --calibration`.
+    /// Calibrate a robot from recorded or driven runs; `run --calibration` uses the result.
     ///
-    /// The result is merged into a calibration file with standard errors and 95 % intervals; a picture shows what the
-    /// fit misses. Runs that are too few, out of range, or not plausible are refused with the reason.
+    /// The result is merged into a calibration file with standard errors and 95 % intervals. A picture shows the
+    /// residuals of the fit. Runs that are too few, out of range or implausible are refused with the reason.
     Calibrate(CalibrateArguments),
-    /// Look at the samples on the bus.
+    /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
     /// Print the samples of all topics: fields, units, offsets.
     Types(TypesArguments),
+    /// List the keys of scenario and system files with default, allowed values and meaning.
+    ///
+    /// `scanloop reference steering` lists the keys with `steering` in their name or meaning, named as `--set` takes them.
+    /// `0` is the first table of a list, as in `obstacle.0.x_m`.
+    Reference(ReferenceArguments),
 }
 
 /// Arguments of `stop`.
@@ -128,10 +148,10 @@ pub struct StopArguments {
     /// Stop all systems of this user.
     #[arg(long)]
     pub all: bool,
-    /// Stop systems of another user; for root.
+    /// Stop the systems of another user; needs root.
     #[arg(long, value_name = "UID")]
     pub uid: Option<u32>,
-    /// End the processes of a run that was stopped: what `stop` leaves behind to do.
+    /// End the processes of a run that was stopped; `stop` starts itself with this option.
     #[arg(long, value_name = "RUN", hide = true)]
     pub finish: Option<String>,
 }
@@ -153,38 +173,40 @@ pub struct CheckArguments {
 /// Arguments of `campaign`.
 #[derive(Debug, Args)]
 pub struct CampaignArguments {
-    /// How many courses.
+    /// Number of courses.
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub runs: u64,
-    /// Seed of the first course; the others follow it.
+    /// Seed of the first course; the following ones have the next numbers.
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Where the scenario files of bad courses are written.
+    /// Folder for the scenario files of bad courses.
     #[arg(long, value_name = "DIR", default_value = "out/campaign", value_parser = console::output::folder())]
     pub out: PathBuf,
 }
 
-/// Looking at topics.
+/// What to show of the topics.
 #[derive(Debug, Subcommand)]
 pub enum TopicCommand {
-    /// All topics: type, size, writer, readers.
+    /// List all topics: size, writer, readers, type.
     List,
-    /// Rate of a topic, measured over the last seconds.
+    /// Measure the rate of a topic.
     Hz {
         /// Name of the topic.
         topic: String,
-        /// Stop after that many seconds.
+        /// Stop after this many seconds.
         #[arg(long, value_name = "S", default_value_t = 5.0)]
         duration: f64,
     },
-    /// Samples of a topic as JSON, one line each, to standard output.
+    /// Print the samples of a topic as JSON to standard output, one line each.
+    ///
+    /// Values of enumerations are printed by name; a number without a name stays a number.
     Echo {
         /// Name of the topic.
         topic: String,
-        /// Stop after that many samples.
+        /// Stop after this many samples.
         #[arg(long, short = 'n', value_name = "N")]
         count: Option<u64>,
         /// Leave out arrays of more than 16 elements.

@@ -7,6 +7,7 @@ mod campaign;
 mod check;
 pub mod cli;
 mod live_latency;
+mod reference;
 mod service;
 pub mod shadow;
 mod status;
@@ -19,7 +20,7 @@ mod types;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use console::exit::{Exit, exit_of};
 use console::limits;
 use console::output::data;
@@ -99,19 +100,19 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
-        Command::Topic(TopicCommand::List) => {
-            data(&topic::list())?;
-            Ok(Exit::Done)
-        }
+        Command::Topic(TopicCommand::List) => print(&topic::list()),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
-        Command::Types(arguments) => {
-            data(&types::print(arguments))?;
-            Ok(Exit::Done)
-        }
+        Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
+        Command::Types(arguments) => print(&types::print(arguments)),
     }
+}
+
+/// Prints what a command was asked for.
+fn print(text: &str) -> anyhow::Result<Exit> {
+    data(text).map(|_| Exit::Done)
 }

@@ -21,10 +21,11 @@ const RANGE: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(24 * 3
 /// Arguments of `shadow`.
 #[derive(Debug, Args)]
 pub struct ShadowArguments {
-    /// The process that runs in the shadow.
+    /// The process that runs in shadow.
     #[command(flatten)]
     pub successor: SuccessorArguments,
-    /// How long, 1s to 24h: 30s, 1500ms, 2m, 1h; a bare number is seconds. Default 30s. May stand at the very end.
+    /// Duration, 1s to 24h, for example 30s, 1500ms, 2m or 1h; a number without unit is in seconds; default 30s. The
+    /// option may also stand after the command.
     #[arg(long = "for", value_name = "TIME", value_parser = duration_of)]
     pub duration: Option<Duration>,
     /// Print the report as JSON to standard output.

@@ -9,12 +9,12 @@ use session::control::{Reply, Request, Successor, ask};
 #[derive(Debug, Clone, Args)]
 #[command(group = ArgGroup::new("successor").required(true))]
 pub struct SuccessorArguments {
-    /// robot, estimator, obstacles, controller or actuator.
+    /// Role of the process: robot, estimator, obstacles, controller or actuator.
     pub role: String,
-    /// A built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    /// Built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
     pub to: Option<String>,
-    /// Any program that fills the role, with its arguments.
+    /// Program of your own that fills the role, with its arguments.
     #[arg(last = true, value_name = "COMMAND", group = "successor")]
     pub command: Vec<String>,
 }

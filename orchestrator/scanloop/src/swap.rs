@@ -20,14 +20,14 @@ pub struct SwapArguments {
     /// The process that takes over.
     #[command(flatten)]
     pub successor: SuccessorArguments,
-    /// Scans in a row on which the new process must agree with the old one.
+    /// Number of scans in a row for which the new process must agree with the old one.
     #[arg(long, visible_alias = "gate-scans", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub shadow_scans: u64,
-    /// Scans after the change during which the old process stands by.
+    /// Number of scans after the handover for which the old process stays ready as standby.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub standby_scans: u64,
-    /// Factor on the bounds of agreement, for one that drives differently on purpose: 0 to 1000; with 1000 agreement
-    /// is not judged, validity and timing only.
+    /// Factor on the bounds of agreement, 0 to 1000, for a process that drives differently on purpose. With 1000 only
+    /// validity and timing are judged.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub tolerance: f64,
     /// Print the certificate as JSON to standard output.

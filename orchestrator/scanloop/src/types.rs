@@ -10,13 +10,13 @@ use shared_types::{Field, Kind, TOPICS};
 /// Arguments of `types`.
 #[derive(Debug, Args)]
 pub struct TypesArguments {
-    /// As Markdown tables, the default.
+    /// Print Markdown tables, the default.
     #[arg(long, group = "form")]
     pub markdown: bool,
-    /// As a C header (C11), for programs that use the C library.
+    /// Print a C header (C11) for programs that use the C library.
     #[arg(long, group = "form")]
     pub c: bool,
-    /// As a Python module of ctypes classes.
+    /// Print a Python module of ctypes classes.
     #[arg(long, group = "form")]
     pub python: bool,
 }

@@ -10,28 +10,28 @@ use plan::Choice;
 /// Arguments of `run`.
 #[derive(Debug, Args, Default)]
 pub struct RunArguments {
-    /// A TOML file, or the name of a shipped scenario (`scanloop check --list` prints them).
+    /// Scenario file, or name of a shipped scenario (`scanloop check --list` prints them); without it `corridor`.
     #[arg(value_name = "SCENARIO")]
     pub scenario: Option<String>,
     /// The choice of scenario and system.
     #[command(flatten)]
     pub choice: Choice,
-    /// Where `report.json`, the picture and the logs are written; default `out/SCENARIO`.
+    /// Folder for `report.json`, the picture and the logs; default `out/SCENARIO`.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
-    /// Stop after that many driven seconds.
+    /// End the run after this many driven seconds, as `timeout`.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
-    /// Simulated time, as fast as the machine allows, no sample lost.
+    /// Simulate time: as fast as the machine allows, no sample lost, repeatable to the last bit.
     #[arg(long)]
     pub lockstep: bool,
-    /// No progress line.
+    /// Print no progress.
     #[arg(long)]
     pub quiet: bool,
-    /// Take over the processes of a run whose orchestrator died; scenario and system are those of that run.
+    /// Take over the orphaned processes of a run whose orchestrator died; scenario and system are those of that run.
     #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
     pub adopt: bool,
-    /// Take over the processes of a run whose orchestrator died if there are any, else start a run.
+    /// Adopt orphaned processes if there are any, else start a run; for a service manager.
     #[arg(long, conflicts_with = "adopt")]
     pub adopt_or_start: bool,
 }
@@ -39,13 +39,13 @@ pub struct RunArguments {
 /// Arguments of `adopt`.
 #[derive(Debug, Args, Clone)]
 pub struct AdoptArguments {
-    /// Where the results are written; default: where the run was to write them.
+    /// Folder for the results; default: that of the run.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
-    /// Stop after that many driven seconds since the start of the run.
+    /// End the run after this many driven seconds since its start, as `timeout`.
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
-    /// No progress line.
+    /// Print no progress.
     #[arg(long)]
     pub quiet: bool,
 }

@@ -3,40 +3,36 @@
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
 use shared_types::Role;
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, settings};
 
 use crate::supervisor::{ProcessPolicy, Restart};
 
-/// One process of the system.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ProcessEntry {
-    /// Role that the process fills: robot, estimator, obstacles, controller or actuator.
-    pub role: String,
-    /// Built-in implementation; exactly one of this and `command`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub implementation: Option<String>,
-    /// Program and arguments of an implementation of one's own.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub command: Option<Vec<String>>,
-    /// `never`, `on-failure` or `always`.
-    #[serde(default = "default_restart")]
-    pub restart: String,
-    /// Deaths before the first valid output that end the run, 1 to 100.
-    #[serde(default = "default_start_limit")]
-    pub start_limit: u32,
-    /// Restarts within `restart_window_s` of one that had been ready; one death more ends the run, 1 to 1000000.
-    #[serde(default = "default_restart_limit")]
-    pub restart_limit: u32,
-    /// Over this time such deaths are counted, 0.1 to 86400 [s].
-    #[serde(default = "default_restart_window")]
-    pub restart_window_s: f64,
-    /// Longest time to attach, to connect, and to the first output of one that has all it reads, 0.1 to 3600 [s].
-    #[serde(default = "default_start_timeout")]
-    pub start_timeout_s: f64,
-    /// Time between the request to end and the kill, 1 to 3600000 [ms].
-    #[serde(default = "default_grace")]
-    pub grace_ms: u64,
+/// What the key `role` may be.
+const ROLES: &str = "one of robot, estimator, obstacles, controller, actuator";
+
+settings! {
+    /// One process of the system.
+    pub struct ProcessEntry {
+        /// Role that the process fills.
+        pub role: String = String::new(), (ROLES, "must be given");
+        /// Built-in implementation that fills the role; it needs this or `command`.
+        pub implementation: Option<String> = None, "emulator, ekf, ellipses, nmpc or actuation, in the order of the roles";
+        /// Program of your own with its arguments, which fills the role instead.
+        pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
+        /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
+        /// never started again.
+        pub restart: Restart = Restart::OnFailure;
+        /// The run ends when the process ends this often before its first output.
+        pub start_limit: u32 = 3, 1.0..=100.0;
+        /// Restarts within `restart_window_s` of a process that had been ready; one more ends the run.
+        pub restart_limit: u32 = 5, 1.0..=1e6;
+        /// Time window in which restarts are counted [s].
+        pub restart_window_s: f64 = 60.0, 0.1..=86_400.0;
+        /// Limit for each start step: attach, connect, first output. The last counts only while all inputs arrive [s].
+        pub start_timeout_s: f64 = 10.0, 0.1..=3600.0;
+        /// Time between the request to end and the kill [ms].
+        pub grace_ms: u64 = 1000, 1.0..=3_600_000.0;
+    }
 }
 
 /// A living process.
@@ -63,28 +59,14 @@ impl ProcessEntry {
     /// A command that fills a role, with the default policy.
     #[must_use]
     pub fn of(role: Role, command: &[String]) -> Self {
-        Self {
-            role: role.name().to_owned(),
-            implementation: None,
-            command: Some(command.to_vec()),
-            restart: default_restart(),
-            start_limit: default_start_limit(),
-            restart_limit: default_restart_limit(),
-            restart_window_s: default_restart_window(),
-            start_timeout_s: default_start_timeout(),
-            grace_ms: default_grace(),
-        }
+        Self { role: role.name().to_owned(), command: Some(command.to_vec()), ..Self::default() }
     }
 
     /// The policy by which the supervisor keeps the process alive.
     pub fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
         let period_ms = period_ns.div_ceil(1_000_000);
         ProcessPolicy {
-            restart: match self.restart.as_str() {
-                "never" => Restart::Never,
-                "always" => Restart::Always,
-                _ => ProcessPolicy::new(role, period_ms).restart,
-            },
+            restart: self.restart,
             start_limit: self.start_limit,
             restart_limit: self.restart_limit,
             restart_window_ms: (self.restart_window_s * 1e3) as u64,
@@ -109,7 +91,8 @@ impl ProcessEntry {
     /// The first value that is not allowed, with what is.
     pub fn validate(&self) -> Result<(), Invalid> {
         let role: Role = self.role.parse().map_err(|_| {
-            Invalid::new("role", &self.role, "one of robot, estimator, obstacles, controller, actuator")
+            let given = if self.role.is_empty() { "(missing)" } else { &self.role };
+            Invalid::new("role", given, ROLES)
         })?;
         match (&self.implementation, &self.command) {
             (Some(name), None) => {
@@ -133,37 +116,6 @@ impl ProcessEntry {
                 ));
             }
         }
-        if !["never", "on-failure", "always"].contains(&self.restart.as_str()) {
-            return Err(Invalid::new("restart", &self.restart, "one of never, on-failure, always"));
-        }
-        require("start_limit", f64::from(self.start_limit), 1.0..=100.0)?;
-        require("restart_limit", f64::from(self.restart_limit), 1.0..=1e6)?;
-        require("restart_window_s", self.restart_window_s, 0.1..=86_400.0)?;
-        require("start_timeout_s", self.start_timeout_s, 0.1..=3600.0)?;
-        require("grace_ms", self.grace_ms as f64, 1.0..=3_600_000.0)
+        self.require_ranges()
     }
-}
-
-fn default_restart() -> String {
-    "on-failure".to_owned()
-}
-
-fn default_start_limit() -> u32 {
-    3
-}
-
-fn default_restart_limit() -> u32 {
-    5
-}
-
-fn default_restart_window() -> f64 {
-    60.0
-}
-
-fn default_start_timeout() -> f64 {
-    10.0
-}
-
-fn default_grace() -> u64 {
-    1000
 }

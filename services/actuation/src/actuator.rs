@@ -1,8 +1,8 @@
 //! The last check before the wheels.
 //!
 //! A command passes when it is for a scan not answered before, its scan is young enough, and its content is valid
-//! ([`crate::verdict`]); then it is corrected and sent. Anything else blocks the wheels and says why. Blocks end
-//! when their reason does:
+//! ([`crate::verdict`]); then it is corrected and sent. Anything else blocks the wheels, with the reason. A block ends
+//! when its reason does:
 //!
 //! * commanded or landed: with the next command that passes;
 //! * silence: after [`Config::recovery`] valid commands in a row without another silence, where commands that come within
@@ -11,8 +11,8 @@
 //! * explicit stop: with [`Actuator::release`] only.
 //!
 //! Blocked wheels keep their steering angle, so that a robot which still turns its axles does not swerve while it
-//! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. Where a clock jumps ahead the wheels
-//! are blocked for silence, where it jumps back commands seem to come from the future and are refused.
+//! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. If the clock jumps ahead, the wheels are
+//! blocked for silence; if it jumps back, commands seem to come from the future and are refused.
 
 use shared_types::{Actuation, ActuationKind, BlockReason, Command, Fault, Header, StopReason, YOUNG_NS};
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
@@ -32,7 +32,7 @@ pub struct Actuator {
     state: ActuatorState,
     /// Why the last command was refused, if it was.
     refusal: Option<Fault>,
-    /// Commands were dropped on their way here since the last valid one.
+    /// Whether commands were dropped before they arrived, since the last valid one.
     dropped: bool,
 }
 
@@ -62,7 +62,7 @@ impl Actuator {
     /// The answer to a command at `now_ns`.
     ///
     /// `answers` is 1 once per scan. A command for a scan answered before, or for one that lies in the future, gets
-    /// a block that the actuator decides by itself (`answers` = 0), because its header is not to be believed.
+    /// a block that the actuator decides by itself (`answers` = 0), because its header cannot be trusted.
     pub fn answer(&mut self, command: &Command, now_ns: u64) -> Actuation {
         if self.state.commanded.is_set() && self.silence_ns(now_ns) > self.timeout_ns {
             self.fall_silent();
@@ -71,7 +71,7 @@ impl Actuator {
         self.state.awake = true.into();
 
         self.refusal = None;
-        if let Some(fault) = self.disbelieved(&command.header, now_ns) {
+        if let Some(fault) = self.distrust(&command.header, now_ns) {
             self.refuse(fault);
             return self.block_by_itself(block_reason(&fault));
         }
@@ -107,7 +107,7 @@ impl Actuator {
         self.refusal.as_ref()
     }
 
-    /// Notes that commands were dropped on their way here: they are the reason of the silence that follows.
+    /// Notes that commands were dropped before they arrived: they are the reason for the silence that follows.
     pub fn note_dropped(&mut self) {
         self.dropped = true;
     }
@@ -115,7 +115,7 @@ impl Actuator {
     /// A block that the actuator decides by itself, when there has been no valid command for
     /// [`Config::timeout_periods`]; once per period while the silence lasts.
     ///
-    /// The first call before any command starts the watch.
+    /// The first call before any command starts the timeout.
     pub fn tick(&mut self, now_ns: u64) -> Option<Actuation> {
         if !self.state.awake.is_set() {
             self.state.awake = true.into();
@@ -123,8 +123,7 @@ impl Actuator {
             self.state.valid_ns = now_ns;
             return None;
         }
-        let silent = self.silence_ns(now_ns) > self.timeout_ns;
-        if !silent {
+        if self.silence_ns(now_ns) <= self.timeout_ns {
             return None;
         }
         if self.state.commanded.is_set() {
@@ -164,11 +163,11 @@ impl Actuator {
         self.state
     }
 
-    /// Goes on from the state of another actuator. A stop that held there holds here.
+    /// Continues from the state of another actuator. A stop that held there holds here.
     ///
     /// # Errors
-    /// [`shared_types::Fault`] when the state is not usable; the actuator is unchanged then.
-    pub fn resume(&mut self, state: &ActuatorState) -> Result<(), shared_types::Fault> {
+    /// [`Fault`] when the state is not usable; the actuator is unchanged then.
+    pub fn resume(&mut self, state: &ActuatorState) -> Result<(), Fault> {
         state.check()?;
         self.state = *state;
         Ok(())
@@ -183,8 +182,8 @@ impl Actuator {
         self.state.streak = 0;
     }
 
-    /// Why the header of a command is not to be believed.
-    fn disbelieved(&self, header: &Header, now_ns: u64) -> Option<Fault> {
+    /// Why the header of a command cannot be trusted; `None` when it can.
+    fn distrust(&self, header: &Header, now_ns: u64) -> Option<Fault> {
         if header.acquired_ns > now_ns.saturating_add(self.period_ns) {
             return Some(Fault::FromTheFuture { ahead_ms: milliseconds(header.acquired_ns - now_ns) });
         }
@@ -221,18 +220,8 @@ impl Actuator {
         self.state.steering_rad = desired.steering;
         self.state.sent_steering_rad = steering;
         (self.state.shaft_rad, self.state.wheels_rad) = (linkage.shaft, linkage.wheels);
-        Actuation {
-            header: self.state.header,
-            kind: ActuationKind::Drive.wire(),
-            reason: BlockReason::None.wire(),
-            stop_reason: stop_reason.wire(),
-            answers: 1,
-            desired_velocity_mps: desired.velocity,
-            desired_steering_rad: desired.steering,
-            sent_velocity_mps: velocity,
-            sent_steering_rad: steering,
-            refused: self.state.refused,
-        }
+        let velocities = [desired.velocity, velocity];
+        self.actuation(ActuationKind::Drive, BlockReason::None, stop_reason, velocities)
     }
 
     /// Blocked wheels that answer no command.
@@ -243,15 +232,26 @@ impl Actuator {
     /// Blocked wheels in answer to a command; an explicit stop is named before any other reason.
     fn block(&self, reason: BlockReason, stop_reason: StopReason) -> Actuation {
         let reason = if self.is_stopped() { BlockReason::StopRequested } else { reason };
+        self.actuation(ActuationKind::Block, reason, stop_reason, [0.0; 2])
+    }
+
+    /// The answer to the last command, with the velocities desired and sent and the last steering angles.
+    fn actuation(
+        &self,
+        kind: ActuationKind,
+        reason: BlockReason,
+        stop_reason: StopReason,
+        [desired_velocity_mps, sent_velocity_mps]: [f64; 2],
+    ) -> Actuation {
         Actuation {
             header: self.state.header,
-            kind: ActuationKind::Block.wire(),
+            kind: kind.wire(),
             reason: reason.wire(),
             stop_reason: stop_reason.wire(),
             answers: 1,
-            desired_velocity_mps: 0.0,
+            desired_velocity_mps,
             desired_steering_rad: self.state.steering_rad,
-            sent_velocity_mps: 0.0,
+            sent_velocity_mps,
             sent_steering_rad: self.state.sent_steering_rad,
             refused: self.state.refused,
         }

@@ -6,17 +6,21 @@ use vehicle::{Bounds, Invalid, require, settings};
 settings! {
     /// Settings of the actuator.
     pub struct Config {
-        /// What undoes the robot's imperfections: `"default"`, `"identity"`, or a correction of its own.
+        /// Correction of velocity and steering angle that makes the robot do what is desired.
         pub calibration: Calibration = Calibration::Default;
-        /// Hard limits of desired values; only those of the controls, (7.41), are used here.
-        pub bounds: Bounds = Bounds::default();
-        /// Silence after which the wheels are blocked, in scan periods, 1 to 10.
+        /// Hard limits of desired velocity and steering angle, (7.41); the other bounds are not used here.
+        pub bounds: Bounds = Bounds::default(), format!(
+            "`velocity_max_mps` 0 to {SENT_VELOCITY_MAX_MPS}, `velocity_min_mps` 0 to `velocity_max_mps`, \
+             `steering_max_rad` 0 to {SENT_STEERING_MAX_RAD}"
+        );
+        /// The wheels are blocked when no valid command has come for this many scan periods.
         // One late command is tolerated, a lost one is not.
         pub timeout_periods: f64 = 1.5, 1.0..=10.0;
-        /// Largest age of a command, from the front beam of its scan, in scan periods, 0.1 to 100. 25 ms are never too old.
+        /// Largest age of a command since the forward beam of its scan, in scan periods. A command younger than 25 ms is
+        /// never too old.
         // An answer is due one period after the scan; two periods more cover a swap of the controller.
         pub max_age_periods: f64 = 3.0, 0.1..=100.0;
-        /// Valid commands in a row after which a robot that was blocked for silence drives again, 1 to 100.
+        /// Valid commands in a row that end a block caused by a timeout.
         // A single command may be the last one of a process that is dying.
         pub recovery: u32 = 2, 1.0..=100.0;
     }
@@ -28,14 +32,10 @@ impl Config {
     /// # Errors
     /// [`Invalid`] with the key, the value and the range.
     pub fn validate(&self) -> Result<(), Invalid> {
-        self.calibration.validate().map_err(|invalid| invalid.within("calibration"))?;
         let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = self.bounds;
-        let bounds = || {
-            require("velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
-            require("velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
-            require("steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)
-        };
-        bounds().map_err(|invalid| invalid.within("bounds"))?;
+        require("bounds.velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
+        require("bounds.velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
+        require("bounds.steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)?;
         self.require_ranges()
     }
 }

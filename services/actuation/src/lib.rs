@@ -1,4 +1,4 @@
-//! What is sent to the robot: corrections of steering angle and velocity, limits, and the stop that always wins.
+//! What is sent to the robot: corrected steering angle and velocity, limits, and the stop that always wins.
 //!
 //! One command in, one actuation out. Wheels turn only for a command that is new, young, verified, finite and
 //! within its hard limits; everything else blocks them. Silence blocks them too, after 1.5 scan periods.

@@ -27,7 +27,7 @@ pub fn run() -> anyhow::Result<()> {
         actuator.resume(&state)?;
         commands.skip_to(scan_id);
     }
-    // The watch is looked at ten times a period, so it is late by a tenth at most.
+    // The timeout is checked ten times a period, so the block is late by a tenth at most.
     let poll_ns = process.period_ns() / 10;
     let mut dropped = 0;
     while process.wait(Some(process.clock().now_ns() + poll_ns))? {

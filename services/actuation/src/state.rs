@@ -10,7 +10,7 @@ plain_state! {
         pub header: Header,
         /// Arrival of the last valid command [ns]
         pub valid_ns: u64,
-        /// When something was last sent to the robot; before that, the first look at the clock [ns]
+        /// When something was last sent to the robot; before that, the first reading of the clock [ns]
         pub told_ns: u64,
         /// Commands refused since the start
         pub refused: u64,
@@ -30,7 +30,7 @@ plain_state! {
         pub stopped: Flag,
         /// 1 once a valid command came
         pub commanded: Flag,
-        /// 1 once the clock was looked at
+        /// 1 once the clock was read
         pub awake: Flag,
         /// Unused, zero
         pub reserved: u32,
@@ -38,7 +38,7 @@ plain_state! {
 }
 
 impl ActuatorState {
-    /// Passes when the wheels may be held by what the state says.
+    /// Passes when the wheels may be held at the angles of the state.
     ///
     /// # Errors
     /// [`Fault`] when a held steering angle is not finite or beyond what may be sent.

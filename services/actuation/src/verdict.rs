@@ -4,7 +4,7 @@ use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveS
 use vehicle::bounds::ROUNDING;
 use vehicle::{Bounds, Control};
 
-/// What a valid command asks for.
+/// The content of a valid command.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum DesiredCommand {
     /// Turn the wheels; the control is finite and within the limits.
@@ -13,10 +13,10 @@ pub(crate) enum DesiredCommand {
     Block(BlockReason),
 }
 
-/// What a command asks for, judged by its content alone, or the rule that it fails.
+/// What a command demands, judged by its content alone, or the rule that it fails.
 ///
-/// A command to stop or land needs no verification and no limits, but its numbers must be numbers: where they are
-/// not, its producer is broken, and the wheels are blocked for that reason.
+/// A command to stop or land needs no verification and no limits, but its numbers must be finite: if they are not, its
+/// publisher is faulty, and the wheels are blocked for that reason.
 pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand, Fault> {
     let kind = CommandKind::try_from(command.kind)?;
     Level::try_from(command.level)?;

@@ -95,7 +95,7 @@ int scanloop_save(scanloop_process *process, const scanloop_header *header, uint
  * not offered here. An estimator that predicts from actuations should trust the measured speed after a gap. */
 int scanloop_resume(scanloop_process *process, uint32_t kind, void *state, size_t size);
 
-/* A number of the settings of the role, docs/settings.md: "safety_distance_m", "wall_y_m.0", "track.y_m.1"; true is 1.
+/* A number of the settings of the role, docs/system-file.md: "safety_distance_m", "wall_y_m.0", "track.y_m.1"; true is 1.
  * Every documented key is there; the robot's settings are the scenario.
  * SCANLOOP_NO and no change of `value` when there is no such number. */
 int scanloop_setting(scanloop_process *process, const char *key, double *value);

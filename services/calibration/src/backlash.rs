@@ -1,39 +1,39 @@
 //! Play of the steering from sine runs.
 //!
-//! While the shaft goes from one stop of the sine to the other the wheels stay behind it by half the play. The
-//! reported yaw tells which angle the wheels had: the sent angles go through a map (a polynomial of third degree
-//! whose coefficients are fitted along), through the play, and through the lateral model (7.27), (7.29) at the
-//! reported speed; what comes out is compared with the reported yaw. So the lag of the robot, which looks much like
-//! play, is accounted for.
+//! While the shaft moves from one turning point of the sine to the other, the wheels lag by half the play. Their angle
+//! shows in the reported yaw. The fit predicts that yaw: the sent angles pass through a map (a polynomial of third
+//! degree with fitted coefficients), the play, and the lateral model (7.27), (7.29) at the reported speed. So the lag
+//! of the robot, which looks much like play, is modelled too.
 //!
-//! Where the wheels were at the beginning is not known; a run counts from its first turning point on, where the
-//! shaft has taken the wheels along. Assumptions: the sine is wide against the play (three times at least), and
-//! each sent angle acts from its row on.
+//! The initial angle of the wheels is not known; a run counts from its first turning point on, where the shaft has
+//! moved the wheels. Assumptions: the amplitude is at least three times the play, and each sent angle acts from its
+//! row on.
 
 use nalgebra::{Matrix2, SMatrix, Vector2};
 use vehicle::frame::wrap_angle;
 use vehicle::model::lateral_jacobians;
 use vehicle::{Control, Parameters};
 
-use crate::least_squares::solve;
+use crate::least_squares::{Solution, solve};
 use crate::record::SineRow;
+use crate::refusal::refuse_if;
 use crate::{Estimate, Refusal};
 
 /// Fewest rows behind the first turning points.
 const MIN_ROWS: usize = 50;
 
-/// Most steps of the fit; from the starting values it takes three to five.
+/// Largest number of steps of the fit; from the starting values it takes three to five.
 const MAX_STEPS: usize = 25;
 
 /// Coefficients of the map, 1 to 3, a constant, and half the play.
 const SHARED: usize = 5;
 const PLAY: usize = 4;
 
-/// The sent angle that stands for 1 in the polynomial [rad].
+/// Unit of the sent angle in the polynomial [rad].
 const SCALE_RAD: f64 = 0.1;
 
-/// What the fit is off on a noiseless odometer, because the lateral model is linear in the angle here [rad]: 2e-6 on
-/// the emulated robot at twice the intended speed; five times that is counted as an error.
+/// Error of the fit without noise, because the lateral model is linear in the angle here [rad]: five times the 2e-6
+/// found on the emulated robot at twice the intended speed.
 const MODEL_ERROR_RAD: f64 = 1e-5;
 
 /// The part of a run behind its first turning point.
@@ -42,7 +42,7 @@ struct Course {
     sent: Vec<f64>,
     /// Reported yaw without jumps [rad].
     yaw: Vec<f64>,
-    /// What one interval does to (sideslip, yaw rate, yaw).
+    /// The effect of each interval on (sideslip, yaw rate, yaw).
     passages: Vec<Passage>,
     /// Whether the shaft moved to the left up to the first row.
     from_below: bool,
@@ -55,7 +55,7 @@ struct Passage {
     matrix: SMatrix<f64, 4, 4>,
 }
 
-/// Half the play with its standard error; `None` when sent angles are not recorded, or turn round too rarely.
+/// Half the play with its standard error; `None` when sent angles are not recorded, or turn back too rarely.
 ///
 /// # Errors
 /// [`Refusal::Implausible`] when no play and no map explain the reported yaw.
@@ -82,31 +82,25 @@ pub(crate) fn fit(runs: &[&[SineRow]]) -> Result<Option<Estimate>, Refusal> {
         parameters[PLAY] = parameters[PLAY].max(0.0);
         // A micrometre of play at the rim of a wheel is beyond any use.
         if solution.coefficients.iter().take(SHARED).all(|step| step.abs() < 1e-7) {
-            return judge(
-                parameters[PLAY],
-                solution.standard_errors[PLAY],
-                solution.deviation,
-                solution.freedom,
-            );
+            return judge(parameters[PLAY], &solution).map(Some);
         }
     }
+    // Without play the step always points below zero and never gets small: the last value holds.
     let missed = residuals(&courses, &parameters);
-    let solution = solve(&slopes(&courses, &parameters, &missed), &missed);
-    // Where the play is zero its step points below zero for ever: the last value holds.
-    match solution {
-        Some(last) => judge(parameters[PLAY], last.standard_errors[PLAY], last.deviation, last.freedom),
-        None => Ok(None),
-    }
+    let last = solve(&slopes(&courses, &parameters, &missed), &missed);
+    last.map(|last| judge(parameters[PLAY], &last)).transpose()
 }
 
-fn judge(play: f64, error: f64, deviation: f64, freedom: usize) -> Result<Option<Estimate>, Refusal> {
+fn judge(play: f64, solution: &Solution) -> Result<Estimate, Refusal> {
+    let deviation = solution.deviation;
     // A tenth of a radian of yaw is ten times the noise of a good odometer.
-    if deviation > 0.1 || play > 0.05 {
-        return Err(Refusal::implausible(format!(
-            "reported yaw is {deviation:.3} rad off what the sent angles give with a play of {play:.4} rad"
-        )));
-    }
-    Ok(Some(Estimate::new(play, error.hypot(MODEL_ERROR_RAD), freedom)))
+    refuse_if(deviation > 0.1 || play > 0.05, || {
+        format!(
+            "reported yaw is {deviation:.3} rad off the yaw of the sent angles with a play of {play:.4} rad"
+        )
+    })?;
+    let error = solution.standard_errors[PLAY].hypot(MODEL_ERROR_RAD);
+    Ok(Estimate::new(play, error, solution.freedom))
 }
 
 impl Course {
@@ -180,28 +174,16 @@ impl Passage {
     fn new(speed: f64, duration: f64) -> Self {
         let control = Control { velocity: speed.max(0.05), steering: 0.0 };
         let (by_state, by_control) = lateral_jacobians(&Parameters::default(), 0.0, 0.0, &control);
-        let rates = SMatrix::<f64, 4, 4>::new(
-            by_state[0][0],
-            by_state[0][1],
-            0.0,
-            by_control[0][1],
-            by_state[1][0],
-            by_state[1][1],
-            0.0,
-            by_control[1][1],
-            0.0,
-            1.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-        );
+        let mut rates = SMatrix::<f64, 4, 4>::zeros();
+        for row in 0..2 {
+            (rates[(row, 0)], rates[(row, 1)]) = (by_state[row][0], by_state[row][1]);
+            rates[(row, 3)] = by_control[row][1];
+        }
+        rates[(2, 1)] = 1.0;
         Self { matrix: (rates * duration).exp() }
     }
 
-    /// Sideslip and yaw rate that the interval does not change.
+    /// Sideslip and yaw rate of the steady turn.
     fn steady(&self, wheels: f64) -> [f64; 2] {
         let matrix = self.matrix;
         let own = Matrix2::new(1.0 - matrix[(0, 0)], -matrix[(0, 1)], -matrix[(1, 0)], 1.0 - matrix[(1, 1)]);

@@ -1,9 +1,9 @@
-//! What a picture of a fit shows.
+//! The content of a picture of a fit.
 
 /// Points and a line over two axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
-    /// What it shows.
+    /// Title.
     pub title: String,
     /// Name and unit of the horizontal axis.
     pub across: &'static str,

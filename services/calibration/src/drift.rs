@@ -1,16 +1,16 @@
 //! The odometry coefficients df and dds of (7.38)-(7.40) from sine runs.
 //!
-//! The correction adds to the reported position, per interval, the way times R(yaw) (df, ds) with ds growing by dds
-//! per second. Both coefficients are constant, so the sum over a run is linear in them:
+//! The correction adds to the reported position, per interval, the distance times R(yaw) (df, ds), with ds growing by
+//! dds per second. Both coefficients are constant, so the sum over a run is linear in them:
 //!
 //! ```text
 //! true(T) - reported(T) = df A(T) + dds B(T),   A = sum v dt (cos, sin),   B = sum v t dt (-sin, cos)
 //! ```
 //!
-//! Where the true position was measured this is one row for x and one for y. The measured frame is never exactly
-//! that of the robot at its start, so each run has a shift and a small turn of its own, which are fitted along.
+//! Each measured position gives one row for x and one for y. The measured frame is never exactly that of the robot at
+//! its start, so a shift and a small turn per run are fitted as well.
 //!
-//! Assumptions: the robot moves all the time (else growth with time and growth while moving differ), its errors
+//! Assumptions: the robot moves all the time (else growth with time and growth while moving differ), and its errors
 //! are those of the model. Where odometry errs otherwise (a turned heading, a slipping wheel) the residual is large,
 //! and the fit is refused.
 
@@ -18,16 +18,16 @@ use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::{to_track, wrap_angle};
 
 use crate::backlash;
-use crate::least_squares::{odd_one_out, root_mean_square, solve};
+use crate::least_squares::{contradicting_row, root_mean_square, solve};
 use crate::record::SineRow;
-use crate::refusal::{enough, within};
+use crate::refusal::{enough, refuse_if, within};
 use crate::{Chart, Estimate, Refusal};
 
-/// Fewest measured positions of one run; three numbers of its own are fitted to them.
+/// Fewest measured positions of one run; three coefficients of its own are fitted to them.
 const MIN_MARKS: usize = 5;
 
-/// Shortest way of a run [m].
-const MIN_WAY_M: f64 = 3.0;
+/// Shortest distance of a run [m].
+const MIN_DISTANCE_M: f64 = 3.0;
 
 /// Slower than this the robot stands [m/s].
 const STANDSTILL_MPS: f64 = 0.01;
@@ -35,19 +35,19 @@ const STANDSTILL_MPS: f64 = 0.01;
 /// Longest time between two rows [s]; the yaw in between is taken as its mean.
 const MAX_GAP_S: f64 = 0.5;
 
-/// A larger remainder than this is not the error that the model describes [m].
+/// Largest residual that the model explains [m].
 const LARGEST_REMAINDER_M: f64 = 0.1;
 
-/// What sine runs tell.
+/// Result of sine runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriftFit {
-    /// Share of the way that odometry misses, df.
+    /// Share of the distance that odometry does not report, df.
     pub longitudinal: Estimate,
     /// Growth of the lateral drift, dds [1/s].
     pub lateral_rate: Estimate,
     /// Half the play between shaft and wheels [rad]; `None` when sent angles were not recorded.
     pub play: Option<Estimate>,
-    /// Root of the mean square of what the corrected positions miss, per axis [m].
+    /// Root mean square of the residuals of corrected positions, per axis [m].
     pub residual_m: f64,
     /// How many runs.
     pub runs: usize,
@@ -61,14 +61,13 @@ pub struct DriftFit {
 struct Mark<'a> {
     row: &'a SineRow,
     run: usize,
-    time_s: f64,
     /// Measured position from the first reported one on [m].
     measured: [f64; 2],
     /// Measured minus reported position [m].
     error: [f64; 2],
-    /// A: way along the heading [m].
+    /// A: distance along the heading [m].
     along: [f64; 2],
-    /// B: way times time across the heading [m s].
+    /// B: distance times time across the heading [m s].
     across: [f64; 2],
 }
 
@@ -89,18 +88,18 @@ pub fn fit(rows: &[SineRow]) -> Result<DriftFit, Refusal> {
     let (equations, targets) = equations(&marks, runs.len());
     let solution = solve(&equations, &targets)
         .ok_or_else(|| Refusal::implausible("the measured positions do not determine df and dds"))?;
-    if let Some((index, missed)) = odd_one_out(&equations, &targets, 0.05) {
+    if let Some((index, missed)) = contradicting_row(&equations, &targets, 0.05) {
         return Err(Refusal::implausible(format!(
-            "{}: the measured position is {missed:.3} m off what the others ask for",
+            "{}: the measured position is {missed:.3} m off the fit to all others",
             marks[index / 2].row.place
         )));
     }
-    if solution.deviation > LARGEST_REMAINDER_M {
-        return Err(Refusal::implausible(format!(
-            "errors of {:.3} m remain after the correction, more than {LARGEST_REMAINDER_M}: this odometry does not err as (7.38)-(7.40) describe",
-            solution.deviation
-        )));
-    }
+    let remainder = solution.deviation;
+    refuse_if(remainder > LARGEST_REMAINDER_M, || {
+        format!(
+            "errors of {remainder:.3} m remain after the correction, more than {LARGEST_REMAINDER_M}: this odometry does not err as (7.38)-(7.40) describe"
+        )
+    })?;
     let estimate = |index: usize| {
         Estimate::new(solution.coefficients[index], solution.standard_errors[index], solution.freedom)
     };
@@ -124,17 +123,17 @@ fn split(rows: &[SineRow]) -> Result<Vec<&[SineRow]>, Refusal> {
     enough("sine runs", runs.len(), 1)?;
     for (index, run) in runs.iter().enumerate() {
         if runs[..index].iter().any(|earlier| earlier[0].run == run[0].run) {
-            return Err(Refusal::Unreadable {
-                place: run[0].place.clone(),
-                message: format!("run {} goes on after another run", run[0].run),
-            });
+            return Err(Refusal::unreadable(
+                &run[0].place,
+                format!("run {} continues after another run", run[0].run),
+            ));
         }
     }
     Ok(runs)
 }
 
 fn check(run: &[SineRow]) -> Result<(), Refusal> {
-    let mut way = 0.0;
+    let mut distance = 0.0;
     for row in run {
         let place = &row.place;
         within(place, "time_s", row.time_s, 0.0..=3600.0)?;
@@ -152,20 +151,16 @@ fn check(run: &[SineRow]) -> Result<(), Refusal> {
             within(place, column, value.unwrap_or(0.0), -1e4..=1e4)?;
         }
     }
-    // (7.38) begins with the motion: a later first row would have lost its beginning.
+    // (7.38) begins with the motion, so the first row must be at its start.
     within(&run[0].place, "time_s", run[0].time_s, 0.0..=MAX_GAP_S)?;
     for pair in run.windows(2) {
         let (low, high) = (pair[0].time_s + 1e-3, pair[0].time_s + MAX_GAP_S);
         within(&pair[1].place, "time_s", pair[1].time_s, low..=high)?;
-        way += pair[0].speed_mps * (pair[1].time_s - pair[0].time_s);
+        distance += pair[0].speed_mps * (pair[1].time_s - pair[0].time_s);
     }
-    if way < MIN_WAY_M {
-        return Err(Refusal::implausible(format!(
-            "run {} is {way:.2} m long; a drift shows after {MIN_WAY_M} m",
-            run[0].run
-        )));
-    }
-    Ok(())
+    refuse_if(distance < MIN_DISTANCE_M, || {
+        format!("run {} is {distance:.2} m long; a drift shows after {MIN_DISTANCE_M} m", run[0].run)
+    })
 }
 
 fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
@@ -175,10 +170,10 @@ fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
     for row in run {
         let dt = row.time_s - before.time_s;
         let turn = wrap_angle(row.reported_yaw_rad - before.reported_yaw_rad);
-        let (way, yaw) = (before.speed_mps * dt, before.reported_yaw_rad + turn / 2.0);
+        let (distance, yaw) = (before.speed_mps * dt, before.reported_yaw_rad + turn / 2.0);
         let middle_s = (before.time_s + row.time_s) / 2.0;
-        let forward = to_track(yaw, way, 0.0);
-        let left = to_track(yaw, 0.0, way * middle_s);
+        let forward = to_track(yaw, distance, 0.0);
+        let left = to_track(yaw, 0.0, distance * middle_s);
         along = [along[0] + forward.x, along[1] + forward.y];
         across = [across[0] + left.x, across[1] + left.y];
         before = row.clone();
@@ -186,7 +181,6 @@ fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
             (Some(x), Some(y)) => marks.push(Mark {
                 row,
                 run: index,
-                time_s: row.time_s,
                 measured: [x - run[0].reported_x_m, y - run[0].reported_y_m],
                 error: [x - row.reported_x_m, y - row.reported_y_m],
                 along,
@@ -194,10 +188,10 @@ fn marks_of(run: &[SineRow], index: usize) -> Result<Vec<Mark<'_>>, Refusal> {
             }),
             (None, None) => {}
             _ => {
-                return Err(Refusal::Unreadable {
-                    place: row.place.clone(),
-                    message: "measured_x_m and measured_y_m have to be given both or not at all".to_owned(),
-                });
+                return Err(Refusal::unreadable(
+                    &row.place,
+                    "measured_x_m and measured_y_m have to be given both or not at all",
+                ));
             }
         }
     }
@@ -222,23 +216,21 @@ fn equations(marks: &[Mark<'_>], runs: usize) -> (Vec<Vec<f64>>, Vec<f64>) {
 }
 
 fn require_range(name: &str, value: f64, limit: f64) -> Result<(), Refusal> {
-    if value.abs() <= limit {
-        return Ok(());
-    }
-    Err(Refusal::implausible(format!("{name} = {value:.4} is outside -{limit} to {limit}")))
+    let is_outside = value.is_nan() || value.abs() > limit;
+    refuse_if(is_outside, || format!("{name} = {value:.4} is outside -{limit} to {limit}"))
 }
 
 fn charts(marks: &[Mark<'_>], residuals: &[f64]) -> Vec<Chart> {
-    let raw = |axis: usize| marks.iter().map(move |mark| [mark.time_s, mark.error[axis]]).collect();
+    let raw = |axis: usize| marks.iter().map(move |mark| [mark.row.time_s, mark.error[axis]]).collect();
     let rest = marks
         .iter()
         .zip(residuals.chunks(2))
-        .flat_map(|(mark, pair)| pair.iter().map(|missed| [mark.time_s, 1e3 * missed]))
+        .flat_map(|(mark, pair)| pair.iter().map(|missed| [mark.row.time_s, 1e3 * missed]))
         .collect();
     vec![
-        Chart::of_points("what odometry misses along x", "time [s]", "error [m]", raw(0)),
-        Chart::of_points("what odometry misses along y", "time [s]", "error [m]", raw(1)),
-        Chart::of_points("what remains after the correction, x and y", "time [s]", "residual [mm]", rest),
+        Chart::of_points("error of the odometry along x", "time [s]", "error [m]", raw(0)),
+        Chart::of_points("error of the odometry along y", "time [s]", "error [m]", raw(1)),
+        Chart::of_points("residual after the correction, x and y", "time [s]", "residual [mm]", rest),
     ]
 }
 

@@ -1,8 +1,8 @@
 //! Collects calibration runs from the emulated robot.
 //!
-//! The robot drives open loop on an endless empty floor. Of what it really does only that is recorded which a person
-//! would get with a tape measure, chalk and a stopwatch, with their errors; the rest is its own odometry. Its true
-//! parameters are never looked at.
+//! The robot drives open loop on an endless empty floor. The recorded measurements are those that a person could make
+//! with a tape measure, chalk and a stopwatch, with their errors, and the odometry of the robot. Its true parameters
+//! are never used.
 
 use emulator::Emulator;
 use emulator::noise::{Purpose, Stream};
@@ -27,7 +27,7 @@ const PLACE_RAD: f64 = 0.002;
 /// Time between two actuations [ns]: well within the dead-man of the robot.
 const PERIOD_NS: u64 = 100_000_000;
 
-/// Two fixed points, so far apart [m].
+/// Distance between the two fixed points [m].
 const DISTANCE_M: f64 = 6.0;
 
 /// Velocities sent in straight runs [m/s]; each is driven twice.
@@ -40,10 +40,10 @@ const CIRCLE_MPS: f64 = 0.6;
 const CIRCLE_RAD: f64 = 0.085;
 const CIRCLE_STEPS: i32 = 20;
 
-/// The angle is approached from this much further out [rad], so that play up to a third of it is taken up.
+/// The angle is approached from this much further out [rad], which takes up play of up to a third of it.
 const OVERSHOOT_RAD: f64 = 0.034;
 
-/// Way of a circle run [m].
+/// Length of the arc of a circle run [m].
 const ARC_M: f64 = 4.0;
 
 /// Sine runs: how many, velocity sent [m/s], amplitude [rad], period [s], duration [s], time between marks [s].
@@ -54,7 +54,7 @@ const SINE_PERIOD_S: f64 = 5.0;
 const SINE_S: f64 = 60.0;
 const SINE_MARK_S: f64 = 1.0;
 
-/// Longest that a run is waited for [s]: a robot that hardly moves ends it.
+/// Longest duration of a run [s]; a robot that hardly moves reaches it.
 const TIMEOUT_S: f64 = 600.0;
 
 /// Straight runs with a flying start, timed between two fixed points.
@@ -87,7 +87,7 @@ pub fn circle_runs(robot: &Scenario, seed: u64) -> Vec<CircleRun> {
             drive.pass(0.3);
             drive.send(CIRCLE_MPS, sent);
             drive.pass(0.5);
-            let Some(places) = drive.way(ARC_M) else { continue };
+            let Some(places) = drive.follow(ARC_M) else { continue };
             let mut chalk = |place: Vector2<f64>| place + Vector2::new(hand.normal(), hand.normal()) * MARK_M;
             let [start, middle, end] =
                 [places[0], places[places.len() / 2], places[places.len() - 1]].map(&mut chalk);
@@ -111,7 +111,7 @@ pub fn sine_runs(robot: &Scenario, seed: u64) -> Vec<SineRow> {
     let mut hand = Stream::new(seed, Purpose::Course, 1003);
     let mut rows = Vec::new();
     for run in 1..=SINE_RUNS {
-        // The robot takes its place for the origin; the tape measure finds it a little shifted and turned.
+        // The robot starts at its origin; in the frame of the tape measure it is a little shifted and turned.
         let (sin, cos) = (PLACE_RAD * hand.normal()).sin_cos();
         let shift = Vector2::new(hand.normal(), hand.normal()) * MARK_M;
         let mut drive = Drive::new(robot, seed.wrapping_mul(16).wrapping_add(u64::from(run)));
@@ -164,12 +164,8 @@ impl Drive {
             endless: None,
             ..robot.clone()
         };
-        Self {
-            emulator: Emulator::new(&floor, PERIOD_NS),
-            sent: (0.0, 0.0),
-            sent_ns: 0,
-            scan: Box::default(),
-        }
+        let emulator = Emulator::new(&floor, PERIOD_NS);
+        Self { emulator, sent: (0.0, 0.0), sent_ns: 0, scan: Box::default() }
     }
 
     fn send(&mut self, velocity: f64, steering: f64) {
@@ -187,7 +183,7 @@ impl Drive {
         Vector2::new(state.x, state.y)
     }
 
-    /// One millisecond; the actuation is repeated before the robot's dead-man bites.
+    /// One millisecond; the actuation is repeated before the robot's dead-man blocks the wheels.
     fn tick(&mut self) {
         if self.emulator.now_ns() >= self.sent_ns + PERIOD_NS {
             self.send(self.sent.0, self.sent.1);
@@ -211,22 +207,22 @@ impl Drive {
         Some(self.emulator.now_ns() as f64 * 1e-9)
     }
 
-    /// Places, a millisecond apart, until that much way is driven.
-    fn way(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
-        let (mut places, mut way) = (vec![self.place()], 0.0);
-        while way < length {
+    /// Places, a millisecond apart, until this distance is driven [m].
+    fn follow(&mut self, length: f64) -> Option<Vec<Vector2<f64>>> {
+        let (mut places, mut driven) = (vec![self.place()], 0.0);
+        while driven < length {
             if places.len() as f64 > TIMEOUT_S * 1e3 {
                 return None;
             }
             self.tick();
             let place = self.place();
-            way += (place - places[places.len() - 1]).norm();
+            driven += (place - places[places.len() - 1]).norm();
             places.push(place);
         }
         Some(places)
     }
 
-    /// The sample of now, `scan_id` periods after the start; passes one period.
+    /// The odometry sample `scan_id` periods after the start; lets one period pass.
     fn odometry(&mut self, scan_id: u64) -> Odometry {
         let (mut odometry, mut truth) = (Odometry::default(), Truth::default());
         self.emulator.advance_to(self.emulator.scan_ready_ns(scan_id));
@@ -236,7 +232,7 @@ impl Drive {
     }
 }
 
-/// What a person writes down.
+/// A value as a person writes it down.
 fn round(value: f64, unit: f64) -> f64 {
     let per_unit = (1.0 / unit).round();
     (value * per_unit).round() / per_unit

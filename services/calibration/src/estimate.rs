@@ -1,4 +1,4 @@
-//! A value with what is known of its error.
+//! A value with its standard error.
 
 use serde::{Deserialize, Serialize};
 use vehicle::{Invalid, require};
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_the_tables() {
-        // The expansion is 2 % low at 3 degrees of freedom, which no fit here comes down to, and exact to 1e-3 from 8.
+        // The expansion is 2 % low at 3 degrees of freedom, fewer than any fit here has, and exact to 1e-3 from 8.
         for (freedom, expected, tolerance) in
             [(4, 2.776, 0.03), (8, 2.306, 2e-3), (11, 2.201, 1e-3), (100, 1.984, 1e-3)]
         {

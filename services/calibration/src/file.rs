@@ -1,8 +1,7 @@
-//! The calibration file: what was found, how well, and from what.
+//! The calibration file: results, their errors, and the origin of the runs.
 //!
 //! A TOML file of up to three parts, one per kind of runs; a new calibration replaces its part and leaves the others.
-//! No date is in it, because the same runs are to give the same file: what matters of place and time goes into
-//! the note.
+//! It contains no date, because the same runs must give the same file: place and time belong in the note.
 
 use serde::{Deserialize, Serialize};
 use vehicle::correction::{CommandCorrection, SteeringCorrection};
@@ -17,7 +16,7 @@ use crate::{Estimate, Refusal};
 /// The version of the file that is written and read.
 pub const SCHEMA: u32 = 1;
 
-/// What calibrations found.
+/// Results of calibrations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationFile {
@@ -40,7 +39,7 @@ pub struct CalibrationFile {
 pub struct Origin {
     /// How the runs were obtained: files, or an emulated robot with its seed.
     pub obtained: String,
-    /// Date, place, floor: whatever the user says.
+    /// Date, place, floor: free text of the user.
     #[serde(default)]
     pub note: String,
 }
@@ -53,7 +52,7 @@ pub struct VelocityPart {
     pub origin: Origin,
     /// How many runs.
     pub runs: usize,
-    /// Root of the mean square of what the times miss [s].
+    /// Root mean square of the residuals of the times [s].
     pub residual_s: f64,
     /// Velocity sent per velocity desired, kv.
     pub factor: Estimate,
@@ -67,7 +66,7 @@ pub struct SteeringPart {
     pub origin: Origin,
     /// How many runs.
     pub runs: usize,
-    /// Root of the mean square of what single runs miss [rad].
+    /// Root mean square of the residuals of single runs [rad].
     pub residual_rad: f64,
     /// Largest error over the third of the runs that the map was not fitted to [rad].
     pub held_out_rad: f64,
@@ -108,9 +107,9 @@ pub struct DriftPart {
     pub runs: usize,
     /// How many measured positions.
     pub marks: usize,
-    /// Root of the mean square of what corrected positions miss, per axis [m].
+    /// Root mean square of the residuals of corrected positions, per axis [m].
     pub residual_m: f64,
-    /// Share of the way that odometry misses, df.
+    /// Share of the distance that odometry does not report, df.
     pub longitudinal: Estimate,
     /// Growth of the lateral drift, dds [1/s].
     pub lateral_rate_per_s: Estimate,
@@ -131,12 +130,11 @@ impl CalibrationFile {
     /// # Errors
     /// [`Refusal::Unreadable`] with file, key, value and allowed range.
     pub fn parse(text: &str, file: &str) -> Result<Self, Refusal> {
-        let refuse = |place: String, message: String| Refusal::Unreadable { place, message };
         let read: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
-            refuse(format!("{file}: line {line}"), error.message().replace('\n', ", "))
+            Refusal::unreadable(format!("{file}: line {line}"), error.message().replace('\n', ", "))
         })?;
-        read.validate().map_err(|invalid| refuse(file.to_owned(), invalid.to_string()))?;
+        read.validate().map_err(|invalid| Refusal::unreadable(file, invalid.to_string()))?;
         Ok(read)
     }
 
@@ -146,7 +144,7 @@ impl CalibrationFile {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Passes when every number is within its range and the correction rises over the desired angles.
+    /// Passes when every number is within its range and the correction rises over all desired angles.
     ///
     /// # Errors
     /// [`Invalid`] with the key, the value and what is allowed.
@@ -168,7 +166,7 @@ impl CalibrationFile {
         Ok(())
     }
 
-    /// The correction of commands: what the file has replaces what `base` says.
+    /// The correction of commands: `base` with the parts that the file has.
     pub fn correction(&self, base: &CommandCorrection) -> CommandCorrection {
         CommandCorrection {
             velocity_factor: self.velocity.as_ref().map_or(base.velocity_factor, |part| part.factor.value),
@@ -179,9 +177,7 @@ impl CalibrationFile {
             play_rad: self.play().map_or(base.play_rad, |play| play.value.max(0.0)),
         }
     }
-}
 
-impl CalibrationFile {
     /// Half the play between shaft and wheels: of circles and sines the one with the smaller standard error.
     fn play(&self) -> Option<Estimate> {
         let circles = self.steering.as_ref().and_then(|part| part.play_rad);
@@ -200,7 +196,7 @@ impl SteeringPart {
                 return Err(Invalid::new(key, "a network", "weights within 1e6, scales from 1e-6 to 10 rad"));
             }
         }
-        // A correction that falls somewhere would steer to the wrong side of what is asked.
+        // Where a correction falls, more desired angle would give less.
         for step in -60..=60 {
             let desired = DESIRED_MAX_RAD * f64::from(step) / 60.0;
             let slope = self.inverse.derivative(desired);
@@ -218,14 +214,14 @@ fn validate_play(play: Option<Estimate>) -> Result<(), Invalid> {
 }
 
 impl VelocityPart {
-    /// What straight runs told.
+    /// The part of a fit to straight runs.
     pub fn of(fit: &VelocityFit, origin: Origin) -> Self {
         Self { origin, runs: fit.runs, residual_s: fit.residual_s, factor: fit.factor }
     }
 }
 
 impl SteeringPart {
-    /// What circle runs told.
+    /// The part of a fit to circle runs.
     pub fn of(fit: &SteeringFit, origin: Origin) -> Self {
         let points: Vec<PointPart> = fit
             .points
@@ -252,7 +248,7 @@ impl SteeringPart {
 }
 
 impl DriftPart {
-    /// What sine runs told.
+    /// The part of a fit to sine runs.
     pub fn of(fit: &DriftFit, origin: Origin) -> Self {
         Self {
             origin,
@@ -323,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn a_correction_that_falls_somewhere_is_refused() {
+    fn a_correction_that_is_not_rising_is_refused() {
         let mut file = file();
         if let Some(part) = &mut file.steering {
             part.inverse.output_weights[1] = -9.0;

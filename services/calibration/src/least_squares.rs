@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 pub(crate) struct Solution {
     /// The coefficients.
     pub coefficients: DVector<f64>,
-    /// What the rows miss: target minus prediction.
+    /// Target minus prediction of each row.
     pub residuals: Vec<f64>,
     /// Rows minus coefficients.
     pub freedom: usize,
@@ -47,34 +47,34 @@ pub(crate) fn solve(rows: &[Vec<f64>], targets: &[f64]) -> Option<Solution> {
     Some(Solution { coefficients, residuals, freedom, standard_errors, deviation })
 }
 
-/// Root of the mean square; zero of nothing.
+/// Root mean square; zero for no values.
 pub(crate) fn root_mean_square(values: &[f64]) -> f64 {
     let sum: f64 = values.iter().map(|value| value * value).sum();
     (sum / values.len().max(1) as f64).sqrt()
 }
 
-/// The one row that contradicts all others, and by how much.
+/// The one row that contradicts all others, and its residual from their solution.
 ///
-/// Without it the deviation of the rest is at most a third, and it misses their solution by more than `floor`.
-pub(crate) fn odd_one_out(rows: &[Vec<f64>], targets: &[f64], floor: f64) -> Option<(usize, f64)> {
+/// Without it the deviation of the rest is at most a third, and its residual is larger than `floor`.
+pub(crate) fn contradicting_row(rows: &[Vec<f64>], targets: &[f64], floor: f64) -> Option<(usize, f64)> {
     let all = solve(rows, targets)?;
     let mut order: Vec<usize> = (0..rows.len()).collect();
     order.sort_by(|one, other| all.residuals[*other].abs().total_cmp(&all.residuals[*one].abs()));
-    // A wild row pulls the solution, so its neighbours may miss by as much as itself.
-    order.into_iter().take(4).find_map(|odd| {
-        let others = || (0..rows.len()).filter(|index| *index != odd);
+    // A wrong row pulls the solution, so its neighbours may have residuals as large as its own.
+    order.into_iter().take(4).find_map(|wrong| {
+        let others = || (0..rows.len()).filter(|index| *index != wrong);
         let without: Vec<Vec<f64>> = others().map(|index| rows[index].clone()).collect();
         let rest = solve(&without, &others().map(|index| targets[index]).collect::<Vec<f64>>())?;
-        let expected: f64 = rows[odd].iter().zip(&rest.coefficients).map(|(one, other)| one * other).sum();
-        let missed = targets[odd] - expected;
-        (rest.deviation <= all.deviation / 3.0 && missed.abs() > floor).then_some((odd, missed))
+        let expected: f64 = rows[wrong].iter().zip(&rest.coefficients).map(|(one, other)| one * other).sum();
+        let missed = targets[wrong] - expected;
+        (rest.deviation <= all.deviation / 3.0 && missed.abs() > floor).then_some((wrong, missed))
     })
 }
 
 /// The first residual that lies far outside of all others: beyond eight robust deviations and beyond `floor`.
 ///
-/// The robust deviation is 1.48 times the median of the absolute residuals. Eight of them are never reached by
-/// normal noise, and a typing error of one digit is far beyond.
+/// The robust deviation is 1.48 times the median of the absolute residuals. Normal noise never reaches eight of them,
+/// and a typing error of one digit is far beyond.
 pub(crate) fn outlier(residuals: &[f64], floor: f64) -> Option<usize> {
     let mut sizes: Vec<f64> = residuals.iter().map(|residual| residual.abs()).collect();
     sizes.sort_by(f64::total_cmp);
@@ -111,15 +111,15 @@ mod tests {
     #[test]
     fn the_row_that_contradicts_all_others_is_found() {
         let rows: Vec<Vec<f64>> = (1..=6).map(|x| vec![f64::from(x)]).collect();
-        let (odd, missed) = odd_one_out(&rows, &[2.01, 3.99, 6.0, 12.0, 10.01, 11.99], 0.1).unwrap();
-        assert!(odd == 3 && (missed - 4.0).abs() < 0.02);
-        assert_eq!(odd_one_out(&rows, &[2.01, 3.99, 6.0, 8.0, 10.01, 11.99], 0.1), None);
-        // All of them disagree: none is to blame.
-        assert_eq!(odd_one_out(&rows, &[3.0, 3.0, 7.0, 7.0, 11.0, 11.0], 0.1), None);
+        let (wrong, missed) = contradicting_row(&rows, &[2.01, 3.99, 6.0, 12.0, 10.01, 11.99], 0.1).unwrap();
+        assert!(wrong == 3 && (missed - 4.0).abs() < 0.02);
+        assert_eq!(contradicting_row(&rows, &[2.01, 3.99, 6.0, 8.0, 10.01, 11.99], 0.1), None);
+        // All of them disagree: no single row is wrong.
+        assert_eq!(contradicting_row(&rows, &[3.0, 3.0, 7.0, 7.0, 11.0, 11.0], 0.1), None);
     }
 
     #[test]
-    fn one_wild_value_among_calm_ones_is_found() {
+    fn one_value_far_outside_all_others_is_found() {
         assert_eq!(outlier(&[0.1, -0.1, 0.05, 2.0, -0.02], 0.0), Some(3));
         assert_eq!(outlier(&[0.1, -0.1, 0.05, 0.2, -0.02], 0.0), None);
         assert_eq!(outlier(&[0.0, 0.0, 0.0, 1e-6], 1e-3), None, "exact data are no reason to refuse");

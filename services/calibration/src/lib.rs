@@ -1,6 +1,6 @@
-//! Pre-commissioning: what is wrong with a robot, found from recorded runs.
+//! Calibration of a robot from recorded runs, before it drives by itself.
 //!
-//! Three kinds of runs tell three things, each with its standard error:
+//! Three kinds of runs give three results, each with its standard error:
 //!
 //! * straight runs between two fixed points: the velocity factor kv ([`velocity`]);
 //! * steady circle runs: the steering map, its inverse for the correction of commands, the play ([`steering`]);
@@ -8,7 +8,7 @@
 //!
 //! [`record`] holds the tables of runs, [`drive`] collects them from the emulated robot as a person with a tape
 //! measure and a stopwatch would, [`file`] is what `scanloop run --calibration` reads. Everything here is a pure
-//! function of its inputs: texts in, texts out, no clock and no file.
+//! function of its inputs, without clock and files.
 
 pub mod backlash;
 pub mod chart;
@@ -16,7 +16,6 @@ pub mod drift;
 pub mod drive;
 mod estimate;
 pub mod file;
-
 mod least_squares;
 pub mod record;
 mod refusal;
@@ -26,5 +25,4 @@ pub mod velocity;
 pub use chart::Chart;
 pub use estimate::Estimate;
 pub use file::CalibrationFile;
-
 pub use refusal::Refusal;

@@ -1,7 +1,7 @@
 //! Tables of recorded runs.
 //!
 //! Comma separated values, one header line, columns by name in any order, units in their names; lines that begin
-//! with `#` are comments. What has no value may be left empty where the column's description says so.
+//! with `#` are comments. A value may be left empty where the column's description allows it.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -23,13 +23,13 @@ pub struct StraightRun {
     pub place: String,
 }
 
-/// From which side the shaft came to its angle: play leaves the wheels behind it.
+/// From which side the shaft came to its angle; with play the wheels lag to that side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
-    /// From smaller angles (further right): the wheels are left behind to the right.
+    /// From smaller angles (further right): the wheels lag to the right.
     Below,
-    /// From larger angles: the wheels are left behind to the left.
+    /// From larger angles: the wheels lag to the left.
     Above,
 }
 
@@ -147,7 +147,7 @@ pub fn read<R: Record>(text: &str, file: &str) -> Result<Vec<R>, Refusal> {
 pub fn write<R: Record>(rows: &[R]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
-        // Plain structs of numbers and words can always be written to memory.
+        // Plain structs of numbers and texts can always be written to memory.
         let _ = writer.serialize(row);
     }
     writer.into_inner().ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
@@ -169,7 +169,7 @@ fn unreadable(file: &str, error: &csv::Error, headers: Option<&csv::StringRecord
         }
         _ => error.to_string(),
     };
-    Refusal::Unreadable { place, message }
+    Refusal::unreadable(place, message)
 }
 
 #[cfg(test)]
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_may_stand_in_any_order_with_comments_and_optional_ones_left_out() {
+    fn columns_may_come_in_any_order_with_comments_and_optional_ones_left_out() {
         let text = "# hall 3, dry floor\nheight_m, chord_m, sent_steering_rad\n0.2, 2.5, 0.05\n";
         let rows: Vec<CircleRun> = read(text, "a.csv").unwrap();
         assert_eq!((rows[0].height_m, rows[0].approached_from), (0.2, None));

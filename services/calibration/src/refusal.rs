@@ -1,11 +1,11 @@
-//! Why runs cannot be calibrated with.
+//! Why runs cannot be used for a calibration.
 
 use std::ops::RangeInclusive;
 
 /// Runs that are refused, and the reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// A table is not what it should be.
+    /// A table or a file cannot be read.
     #[error("{place}: {message}")]
     Unreadable {
         /// File and line.
@@ -32,10 +32,10 @@ pub enum Refusal {
         column: &'static str,
         /// The value.
         value: f64,
-        /// What is allowed, in words.
+        /// The allowed range as text.
         allowed: String,
     },
-    /// The runs do not say what is asked of them, or contradict the model.
+    /// The runs do not determine the result, or contradict the model.
     #[error("the fit is refused: {0}")]
     Implausible(String),
 }
@@ -44,6 +44,11 @@ impl Refusal {
     /// A fit that is refused for a reason.
     pub(crate) fn implausible(reason: impl Into<String>) -> Self {
         Self::Implausible(reason.into())
+    }
+
+    /// A table or a file that cannot be read at a place.
+    pub(crate) fn unreadable(place: impl Into<String>, message: impl Into<String>) -> Self {
+        Self::Unreadable { place: place.into(), message: message.into() }
     }
 }
 
@@ -64,4 +69,9 @@ pub(crate) fn within(
 /// Passes when there are enough of something.
 pub(crate) fn enough(what: &'static str, found: usize, needed: usize) -> Result<(), Refusal> {
     if found >= needed { Ok(()) } else { Err(Refusal::TooFew { what, found, needed }) }
+}
+
+/// Refuses the fit with a reason where the condition holds.
+pub(crate) fn refuse_if(condition: bool, reason: impl FnOnce() -> String) -> Result<(), Refusal> {
+    if condition { Err(Refusal::Implausible(reason())) } else { Ok(()) }
 }

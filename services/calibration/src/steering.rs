@@ -6,11 +6,11 @@
 //! averages out; its inverse, a second network, is fitted to the first one and corrects the commands.
 //!
 //! Play between shaft and wheels splits the map in two: the wheels stay behind by the play, to the side that the
-//! shaft came from. Angles that were approached from both sides tell the play as half of the difference; the map is
+//! shaft came from. Where an angle was approached from both sides, the play is half of the difference; the map is
 //! that of the shaft, in the middle.
 //!
-//! The model (7.29) is the small-angle form of this geometry; the third of the cube of the angle by which they differ
-//! (0.07 mrad at 0.06 rad) is counted as an error.
+//! The model (7.29) is the small-angle form of this geometry; the difference, a third of the cube of the angle
+//! (0.07 mrad at 0.06 rad), is counted as an error.
 //!
 //! Assumptions: the turn is steady, and slow enough for the kinematic geometry (0.15 % of the angle at 1 m/s, less
 //! below). The arc is at most half a circle. Outside of the angles driven the map is unknown, so desired angles
@@ -26,7 +26,7 @@ use vehicle::network::{MIN_SAMPLES, SteeringNetwork, train};
 
 use crate::least_squares::{outlier, root_mean_square};
 use crate::record::{CircleRun, Side};
-use crate::refusal::{enough, within};
+use crate::refusal::{enough, refuse_if, within};
 use crate::{Chart, Estimate, Refusal};
 
 use network_error::NetworkError;
@@ -34,25 +34,25 @@ use network_error::NetworkError;
 /// Desired angles that the correction has to realise, to either side, (7.41) [rad].
 pub const DESIRED_MAX_RAD: f64 = STEERING_MAX_RAD;
 
-/// Largest step between neighbouring sent angles [rad]; the map may bend within a larger one unseen.
+/// Largest step between neighbouring sent angles [rad]: a bend of the map within a larger one would be missed.
 const LARGEST_STEP_RAD: f64 = 0.012;
 
-/// Larger scatter about a smooth map than this is no error of a tape measure [rad].
+/// Largest scatter about a smooth map that a tape measure explains [rad].
 const LARGEST_SCATTER_RAD: f64 = 0.005;
 
-/// Residuals below this are no reason to doubt a single run [rad].
+/// Residuals below this never make a single run an outlier [rad].
 const DOUBTFUL_RAD: f64 = 0.004;
 
 /// Largest error of the inverse network against the map it was fitted to [rad].
 const LARGEST_INVERSION_RAD: f64 = 1e-3;
 
-/// A map that rises by less, realised per sent, cannot be undone.
+/// Smallest slope of the map, realised per sent, that can be inverted.
 const SMALLEST_SLOPE: f64 = 0.2;
 
 /// Realised angles up to this are fitted by the inverse [rad]: a little more than desired, so that its ends are good.
 const INVERTED_MAX_RAD: f64 = DESIRED_MAX_RAD + 0.008;
 
-/// What circle runs tell.
+/// Result of circle runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SteeringFit {
     /// Realised angle for the angle sent.
@@ -65,13 +65,13 @@ pub struct SteeringFit {
     pub points: Vec<MapPoint>,
     /// Largest error over the third of the runs that the map was not fitted to [rad].
     pub held_out_rad: f64,
-    /// Root of the mean square of what single runs miss [rad].
+    /// Root mean square of the residuals of single runs [rad].
     pub residual_rad: f64,
     /// Sent angles that were driven, the smallest and the largest [rad].
     pub sent_range_rad: [f64; 2],
     /// How many runs.
     pub runs: usize,
-    /// Angles and what the map misses.
+    /// Angles, and residuals of the map.
     pub charts: Vec<Chart>,
 }
 
@@ -166,7 +166,7 @@ fn check(runs: &[CircleRun]) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Refuses a run that turns to the other side than told; most often the sign of the height was forgotten.
+/// Refuses a run that turned away from the side it was steered to; most often the sign of the height was forgotten.
 fn check_directions(runs: &[CircleRun], realised: &[f64]) -> Result<(), Refusal> {
     let wrong = runs
         .iter()
@@ -191,18 +191,17 @@ fn require_smooth(runs: &[CircleRun], residuals: &[f64]) -> Result<(), Refusal> 
             runs[index].place, residuals[index]
         )));
     }
-    if scatter > LARGEST_SCATTER_RAD {
-        return Err(Refusal::implausible(format!(
+    refuse_if(scatter > LARGEST_SCATTER_RAD, || {
+        format!(
             "runs scatter by {scatter:.4} rad about a smooth map, more than {LARGEST_SCATTER_RAD}; was approached_from left out for a steering with play?"
-        )));
-    }
-    Ok(())
+        )
+    })
 }
 
 /// The network that gives back the sent angle of a realised one.
 ///
-/// It is fitted where the map rises without a break from the middle outwards: the last angles driven have neighbours
-/// on one side only, and what the map does there is its own invention.
+/// It is fitted where the map rises without a break from the middle outwards: the outermost angles have neighbours on
+/// one side only, where the map is not reliable.
 fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwork, Refusal> {
     const GRID: usize = 240;
     let sent = |index: usize| low + (high - low) * index as f64 / GRID as f64;
@@ -219,22 +218,22 @@ fn invert(map: &SteeringNetwork, [low, high]: [f64; 2]) -> Result<SteeringNetwor
     samples.sort_by(|one, other| one.0.total_cmp(&other.0));
     let [least, most] = range(samples.iter().map(|sample| sample.0));
     let [first, last] = range(samples.iter().map(|sample| sample.1));
-    if !(least <= -DESIRED_MAX_RAD && most >= DESIRED_MAX_RAD) {
-        return Err(Refusal::implausible(format!(
+    refuse_if(!(least <= -DESIRED_MAX_RAD && most >= DESIRED_MAX_RAD), || {
+        format!(
             "the map rises from sent angles of {first:.4} to {last:.4} rad only, of {low:.4} to {high:.4} rad driven, and realises {least:.4} to {most:.4} rad there; -{DESIRED_MAX_RAD} to {DESIRED_MAX_RAD} rad have to be covered"
-        )));
-    }
+        )
+    })?;
     let inverse = train(&samples).map_err(|error| Refusal::implausible(error.to_string()))?.network;
     let desired = |index: usize| DESIRED_MAX_RAD * (2.0 * index as f64 / GRID as f64 - 1.0);
     let worst = (0..=GRID)
         .map(|index| (map.eval(inverse.eval(desired(index))) - desired(index)).abs())
         .fold(0.0, f64::max);
     let rises = (0..=GRID).all(|index| inverse.derivative(desired(index)) > 0.0);
-    if worst > LARGEST_INVERSION_RAD || !rises {
-        return Err(Refusal::implausible(format!(
+    refuse_if(worst > LARGEST_INVERSION_RAD || !rises, || {
+        format!(
             "the inverse network is {worst:.5} rad off the map, more than {LARGEST_INVERSION_RAD}, or does not rise: the map is too wavy; more runs, or longer arcs, make it smooth"
-        )));
-    }
+        )
+    })?;
     Ok(inverse)
 }
 
@@ -255,13 +254,13 @@ fn charts(
         Chart {
             line: line.map(|sent| [sent, map.eval(sent)]).collect(),
             ..Chart::of_points(
-                "circle runs, play taken out",
+                "circle runs without the play",
                 "angle sent [rad]",
                 "angle realised [rad]",
                 driven,
             )
         },
-        Chart::of_points("what the map misses", "angle sent [rad]", "residual [mrad]", missed),
+        Chart::of_points("residuals of the map", "angle sent [rad]", "residual [mrad]", missed),
     ]
 }
 

@@ -2,16 +2,16 @@
 //!
 //! The robot drives with `sent / kv`; between two points of distance d it takes t = kv d / sent. Times carry the
 //! error of a stopwatch, equal for all runs and found from their scatter. The distance is measured once, so its
-//! error is the same in all runs, does not show in the scatter, and is added to the standard error.
+//! error is the same in all runs and does not show in the scatter: it is added to the standard error.
 //!
 //! Assumption: velocity is proportional to what is sent, and both points are passed at full speed. A run that starts
-//! from standstill adds a constant to the time: that is noticed and refused.
+//! from standstill adds a constant to the time, which is detected and refused.
 
 use vehicle::correction::SENT_VELOCITY_MAX_MPS;
 
-use crate::least_squares::{odd_one_out, root_mean_square, solve};
+use crate::least_squares::{contradicting_row, root_mean_square, solve};
 use crate::record::StraightRun;
-use crate::refusal::{enough, within};
+use crate::refusal::{enough, refuse_if, within};
 use crate::{Chart, Estimate, Refusal};
 
 /// Fewest runs.
@@ -20,22 +20,22 @@ const MIN_RUNS: usize = 5;
 /// Standard error of a distance of a few metres by tape measure, common to all runs [m].
 pub const TAPE_ERROR_M: f64 = 0.003;
 
-/// The largest velocity sent is at least this many times the smallest one, so that proportion can be judged.
+/// Smallest ratio of the largest to the smallest velocity sent, so that proportionality can be checked.
 const MIN_SPREAD: f64 = 1.25;
 
-/// Larger scatter than this share of the times is no scatter of a stopwatch.
+/// Largest scatter that a stopwatch explains, as a share of the times.
 const LARGEST_SCATTER: f64 = 0.03;
 
-/// What straight runs tell.
+/// Result of straight runs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VelocityFit {
     /// Velocity sent per velocity driven, kv.
     pub factor: Estimate,
-    /// Root of the mean square of what the times miss [s].
+    /// Root mean square of the residuals of the times [s].
     pub residual_s: f64,
     /// How many runs.
     pub runs: usize,
-    /// Velocities and what the times miss.
+    /// Velocities, and residuals of the times.
     pub charts: Vec<Chart>,
 }
 
@@ -51,26 +51,22 @@ pub fn fit(runs: &[StraightRun]) -> Result<VelocityFit, Refusal> {
         solve(&rows, &times).ok_or_else(|| Refusal::implausible("the runs do not determine a factor"))?;
     let factor = solution.coefficients[0];
     let floor = 0.05 * times.iter().copied().fold(0.0, f64::max);
-    if let Some((index, missed)) = odd_one_out(&rows, &times, floor) {
+    if let Some((index, missed)) = contradicting_row(&rows, &times, floor) {
         let StraightRun { place, time_s, .. } = &runs[index];
         return Err(Refusal::implausible(format!(
-            "{place}: time_s = {time_s} does not fit the other runs, which ask for {:.2} s",
+            "{place}: time_s = {time_s} does not fit the other runs, which give {:.2} s",
             time_s - missed
         )));
     }
     require_proportion(&rows, &times)?;
     let scatter = solution.deviation / (times.iter().sum::<f64>() / times.len() as f64);
-    if scatter > LARGEST_SCATTER {
-        return Err(Refusal::implausible(format!(
-            "times scatter by {:.1} % about a constant factor, more than {:.0} %",
-            100.0 * scatter,
-            100.0 * LARGEST_SCATTER
-        )));
-    }
-    if !(0.2..=5.0).contains(&factor) {
-        return Err(Refusal::implausible(format!("a velocity factor of {factor:.3} is outside 0.2 to 5")));
-    }
-
+    refuse_if(scatter > LARGEST_SCATTER, || {
+        let (found, largest) = (100.0 * scatter, 100.0 * LARGEST_SCATTER);
+        format!("times scatter by {found:.1} % about a constant factor, more than {largest:.0} %")
+    })?;
+    refuse_if(!(0.2..=5.0).contains(&factor), || {
+        format!("a velocity factor of {factor:.3} is outside 0.2 to 5")
+    })?;
     let distance = runs.iter().map(|run| run.distance_m).sum::<f64>() / runs.len() as f64;
     let standard_error = solution.standard_errors[0].hypot(factor * TAPE_ERROR_M / distance);
     Ok(VelocityFit {
@@ -90,12 +86,11 @@ fn check(runs: &[StraightRun]) -> Result<(), Refusal> {
     enough("straight runs", runs.len(), MIN_RUNS)?;
     let sent = || runs.iter().map(|run| run.sent_velocity_mps);
     let (low, high) = (sent().fold(f64::INFINITY, f64::min), sent().fold(0.0, f64::max));
-    if high < MIN_SPREAD * low {
-        return Err(Refusal::implausible(format!(
+    refuse_if(high < MIN_SPREAD * low, || {
+        format!(
             "sent velocities from {low} to {high} m/s are too much alike to tell a factor from a delay; the largest must be {MIN_SPREAD} times the smallest"
-        )));
-    }
-    Ok(())
+        )
+    })
 }
 
 /// Refuses times that contain a constant in addition to their proportional part.
@@ -103,13 +98,12 @@ fn require_proportion(rows: &[Vec<f64>], times: &[f64]) -> Result<(), Refusal> {
     let rows: Vec<Vec<f64>> = rows.iter().map(|row| vec![row[0], 1.0]).collect();
     let Some(solution) = solve(&rows, times) else { return Ok(()) };
     let (constant, error) = (solution.coefficients[1], solution.standard_errors[1]);
-    // Five standard errors are not reached by chance; a tenth of a second is what a hand may be late.
-    if constant.abs() > 5.0 * error && constant.abs() > 0.1 {
-        return Err(Refusal::implausible(format!(
-            "times contain a constant {constant:.2} s beside the part in proportion to the velocity; pass both points at full speed"
-        )));
-    }
-    Ok(())
+    // Five standard errors are not reached by chance; a hand may be late by a tenth of a second.
+    refuse_if(constant.abs() > 5.0 * error && constant.abs() > 0.1, || {
+        format!(
+            "times contain a constant {constant:.2} s in addition to the part in proportion to the velocity; pass both points at full speed"
+        )
+    })
 }
 
 fn charts(runs: &[StraightRun], factor: f64, residuals: &[f64]) -> Vec<Chart> {
@@ -122,7 +116,7 @@ fn charts(runs: &[StraightRun], factor: f64, residuals: &[f64]) -> Vec<Chart> {
             line: vec![[0.0, 0.0], [fastest, fastest / factor]],
             ..Chart::of_points(&title, "velocity sent [m/s]", "velocity driven [m/s]", driven)
         },
-        Chart::of_points("what the times miss", "velocity sent [m/s]", "residual [s]", missed),
+        Chart::of_points("residuals of the times", "velocity sent [m/s]", "residual [s]", missed),
     ]
 }
 
@@ -172,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_from_standstill_are_noticed() {
+    fn runs_from_standstill_are_refused() {
         let text = reason(&[(1.0, 7.5), (1.1, 6.87), (0.5, 14.51), (0.7, 10.49), (1.4, 5.51), (0.6, 12.16)]);
         assert!(text.contains("constant 0.5"), "{text}");
     }

@@ -1,9 +1,8 @@
 //! Random courses for campaigns.
 //!
 //! One to three obstacles of any kind up to 0.5 m wide, 5.5 m apart or a little more, none nearer than 3.5 m after
-//! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise of
-//! any strength up to the largest that a drive has to bear. A course need not be passable: ask
-//! [`crate::feasible::passable`].
+//! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise up to
+//! the largest that the stack is designed for. A course need not be passable: see [`crate::feasible::passable`].
 
 use shared_types::named_enum;
 
@@ -29,7 +28,7 @@ pub fn random(seed: u64) -> Scenario {
     let count = 1 + (3.0 * stream.uniform()) as usize;
     let mut obstacles: Vec<Obstacle> = (0..count).map(|_| obstacle(&mut stream)).collect();
 
-    // What is left of the track after the needed distances is shared out at random.
+    // What is left of the track after the needed distances is divided at random.
     let reach = |obstacles: &[Obstacle], index: usize| obstacles[index].reach();
     let needed = AFTER_START_M
         + reach(&obstacles, 0)

@@ -2,7 +2,7 @@
 //!
 //! Times are nanoseconds since the start of the run. The plant moves in steps of 1 ms on a fixed grid; an
 //! actuation or the dead-man splits a step. Asking for a measurement or moving the clock in smaller portions
-//! splits nothing, so how often a caller looks never changes what happens.
+//! splits nothing, so the result does not depend on how often a caller asks.
 //!
 //! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
@@ -21,34 +21,19 @@ use crate::scene::Scene;
 /// The dead-man blocks the wheels this many scan periods after the last actuation.
 const DEAD_MAN_PERIODS: u64 = 2;
 
-/// Scan periods that the history goes back: a caller may be late by two before old poses are forgotten.
+/// Scan periods that the history covers: a caller may be late by two before old poses are forgotten.
 const HISTORY_PERIODS: u64 = 3;
 
-/// Slack of the limits, for numbers that went through a conversion.
+/// Tolerance of the limits, for numbers that went through a conversion.
 const LIMIT_SLACK: f64 = 1e-9;
 
 /// What the robot did with an actuation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Received {
-    /// It turns or blocks its wheels as told.
+    /// The wheels turn or block as commanded.
     Accepted,
     /// Numbers not finite or beyond the limits, or a kind it does not know: nothing changes.
     Refused,
-}
-
-/// What is counted since the start of the run.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Tally {
-    min_clearance: f64,
-    path_length: f64,
-    max_abs_lateral: f64,
-    longest_blind_ns: u64,
-    collided: bool,
-    struck: bool,
-    dead_man: bool,
-    refused: u64,
-    steps: u64,
-    actuation_scan: u64,
 }
 
 /// The robot with everything around it.
@@ -56,18 +41,14 @@ struct Tally {
 pub struct Emulator {
     scenario: Scenario,
     period_ns: u64,
-    /// The time asked for.
-    clock_ns: u64,
-    /// The time that the plant has reached: the clock, less a part of a step.
-    plant_ns: u64,
-    last_actuation_ns: u64,
+    /// Times and counters; [`Self::state`] adds the state of the parts below.
+    state: EmulatorState,
     plant: Plant,
     reckoning: Reckoning,
     scene: Scene,
     history: History,
     laser: Laser,
     odometer: Odometer,
-    tally: Tally,
 }
 
 impl Emulator {
@@ -79,19 +60,16 @@ impl Emulator {
         let mut scene = Scene::new(scenario);
         let body = scenario.start_body();
         scene.trigger(&body, 0.0);
-        let tally = Tally { min_clearance: scene.clearance(&body, 0.0), ..Tally::default() };
+        let min_clearance_m = scene.clearance(&body, 0.0);
         Self {
             period_ns,
-            clock_ns: 0,
-            plant_ns: 0,
-            last_actuation_ns: 0,
+            state: EmulatorState { min_clearance_m, ..EmulatorState::default() },
             plant,
             reckoning,
             scene,
             history,
             laser: Laser::new(scenario),
             odometer: Odometer::new(scenario),
-            tally,
             scenario: scenario.clone(),
         }
     }
@@ -113,10 +91,10 @@ impl Emulator {
 
     /// The time that [`Self::advance_to`] reached [ns].
     pub fn now_ns(&self) -> u64 {
-        self.clock_ns
+        self.state.clock_ns
     }
 
-    /// The moving robot.
+    /// The true robot.
     pub fn plant(&self) -> &Plant {
         &self.plant
     }
@@ -128,10 +106,10 @@ impl Emulator {
 
     /// Lets time pass until `ns`; an earlier time changes nothing.
     pub fn advance_to(&mut self, ns: u64) {
-        self.clock_ns = self.clock_ns.max(ns);
+        self.state.clock_ns = self.state.clock_ns.max(ns);
         loop {
             let end = self.step_end();
-            if end > self.clock_ns {
+            if end > self.state.clock_ns {
                 return;
             }
             self.step_to(end);
@@ -145,28 +123,28 @@ impl Emulator {
         // NaN is in no range.
         let is_possible = (-LIMIT_SLACK..=SENT_VELOCITY_MAX_MPS + LIMIT_SLACK).contains(&velocity)
             && steering.abs() <= SENT_STEERING_MAX_RAD + LIMIT_SLACK;
-        self.step_to(self.clock_ns);
+        self.step_to(self.state.clock_ns);
         match kind {
             Ok(ActuationKind::Block) => self.plant.block(),
             Ok(ActuationKind::Drive) if is_possible => self.plant.drive(velocity.max(0.0), steering),
             Ok(ActuationKind::Drive) | Err(_) => {
-                self.tally.refused += 1;
+                self.state.refused += 1;
                 return Received::Refused;
             }
         }
         // Speed and steering jump: the node of this moment holds the new ones.
-        self.history.push(node(self.plant_ns, &self.plant, &self.reckoning));
-        self.last_actuation_ns = self.clock_ns;
+        self.history.push(node(self.state.plant_ns, &self.plant, &self.reckoning));
+        self.state.last_actuation_ns = self.state.clock_ns;
         if actuation.answers == 1 {
-            self.tally.actuation_scan = actuation.header.scan_id;
+            self.state.actuation_scan = actuation.header.scan_id;
         }
         Received::Accepted
     }
 
     /// Fills scan, odometry and truth of a scan, but for their headers.
     ///
-    /// The clock has to have reached [`Self::scan_ready_ns`]; what lies ahead of it is measured as if the robot
-    /// stood still from now on.
+    /// Call it when the clock has reached [`Self::scan_ready_ns`]: later beams are measured as if the robot stood
+    /// still from now on.
     pub fn measure(&mut self, scan_id: u64, scan: &mut Scan, odometry: &mut Odometry, truth: &mut Truth) {
         let present = self.present();
         self.history.push(present);
@@ -178,15 +156,15 @@ impl Emulator {
         let front = self.history.at(sweep.front_ns);
         self.odometer.report(scan_id, &front, odometry);
         self.fill_truth(&front, truth);
-        // The plant has not made this part of a step: looking leaves no trace.
-        self.history.forget_after(self.plant_ns);
+        // The plant has not made this part of a step: a measurement leaves no trace.
+        self.history.forget_after(self.state.plant_ns);
     }
 
-    /// The robot now, with a part of a step added that the plant itself has not made yet.
+    /// The robot now, including the part of a step that the plant has not made yet.
     fn present(&self) -> Node {
         let (mut plant, mut reckoning) = (self.plant, self.reckoning);
-        move_on(&mut plant, &mut reckoning, seconds(self.clock_ns - self.plant_ns));
-        node(self.clock_ns, &plant, &reckoning)
+        move_on(&mut plant, &mut reckoning, seconds(self.state.clock_ns - self.state.plant_ns));
+        node(self.state.clock_ns, &plant, &reckoning)
     }
 
     fn fill_truth(&self, front: &Node, truth: &mut Truth) {
@@ -202,81 +180,82 @@ impl Emulator {
         truth.speed_mps = front.speed;
         truth.steering_rad = front.steering;
         truth.clearance_m = self.scene.clearance(&body, truth.time_s);
-        truth.min_clearance_m = self.tally.min_clearance.min(truth.clearance_m);
-        truth.path_length_m = self.tally.path_length;
-        truth.max_abs_lateral_m = self.tally.max_abs_lateral;
+        truth.min_clearance_m = self.state.min_clearance_m.min(truth.clearance_m);
+        truth.path_length_m = self.state.path_length_m;
+        truth.max_abs_lateral_m = self.state.max_abs_lateral_m;
         truth.goal_distance_m = (state.x - x_m).hypot(state.y - y_m);
-        truth.longest_blind_s = seconds(self.tally.longest_blind_ns);
-        truth.actuation_age_s = seconds(self.clock_ns - self.last_actuation_ns);
+        truth.longest_blind_s = seconds(self.state.longest_blind_ns);
+        truth.actuation_age_s = seconds(self.state.clock_ns - self.state.last_actuation_ns);
         truth.blocked = u32::from(self.plant.is_blocked());
-        truth.collided = u32::from(self.tally.collided);
-        truth.struck = u32::from(self.tally.struck);
-        truth.dead_man = u32::from(self.tally.dead_man);
-        truth.actuation_scan = self.tally.actuation_scan;
-        truth.refused = self.tally.refused;
-        truth.steps = self.tally.steps;
+        truth.collided = u32::from(self.state.collided.is_set());
+        truth.struck = u32::from(self.state.struck.is_set());
+        truth.dead_man = u32::from(self.state.dead_man.is_set());
+        truth.actuation_scan = self.state.actuation_scan;
+        truth.refused = self.state.refused;
+        truth.steps = self.state.steps;
         truth.reserved = 0;
     }
 
-    /// End of the step that begins now: the next point of the grid, or the dead-man if it comes first.
+    /// End of the next step: the next point of the grid, or the dead-man's deadline if that comes first.
     fn step_end(&self) -> u64 {
-        let grid = (self.plant_ns / STEP_NS).saturating_add(1).saturating_mul(STEP_NS);
+        let grid = (self.state.plant_ns / STEP_NS).saturating_add(1).saturating_mul(STEP_NS);
         let deadline = self.dead_man_ns();
-        if !self.plant.is_blocked() && deadline > self.plant_ns { grid.min(deadline) } else { grid }
+        if !self.plant.is_blocked() && deadline > self.state.plant_ns { grid.min(deadline) } else { grid }
     }
 
     fn dead_man_ns(&self) -> u64 {
-        self.last_actuation_ns.saturating_add(DEAD_MAN_PERIODS.saturating_mul(self.period_ns))
+        self.state.last_actuation_ns.saturating_add(DEAD_MAN_PERIODS.saturating_mul(self.period_ns))
     }
 
-    /// One plant step; nothing when the plant is there already.
+    /// One plant step up to `end_ns`; none if the plant has reached that time.
     fn step_to(&mut self, end_ns: u64) {
-        if end_ns <= self.plant_ns {
+        if end_ns <= self.state.plant_ns {
             return;
         }
-        if !self.plant.is_blocked() && self.plant_ns >= self.dead_man_ns() {
+        if !self.plant.is_blocked() && self.state.plant_ns >= self.dead_man_ns() {
             self.plant.block();
-            self.tally.dead_man = true;
+            self.state.dead_man = true.into();
         }
         let turned = !self.plant.is_blocked() && self.plant.speed() > 0.0;
-        let way = move_on(&mut self.plant, &mut self.reckoning, seconds(end_ns - self.plant_ns));
-        self.plant_ns = end_ns;
-        self.tally.steps += 1;
-        self.tally.path_length += way;
+        let distance = move_on(&mut self.plant, &mut self.reckoning, seconds(end_ns - self.state.plant_ns));
+        self.state.plant_ns = end_ns;
+        self.state.steps += 1;
+        self.state.path_length_m += distance;
         if turned {
-            self.tally.longest_blind_ns = self.tally.longest_blind_ns.max(end_ns - self.last_actuation_ns);
+            self.state.longest_blind_ns =
+                self.state.longest_blind_ns.max(end_ns - self.state.last_actuation_ns);
         }
-        self.look_around(way > 0.0);
+        self.check_contact(distance > 0.0);
         self.history.push(node(end_ns, &self.plant, &self.reckoning));
     }
 
-    /// Clearance and contact after a step.
-    fn look_around(&mut self, moved: bool) {
+    /// Updates clearance and contact after a step.
+    fn check_contact(&mut self, moved: bool) {
         let Start { y_m, .. } = self.scenario.start;
         let state = *self.plant.state();
-        self.tally.max_abs_lateral = self.tally.max_abs_lateral.max((state.y - y_m).abs());
-        let (body, time_s) = (self.scenario.body(state.x, state.y, state.yaw), seconds(self.plant_ns));
+        self.state.max_abs_lateral_m = self.state.max_abs_lateral_m.max((state.y - y_m).abs());
+        let (body, time_s) = (self.scenario.body(state.x, state.y, state.yaw), seconds(self.state.plant_ns));
         self.scene.trigger(&body, time_s);
-        // Only what is nearer than ever before, or touches, is of interest here.
-        let limit = self.tally.min_clearance.max(0.0);
+        // Only a new minimum or a contact matters here.
+        let limit = self.state.min_clearance_m.max(0.0);
         let clearance = self.scene.clearance_below(&body, time_s, limit);
-        self.tally.min_clearance = self.tally.min_clearance.min(clearance);
+        self.state.min_clearance_m = self.state.min_clearance_m.min(clearance);
         let touches = clearance < 0.0 || (clearance <= 0.0 && limit > 0.0);
         if touches && moved {
-            self.tally.collided = true;
+            self.state.collided = true.into();
             self.plant.wreck();
-        } else if touches && !self.tally.collided {
-            self.tally.struck = true;
+        } else if touches && !self.state.collided.is_set() {
+            self.state.struck = true.into();
         }
     }
 }
 
-/// Moves the robot and what it believes; returns the way driven [m].
+/// Moves the robot and its odometry; returns the distance driven [m].
 fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, duration: f64) -> f64 {
     let before = *plant.state();
-    let way = plant.step(duration);
-    reckoning.step(&before, plant.state(), way, duration);
-    way
+    let distance = plant.step(duration);
+    reckoning.step(&before, plant.state(), distance, duration);
+    distance
 }
 
 fn node(time_ns: u64, plant: &Plant, reckoning: &Reckoning) -> Node {

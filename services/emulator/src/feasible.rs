@@ -1,4 +1,4 @@
-//! Whether a course can be driven at all, decided without the controller.
+//! Whether a course is passable at all, decided without the controller.
 //!
 //! A hybrid A* search over arcs of constant curvature: forward only, no tighter than [`RADIUS_M`], with the body
 //! [`MARGIN_M`] away from every obstacle and wall, on the true geometry. The search is coarse: of all poses in one
@@ -6,7 +6,7 @@
 //!
 //! Obstacles that move are left out; those that appear or vanish count as if they were always there.
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashSet};
 
 use vehicle::bounds::STEERING_MAX_RAD;
@@ -54,15 +54,8 @@ pub struct Waypoint {
 #[derive(Debug, Clone, Copy)]
 struct Node {
     place: Waypoint,
-    way: f64,
+    length: f64,
     parent: usize,
-}
-
-/// Open node of the search; the one with the smallest cost comes first, the older one of equals.
-#[derive(Debug, Clone, Copy)]
-struct Open {
-    cost: f64,
-    node: usize,
 }
 
 /// Whether the goal can be reached from the start.
@@ -92,22 +85,23 @@ impl Search<'_> {
         if !self.is_free(place) {
             return None;
         }
-        let mut nodes = vec![Node { place, way: 0.0, parent: 0 }];
+        let mut nodes = vec![Node { place, length: 0.0, parent: 0 }];
         let mut seen = HashSet::from([cell(place)]);
-        let mut open = BinaryHeap::from([Open { cost: self.cost(place, 0.0), node: 0 }]);
-        while let Some(Open { node, .. }) = open.pop() {
+        // The node with the smallest cost comes first, the older one of equals.
+        let mut open = BinaryHeap::from([Reverse((self.cost(place, 0.0), 0))]);
+        while let Some(Reverse((_, node))) = open.pop() {
             let from = nodes[node];
             for share in CURVATURES {
                 let Some((place, arrived)) = self.follow(from.place, share / RADIUS_M) else { continue };
                 if !arrived && !seen.insert(cell(place)) {
                     continue;
                 }
-                let way = from.way + ARC_M;
-                nodes.push(Node { place, way, parent: node });
+                let length = from.length + ARC_M;
+                nodes.push(Node { place, length, parent: node });
                 if arrived {
                     return Some(trace(&nodes));
                 }
-                open.push(Open { cost: self.cost(place, way), node: nodes.len() - 1 });
+                open.push(Reverse((self.cost(place, length), nodes.len() - 1)));
             }
             if nodes.len() > MAX_NODES {
                 return None;
@@ -139,9 +133,11 @@ impl Search<'_> {
             && self.scene.clearance_below(&body, 0.0, MARGIN_M) >= MARGIN_M
     }
 
-    /// Way so far and twice the way left: finds some path soon rather than the shortest.
-    fn cost(&self, place: Waypoint, way: f64) -> f64 {
-        way + 2.0 * self.goal_distance(place)
+    /// Length of the path so far plus twice the distance left: finds some path soon rather than the shortest.
+    ///
+    /// Returned as bits, which are in the order of the numbers because no cost is negative.
+    fn cost(&self, place: Waypoint, length: f64) -> u64 {
+        (length + 2.0 * self.goal_distance(place)).to_bits()
     }
 
     fn goal_distance(&self, place: Waypoint) -> f64 {
@@ -172,26 +168,6 @@ fn trace(nodes: &[Node]) -> Vec<Waypoint> {
     path.reverse();
     path
 }
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.cost.total_cmp(&self.cost).then(other.node.cmp(&self.node))
-    }
-}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Open {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Open {}
 
 #[cfg(test)]
 mod tests {
@@ -238,9 +214,9 @@ mod tests {
         let scenario = shipped("slalom");
         let path = path(&scenario).unwrap();
         for pair in path.windows(2) {
-            let (turn, way) =
+            let (turn, length) =
                 (wrap_angle(pair[1].yaw - pair[0].yaw), (pair[1].x - pair[0].x).hypot(pair[1].y - pair[0].y));
-            assert!(turn.abs() <= ARC_M / RADIUS_M + 1e-9 && way <= ARC_M + 1e-9);
+            assert!(turn.abs() <= ARC_M / RADIUS_M + 1e-9 && length <= ARC_M + 1e-9);
         }
         let scene = Scene::new(&scenario);
         for place in &path {

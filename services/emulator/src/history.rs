@@ -1,6 +1,6 @@
 //! Where the robot was in the last few scan periods, at each plant step.
 //!
-//! The laser asks for the pose of every beam, which lies up to a sweep in the past.
+//! The laser needs the pose at the time of every beam, up to one sweep in the past.
 
 use std::collections::VecDeque;
 
@@ -18,7 +18,7 @@ pub struct Node {
     pub speed: f64,
     /// Steering angle of the wheels [rad].
     pub steering: f64,
-    /// Position that the odometer believes in, without noise [m].
+    /// Position that the odometer reports, without noise [m].
     pub reported: Vector2<f64>,
 }
 
@@ -58,15 +58,10 @@ impl History {
     ///
     /// Speed and steering are those of the node before, because they jump when an actuation arrives.
     pub fn at(&self, time_ns: u64) -> Node {
-        let after = self.nodes.partition_point(|node| node.time_ns <= time_ns);
-        if after == 0 {
-            return Node { time_ns, ..self.nodes[0] };
-        }
-        let before = self.nodes[after - 1];
-        self.nodes.get(after).map_or(Node { time_ns, ..before }, |next| before.towards(next, time_ns))
+        self.walk()(time_ns)
     }
 
-    /// The robot at many times, none before the last one asked for: cheaper than [`Self::at`].
+    /// [`Self::at`] for many times in ascending order, which is cheaper.
     pub fn walk(&self) -> impl FnMut(u64) -> Node + '_ {
         let mut after = 0;
         move |time_ns| {

@@ -1,13 +1,13 @@
 //! The emulated Hokuyo URG-04LX.
 //!
-//! The scanner sits at the robot's centre and looks over 240 deg. Its beams are taken one after the other: each
-//! starts where the robot is at that beam's time, and hits what is there at that time, so a moving robot sees a
-//! skewed scan. The body of the robot is not seen.
+//! The scanner sits at the robot's centre and covers 240 deg. Its beams are taken one after the other: each starts
+//! where the robot is at that beam's time, and hits what is there at that time, so the scan of a moving robot is
+//! skewed. The body of the robot is not seen.
 //!
 //! Noise, in this order: a beam across an edge may mix both distances (`noise.mixed_pixels`), the range gets
 //! normal noise of `noise.range_m` or of the share `noise.range_share` of the range, whichever is larger, and a
 //! beam may be lost (`noise.dropout`). The data sheet's +-10 mm below 1 m and +-1 % above are bounds, about three
-//! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is the harsher one up to 3 m.
+//! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is harsher up to 3 m.
 
 use std::ops::RangeInclusive;
 
@@ -18,7 +18,7 @@ use vehicle::frame::{heading, wrap_angle};
 use crate::history::History;
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Noise, Scenario};
-use crate::scene::{Near, Scene, Solid};
+use crate::scene::{PlacedObstacle, Scene};
 
 /// Largest range that the scanner reports [m].
 pub const MAX_RANGE_M: f64 = 5.6;
@@ -32,7 +32,7 @@ const LOW_INTENSITY: u16 = 1;
 /// Error code of a surface nearer than 20 mm.
 const TOO_NEAR: u16 = 19;
 
-/// Neighbouring beams whose ranges differ by more than this look across an edge [m].
+/// Neighbouring beams whose ranges differ by more than this lie on two sides of an edge [m].
 const EDGE_M: f64 = 0.1;
 
 /// When the beams of a scan are taken.
@@ -110,9 +110,9 @@ impl Laser {
             }
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;
-        for near in scene.near(motion.origin, MAX_RANGE_M + motion.way) {
-            for window in visible(&near, &motion, half_sweep_s) {
-                self.cast_at(&near, window);
+        for near in scene.near(motion.origin, MAX_RANGE_M + motion.travel) {
+            for window in visible(near, &motion, half_sweep_s) {
+                self.cast_at(near, window);
             }
         }
         &self.ranges
@@ -123,14 +123,14 @@ impl Laser {
         let front = history.at(sweep.front_ns).state;
         let origin = Vector2::new(front.x, front.y);
         let mut motion =
-            Motion { origin, yaw: front.yaw, way: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
+            Motion { origin, yaw: front.yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
         let mut walk = history.walk();
         self.beams.clear();
         for index in 0..BEAMS {
             let time_ns = sweep.beam_ns(index);
             let state = walk(time_ns).state;
             let origin = Vector2::new(state.x, state.y);
-            motion.way = motion.way.max((origin - motion.origin).norm());
+            motion.travel = motion.travel.max((origin - motion.origin).norm());
             motion.turn = motion.turn.max((state.yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
@@ -141,22 +141,13 @@ impl Laser {
         motion
     }
 
-    fn cast_at(&mut self, near: &Near<'_>, window: RangeInclusive<usize>) {
-        let mut fixed: Option<Solid> = None;
-        let permanent = near.is_permanent();
+    /// Shortens the ranges of the beams in `window` that hit an obstacle.
+    fn cast_at(&mut self, near: &PlacedObstacle, window: RangeInclusive<usize>) {
+        let fixed = if near.is_permanent() { near.solid(0.0) } else { None };
         for index in window {
             let beam = &self.beams[index];
-            let solid = match fixed {
-                Some(solid) => solid,
-                None => match near.solid(beam.time_s) {
-                    Some(solid) => solid,
-                    None => continue,
-                },
-            };
-            if permanent {
-                fixed = Some(solid);
-            }
-            if let Some(range) = solid.ray(beam.origin, beam.direction)
+            if let Some(solid) = fixed.or_else(|| near.solid(beam.time_s))
+                && let Some(range) = solid.ray(beam.origin, beam.direction)
                 && range < self.ranges[index]
             {
                 self.ranges[index] = range;
@@ -187,18 +178,18 @@ impl Laser {
 struct Motion {
     origin: Vector2<f64>,
     yaw: f64,
-    way: f64,
+    travel: f64,
     turn: f64,
     time_s: f64,
 }
 
 /// The beams that may hit an obstacle at some time of the sweep, as up to two windows.
 fn visible(
-    near: &Near<'_>,
+    near: &PlacedObstacle,
     motion: &Motion,
     half_sweep_s: f64,
 ) -> impl Iterator<Item = RangeInclusive<usize>> {
-    let reach = near.reach() + motion.way + near.speed() * half_sweep_s;
+    let reach = near.reach() + motion.travel + near.speed() * half_sweep_s;
     let offset = near.centre(motion.time_s) - motion.origin;
     let distance = offset.norm();
     let (middle, half) = if distance <= reach {
@@ -291,7 +282,7 @@ mod tests {
     fn a_box_is_seen_with_its_flat_face_and_the_right_beams_come_first() {
         let text = "[[obstacle]]\nshape = \"box\"\nx_m = 3.05\ny_m = -0.5\nlength_m = 0.1\nwidth_m = 1.0";
         let ranges = readings(&quiet(text), &standing());
-        // Face at x = 3 from y = -1 to 0: beam 300 looks 40 pitches = 14.0625 deg to the right, 3 / cos = 3.0927.
+        // Face at x = 3 from y = -1 to 0: beam 300 points 40 pitches = 14.0625 deg to the right, 3 / cos = 3.0927.
         assert_eq!(ranges[300], 3093);
         assert_eq!(ranges[FRONT_BEAM - 1], 3000);
         assert_eq!(ranges[FRONT_BEAM + 2], NO_RETURN, "nothing on the left");
@@ -355,7 +346,7 @@ mod tests {
             let culled = laser.ranges.clone();
             let near = scene.near(Vector2::zeros(), 100.0).next().unwrap();
             laser.ranges.fill(f64::INFINITY);
-            laser.cast_at(&near, 0..=BEAMS - 1);
+            laser.cast_at(near, 0..=BEAMS - 1);
             for (with, without) in culled.iter().zip(&laser.ranges) {
                 assert!(with == without || *without > MAX_RANGE_M);
             }

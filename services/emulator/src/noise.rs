@@ -1,6 +1,6 @@
 //! Random numbers that depend on the seed, the purpose and the scan only.
 //!
-//! Each purpose has a stream of its own and each scan starts it afresh. So a longer laser sweep never changes
+//! Each purpose has a stream of its own, and each scan starts it afresh. So a longer laser sweep never changes
 //! the odometry, and an additional scan never changes the next one.
 
 use rand::Rng;
@@ -23,7 +23,7 @@ pub enum Purpose {
 #[derive(Debug, Clone)]
 pub struct Stream {
     generator: Pcg64,
-    /// Box-Muller makes two numbers at once; the second waits here.
+    /// Box-Muller makes two numbers at once; this is the second.
     spare: Option<f64>,
 }
 

@@ -1,10 +1,9 @@
-//! What the robot believes about its own motion, (7.36)-(7.40) turned round.
+//! The emulated odometry: the true motion with the errors that (7.36)-(7.40) correct.
 //!
 //! (7.39) and (7.40) correct a reported increment by v dt R(yaw) (df, ds), with ds growing at the rate dds (7.38).
-//! The emulated odometer reports exactly what that correction undoes: true increment = reported + v dt R(yaw)
-//! (df, ds). The error accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be
-//! off by a constant from some moment on, as that of a compass that passes a magnet.
-//! The speed is the true one.
+//! The emulated odometer has exactly this error: true increment = reported + v dt R(yaw) (df, ds). The error
+//! accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be off by a constant
+//! from some moment on, like a compass that passes a magnet. The speed is the true one.
 
 use nalgebra::Vector2;
 use shared_types::Odometry;
@@ -18,25 +17,17 @@ use crate::scenario::{Drift, Noise, Robot, Scenario};
 /// The accumulated error of the odometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reckoning {
-    longitudinal: f64,
-    lateral_rate: f64,
-    drift: Drift,
+    robot: Robot,
     /// ds of (7.38).
-    lateral: f64,
-    reported: Vector2<f64>,
+    pub(crate) lateral: f64,
+    pub(crate) reported: Vector2<f64>,
 }
 
 impl Reckoning {
     /// No error yet: the reported position is that of the start.
     pub fn new(scenario: &Scenario) -> Self {
-        let Robot { odometry_longitudinal, odometry_lateral_rate, odometry_drift, .. } = scenario.robot;
-        Self {
-            longitudinal: odometry_longitudinal,
-            lateral_rate: odometry_lateral_rate,
-            drift: odometry_drift,
-            lateral: 0.0,
-            reported: Vector2::new(scenario.start.x_m, scenario.start.y_m),
-        }
+        let reported = Vector2::new(scenario.start.x_m, scenario.start.y_m);
+        Self { robot: scenario.robot, lateral: 0.0, reported }
     }
 
     /// The reported position without noise [m].
@@ -44,23 +35,13 @@ impl Reckoning {
         self.reported
     }
 
-    /// The lateral share of the way that is missed, ds of (7.38).
-    pub(crate) fn lateral(&self) -> f64 {
-        self.lateral
-    }
-
-    /// The same odometer after other errors.
-    pub(crate) fn resumed(self, lateral: f64, reported: Vector2<f64>) -> Self {
-        Self { lateral, reported, ..self }
-    }
-
-    /// Follows one plant step of `duration` seconds over `way` metres; `moved` tells whether the robot moved.
-    pub fn step(&mut self, before: &State, after: &State, way: f64, duration: f64) {
+    /// Follows one plant step of `duration` seconds over `distance` metres.
+    pub fn step(&mut self, before: &State, after: &State, distance: f64, duration: f64) {
         let increment = Vector2::new(after.x - before.x, after.y - before.y);
         let yaw = (before.yaw + after.yaw) / 2.0;
-        self.reported += increment - to_track(yaw, self.longitudinal, self.lateral) * way;
-        if way > 0.0 || self.drift == Drift::Time {
-            self.lateral += self.lateral_rate * duration;
+        self.reported += increment - to_track(yaw, self.robot.odometry_longitudinal, self.lateral) * distance;
+        if distance > 0.0 || self.robot.odometry_drift == Drift::Time {
+            self.lateral += self.robot.odometry_lateral_rate * duration;
         }
     }
 }
@@ -72,10 +53,10 @@ pub struct Odometer {
     noise: Noise,
     jump_rad: f64,
     jump_ns: u64,
-    last: Option<Reported>,
+    pub(crate) last: Option<Reported>,
 }
 
-/// What was reported last, noise included.
+/// A reported pose, noise included.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Reported {
     pub(crate) time_ns: u64,
@@ -95,16 +76,6 @@ impl Odometer {
             jump_ns: (odometry_jump_s * 1e9) as u64,
             last: None,
         }
-    }
-
-    /// What was reported last.
-    pub(crate) fn last(&self) -> Option<Reported> {
-        self.last
-    }
-
-    /// The same odometer after another report.
-    pub(crate) fn resumed(self, last: Option<Reported>) -> Self {
-        Self { last, ..self }
     }
 
     /// Fills all but the header with the reported pose at a node and the increments since the sample before, (7.36) and (7.37).
@@ -163,7 +134,7 @@ mod tests {
         let robot = Robot { odometry_longitudinal: 0.0, odometry_lateral_rate: 0.053, ..Robot::default() };
         let mut reckoning = reckoning(robot);
         let place = straight(&mut reckoning, std::f64::consts::FRAC_PI_2, 2.0);
-        // dds t^2 / 2 = 0.106 m to the left is missed; left of a robot that looks along y is -x. The sum over
+        // dds t^2 / 2 = 0.106 m to the left is missed; left of a robot that faces along y is -x. The sum over
         // steps of ds before its growth is smaller by half a step: 0.053 * 2 s * 0.5 ms = 5.3e-5 m.
         assert!((reckoning.reported() - place - Vector2::new(0.106, 0.0)).norm() < 6e-5);
     }

@@ -1,12 +1,12 @@
-//! The moving robot: model (7.27)-(7.31) behind a drive that is not quite what it is told.
+//! The true motion of the robot: model (7.27)-(7.31) behind an imperfect drive.
 //!
 //! The velocity follows at once, as in the model; the steering angle follows through the map of the linkage and
 //! the play between shaft and wheels. The robot has no brake: it stops by blocking its wheels, which slide with a
 //! constant deceleration while the steering angle stays as it was.
 //!
-//! The model divides by the velocity. Below [`vehicle::model::SLOWEST_MPS`] the lateral part is computed as if the robot drove
-//! that fast, which keeps it stable; at standstill nothing moves and sideslip and yaw rate are zero. So turning
-//! rates below 0.05 m/s are too large; a blocked robot spends 10 ms there.
+//! The model divides by the velocity. Below [`vehicle::model::SLOWEST_MPS`], 0.05 m/s, the lateral part is computed as
+//! if the robot drove that fast, which keeps it stable; at standstill sideslip and yaw rate are zero. So yaw rates are
+//! too large below 0.05 m/s, where a blocked robot spends 10 ms.
 
 use vehicle::integrate::runge_kutta;
 use vehicle::model::derivative_at;
@@ -22,11 +22,12 @@ pub const STEP_NS: u64 = 1_000_000;
 pub struct Plant {
     parameters: Parameters,
     robot: Robot,
-    state: State,
-    speed: f64,
-    steering: f64,
-    blocked: bool,
-    wrecked: bool,
+    pub(crate) state: State,
+    pub(crate) speed: f64,
+    pub(crate) steering: f64,
+    pub(crate) blocked: bool,
+    /// Whether it has run into something.
+    pub(crate) wrecked: bool,
 }
 
 impl Plant {
@@ -64,24 +65,7 @@ impl Plant {
         self.blocked
     }
 
-    /// Whether it has run into something.
-    pub(crate) fn is_wrecked(&self) -> bool {
-        self.wrecked
-    }
-
-    /// The same robot in another state.
-    pub(crate) fn resumed(
-        self,
-        state: State,
-        speed: f64,
-        steering: f64,
-        blocked: bool,
-        wrecked: bool,
-    ) -> Self {
-        Self { state, speed, steering, blocked, wrecked, ..self }
-    }
-
-    /// Turns the wheels with the velocity [m/s] and the steering angle [rad] sent; other than finite numbers
+    /// Turns the wheels with the velocity [m/s] and the steering angle [rad] sent; numbers that are not finite
     /// change nothing.
     pub fn drive(&mut self, velocity_sent: f64, steering_sent: f64) {
         if self.wrecked || !velocity_sent.is_finite() || !steering_sent.is_finite() {
@@ -109,7 +93,7 @@ impl Plant {
         self.settle();
     }
 
-    /// Moves on by `duration` seconds, at most a plant step; returns the way driven [m].
+    /// Moves on by `duration` seconds, at most a plant step; returns the distance driven [m].
     pub fn step(&mut self, duration: f64) -> f64 {
         if self.speed <= 0.0 {
             return 0.0;
@@ -120,7 +104,7 @@ impl Plant {
             moving = duration.min(before / self.robot.blocked_deceleration_mps2);
             self.speed = (before - self.robot.blocked_deceleration_mps2 * duration).max(0.0);
         }
-        // The mean speed over the step gives the way of a constant deceleration exactly: v^2 / (2 a).
+        // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
         let mean = if self.blocked { (before + self.speed) / 2.0 } else { before };
         self.state = runge_kutta(&self.state, moving, |state| {
             derivative_at(&self.parameters, state, mean, self.steering)
@@ -162,8 +146,8 @@ mod tests {
     fn the_velocity_factor_divides_what_is_sent() {
         let mut plant = plant(Robot::default());
         plant.drive(1.4, 0.0);
-        let way = run(&mut plant, 1000);
-        assert!((way - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
+        let distance = run(&mut plant, 1000);
+        assert!((distance - 1.0).abs() < 1e-12 && (plant.state().x - 1.0).abs() < 1e-12);
     }
 
     #[test]
@@ -182,11 +166,11 @@ mod tests {
         let mut plant = plant(ideal());
         plant.drive(0.9, 0.0);
         plant.block();
-        let way = run(&mut plant, 179);
+        let distance = run(&mut plant, 179);
         assert!(plant.speed() > 0.0);
         let rest = run(&mut plant, 10);
         // 0.81 / 10 m in 0.18 s.
-        assert!((way + rest - 0.081).abs() < 1e-12, "{}", way + rest);
+        assert!((distance + rest - 0.081).abs() < 1e-12, "{}", distance + rest);
         assert_eq!((plant.speed(), plant.state().yaw_rate, plant.state().sideslip), (0.0, 0.0, 0.0));
     }
 
@@ -199,7 +183,7 @@ mod tests {
         let yaw = plant.state().yaw;
         run(&mut plant, 300);
         assert_eq!(plant.steering(), 0.06);
-        // 0.1 m of way in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
+        // 0.1 m in a turn of 3.1 m radius, and 5e-3 because the yaw rate lags up to 30 ms behind 1.6 rad/s^2.
         let turned = plant.state().yaw - yaw;
         assert!((turned - 0.1 / 3.1 - 5e-3).abs() < 2e-3, "{turned}");
     }

@@ -1,8 +1,8 @@
 //! How a drive ends, judged by the truth and by what was sent to the robot.
 //!
-//! The referee sees one truth per scan. It ends a run when the body has touched something, when the robot stands
-//! after landing or after it gave the goal up, when the wheels have been blocked for good, or when time is up.
-//! Time is the time of the plant, so a run in lock-step ends as one in real time.
+//! The referee gets one truth per scan. A run ends when the body has touched something, when the robot stands after
+//! landing or after passing the goal, when the wheels stay blocked, or when the time is over. Time is that of the
+//! plant, so a run in lock-step ends like one in real time.
 
 use serde::{Deserialize, Serialize};
 use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
@@ -40,15 +40,15 @@ pub struct Referee {
     stop_final_s: f64,
     /// Since when the wheels have been blocked without a break [s].
     blocked_since_s: Option<f64>,
-    last: Option<Sent>,
+    /// The last actuation, if it blocks the wheels.
+    block: Option<Block>,
     reason: String,
 }
 
-/// What matters of the last actuation.
+/// Why an actuation blocks the wheels.
 #[derive(Debug, Clone, Copy)]
-struct Sent {
-    blocks: bool,
-    block: Option<BlockReason>,
+struct Block {
+    reason: Option<BlockReason>,
     stop: Option<StopReason>,
 }
 
@@ -72,17 +72,17 @@ impl Referee {
             timeout_s: scenario.timeout_s,
             stop_final_s: scenario.stop_final_s,
             blocked_since_s: None,
-            last: None,
+            block: None,
             reason: String::new(),
         }
     }
 
     /// The outcome, once there is one.
     ///
-    /// `actuation` is the newest one there is, the same as before where nothing new came.
+    /// `actuation` is the newest one, the same as before when none was published since.
     pub fn observe(&mut self, truth: &Truth, actuation: Option<&Actuation>) -> Option<Outcome> {
         if let Some(actuation) = actuation {
-            self.last = Some(Sent::of(actuation));
+            self.block = Block::of(actuation);
         }
         if truth.blocked == 0 {
             self.blocked_since_s = None;
@@ -94,7 +94,7 @@ impl Referee {
         Some(outcome)
     }
 
-    /// Why the run ended as it did, in words; empty while it lasts.
+    /// Why the run ended; empty while it lasts.
     pub fn reason(&self) -> &str {
         &self.reason
     }
@@ -110,54 +110,51 @@ impl Referee {
             return Some((Outcome::Stopped, "struck".to_owned()));
         }
         let stands = truth.blocked != 0 && truth.speed_mps <= 0.0;
-        if stands && self.last.is_some_and(Sent::lands) {
-            let words = format!("landed {distance:.3} m from the goal, {} m are allowed", self.tolerance_m);
-            // NaN is not reached.
+        if stands && self.block.is_some_and(Block::lands) {
+            let reason = format!("landed {distance:.3} m from the goal, {} m are allowed", self.tolerance_m);
+            // NaN does not count as reached.
             let outcome = if distance <= self.tolerance_m { Outcome::Reached } else { Outcome::Missed };
-            return Some((outcome, words));
+            return Some((outcome, reason));
         }
-        if stands && self.last.is_some_and(Sent::gave_up) {
+        if stands && self.block.is_some_and(Block::gives_up) {
             return Some((Outcome::Missed, format!("the goal was passed, it is {distance:.3} m away")));
         }
         if let Some(since) = self.blocked_since_s
             && truth.time_s - since >= self.stop_final_s
         {
-            let words = format!("wheels blocked for {} s: {}", self.stop_final_s, self.block_words(truth));
-            return Some((Outcome::Stopped, words));
+            let reason = format!("wheels blocked for {} s: {}", self.stop_final_s, self.block_name(truth));
+            return Some((Outcome::Stopped, reason));
         }
         (truth.time_s >= self.timeout_s).then(|| {
             (Outcome::Timeout, format!("{} s are over, the goal is {distance:.3} m away", self.timeout_s))
         })
     }
 
-    /// Why the wheels are blocked.
-    fn block_words(&self, truth: &Truth) -> String {
-        match self.last {
-            Some(Sent { blocks: true, block: Some(BlockReason::Commanded), stop: Some(stop), .. }) => {
-                stop.name().to_owned()
-            }
-            Some(Sent { blocks: true, block: Some(block), .. }) => block.name().to_owned(),
-            _ if truth.dead_man != 0 => "dead_man".to_owned(),
-            _ => BlockReason::Start.name().to_owned(),
+    /// Name of the reason why the wheels are blocked.
+    fn block_name(&self, truth: &Truth) -> &'static str {
+        match self.block {
+            Some(Block { reason: Some(BlockReason::Commanded), stop: Some(stop) }) => stop.name(),
+            Some(Block { reason: Some(reason), .. }) => reason.name(),
+            _ if truth.dead_man != 0 => "dead_man",
+            _ => BlockReason::Start.name(),
         }
     }
 }
 
-impl Sent {
-    fn of(actuation: &Actuation) -> Self {
-        Self {
-            blocks: actuation.kind == ActuationKind::Block.wire(),
-            block: BlockReason::try_from(actuation.reason).ok(),
+impl Block {
+    fn of(actuation: &Actuation) -> Option<Self> {
+        (actuation.kind == ActuationKind::Block.wire()).then(|| Self {
+            reason: BlockReason::try_from(actuation.reason).ok(),
             stop: StopReason::try_from(actuation.stop_reason).ok(),
-        }
+        })
     }
 
     fn lands(self) -> bool {
-        self.blocks && (self.block == Some(BlockReason::Landed) || self.stop == Some(StopReason::Landed))
+        self.reason == Some(BlockReason::Landed) || self.stop == Some(StopReason::Landed)
     }
 
-    fn gave_up(self) -> bool {
-        self.blocks && self.stop == Some(StopReason::GoalPassed)
+    fn gives_up(self) -> bool {
+        self.stop == Some(StopReason::GoalPassed)
     }
 }
 

@@ -17,8 +17,12 @@ use vehicle::{Invalid, settings};
 
 pub use endless::Endless;
 pub use obstacle::{Obstacle, Shape};
-pub use places::{Goal, Start, Track};
+pub use places::Start;
 pub use robot::{Drift, Noise, Robot};
+pub use vehicle::{Goal, Track};
+
+/// What the name of a scenario may be.
+const NAME: &str = "1 to 64 letters, digits, blanks, `-`, `_` and `.`";
 
 /// Free distance that is asked of the walls in the bound of the centre, theta of (7.35) [m].
 const WALL_MARGIN_M: f64 = 0.2;
@@ -26,52 +30,40 @@ const WALL_MARGIN_M: f64 = 0.2;
 settings! {
     /// A checked scenario file.
     pub struct Scenario {
-        /// Name in reports: letters, digits, blank, `-`, `_` and `.`.
-        pub name: String = "corridor".to_owned();
-        /// Seed of all noise and of the obstacles that the seed places.
-        pub seed: u64 = 1;
-        /// Time after which the run ends as `timeout` [s], 0.1 to 1e6.
+        /// Name of the scenario in reports.
+        pub name: String = "corridor".to_owned(), NAME;
+        /// Seed of all noise and of placed obstacles.
+        pub seed: u64 = 1, "0 to 2^63 - 1";
+        /// The run ends as `timeout` after this driven time [s].
         pub timeout_s: f64 = 60.0, 0.1..=1e6;
-        /// Time of blocked wheels without a break that ends the run as `stopped` [s], 0.1 to 1e6.
+        /// The run ends as `stopped` after the wheels were blocked continuously for this long [s].
         pub stop_final_s: f64 = 5.0, 0.1..=1e6;
-        /// Bounds of the track, (7.45) and (7.46).
+        /// Bounds of the track, and whether it has walls.
         pub track: Track = Track::default();
-        /// Pose at the start.
+        /// Pose of the robot at the start.
         pub start: Start = Start::default();
         /// Where to land.
         pub goal: Goal = Goal::default();
-        /// Obstacles by hand.
+        /// One table for each obstacle.
         #[serde(rename = "obstacle")]
         pub obstacles: Vec<Obstacle> = Vec::new();
-        /// Obstacles placed by the seed along the whole track.
-        #[serde(skip_serializing_if = "Option::is_none")]
+        /// With this table the seed places boxes along the whole track, in addition to the obstacles above.
         pub endless: Option<Endless> = None;
-        /// Imperfections of the robot.
+        /// Body and imperfections of the emulated robot.
         pub robot: Robot = Robot::default();
-        /// Noise of scanner and odometer.
+        /// Noise of scanner and odometer; standard deviations unless stated otherwise.
         pub noise: Noise = Noise::default();
     }
 }
 
 /// Why a scenario can't be driven.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ScenarioError {
-    /// The text is no TOML.
-    #[error("{file}: {message}")]
-    Syntax {
-        /// Name of the file.
-        file: String,
-        /// What the parser says, with the line.
-        message: String,
-    },
-    /// A key holds what it may not hold, does not exist, or is missing.
-    #[error("{file}: {invalid}")]
-    Invalid {
-        /// Name of the file.
-        file: String,
-        /// Key, value and allowed range.
-        invalid: Invalid,
-    },
+#[error("{file}: {message}")]
+pub struct ScenarioError {
+    /// Name of the file.
+    pub file: String,
+    /// Key, value and what is allowed, or what the parser reports, with the line.
+    pub message: String,
 }
 
 impl Scenario {
@@ -80,11 +72,8 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
-        let table = toml::from_str::<toml::Table>(text).map_err(|error| {
-            let line = error.span().map_or(1, |span| read::line_of(text, span.start));
-            let message = format!("line {line}: {}", error.message().replace('\n', ", "));
-            ScenarioError::Syntax { file: file.to_owned(), message }
-        })?;
+        let table =
+            vehicle::parse(text).map_err(|message| ScenarioError { file: file.to_owned(), message })?;
         Self::from_table(table, file)
     }
 
@@ -93,9 +82,10 @@ impl Scenario {
     /// # Errors
     /// One message with file, key, value and allowed range.
     pub fn from_table(table: toml::Table, file: &str) -> Result<Self, ScenarioError> {
-        read::scenario(table)
-            .and_then(|scenario| scenario.validate().map(|()| scenario))
-            .map_err(|invalid| ScenarioError::Invalid { file: file.to_owned(), invalid })
+        let refuse = |invalid: Invalid| ScenarioError { file: file.to_owned(), message: invalid.to_string() };
+        let scenario = read::scenario(table).map_err(refuse)?;
+        scenario.validate().map_err(refuse)?;
+        Ok(scenario)
     }
 
     /// Text of a shipped scenario.
@@ -121,29 +111,23 @@ impl Scenario {
     pub fn validate(&self) -> Result<(), Invalid> {
         let plain = |letter: char| letter.is_ascii_alphanumeric() || " -_.".contains(letter);
         if self.name.is_empty() || self.name.len() > 64 || !self.name.chars().all(plain) {
-            return Err(Invalid::new(
-                "name",
-                &self.name,
-                "1 to 64 letters, digits, blanks, `-`, `_` and `.`",
-            ));
+            return Err(Invalid::new("name", &self.name, NAME));
         }
         if i64::try_from(self.seed).is_err() {
             return Err(Invalid::new("seed", self.seed, format!("0 to {}", i64::MAX)));
         }
         self.require_ranges()?;
-        self.track.validate().map_err(|error| error.within("track"))?;
-        self.robot.require_ranges().map_err(|error| error.within("robot"))?;
-        self.noise.require_ranges().map_err(|error| error.within("noise"))?;
-        self.start.validate(&self.track).map_err(|error| error.within("start"))?;
-        self.goal.validate(&self.track).map_err(|error| error.within("goal"))?;
+        for (table, x_m, y_m) in
+            [("start", self.start.x_m, self.start.y_m), ("goal", self.goal.x_m, self.goal.y_m)]
+        {
+            places::require_inside(&self.track, x_m, y_m).map_err(|error| error.within(table))?;
+        }
         if let Some(endless) = &self.endless {
             endless.validate().map_err(|error| error.within("endless"))?;
         }
         self.validate_start_in_walls()?;
         for (index, obstacle) in self.obstacles.iter().enumerate() {
-            obstacle
-                .validate()
-                .and_then(|()| self.validate_start_is_free(obstacle))
+            self.validate_start_is_free(obstacle)
                 .map_err(|error| error.within(&format!("obstacle[{index}]")))?;
         }
         Ok(())

@@ -1,9 +1,9 @@
 //! What stands around the robot: obstacles that appear, vanish and move, and walls.
 //!
 //! Permanent obstacles are sorted along the track and found by bisection, so ten kilometres of them cost no more
-//! than ten metres. Those that move or come and go are few and always looked at.
+//! than ten metres. Those that move, appear or vanish are few and always checked.
 //!
-//! Walls are straight lines at the lateral bounds and as long as the world.
+//! Walls are infinite straight lines at the lateral bounds.
 
 mod solid;
 
@@ -18,12 +18,12 @@ pub use solid::Solid;
 /// The clearance where nothing stands anywhere [m].
 pub const NOTHING_M: f64 = 1e9;
 
-/// Clearances up to this are found by looking at nearby obstacles only [m].
+/// Clearances up to this are found from nearby obstacles only [m].
 const NEARBY_M: f64 = 10.0;
 
-/// An obstacle and when it came.
+/// An obstacle at its place on the track.
 #[derive(Debug, Clone, PartialEq)]
-struct Entry {
+pub struct PlacedObstacle {
     obstacle: Obstacle,
     reach: f64,
     /// Body at the place where it appears.
@@ -36,45 +36,12 @@ struct Entry {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Sorted by x.
-    permanent: Vec<Entry>,
+    permanent: Vec<PlacedObstacle>,
     largest_reach: f64,
     /// Moving, appearing or disappearing ones.
-    temporary: Vec<Entry>,
+    temporary: Vec<PlacedObstacle>,
     /// Surfaces of the walls, low y first.
     walls: Option<[f64; 2]>,
-}
-
-/// One obstacle as it is found near a place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Near<'a> {
-    entry: &'a Entry,
-}
-
-impl Near<'_> {
-    /// Radius of the circle about the centre that holds all of it [m].
-    pub fn reach(&self) -> f64 {
-        self.entry.reach
-    }
-
-    /// Speed of the obstacle [m/s].
-    pub fn speed(&self) -> f64 {
-        self.entry.obstacle.velocity_x_mps.hypot(self.entry.obstacle.velocity_y_mps)
-    }
-
-    /// Whether it stands at one place for the whole run.
-    pub fn is_permanent(&self) -> bool {
-        self.entry.obstacle.is_permanent()
-    }
-
-    /// Centre at a time, whether it is there or not [m].
-    pub fn centre(&self, time_s: f64) -> Vector2<f64> {
-        self.entry.centre(time_s)
-    }
-
-    /// Its body at a time, `None` while it is not there.
-    pub fn solid(&self, time_s: f64) -> Option<Solid> {
-        self.entry.solid(time_s)
-    }
 }
 
 impl Scene {
@@ -83,8 +50,8 @@ impl Scene {
         let (mut permanent, temporary): (Vec<_>, Vec<_>) = scenario
             .placed_obstacles()
             .into_iter()
-            .map(Entry::new)
-            .partition(|entry| entry.obstacle.is_permanent());
+            .map(PlacedObstacle::new)
+            .partition(PlacedObstacle::is_permanent);
         permanent.sort_by(|one, other| one.obstacle.x_m.total_cmp(&other.obstacle.x_m));
         let largest_reach = permanent.iter().map(|entry| entry.reach).fold(0.0, f64::max);
         let walls = scenario.track.walls.then_some(scenario.track.y_m);
@@ -109,7 +76,7 @@ impl Scene {
         self.temporary.iter().filter(|entry| entry.waits()).map(|entry| entry.appears_s)
     }
 
-    /// Sets what [`Self::appearances`] tells.
+    /// Sets what [`Self::appearances`] returns.
     pub(crate) fn set_appearances(&mut self, appearances: impl Iterator<Item = Option<f64>>) {
         let waiting = self.temporary.iter_mut().filter(|entry| entry.waits());
         waiting.zip(appearances).for_each(|(entry, appears_s)| entry.appears_s = appears_s);
@@ -120,12 +87,12 @@ impl Scene {
         self.walls
     }
 
-    /// Obstacles whose body may be within `radius` of `place`, and all that move or come and go.
-    pub fn near(&self, place: Vector2<f64>, radius: f64) -> impl Iterator<Item = Near<'_>> {
+    /// Obstacles whose body may be within `radius` of `place`, and all that move, appear or vanish.
+    pub fn near(&self, place: Vector2<f64>, radius: f64) -> impl Iterator<Item = &PlacedObstacle> {
         let range = radius + self.largest_reach;
         let first = self.permanent.partition_point(|entry| entry.obstacle.x_m < place.x - range);
         let end = self.permanent.partition_point(|entry| entry.obstacle.x_m <= place.x + range);
-        self.permanent[first..end.max(first)].iter().chain(&self.temporary).map(|entry| Near { entry })
+        self.permanent[first..end.max(first)].iter().chain(&self.temporary)
     }
 
     /// Distance of the body to the nearest obstacle or wall, negative when they overlap [m].
@@ -158,7 +125,7 @@ impl Scene {
     }
 }
 
-impl Entry {
+impl PlacedObstacle {
     fn new(obstacle: Obstacle) -> Self {
         Self {
             obstacle,
@@ -166,6 +133,33 @@ impl Entry {
             solid: obstacle.solid_at(Vector2::new(obstacle.x_m, obstacle.y_m)),
             appears_s: obstacle.appears_ahead_m.is_none().then_some(obstacle.appears_s),
         }
+    }
+
+    /// Radius of the circle about the centre that holds all of it [m].
+    pub fn reach(&self) -> f64 {
+        self.reach
+    }
+
+    /// Speed of the obstacle [m/s].
+    pub fn speed(&self) -> f64 {
+        self.obstacle.velocity_x_mps.hypot(self.obstacle.velocity_y_mps)
+    }
+
+    /// Whether it stands at one place for the whole run.
+    pub fn is_permanent(&self) -> bool {
+        self.obstacle.is_permanent()
+    }
+
+    /// Centre at a time, whether it is there or not [m].
+    pub fn centre(&self, time_s: f64) -> Vector2<f64> {
+        Vector2::new(self.obstacle.x_m, self.obstacle.y_m) + self.offset(time_s)
+    }
+
+    /// Its body at a time, `None` while it is not there.
+    pub fn solid(&self, time_s: f64) -> Option<Solid> {
+        let is_there = self.appears_s.is_some_and(|appears| time_s >= appears)
+            && self.obstacle.disappears_s.is_none_or(|disappears| time_s < disappears);
+        is_there.then(|| self.solid.moved_by(self.offset(time_s)))
     }
 
     /// Whether it appears when the robot comes near.
@@ -176,16 +170,6 @@ impl Entry {
     fn offset(&self, time_s: f64) -> Vector2<f64> {
         let since = self.appears_s.map_or(0.0, |appears| (time_s - appears).max(0.0));
         Vector2::new(self.obstacle.velocity_x_mps, self.obstacle.velocity_y_mps) * since
-    }
-
-    fn centre(&self, time_s: f64) -> Vector2<f64> {
-        Vector2::new(self.obstacle.x_m, self.obstacle.y_m) + self.offset(time_s)
-    }
-
-    fn solid(&self, time_s: f64) -> Option<Solid> {
-        let is_there = self.appears_s.is_some_and(|appears| time_s >= appears)
-            && self.obstacle.disappears_s.is_none_or(|disappears| time_s < disappears);
-        is_there.then(|| self.solid.moved_by(self.offset(time_s)))
     }
 }
 
@@ -252,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn of_ten_kilometres_of_obstacles_only_the_nearby_ones_are_looked_at() {
+    fn of_ten_kilometres_of_obstacles_only_the_nearby_ones_are_checked() {
         let scene = scene(Scenario::shipped("endless").unwrap());
         assert!(scene.permanent.len() > 1800);
         assert!(scene.near(Vector2::new(5000.0, 0.0), 6.0).count() <= 4);

@@ -7,9 +7,8 @@
 //! emulators that receive the same actuations stay at the same place. A swap of the robot uses that: the candidate
 //! takes the state of the process in charge, follows it in shadow, and continues with the next scan.
 //!
-//! When the run is stopped, or its orchestrator has been silent for too long, this process blocks the
-//! wheels itself. A robot that is asked to end comes to rest first. It reports what its wheels do each time it is awake, and
-//! writes a line to its log when that changes.
+//! When the run is stopped, or its orchestrator has been silent for too long, this process blocks the wheels itself. A
+//! robot that is asked to end comes to rest first. It reports what its wheels do each time it wakes, and logs changes.
 
 use std::rc::Rc;
 
@@ -22,7 +21,7 @@ use crate::{Emulator, EmulatorState, Scenario};
 const REST_CHECK_NS: u64 = 10_000_000;
 /// A robot that was asked to end comes to rest within this time and two scan periods [ns].
 const REST_NS: u64 = 1_500_000_000;
-/// How many scans before the newest are handed over when they could not be in time: as many as readers keep.
+/// How many overdue scans are published before the newest one: as many as a subscriber's queue holds.
 const HANDED_OVER_LATE: u64 = KEPT as u64 - 1;
 
 plain_state! {
@@ -34,13 +33,13 @@ plain_state! {
         pub next_scan: u64,
         /// The scan answered last
         pub answered: u64,
-        /// Sequence number of the actuation heard last
+        /// Sequence number of the last actuation received
         pub received_sequence: u64,
         /// Incarnation that it came from
         pub received_incarnation: u32,
         /// Unused, zero
         pub reserved: u32,
-        /// The robot and all around it
+        /// The robot and its surroundings
         pub emulator: EmulatorState,
     }
 }
@@ -48,16 +47,16 @@ plain_state! {
 /// Runs until asked to end.
 ///
 /// # Errors
-/// A scenario that is not allowed, no state to go on from, and errors of the bus.
+/// A scenario that is not allowed, no state to continue from, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
     run_with(|_, _, _| {})
 }
 
-/// [`run`], with `change` applied to what is about to be published: for robots with a fault.
+/// [`run`] with a fault: `change` is applied to the samples of each scan before they are published.
 ///
 /// # Errors
 /// As [`run`].
-pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) -> anyhow::Result<()> {
+pub fn run_with(change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth) + 'static) -> anyhow::Result<()> {
     let mut process = Process::attach(Role::Robot)?;
     let scenario = process.settings::<Scenario>("scenario")?;
     let mut robot = Robot {
@@ -66,16 +65,13 @@ pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) ->
         scans: process.output()?,
         odometries: process.output()?,
         truths: process.output()?,
+        change: Box::new(change),
         pending: None,
-        origin_ns: 0,
-        next_scan: 1,
-        answered: 0,
-        heard: (0, 0),
+        state: RobotState { next_scan: 1, ..RobotState::default() },
         stopped: false,
-        told_at_rest: false,
+        rest_published: false,
         logged: Wheels::Unknown,
     };
-    // Nothing has moved it yet.
     process.report_wheels(Wheels::Resting);
     let handed = process.resume::<RobotState>()?;
     if !process.start()? {
@@ -83,9 +79,9 @@ pub fn run_with(mut change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth)) ->
     }
     robot.begin(&mut process, handed)?;
     while robot.wait(&mut process)? {
-        robot.turn(&mut process, false, &mut change)?;
+        robot.turn(&mut process, false)?;
     }
-    robot.come_to_rest(&mut process, &mut change)
+    robot.come_to_rest(&mut process)
 }
 
 /// The emulator with its ports and its place in the run.
@@ -95,37 +91,33 @@ struct Robot {
     scans: Rc<Output<Scan>>,
     odometries: Rc<Output<Odometry>>,
     truths: Rc<Output<Truth>>,
-    /// Taken, and not acting yet.
+    /// Applied to the samples of each scan.
+    change: Box<Change>,
+    /// The next actuation, which does not act yet.
     pending: Option<Taken<Actuation>>,
-    origin_ns: u64,
-    next_scan: u64,
-    answered: u64,
-    /// Incarnation and sequence number of the actuation heard last.
-    heard: (u32, u64),
-    /// Wheels were blocked here for a stop.
+    /// Place in the run; [`Self::save`] adds the state of the emulator.
+    state: RobotState,
+    /// Whether this process blocked the wheels for a stop.
     stopped: bool,
-    /// A truth at rest was published since.
-    told_at_rest: bool,
-    /// What the newest line of the log says of the wheels.
+    /// Whether a truth at rest was published since then.
+    rest_published: bool,
+    /// What the last line of the log states about the wheels.
     logged: Wheels,
 }
 
+type Change = dyn FnMut(&mut Scan, &mut Odometry, &mut Truth);
+
 impl Robot {
     /// Does all that is due, and blocks the wheels when they must not turn.
-    fn turn(
-        &mut self,
-        process: &mut Process,
-        ends: bool,
-        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
-    ) -> anyhow::Result<()> {
-        while self.step(process, change)? {}
+    fn turn(&mut self, process: &mut Process, ends: bool) -> anyhow::Result<()> {
+        while self.step(process)? {}
         self.obey(process, ends || process.must_stop());
         process.report_wheels(self.wheels());
         self.log_wheels(process);
         Ok(())
     }
 
-    /// Writes a line when the wheels have begun or ceased to turn, with the time of the robot on the clock of the loop.
+    /// Logs when the wheels begin to turn, are blocked, or rest, with the time of the robot on the clock of the loop.
     fn log_wheels(&mut self, process: &Process) {
         let wheels = self.wheels();
         if wheels == self.logged || !process.is_in_charge() || process.clock().is_simulated() {
@@ -133,7 +125,7 @@ impl Robot {
         }
         self.logged = wheels;
         let speed_mps = self.emulator.plant().speed();
-        let at_ns = self.origin_ns + self.emulator.now_ns();
+        let at_ns = self.state.origin_ns + self.emulator.now_ns();
         match wheels {
             Wheels::Turning => tracing::info!(speed_mps, at_ns, "wheels may turn"),
             Wheels::Blocked => tracing::info!(speed_mps, at_ns, "wheels are blocked"),
@@ -141,30 +133,23 @@ impl Robot {
         }
     }
 
-    /// Blocks the wheels for a stop, whatever the actuator says.
+    /// Blocks the wheels for a stop, whatever the actuator commands.
     fn obey(&mut self, process: &Process, must_stop: bool) {
         if !must_stop {
             self.stopped = false;
             return;
         }
         if !process.clock().is_simulated() {
-            self.emulator.advance_to(process.clock().now_ns().saturating_sub(self.origin_ns));
+            self.emulator.advance_to(process.clock().now_ns().saturating_sub(self.state.origin_ns));
         }
         if !self.stopped {
-            (self.stopped, self.told_at_rest) = (true, false);
-            let plant = self.emulator.plant();
-            tracing::info!(speed_mps = plant.speed(), "the robot blocks its wheels");
-            let steering_rad = plant.steering();
-            let block = Actuation {
-                kind: ActuationKind::Block.wire(),
-                sent_steering_rad: steering_rad,
-                ..Actuation::default()
-            };
-            self.emulator.actuate(&block);
+            (self.stopped, self.rest_published) = (true, false);
+            tracing::info!(speed_mps = self.emulator.plant().speed(), "the robot blocks its wheels");
+            self.emulator.actuate(&Actuation { kind: ActuationKind::Block.wire(), ..Actuation::default() });
         }
     }
 
-    /// What the wheels do. Simulated time stands still when no scan is granted, and with it the robot.
+    /// What the wheels do.
     fn wheels(&self) -> Wheels {
         let plant = self.emulator.plant();
         match (plant.is_blocked(), plant.speed() > 0.0) {
@@ -174,21 +159,17 @@ impl Robot {
         }
     }
 
-    /// The last of a robot that is asked to end: rest, and a truth that tells of it.
-    fn come_to_rest(
-        &mut self,
-        process: &mut Process,
-        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
-    ) -> anyhow::Result<()> {
-        // Another one drives it, or time stands still.
+    /// Before this process ends: waits until the robot rests and a truth that shows it is published.
+    fn come_to_rest(&mut self, process: &mut Process) -> anyhow::Result<()> {
+        // Another process is in charge, or simulated time has stopped.
         if !process.is_in_charge() || process.clock().is_simulated() {
             return Ok(());
         }
         let until_ns = monotonic_ns() + REST_NS + 2 * process.period_ns();
         loop {
-            self.turn(process, true, change)?;
-            let is_told = self.told_at_rest || !may_publish(process);
-            if self.wheels() == Wheels::Resting && is_told {
+            self.turn(process, true)?;
+            let is_published = self.rest_published || !may_publish(process);
+            if self.wheels() == Wheels::Resting && is_published {
                 tracing::info!("the robot rests");
                 return Ok(());
             }
@@ -202,7 +183,7 @@ impl Robot {
 
     /// Sleeps until the next scan is due or an actuation has come; false when asked to end.
     fn wait(&self, process: &mut Process) -> anyhow::Result<bool> {
-        // What was due when the run was over must not keep a real-time process from sleeping.
+        // A scan that was due when the run ended must not keep the process awake.
         let due_ns = self.due_ns(process);
         if self.stopped && self.wheels() != Wheels::Resting && !process.clock().is_simulated() {
             let check_ns = process.clock().now_ns() + REST_CHECK_NS;
@@ -216,52 +197,44 @@ impl Robot {
 
     /// Starts at the start pose, or as a candidate at the place of the robot in charge.
     fn begin(&mut self, process: &mut Process, handed: Handover<RobotState>) -> anyhow::Result<()> {
-        self.origin_ns = process.clock().now_ns();
-        let state = match (process.join::<RobotState>()?, handed) {
+        self.state.origin_ns = process.clock().now_ns();
+        self.state = match (process.join::<RobotState>()?, handed) {
             (Some((_, state)), _) => state,
             (None, Handover::FirstStart) => return Ok(()),
             (None, Handover::State(state)) if process.clock().is_simulated() => state,
             // What the robot has done since would be missing.
-            (None, _) => anyhow::bail!("there is no fresh state of a robot to go on from"),
+            (None, _) => anyhow::bail!("there is no fresh state of a robot to continue from"),
         };
-        self.emulator.resume(&state.emulator)?;
-        self.origin_ns = state.origin_ns;
-        self.next_scan = state.next_scan;
-        self.answered = state.answered;
-        self.heard = (state.received_incarnation, state.received_sequence);
-        Ok(())
+        Ok(self.emulator.resume(&self.state.emulator)?)
     }
 
-    /// When the next scan is due, on the clock of the loop [ns]; none is when the run is over.
+    /// When the next scan is due, on the clock of the loop [ns]; `None` when the run is over.
     fn due_ns(&self, process: &Process) -> Option<u64> {
-        may_publish(process).then(|| self.origin_ns + self.emulator.scan_ready_ns(self.next_scan))
+        may_publish(process).then(|| self.state.origin_ns + self.emulator.scan_ready_ns(self.state.next_scan))
     }
 
     /// Does what comes next in the time of the robot: a scan or an actuation; false when neither is there yet.
-    fn step(
-        &mut self,
-        process: &mut Process,
-        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
-    ) -> anyhow::Result<bool> {
+    fn step(&mut self, process: &mut Process) -> anyhow::Result<bool> {
         let simulated = process.clock().is_simulated();
-        let now_ns = process.clock().now_ns().saturating_sub(self.origin_ns);
+        let now_ns = process.clock().now_ns().saturating_sub(self.state.origin_ns);
         if self.pending.is_none() {
             self.pending = self.next_actuation();
         }
         let (scan_id, acts_ns) = if simulated {
             let granted_scan = process.directive().granted_scan;
-            let granted = self.answered + 1 == self.next_scan && self.next_scan <= granted_scan;
+            let granted =
+                self.state.answered + 1 == self.state.next_scan && self.state.next_scan <= granted_scan;
             // The answer to a scan that is yet to be published here waits for it.
-            let waits = |actuation: &Taken<Actuation>| actuation.header.scan_id >= self.next_scan;
+            let waits = |actuation: &Taken<Actuation>| actuation.header.scan_id >= self.state.next_scan;
             let acts = self.pending.as_ref().filter(|actuation| !waits(actuation));
-            (granted.then_some(self.next_scan), acts.map(|_| 0))
+            (granted.then_some(self.state.next_scan), acts.map(|_| 0))
         } else {
-            // A period is left for the way to the wheels.
+            // One period is left for the stages between scanner and wheels.
             let max_age_ns = process.max_age_ns() - process.period_ns();
             let is_young = |scan_id| now_ns.saturating_sub(self.emulator.acquired_ns(scan_id)) < max_age_ns;
-            let due =
-                (self.next_scan..).take_while(|scan_id| self.emulator.scan_ready_ns(*scan_id) <= now_ns);
-            let scan_id = due.last().map(|newest| next_due(self.next_scan, newest, is_young));
+            let due = (self.state.next_scan..)
+                .take_while(|scan_id| self.emulator.scan_ready_ns(*scan_id) <= now_ns);
+            let scan_id = due.last().map(|newest| next_due(self.state.next_scan, newest, is_young));
             (scan_id, self.pending.as_ref().map(|actuation| self.acts_ns(actuation, now_ns)))
         };
         let scan_id = scan_id.filter(|_| may_publish(process));
@@ -269,7 +242,7 @@ impl Robot {
             acts_ns.is_none_or(|acts_ns| !simulated && self.emulator.scan_ready_ns(scan_id) <= acts_ns)
         };
         match scan_id {
-            Some(scan_id) if is_before(scan_id) => self.publish(process, scan_id, change)?,
+            Some(scan_id) if is_before(scan_id) => self.publish(process, scan_id)?,
             _ => {
                 let Some(acts_ns) = acts_ns else { return Ok(false) };
                 let Some(actuation) = self.pending.take() else { return Ok(false) };
@@ -280,81 +253,69 @@ impl Robot {
         Ok(true)
     }
 
-    /// The next actuation that the state taken up does not contain.
+    /// The next actuation that the state does not contain yet.
     fn next_actuation(&self) -> Option<Taken<Actuation>> {
-        let is_news = |header: &Header| {
-            let (incarnation, sequence) = self.heard;
-            header.incarnation != incarnation || header.sequence > sequence
+        let RobotState { received_incarnation, received_sequence, .. } = self.state;
+        let is_new = |Header { incarnation, sequence, .. }: &Header| {
+            *incarnation != received_incarnation || *sequence > received_sequence
         };
-        std::iter::from_fn(|| self.actuations.take()).find(|actuation| is_news(&actuation.header))
+        std::iter::from_fn(|| self.actuations.take()).find(|actuation| is_new(&actuation.header))
     }
 
-    /// When an actuation acts: when it was published, between what the robot has been through and now.
+    /// When an actuation acts: at its publication, but not before the time that the robot has reached, nor after now.
     fn acts_ns(&self, actuation: &Actuation, now_ns: u64) -> u64 {
         let published_ns = actuation.header.stage(Role::Actuator).published_ns;
-        published_ns.saturating_sub(self.origin_ns).min(now_ns).max(self.emulator.now_ns())
+        published_ns.saturating_sub(self.state.origin_ns).min(now_ns).max(self.emulator.now_ns())
     }
 
     fn actuate(&mut self, process: &mut Process, actuation: &Actuation) -> anyhow::Result<()> {
-        // What was taken before the stop may be due after it.
+        // An actuation that was received before the stop may be due after it.
         let drives = actuation.kind != ActuationKind::Block.wire();
         if !drives || !(self.stopped || process.must_stop()) {
             self.emulator.actuate(actuation);
         }
         let Header { incarnation, sequence, scan_id, .. } = actuation.header;
-        self.heard = (incarnation, sequence);
-        self.answered = if actuation.answers == 1 { scan_id } else { self.answered };
+        (self.state.received_incarnation, self.state.received_sequence) = (incarnation, sequence);
+        self.state.answered = if actuation.answers == 1 { scan_id } else { self.state.answered };
         self.save(process, &actuation.header)
     }
 
-    fn publish(
-        &mut self,
-        process: &mut Process,
-        scan_id: u64,
-        change: &mut impl FnMut(&mut Scan, &mut Odometry, &mut Truth),
-    ) -> anyhow::Result<()> {
+    fn publish(&mut self, process: &mut Process, scan_id: u64) -> anyhow::Result<()> {
         let ready_ns = self.emulator.scan_ready_ns(scan_id);
-        process.clock().advance_to(self.origin_ns + ready_ns);
+        process.clock().advance_to(self.state.origin_ns + ready_ns);
         process.begin();
         self.emulator.advance_to(ready_ns);
         let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
         self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             header.scan_id = scan_id;
-            header.acquired_ns = self.origin_ns + self.emulator.acquired_ns(scan_id);
+            header.acquired_ns = self.state.origin_ns + self.emulator.acquired_ns(scan_id);
         }
-        change(&mut scan, &mut odometry, &mut truth);
-        self.told_at_rest |= self.stopped && truth.speed_mps <= 0.0;
+        (self.change)(&mut scan, &mut odometry, &mut truth);
+        self.rest_published |= self.stopped && truth.speed_mps <= 0.0;
         self.truths.publish_silently(&mut truth)?;
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
-        self.next_scan = scan_id + 1;
+        self.state.next_scan = scan_id + 1;
         self.save(process, &odometry.header)
     }
 
     /// Publishes the state, unless the next sweep has begun.
     fn save(&self, process: &mut Process, header: &Header) -> anyhow::Result<()> {
-        let Some(emulator) = self.emulator.state(self.next_scan - 1) else { return Ok(()) };
-        let state = RobotState {
-            origin_ns: self.origin_ns,
-            next_scan: self.next_scan,
-            answered: self.answered,
-            received_sequence: self.heard.1,
-            received_incarnation: self.heard.0,
-            reserved: 0,
-            emulator,
-        };
-        Ok(process.save(header, &state)?)
+        let Some(emulator) = self.emulator.state(self.state.next_scan - 1) else { return Ok(()) };
+        Ok(process.save(header, &RobotState { emulator, ..self.state })?)
     }
 }
 
-/// Whether scans are still to be published.
+/// Whether scans are still published.
 fn may_publish(process: &Process) -> bool {
     process.directive().phase != Phase::Stopping.wire()
 }
 
-/// The scan that a robot publishes next when those from `next_scan` to `newest` are due. A scanner continues while the
-/// computer is held up, and its driver then delivers the scans that came meanwhile; scans that are too old are skipped.
+/// The scan that a robot publishes next when those from `next_scan` to `newest` are due.
+///
+/// A scanner continues while the computer is delayed, and its driver then delivers the scans that were buffered
+/// meanwhile; scans that are too old are skipped.
 pub fn next_due(next_scan: u64, newest: u64, is_young: impl Fn(u64) -> bool) -> u64 {
     let oldest = next_scan.max(newest.saturating_sub(HANDED_OVER_LATE));
     (oldest..newest).find(|scan_id| is_young(*scan_id)).unwrap_or(newest)

@@ -1,8 +1,8 @@
 //! How the steering angle of the wheels follows the angle sent, before backlash.
 //!
-//! The curve is a fixed, made-up but plausible linkage: more angle than asked for near the middle, less towards
-//! the stops, and not quite the same to both sides. It stays within +-30 % of the identity (ratio 0.85 to 1.21)
-//! and rises strictly, so it can be undone; the shipped correction network is trained to do that.
+//! The curve is that of a plausible, invented linkage: more angle than sent near the middle, less towards the stops,
+//! and not quite the same to both sides. It stays within +-30 % of the identity (ratio 0.85 to 1.21) and rises
+//! strictly, so it has an inverse, which the shipped correction network is trained for.
 
 use serde::{Deserialize, Serialize};
 use vehicle::correction::SENT_STEERING_MAX_RAD;
@@ -20,6 +20,8 @@ pub enum SteeringMap {
     /// The wheels take the angle sent.
     Identity,
 }
+
+impl vehicle::Setting for SteeringMap {}
 
 impl SteeringMap {
     /// Angle of the shaft that the angle `sent` gives [rad].

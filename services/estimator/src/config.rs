@@ -1,7 +1,7 @@
 //! Settings of the estimator.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Invalid, Parameters, settings};
+use vehicle::{Invalid, Parameters, Setting, settings};
 
 use crate::correction::{Drift, Mode};
 use crate::motion::MotionModel;
@@ -21,41 +21,48 @@ pub enum Profile {
 }
 
 settings! {
-    /// Settings of the estimator; what is not set comes from the profile.
+    /// Settings of the estimator; the profile sets what the file does not.
     pub struct Config {
-        /// `"scaled"` or `"source"`.
+        /// Default values for noise and correction that go together: `scaled` is in metres and radians, `source` are the
+        /// printed values, of which only the ratios matter.
         pub profile: Profile = Profile::Scaled;
-        /// What is measured; must determine the state while the robot moves, (7.1)-(7.2).
-        pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y];
-        /// Variances Q of (yaw, x, y) per 100 ms, each 1e-12 to 1e6 [rad^2, m^2, m^2]; scaled: of (yaw, ahead, left).
+        /// Measured components of the pose.
+        pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
+            "each once; they must determine the state, (7.1)-(7.2), as `[\"x\", \"y\"]` does";
+        /// Variances Q of yaw, ahead and left for 100 ms; with profile `source` of yaw, x and y [rad^2, m^2, m^2].
         pub process_noise: Option<[f64; 3]> = None, 1e-12..=1e6;
-        /// Variances R of measured (yaw, x, y), each 1e-12 to 1e6 [rad^2, m^2, m^2].
+        /// Variances R of the measured yaw, x and y [rad^2, m^2, m^2].
         pub measurement_noise: Option<[f64; 3]> = None, 1e-12..=1e6;
-        /// How measured data are corrected: `"off"`, `"time"`, `"moving"` or `"yaw"`.
+        /// Correction of the odometry, (7.36)-(7.40): none, a lateral error that grows with time or while the robot moves,
+        /// or an error that turns the travelled path.
         pub correction: Option<Mode> = None;
-        /// Share of the way that odometry misses, df, -0.5 to 0.5.
+        /// Odometry scale error: fraction of the travelled distance that is not reported, df.
         pub odometry_longitudinal: Option<f64> = None, -0.5..=0.5;
-        /// Growth of the lateral drift, dds, -1 to 1 [1/s].
+        /// Growth of the lateral odometry error, dds [1/s].
         pub odometry_lateral_rate: Option<f64> = None, -1.0..=1.0;
-        /// Time after which the lateral drift begins at zero again, 0 (never) to 3600 [s].
+        /// Time after which the lateral odometry error starts at zero again; 0 for never [s].
         pub drift_reset_s: f64 = 0.0, 0.0..=3600.0;
-        /// Whether measurements that do not fit the estimate are refused; not with the printed noise.
-        pub gate: Option<bool> = None;
-        /// Whether a calibration that is wrong is noticed, and ends the drive.
+        /// Whether measurements that do not fit the estimate are rejected.
+        pub gate: Option<bool> = None, "`false` with profile `source`";
+        /// Whether the estimator detects a wrong calibration while driving; the robot then slows down and stops.
         pub self_check: bool = true;
-        /// Measurements refused in a row after which the estimate begins anew, 1 to 1000.
+        /// The estimate starts anew after this many rejected measurements in a row.
         // Half a second at 10 Hz: longer than a burst of outliers, shorter than a metre at top speed.
         pub recover_after: u32 = 5, 1.0..=1000.0;
-        /// Time without odometry after which the estimate begins anew, 0.1 to 60 [s].
+        /// The estimate starts anew after this time without odometry [s].
         pub max_gap_s: f64 = 2.0, 0.1..=60.0;
-        /// Weight of the speed measured at the wheels against the desired one, 0 to 1.
+        /// Weight of the speed measured at the wheels; the desired speed has the rest.
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
-        /// Time from the pose to the wheels that is added to the age of the scan, 0 to 500 [ms].
+        /// Time from the pose to the wheels, added to the age of the scan when the pose is predicted [ms].
         pub extra_latency_ms: f64 = 0.0, 0.0..=500.0;
-        /// Deceleration of blocked wheels, 0.1 to 50 [m/s^2].
+        /// Deceleration while the wheels are blocked [m/s^2].
         pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
     }
 }
+
+impl Setting for Profile {}
+impl Setting for Mode {}
+impl Setting for Measured {}
 
 /// All settings with the profile's values filled in, checked.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
-//! Correction of measured data, (7.36)-(7.40): what odometry misses is added to what it reports.
+//! Correction of the odometry, (7.36)-(7.40): known errors are added back to the reported pose.
 //!
-//! Odometry sees the wheels turn. It misses a constant share of the way (the wheels slip), and a lateral drift that
-//! grows (the steering has an offset that the wheels do not report). Both were measured before and are put back:
+//! Odometry measures how far the wheels turn. It does not report a constant share of the distance (the wheels slip),
+//! nor a lateral drift that grows (the steering has an offset). Both were calibrated before and are added back:
 //!
 //! ```text
 //! ds_k     = ds_(k-1) + dds dt                                                  (7.38)
@@ -11,9 +11,9 @@
 //! The result is the reported pose plus the sum of all corrections so far, so that white noise of the reported pose
 //! stays white. Speeds are those measured at the wheels.
 //!
-//! Where it fails: the printed drift grows with time, also at standstill and without end, and fits a constant
-//! steering offset for about 6 s only. [`Mode::Moving`] does not grow at standstill; [`Mode::Yaw`] turns the way
-//! instead of shifting it, which is what a steering offset really does.
+//! Where it fails: the printed drift grows with time, also at standstill and without limit, and fits a constant
+//! steering offset for about 6 s only. [`Mode::Moving`] does not grow at standstill; [`Mode::Yaw`] turns the
+//! increments instead of shifting them, which is the true effect of a steering offset.
 
 use serde::{Deserialize, Serialize};
 use shared_types::plain_state;
@@ -29,7 +29,7 @@ pub enum Mode {
     Time,
     /// The lateral drift grows while the robot moves.
     Moving,
-    /// The drift turns the reported way and yaw, in proportion to the way driven.
+    /// The drift turns the reported increments and yaw, in proportion to the distance driven.
     Yaw,
 }
 
@@ -38,11 +38,11 @@ pub enum Mode {
 pub struct Drift {
     /// How the drift acts.
     pub mode: Mode,
-    /// Share of the way that odometry misses, df.
+    /// Share of the distance that odometry does not report, df.
     pub longitudinal: f64,
     /// Growth of the lateral drift, dds [1/s]; in mode `yaw`, turn per time at 1 m/s [rad/s]. Positive to the left.
     pub lateral_rate: f64,
-    /// Time after which the lateral drift begins at zero again; 0 for never [s].
+    /// Time after which the lateral drift restarts at zero; 0 for never [s].
     pub reset_s: f64,
 }
 
@@ -99,11 +99,11 @@ impl CorrectionState {
     /// The corrected pose for the next report, `dt` seconds after the one before, at `speed` [m/s].
     ///
     /// Source note: (7.39) and (7.40) take drift and yaw at the beginning of the interval. Here both, and the speed,
-    /// are means of beginning and end: at 100 ms the printed form lags by dds dt / 2 of the way, 0.1 m over 40 s.
+    /// are means of beginning and end: at 100 ms the printed form lags by dds dt / 2 of the distance, 0.1 m over 40 s.
     pub fn correct(&mut self, drift: &Drift, reported: Planar, speed: f64, dt: f64) -> Planar {
         let (dx, dy) = (reported.x - self.reported_x_m, reported.y - self.reported_y_m);
         let turn = wrap_angle(reported.yaw - self.reported_yaw_rad);
-        let way = dt * (self.speed_mps + speed) / 2.0;
+        let distance = dt * (self.speed_mps + speed) / 2.0;
         let middle_yaw = self.reported_yaw_rad + turn / 2.0;
         *self = Self {
             reported_yaw_rad: reported.yaw,
@@ -116,18 +116,18 @@ impl CorrectionState {
         match drift.mode {
             Mode::Off => {}
             Mode::Time | Mode::Moving => {
-                let grows = drift.mode == Mode::Time || way > STANDSTILL_MPS * dt;
+                let grows = drift.mode == Mode::Time || distance > STANDSTILL_MPS * dt;
                 let growth = if grows { self.grow(drift, dt) } else { 0.0 };
-                let missed = to_track(middle_yaw, drift.longitudinal, self.lateral - growth / 2.0) * way;
+                let missed = to_track(middle_yaw, drift.longitudinal, self.lateral - growth / 2.0) * distance;
                 self.x_m += missed.x;
                 self.y_m += missed.y;
             }
             Mode::Yaw => {
-                let growth = drift.lateral_rate * way;
+                let growth = drift.lateral_rate * distance;
                 let rotation = self.yaw_rad + growth / 2.0;
                 self.yaw_rad += growth;
                 let turned = to_track(rotation, dx, dy);
-                let missed = to_track(middle_yaw + rotation, drift.longitudinal, 0.0) * way;
+                let missed = to_track(middle_yaw + rotation, drift.longitudinal, 0.0) * distance;
                 self.x_m += turned.x - dx + missed.x;
                 self.y_m += turned.y - dy + missed.y;
             }
@@ -172,8 +172,8 @@ mod tests {
     /// Reports of a robot that drives straight along `yaw` at 1 m/s, all corrected; the last result.
     fn straight(drift: &Drift, yaw: f64, reported_speed: f64, seconds: usize) -> Planar {
         let at = |step: usize| {
-            let way = to_track(yaw, reported_speed * 0.1 * step as f64, 0.0);
-            Planar { yaw, x: way.x, y: way.y }
+            let place = to_track(yaw, reported_speed * 0.1 * step as f64, 0.0);
+            Planar { yaw, x: place.x, y: place.y }
         };
         let mut state = CorrectionState::begin(at(0), 1.0);
         let mut corrected = at(0);

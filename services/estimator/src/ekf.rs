@@ -1,13 +1,13 @@
 //! The extended Kalman filter, (7.20)-(7.26), for N states.
 //!
-//! The process x_k = f(x_(k-1), u_k, w_(k-1)) and the measurement z_k = h(x_k, v_k), (7.14)-(7.19), are the caller's, and so
-//! are the zero means and the covariances Q and R of their noise, (7.3)-(7.8). The kernel knows no robot: the caller linearises its own model and hands in the Jacobians (7.20), (7.21): A and W of the state
-//! by state and process noise, and H and V of the measurement by state and measurement noise. With constant A and
-//! H, and W = V = 1, it is the linear filter (7.9)-(7.13).
+//! The process x_k = f(x_(k-1), u_k, w_(k-1)) and the measurement z_k = h(x_k, v_k), (7.14)-(7.19), with zero-mean noise
+//! of covariance Q and R, (7.3)-(7.8), are the caller's. The caller linearises its model and passes the Jacobians (7.20),
+//! (7.21): A and W of the state by state and process noise, and H and V of the measurement by state and measurement
+//! noise. With constant A and H, and W = V = 1, it is the linear filter (7.9)-(7.13).
 //!
 //! Numerics: the update is in Joseph's form and the gain comes from a Cholesky factor, so that the covariance stays
-//! symmetric and positive definite as long as process noise keeps it away from zero. Angles are the caller's: the
-//! innovation is a function of its own, which wraps what has to be wrapped.
+//! symmetric and positive definite as long as process noise keeps it away from zero. The caller computes the
+//! difference of measurements, and wraps angles there.
 
 use nalgebra::{SMatrix, SVector};
 

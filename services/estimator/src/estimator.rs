@@ -1,15 +1,17 @@
 //! One odometry sample in, one pose out.
 //!
-//! The order of a step: correct what was measured, move the estimate to the time of the sample under the controls
-//! that were in force, compare, update, and look ahead to the time at which an answer will act.
+//! The order of a step: correct the measurement, predict the estimate to the time of the sample under the controls
+//! that were in force, compare, update, and predict to the time at which the command for this scan will act.
 //!
 //! Assumptions: stamps are of one clock; the robot starts at the pose it reports first. Time between samples is
-//! measured from their stamps, so lost samples are a longer prediction and nothing else. Samples that are not newer
-//! than the estimate give no pose. A sample that does not fit (its NIS is beyond 99.9 % of the chi-squared
-//! distribution) is not used; after several in a row the estimate begins anew from the measurement, because then it
-//! is the estimate that is wrong. After a longer gap it begins anew as well, and after a short one when the sample does
-//! not fit: what was sent to the wheels meanwhile may not be known, so the measured pose and speed win over the predicted
-//! ones, as long as the robot can have got there.
+//! measured from their stamps, so lost samples only make a prediction longer. Samples that are not newer than the
+//! estimate give no pose. A sample that does not fit (its NIS is beyond 99.9 % of the chi-squared distribution) is not
+//! used. The estimate restarts from the measurement
+//!
+//! * after several such samples in a row, because then the estimate is wrong;
+//! * after a longer gap;
+//! * after a short gap with a sample that does not fit, if the robot can have driven there: the controls sent during
+//!   the gap may be unknown.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
@@ -27,20 +29,19 @@ use crate::{Config, EstimatorState, Settings};
 /// Positions beyond this are no measurement [m]: the longest track has 10 km.
 const FARTHEST_M: f64 = 1e6;
 
-/// The look ahead is never longer than this [ns]: older scans are not driven on.
+/// Longest prediction ahead [ns]: commands for older scans are not driven.
 const MAX_AHEAD_NS: u64 = 500_000_000;
 
 /// 99.9 % quantiles of the chi-squared distribution with one, two and three degrees of freedom.
 const GATE: [f64; 3] = [10.828, 13.816, 16.266];
 
-/// How much farther than its speed allows a robot may be measured to have gone in a gap: five standard deviations of R
-/// [m], and of the yaw [rad].
+/// Tolerance of the distance [m] and the turn [rad] that a robot can have driven in a gap: five standard deviations.
 const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
 
-/// More than the curvature of any way [1/m]: per steering angle 5.4 by the geometry, and 8 % more.
+/// Upper bound of the curvature of any path [1/m]: per steering angle 5.4 by the geometry, and 8 % more.
 const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
 
-/// The interval that Q is given for [s].
+/// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
 
 /// Estimates pose and motion from odometry and actuations.
@@ -50,7 +51,7 @@ pub struct Estimator {
     state: EstimatorState,
 }
 
-/// The measurement update in terms of (yaw, x, y), whatever is measured.
+/// The measurement update in terms of (yaw, x, y), whichever of them is measured.
 #[derive(Debug, Clone, Copy, Default)]
 struct Update {
     innovation: Vector3<f64>,
@@ -59,7 +60,7 @@ struct Update {
 }
 
 impl Estimator {
-    /// An estimator without an estimate: the first odometry makes one.
+    /// An estimator without an estimate: the first odometry sample initialises it.
     ///
     /// # Errors
     /// [`Invalid`] when a setting is outside its range or the measured states do not determine the state.
@@ -67,11 +68,11 @@ impl Estimator {
         Ok(Self { settings: config.settings()?, state: EstimatorState::default() })
     }
 
-    /// The pose at the time of an odometry sample and ahead of it, at `now_ns` plus the latency to be expected.
+    /// The pose at the time of an odometry sample, and predicted to `now_ns` plus the expected latency.
     ///
-    /// `realised` is the newest actuation, the same one as before or none where there is no newer. Identity and
-    /// stamps in the header of the pose are those of the odometry, to be completed when it is published.
-    /// `None` for a sample that is not newer than the estimate, or whose content cannot be used.
+    /// `realised` is the newest actuation; without a new one, the same as before or none. Identity and stamps in the
+    /// header of the pose are those of the odometry, to be completed when it is published. `None` for a sample that is
+    /// not newer than the estimate, or whose content cannot be used.
     pub fn step(&mut self, odometry: &Odometry, realised: Option<&Actuation>, now_ns: u64) -> Option<Pose> {
         if let Some(actuation) = realised {
             self.note(actuation, now_ns);
@@ -97,12 +98,12 @@ impl Estimator {
                 self.predict(odometry, dt);
                 update = Some(self.update_and_check(measured, odometry));
                 if gap_explains && self.state.rejected > before.rejected {
-                    // As if the sample had not been compared: this is no evidence against the calibration.
+                    // Undo the comparison: the gap explains the misfit, so it is no evidence against the calibration.
                     (self.state, update) = (before, None);
                 }
             }
             update.unwrap_or_else(|| {
-                self.begin_anew(measured, odometry);
+                self.restart(measured, odometry);
                 Update::default()
             })
         } else {
@@ -119,7 +120,7 @@ impl Estimator {
 
     /// Remembers an actuation for later steps; several may be noted between two steps, in order.
     ///
-    /// One that is stamped more than a second ahead of `now_ns` is ignored: it would shut out all that follow.
+    /// One that is stamped more than a second ahead of `now_ns` is ignored: it would exclude all that follow.
     pub fn note(&mut self, actuation: &Actuation, now_ns: u64) {
         let published_ns = actuation.header.stage(Role::Actuator).published_ns;
         if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
@@ -132,7 +133,7 @@ impl Estimator {
         self.state
     }
 
-    /// Goes on from the state of another estimator.
+    /// Continues from the state of another estimator.
     ///
     /// # Errors
     /// [`Fault`] when the state is not usable; the estimator is unchanged then.
@@ -142,7 +143,7 @@ impl Estimator {
         Ok(())
     }
 
-    /// Whether the estimate does not contain a sample yet.
+    /// Whether a sample is newer than the estimate.
     pub fn is_newer(&self, odometry: &Odometry) -> bool {
         let header = &odometry.header;
         let same_producer = header.incarnation == self.state.incarnation && header.sequence != 0;
@@ -156,8 +157,8 @@ impl Estimator {
         header.incarnation == self.state.incarnation && header.sequence > self.state.sequence + 1
     }
 
-    /// Whether the robot can have driven from the estimate to a place within `dt`, forwards and at no more than the speed
-    /// it had, was sent, or has.
+    /// Whether the robot can have driven from the estimate to a place within `dt`: forwards, and at most at the largest of
+    /// its last speed, its measured speed and the speeds sent.
     fn is_in_reach(&self, place: Planar, speed: f64, dt: f64) -> bool {
         let motion = &self.state.motion;
         let fastest = motion
@@ -180,7 +181,7 @@ impl Estimator {
         self.state.motion.begin(&self.settings.motion, odometry.header.acquired_ns, odometry.speed_mps);
     }
 
-    fn begin_anew(&mut self, measured: Planar, odometry: &Odometry) {
+    fn restart(&mut self, measured: Planar, odometry: &Odometry) {
         self.begin(measured, odometry);
         self.state.restarts += 1;
     }
@@ -211,7 +212,7 @@ impl Estimator {
         self.keep(&filter);
     }
 
-    /// Measurement update, and what it shows about the calibration.
+    /// Measurement update, followed by the check of the calibration.
     fn update_and_check(&mut self, measured: Planar, odometry: &Odometry) -> Update {
         let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
         let update = self.update(measured, odometry);
@@ -226,7 +227,7 @@ impl Estimator {
                     .map(|control| control.velocity_mps),
                 innovation: self.settings.gate.then(|| self.normalised(&expected, &update.innovation)),
                 refused: self.state.rejected > refused,
-                began_anew: self.state.restarts > restarts,
+                restarted: self.state.restarts > restarts,
             });
         }
         update
@@ -244,7 +245,7 @@ impl Estimator {
         [ahead, left, yaw]
     }
 
-    /// Measurement update (7.24)-(7.26) with what is measured, unless the gate refuses it.
+    /// Measurement update (7.24)-(7.26), unless the gate refuses the measurement.
     fn update(&mut self, measured: Planar, odometry: &Odometry) -> Update {
         let update = if self.settings.yaw_is_measured {
             self.update_with([0, 1, 2], measured)
@@ -261,12 +262,12 @@ impl Estimator {
                 self.state.rejected += 1;
                 self.state.rejected_in_a_row += 1;
                 if self.state.rejected_in_a_row >= self.settings.recover_after {
-                    self.begin_anew(measured, odometry);
+                    self.restart(measured, odometry);
                 }
                 update
             }
             _ => {
-                self.begin_anew(measured, odometry);
+                self.restart(measured, odometry);
                 Update::default()
             }
         }
@@ -363,12 +364,12 @@ impl Estimator {
     }
 }
 
-/// Stamps beyond this are no time of this clock [ns].
+/// Latest plausible stamp [ns].
 fn latest(now_ns: u64) -> u64 {
     now_ns.saturating_add(1_000_000_000)
 }
 
-/// The reported pose, where it can be one.
+/// The reported pose, if it is plausible.
 fn usable(odometry: &Odometry) -> Option<Planar> {
     let Odometry { x_m, y_m, yaw_rad, .. } = *odometry;
     let possible = x_m.abs() <= FARTHEST_M && y_m.abs() <= FARTHEST_M && yaw_rad.abs() <= 1e3;

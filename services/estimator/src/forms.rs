@@ -1,10 +1,10 @@
-//! What the forms of the correction leave of an error of the odometry: a study without noise and without filter.
+//! The remaining odometry error of each form of the correction: a study without noise and without filter.
 //!
 //! A robot steers a sine of 0.06 rad and 5 s period at 1 m/s, as in the source's figure, and reports its odometry every
-//! 100 ms. Three kinds of robots err in three ways; each form of the correction is applied to each, with the source's
-//! df = 0.01 and dds = 0.053 1/s. The error is the distance of corrected and true position.
+//! 100 ms. There are three robots with different odometry errors. Each form of the correction is applied to each, with
+//! the source's df = 0.01 and dds = 0.053 1/s. The error is the distance of corrected and true position.
 //!
-//! The study is about forms: its robots follow the model at once and know no other imperfection.
+//! The robots follow the model at once and have no other imperfection.
 
 use vehicle::frame::to_track;
 use vehicle::integrate::rk4;
@@ -16,7 +16,7 @@ use crate::correction::{CorrectionState, Drift, Mode, Planar};
 pub const LONGITUDINAL: f64 = 0.01;
 /// Growth of the lateral drift [1/s].
 pub const LATERAL_RATE: f64 = 0.053;
-/// The steering offset that looks like it at 1 m/s [rad].
+/// The steering offset with the same effect at 1 m/s [rad].
 pub const OFFSET_RAD: f64 = 0.0098;
 
 /// Time between two reports [s].
@@ -24,12 +24,12 @@ const PERIOD_S: f64 = 0.1;
 /// Steps of integration per report.
 const STEPS: usize = 100;
 
-/// In which way the odometry errs.
+/// The cause of the odometry error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Robot {
-    /// The wheels are off by a constant angle that the odometry does not see: play that is used up on one side.
+    /// The wheels are off by a constant angle that the odometry does not measure: play taken up on one side.
     Offset,
-    /// The wheels follow the shaft through play of the same size: the error changes its side.
+    /// The wheels follow the shaft through play of the same size: the error changes sides.
     Play,
     /// The odometry errs exactly as (7.38)-(7.40) say.
     Modelled,
@@ -40,7 +40,7 @@ pub enum Robot {
 pub struct Form {
     /// The form.
     pub mode: Mode,
-    /// Time after which the lateral drift begins anew, 0 for never [s].
+    /// Time after which the lateral drift restarts at zero, 0 for never [s].
     pub reset_s: f64,
 }
 

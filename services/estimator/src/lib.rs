@@ -1,8 +1,8 @@
-//! Where the robot is and how it moves: correction of measured data and an extended Kalman filter.
+//! Where the robot is and how it moves: correction of the odometry and an extended Kalman filter.
 //!
-//! One odometry sample in, one pose out. [`Estimator`] ties four pure parts together: the correction of measured
-//! data, (7.36)-(7.40) ([`correction`]); the motion under the controls that were really sent ([`motion`]); the
-//! filter, (7.20)-(7.26) ([`ekf`]); and the check that what is measured suffices, (7.1)-(7.2) ([`observability`]).
+//! One odometry sample in, one pose out. [`Estimator`] combines four pure parts: the correction of the odometry,
+//! (7.36)-(7.40) ([`correction`]); the motion under the controls that were really sent ([`motion`]); the filter,
+//! (7.20)-(7.26) ([`ekf`]); and the check that the measured states suffice, (7.1)-(7.2) ([`observability`]).
 
 mod config;
 pub mod correction;

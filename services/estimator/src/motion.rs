@@ -1,13 +1,12 @@
 //! How the robot moves under the controls that were really sent, (7.27)-(7.31).
 //!
-//! An actuation is in force from the moment it was published until the next one. Of an odometry sample of time t,
-//! the interval since the sample before therefore falls into pieces: first the older actuation, then the newer.
-//! Each piece is integrated with the model. The desired velocity and steering angle are taken as realised: undoing
-//! the robot's imperfections is the business of the actuator. Blocked wheels slide with a constant deceleration and
-//! keep their angle.
+//! An actuation is in force from its publication until the next one. So the interval between two odometry samples
+//! consists of pieces: first under the older actuation, then under the newer. Each piece is integrated with the
+//! model. The desired velocity and steering angle are assumed to be realised: the actuator compensates the robot's
+//! imperfections. Blocked wheels slide with a constant deceleration and keep their angle.
 //!
-//! The speed measured at the wheels tells how far that holds: it replaces the assumed speed at the time of the
-//! sample, by the weight given. So a robot that is slower than desired, or that stopped by itself, is followed.
+//! The speed measured at the wheels corrects the assumed one at the time of the sample, by the weight given. So the
+//! estimate follows a robot that is slower than desired, or that stopped by itself.
 //!
 //! The model divides by the velocity; below [`SLOWEST_MPS`] its lateral part is computed as if the robot drove that
 //! fast, and at standstill sideslip and yaw rate are zero. Where it fails: an unknown offset of the steering;
@@ -21,11 +20,11 @@ use vehicle::{Control, Parameters, State};
 
 use crate::correction::Planar;
 
-/// How many actuations are remembered: more than can be in force within a gap of several scans at which the filter
-/// begins anew, and a block with its recovery within one scan.
+/// Number of actuations that are remembered: enough for a gap of several scans, and for a block with its recovery within
+/// one scan.
 pub const HISTORY: usize = 8;
 
-/// Speeds beyond this are no measurement [m/s]: no more can be sent, and the robot only gets slower from there.
+/// Largest plausible speed [m/s]: no more can be sent, and the true speed is lower than the one sent.
 const FASTEST_MPS: f64 = SENT_VELOCITY_MAX_MPS;
 
 plain_state! {
@@ -58,7 +57,7 @@ plain_state! {
     }
 }
 
-/// What the motion is computed with.
+/// Parameters of the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionModel {
     /// Parameters of the model.
@@ -69,7 +68,7 @@ pub struct MotionModel {
     pub speed_weight: f64,
 }
 
-/// A stretch of time under one control with a linear course of the speed.
+/// A time interval under one control, in which the speed is linear.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     duration_s: f64,
@@ -82,7 +81,7 @@ impl MotionState {
     /// Remembers an actuation; one that is not newer, or whose content cannot be used, changes nothing.
     ///
     /// It takes effect when the actuator published it; without that stamp, at the acquisition of its scan. Blocked
-    /// wheels keep the angle they have, whatever the actuation says.
+    /// wheels keep the angle they have, whatever angle the actuation has.
     pub fn note(&mut self, actuation: &Actuation) {
         let (velocity, steering) = (actuation.desired_velocity_mps, actuation.desired_steering_rad);
         let plausible = velocity.abs() <= SENT_VELOCITY_MAX_MPS && steering.abs() <= SENT_STEERING_MAX_RAD;
@@ -156,7 +155,7 @@ impl MotionState {
             let next_ns = self.controls().iter().map(|control| control.from_ns).find(|&from| from > start_ns);
             let end_ns = next_ns.unwrap_or(to_ns).min(to_ns);
             let is_last = end_ns == to_ns;
-            // The control was in force before this interval, so the speed of its end is the speed now.
+            // A control from before this interval: the robot has its speed already.
             let continues = control.is_none_or(|control| control.from_ns < from_ns);
             let seconds = (end_ns - start_ns) as f64 * 1e-9;
             let blend = |assumed: f64| match measured {
@@ -198,7 +197,7 @@ impl MotionState {
     }
 }
 
-/// The measured speed where it can be one; reversing is none, and standing still reads zero with a little noise.
+/// The measured speed if it is plausible: the robot does not reverse, and at standstill reads zero with a little noise.
 pub(crate) fn plausible_speed(measured_mps: f64) -> Option<f64> {
     (measured_mps.is_finite() && measured_mps > -0.1 && measured_mps <= FASTEST_MPS)
         .then(|| measured_mps.max(0.0))

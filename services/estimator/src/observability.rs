@@ -1,8 +1,8 @@
-//! Whether what is measured determines the state (yaw, x, y): the rank check (7.1)-(7.2).
+//! Whether the measured states determine the state (yaw, x, y): the rank check (7.1)-(7.2).
 //!
-//! The matrix (H; H A; H A^2) of the linearised motion must have rank 3. Yaw turns the way driven, so that a
-//! measured position reveals yaw, but only while the robot moves; nothing reveals a position that is not measured.
-//! The check is local: it says that an estimate can converge, not how fast.
+//! The matrix (H; H A; H A^2) of the linearised motion must have rank 3. The yaw is the direction of motion, so a
+//! measured position determines it, but only while the robot moves; a position that is not measured cannot be
+//! determined. The check is local: it shows that an estimate can converge, not how fast.
 
 use nalgebra::{Matrix3, SMatrix};
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ pub fn analyse(measured: &[Measured]) -> Observability {
 
 /// Jacobian A of (yaw, x, y) after a motion by (dx, dy) with respect to (yaw, x, y) before it.
 ///
-/// The way driven turns rigidly with the yaw at its start, hence this is exact, whatever the way.
+/// The displacement turns rigidly with the yaw at its start, so this is exact for any motion.
 pub fn motion_jacobian(dx: f64, dy: f64) -> Matrix3<f64> {
     Matrix3::new(1.0, 0.0, 0.0, -dy, 1.0, 0.0, dx, 0.0, 1.0)
 }
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_jacobian_of_the_motion_turns_the_way_with_the_yaw() {
-        // A way of 0.3 ahead and 0.1 to the left at yaw 0.5, against a central difference.
+        // A displacement of 0.3 ahead and 0.1 to the left at yaw 0.5, against a central difference.
         let end = |yaw: f64| vehicle::frame::to_track(yaw, 0.3, 0.1);
         let way = end(0.5);
         let difference = (end(0.5 + 1e-6) - end(0.5 - 1e-6)) / 2e-6;

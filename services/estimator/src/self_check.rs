@@ -1,43 +1,41 @@
-//! Notices while driving that a calibration is wrong, and says which.
+//! Detects while driving that a calibration is wrong, and which one.
 //!
-//! A filter whose model is right has innovations that scatter about zero. Four residuals are watched: speed at the wheels
-//! against the speed desired, and the innovations of the filter ahead, to the left and in yaw, each in units of its
-//! expected standard deviation. Of each the median over the last [`WINDOW`] scans counts: it lets single outliers pass
-//! (a command that came late, a wheel that slipped), and under the right model it has a standard deviation of
-//! 0.28. A sudden jump does not wait for a window: three measurements in a row that the gate refuses are enough.
+//! A filter with a correct model has innovations that scatter about zero. Four residuals are monitored: speed at the
+//! wheels against the speed desired, and the innovations of the filter ahead, to the left and in yaw, each in units of
+//! its expected standard deviation. The median over the last [`WINDOW`] scans decides: it ignores single outliers (a
+//! command that came late, a wheel that slipped), and with a correct model it has a standard deviation of 0.28. A sudden
+//! jump is detected earlier: three measurements in a row that the gate refuses are enough.
 //!
-//! While a residual is off the alarm is [`Alarm::Slow`]; when it has lasted for [`TIMEOUT_S`], or the estimate had to
-//! begin anew from what it refused, it is [`Alarm::Stop`] and stays: where the robot is, is not known then.
+//! While a residual is beyond its tolerance the alarm is [`Alarm::Slow`]. When that has lasted for [`TIMEOUT_S`], or the
+//! estimate had to restart from refused measurements, it is [`Alarm::Stop`] and stays: the position is not known then.
 //!
-//! Assumptions: the noise is at most what R says (less noise makes it slower to notice, more makes it cry); the speed
+//! Assumptions: the noise is at most that of R (less noise delays the detection, more causes false alarms); the speed
 //! follows the command within a scan or two. A wrong steering map shows in the yaw only while the robot turns to one side.
-//! With the printed noise of the profile `source` the innovations have no unit, and only the speed is watched.
+//! With the printed noise of the profile `source` the innovations are not normalised, and only the speed is monitored.
 
-use shared_types::{Alarm, Suspect};
-
-use shared_types::plain_state;
+use shared_types::{Alarm, Suspect, plain_state};
 
 /// Scans that a median is taken over.
 pub const WINDOW: usize = 20;
 
-/// Share by which the median of the speed may differ from the one desired. Half of the error of kv that is to be found.
+/// Share by which the median of the speed may differ from the one desired: half of the error of kv to be detected.
 const SPEED_TOLERANCE: f64 = 0.05;
 
 /// Largest median of an innovation, in standard deviations: 5.4 standard deviations of the median itself, about 1e-7 by
 /// chance.
 const INNOVATION_TOLERANCE: f64 = 1.5;
 
-/// Largest median of the yaw's innovation, in standard deviations. Play of 6 mrad that no calibration knows, used up on
-/// one side, makes 1.6, and is driven with; 3 is a steering angle that is 11 mrad off, a fifth of what there is.
+/// Largest median of the yaw's innovation, in standard deviations. An uncalibrated play of 6 mrad, taken up on one side,
+/// gives 1.6, which is tolerated; 3 is a steering angle that is 11 mrad off, a fifth of the largest one.
 const YAW_TOLERANCE: f64 = 3.0;
 
-/// Refused measurements in a row that are a jump. Two may be a coincidence of noise (1e-6), three are not.
+/// Refused measurements in a row that count as a jump. Two may be a coincidence of noise (1e-6), three are not.
 pub const JUMP: u64 = 3;
 
-/// How long an alarm may last before the robot is to stop [s].
+/// How long an alarm may last before the robot must stop [s].
 pub const TIMEOUT_S: f64 = 2.0;
 
-/// Speeds below this say nothing about a factor [m/s].
+/// Speeds below this do not determine a factor [m/s].
 const SLOWEST_MPS: f64 = 0.15;
 
 /// Index of a residual.
@@ -60,7 +58,7 @@ plain_state! {
         pub since_ns: u64,
         /// What is suspected, `Suspect`
         pub suspect: u32,
-        /// What is asked for, `Alarm`
+        /// What the robot should do, `Alarm`
         pub alarm: u32,
     }
 }
@@ -74,30 +72,30 @@ pub struct Evidence {
     pub speed_mps: f64,
     /// Speed desired by the control in force; `None` while wheels are blocked [m/s].
     pub desired_mps: Option<f64>,
-    /// Innovation ahead, to the left and in yaw, in standard deviations; `None` without a meaning.
+    /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised.
     pub innovation: Option<[f64; 3]>,
     /// Whether the gate refused the measurement.
     pub refused: bool,
-    /// Whether the estimate began anew because too many were refused.
-    pub began_anew: bool,
+    /// Whether the estimate restarted because too many were refused.
+    pub restarted: bool,
 }
 
 impl SelfCheckState {
-    /// Takes what one scan shows and decides about the alarm.
+    /// Takes the evidence of one scan and decides about the alarm.
     pub fn observe(&mut self, evidence: &Evidence) {
         if let Some(desired) = evidence.desired_mps
             && desired >= SLOWEST_MPS
         {
             self.push(SPEED, evidence.speed_mps / desired - 1.0);
         }
-        // At standstill odometry is silent, and proves nothing.
+        // At standstill odometry measures no motion, so it is no evidence.
         if let Some([ahead, left, yaw]) = evidence.innovation.filter(|_| evidence.speed_mps > 0.0) {
             self.push(AHEAD, ahead);
             self.push(LEFT, left);
             self.push(YAW, yaw);
         }
         self.refused = if evidence.refused { self.refused + 1 } else { 0 };
-        let suspect = if evidence.began_anew || self.refused >= JUMP {
+        let suspect = if evidence.restarted || self.refused >= JUMP {
             evidence.innovation.map_or(Suspect::Position, jumped)
         } else {
             self.drifted()
@@ -110,7 +108,7 @@ impl SelfCheckState {
         Suspect::try_from(self.suspect).unwrap_or(Suspect::None)
     }
 
-    /// What is asked for.
+    /// What the robot should do.
     pub fn alarm(&self) -> Alarm {
         Alarm::try_from(self.alarm).unwrap_or(Alarm::Stop)
     }
@@ -128,12 +126,12 @@ impl SelfCheckState {
         }
         if self.alarm() == Alarm::None {
             self.since_ns = evidence.acquired_ns;
-            // The first to be off names the cause; what follows from it may look like another.
+            // The first residual beyond its tolerance shows the cause; others may follow from it.
             self.suspect = suspect.wire();
             self.alarm = Alarm::Slow.wire();
         }
         let lasted_s = evidence.acquired_ns.saturating_sub(self.since_ns) as f64 * 1e-9;
-        if evidence.began_anew || lasted_s >= TIMEOUT_S {
+        if evidence.restarted || lasted_s >= TIMEOUT_S {
             self.alarm = Alarm::Stop.wire();
         }
     }
@@ -186,7 +184,7 @@ mod tests {
         desired_mps: Some(0.9),
         innovation: Some([0.1, -0.1, 0.2]),
         refused: false,
-        began_anew: false,
+        restarted: false,
     };
 
     /// Scans of a tenth of a second, and the alarm after each.
@@ -236,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_slows_at_the_third_refusal_and_stops_when_the_estimate_begins_anew() {
+    fn a_jump_slows_at_the_third_refusal_and_stops_when_the_estimate_restarts() {
         let jump = Evidence { innovation: Some([0.2, 1.0, 20.0]), refused: true, ..GOOD };
         let mut check = SelfCheckState::default();
         alarms(&mut check, 0, 10, GOOD);
@@ -244,7 +242,7 @@ mod tests {
         assert_eq!(check.suspect(), Suspect::Heading);
         assert_eq!(alarms(&mut check, 13, 1, GOOD), [Alarm::None], "a burst is over with what fits");
         alarms(&mut check, 14, 2, jump);
-        assert_eq!(alarms(&mut check, 16, 1, Evidence { began_anew: true, ..jump }), [Alarm::Stop]);
+        assert_eq!(alarms(&mut check, 16, 1, Evidence { restarted: true, ..jump }), [Alarm::Stop]);
     }
 
     #[test]

@@ -15,13 +15,13 @@ pub fn run() -> anyhow::Result<()> {
     let odometry = process.input::<Odometry>()?;
     let actuation = process.input::<Actuation>()?;
     let poses = process.output::<Pose>()?;
-    // Without the state of the process before, the correction of measured data is lost and with it the place.
+    // Without the state of the process before, the correction of the odometry is lost, and with it the position.
     let mut lost = match process.resume()? {
         Handover::State(state) => estimator.resume(&state).is_err(),
         Handover::FirstStart => false,
         Handover::Lost => true,
     };
-    // What the process before did not see any more, as the block that followed its silence.
+    // Actuations that the process before did not receive, such as the block that followed its silence.
     let now_ns = process.clock().now_ns();
     process.handed_actuations().iter().for_each(|actuation| estimator.note(actuation, now_ns));
     if lost {
@@ -46,7 +46,7 @@ pub fn run() -> anyhow::Result<()> {
                 }
             }
             let Some(scan_id) = odometry.next_scan() else { break };
-            // In lock-step the actuation of the scan before is on its way, and the result must not depend on when it comes.
+            // In lock-step, wait for the actuation of the scan before: the result must not depend on when it arrives.
             if process.clock().is_simulated() && actuated + 1 < scan_id {
                 break;
             }

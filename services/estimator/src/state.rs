@@ -1,4 +1,4 @@
-//! All that the estimator remembers, as plain bytes: the working state and the checkpoint are one thing.
+//! All that the estimator remembers, as plain bytes: the working state is the checkpoint.
 
 use nalgebra::Matrix3;
 use shared_types::{Fault, Flag, finite, plain_state};
@@ -30,7 +30,7 @@ plain_state! {
         pub rejected: u64,
         /// Measurements refused by the gate in a row
         pub rejected_in_a_row: u64,
-        /// Times the estimate began anew from a measurement
+        /// Restarts of the estimate from a measurement
         pub restarts: u64,
         /// Odometry samples that were not newer than the estimate
         pub skipped: u64,
@@ -42,7 +42,7 @@ plain_state! {
 }
 
 impl EstimatorState {
-    /// Passes when an estimator can go on from this state.
+    /// Passes when an estimator can continue from this state.
     ///
     /// # Errors
     /// [`Fault`] when a number is not finite, the covariance is not positive definite, or a count is too large.

@@ -1,14 +1,14 @@
 //! One scan in, one command out: the order of the decisions.
 //!
-//! 1. Inputs that mean nothing, or contradict each other, stop the robot.
+//! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
-//! 3. The guide chooses the sides, and shows whether there is a way.
-//! 4. The optimal control problem is solved from the best start, then from others.
+//! 3. The lattice planner chooses the passing sides, and shows whether the path is clear.
+//! 4. The optimal control problem is solved from the best guess, then from others.
 //! 5. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
-//! 6. The stop rule looks behind the end of the plan.
+//! 6. The stop rule checks what comes behind the end of the plan.
 //!
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
-//! controller gives the same commands as the one whose [`Controller::state`] it got.
+//! controller gives the same commands as the one that [`Controller::state`] was taken from.
 
 use ocp::Budget;
 use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
@@ -22,18 +22,18 @@ use crate::predicted_obstacle::{self, PredictedObstacle};
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
 use crate::scene::Scene;
-use crate::side::{Passing, Sides};
+use crate::side::{self, Passing, held};
 use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::is_blocked;
 use crate::warm;
 
-/// Velocities at which a way past moving bodies is looked for, as shares of the cruising velocity.
+/// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
 /// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
 const MAX_LEAD_S: f64 = 1.0;
-/// How far outside of its bounds a robot may start [m]. Further means the track and the pose contradict.
+/// How far outside of its bounds a robot may start [m]. Further out, track and pose contradict each other.
 const FAR_OUTSIDE_M: f64 = 1.0;
-/// How deep the body may overlap a described box [m]: more is a contradiction, as the robot is not inside.
+/// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
@@ -45,7 +45,6 @@ pub struct Controller {
     search: Search,
     planner: Planner,
     state: ControllerState,
-    sides: Sides,
     predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
 }
@@ -60,10 +59,9 @@ impl Controller {
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(0.0, config.goal.y_m, config.cruise_mps);
         Ok(Self {
-            search: Search::new(config.guide),
+            search: Search::default(),
             planner: Planner::new(&config),
             state: ControllerState::default(),
-            sides: Sides::default(),
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
             config,
@@ -72,13 +70,12 @@ impl Controller {
 
     /// State that a successor continues from.
     pub fn state(&self) -> ControllerState {
-        ControllerState { sides: *self.sides.entries(), ..self.state }
+        self.state
     }
 
-    /// Goes on from the state of another controller; a plan without meaning is left out.
+    /// Continues from the state of another controller; an invalid plan is dropped.
     pub fn resume(&mut self, state: &ControllerState) {
-        self.state = *state;
-        self.sides = Sides::from_entries(&state.sides);
+        self.state = ControllerState { sides: side::valid(&state.sides), ..*state };
         let length = state.plan_length as usize;
         let finite = |node: &PlanNode| node.velocity_mps.is_finite() && node.steering_rad.is_finite();
         let sound = (2..=PLAN_NODES).contains(&length)
@@ -93,13 +90,12 @@ impl Controller {
         }
     }
 
-    /// Begins with stops: the robot drives, and what was decided before is lost. When it rests, all is planned afresh.
+    /// Starts without the state of the controller before: stops the robot, then plans afresh.
     ///
     /// At rest nothing of the lost state matters: sides are chosen anew, the last controls are zero, and a landed
     /// robot lands again.
     pub fn start_in_stop(&mut self) {
         self.state = ControllerState { arrival: Arrival::StateLost.wire(), ..ControllerState::default() };
-        self.sides = Sides::default();
     }
 
     /// The command for one scan. `solve_ns` and the stamps of the header are left to the caller.
@@ -143,22 +139,22 @@ impl Controller {
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        self.look_ahead(&initial);
+        self.find_reference_path(&initial);
         command.side = self.nearest_side(&initial);
-        self.wait_for_a_way()?;
+        self.wait_until_clear()?;
 
         let Self { config, predicted, reference_path, state, planner, .. } = self;
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
         let scene = Scene::new(config, predicted, initial);
         let task = Task { scene, reference_path, last: state, start_ns: pose.predicted_ns, fastest_mps };
         let Some(choice) = planner.plan(&task, budget, command) else {
-            // Without a plan there is nothing to wait for; the reason is the path, or else the plan.
+            // Without a plan the robot stops at once; the reason is the path if it is blocked, else the plan.
             let blocked = !reference_path.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
             return Err(if blocked { StopReason::Blocked } else { StopReason::Unverified });
         };
-        let way = &planner.driven.way;
-        let follows_reference = reference_path.clear && warm::agrees(&scene, reference_path, way);
-        if !follows_reference && is_blocked(&scene, way, command.slack, config.stop.slack) {
+        let plan = &planner.rollout.samples;
+        let follows_reference = reference_path.clear && warm::agrees(&scene, reference_path, plan);
+        if !follows_reference && is_blocked(&scene, plan, command.slack, config.stop.slack) {
             return Err(StopReason::Blocked);
         }
         Ok(choice)
@@ -190,7 +186,7 @@ impl Controller {
         }
     }
 
-    /// The state at the start of the plan, with the obstacles read into `hazards`.
+    /// The state at the start of the plan; the obstacles are read into `predicted`.
     fn read(&mut self, pose: &Pose, obstacles: &Obstacles) -> Result<State, StopReason> {
         let initial = State {
             sideslip: pose.predicted_sideslip_rad,
@@ -227,9 +223,9 @@ impl Controller {
         if self.predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
     }
 
-    /// Finds the guide, and with it the sides.
-    fn look_ahead(&mut self, initial: &State) {
-        let config = &self.config;
+    /// Finds the reference path, and with it the passing sides.
+    fn find_reference_path(&mut self, initial: &State) {
+        let (config, predicted) = (&self.config, &self.predicted);
         let goal = &config.goal;
         let reach = initial.x + config.guide.range_m;
         let (low, high) = (initial.y.min(goal.y_m) - 0.1, initial.y.max(goal.y_m) + 0.1);
@@ -242,21 +238,12 @@ impl Controller {
                     && y - obstacle.b - margin < high
                     && y + obstacle.b + margin > low)
         };
-        if self.predicted.iter().any(in_the_way) {
-            let full = Control { velocity: config.cruise_mps, steering: config.bounds.steering_max_rad };
-            let moving = self.predicted.iter().any(PredictedObstacle::moves);
+        if predicted.iter().any(in_the_way) {
+            let moving = predicted.iter().any(PredictedObstacle::moves);
+            let scene = Scene::new(config, predicted, *initial);
             for share in SLOWER {
-                let query = Query {
-                    start: *initial,
-                    line: goal.y_m,
-                    goal_x: goal.x_m,
-                    y_range: config.y_range(),
-                    curvature: vehicle::model::steady_turn(&config.parameters, &full).1 / full.velocity,
-                    margin: config.ellipse_margin_m,
-                    speed: (config.cruise_mps * share).max(config.bounds.velocity_min_mps),
-                    predicted: &self.predicted,
-                    sides: &self.sides,
-                };
+                let speed = (config.cruise_mps * share).max(config.bounds.velocity_min_mps);
+                let query = Query { scene, speed, sides: &self.state.sides };
                 self.search.find(&query, &mut self.reference_path);
                 if self.reference_path.clear || !moving {
                     break;
@@ -265,8 +252,8 @@ impl Controller {
         } else {
             self.reference_path.set_line(initial.x, goal.y_m, config.cruise_mps);
         }
-        let reference_path = &self.reference_path;
-        self.sides.renew(&self.predicted, |obstacle| reference_path.side_of(obstacle));
+        let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
+        side::renew(&mut self.state.sides, &self.predicted, choose);
     }
 
     /// Side on which the nearest obstacle that the line leads through is passed.
@@ -275,15 +262,15 @@ impl Controller {
         let in_the_way = |obstacle: &&PredictedObstacle| {
             obstacle.centre[0] > initial.x
                 && (obstacle.centre[1] - line).abs() < obstacle.b
-                && self.sides.held(obstacle).is_some()
+                && held(&self.state.sides, obstacle).is_some()
         };
         let nearest =
             self.predicted.iter().filter(in_the_way).min_by(|a, b| a.centre[0].total_cmp(&b.centre[0]));
-        nearest.and_then(|obstacle| self.sides.held(obstacle)).map_or(0, Passing::wire)
+        nearest.and_then(|obstacle| held(&self.state.sides, obstacle)).map_or(0, Passing::wire)
     }
 
-    /// After a stop in front of a blocked path: waits until a way was clear for a while.
-    fn wait_for_a_way(&mut self) -> Result<(), StopReason> {
+    /// After a stop in front of a blocked path: waits until the path was clear for several scans.
+    fn wait_until_clear(&mut self) -> Result<(), StopReason> {
         if self.state.blocked_scans == 0 {
             return Ok(());
         }
@@ -297,9 +284,9 @@ impl Controller {
     }
 
     fn drive(&mut self, choice: Choice, command: &mut Command) {
-        let Planner { controls, driven, .. } = &self.planner;
+        let Planner { controls, rollout, .. } = &self.planner;
         let intervals = choice.intervals.min(controls.len());
-        for (index, state) in driven.nodes.iter().enumerate().take(intervals + 1) {
+        for (index, state) in rollout.nodes.iter().enumerate().take(intervals + 1) {
             // The last node repeats the control before it: nothing is planned behind it.
             let control = controls[index.min(intervals.max(1) - 1)];
             command.plan[index] = PlanNode {
@@ -340,7 +327,7 @@ impl Controller {
             StopReason::Blocked => state.blocked_scans = state.blocked_scans.saturating_add(1),
             _ => {}
         }
-        // A robot that stands has no control before the next one, and an old plan does not start from standstill.
+        // At standstill there is no previous control, and an old plan does not start from there.
         (state.velocity_mps, state.steering_rad) = (0.0, 0.0);
         state.plan_length = 0;
     }

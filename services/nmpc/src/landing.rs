@@ -1,22 +1,22 @@
 //! When to block the wheels so that the robot stands on the goal.
 //!
-//! The smallest velocity is 0.1 m/s, so the optimal control problem cannot end at rest: the last decision is
-//! a stop at the closest approach. It is made from the state at the time the command acts, so the delay of
-//! the loop is in it already; the stopping distance v^2 / (2 d) is added, and the step until the next decision
-//! is halved, because stopping now or one scan later is then equally far from the goal.
+//! The smallest velocity is 0.1 m/s, so the optimal control problem cannot end at rest: the last decision is a stop
+//! at the closest approach. It uses the state at the time the command acts, which includes the delay of the loop, and
+//! the stopping distance v^2 / (2 d). It is made half a step early, where stopping now and stopping one scan later
+//! end equally far from the goal.
 
 use vehicle::State;
 
-use crate::config::Goal;
+use vehicle::Goal;
 
-/// What the position relative to the goal asks for.
+/// What to do at a position relative to the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Approach {
     /// The goal is still ahead.
     Ahead,
     /// Stopping now ends within the tolerance, and later would be further away.
     Land,
-    /// The goal is passed, or beside, and further away than its tolerance: it cannot be reached forwards.
+    /// The goal is behind or beside the robot, further away than its tolerance: it cannot be reached forwards.
     Passed,
 }
 
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_looks_away_far_from_the_goal_has_not_passed_it() {
+    fn a_robot_that_faces_away_far_from_the_goal_has_not_passed_it() {
         let state = State { yaw: 2.0, ..State::default() };
         assert_eq!(approach(&Goal::default(), &state, 1.0, 0.1, 5.0), Approach::Ahead);
     }

@@ -1,4 +1,4 @@
-//! The search for the cheapest guide in a lattice of arcs.
+//! The lattice planner: the cheapest reference path in a lattice of arcs.
 //!
 //! Curvatures are multiples of one smallest bend, so the sines of the courses form a regular grid, and every
 //! arc from one course to another has a fixed lateral rise: the search needs no trigonometry. Per layer, course
@@ -7,22 +7,22 @@
 //!
 //! Assumed: the curvature follows the steering angle at once (true within 30 ms at 1 m/s), and the path is
 //! driven at a constant velocity, which matters for moving bodies only. Courses beyond 53 degrees are not
-//! represented; a robot that stands across the track gets no clear guide. Obstacles are looked at twice per
-//! arc, every 0.2 m, so a corner of an ellipse may be cut by millimetres: the margin covers that.
+//! represented; a robot that stands across the track gets no clear path. Obstacles are checked twice per arc,
+//! every 0.2 m, so a corner of an ellipse may be cut by millimetres, which the margin covers.
 
 use crate::obstacle_cost::{HARD, ObstacleCost};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
-use crate::reference_path::{LatticeSettings, ReferencePath, SINE_MAX, rise};
-use crate::scene::excess;
+use crate::reference_path::{ReferencePath, SINE_MAX, rise};
+use crate::scene::{Scene, excess};
 
-/// Cosine of the largest course from which a guide starts: SINE_MAX and a little.
+/// Cosine of the largest course from which a path may start, a little beyond that of [`SINE_MAX`].
 const MIN_COSINE: f64 = 0.55;
 /// Curvatures of an arc: this many to each side, and straight.
 const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
 const CELL_M: f64 = 0.08;
-/// Shortest path that is searched, unless the goal is nearer: a little more than the horizon covers [m].
+/// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
 const SHORTEST_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
 const OUTSIDE_M: f64 = 0.6;
@@ -40,9 +40,8 @@ impl Cell {
 }
 
 /// The search with its buffers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Search {
-    settings: LatticeSettings,
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
     rises: Vec<f64>,
@@ -50,74 +49,44 @@ pub(crate) struct Search {
 }
 
 impl Search {
-    /// A search with empty buffers.
-    pub(crate) fn new(settings: LatticeSettings) -> Self {
-        let empty = Vec::new;
-        Self {
-            settings,
-            cells: Vec::new(),
-            active: empty(),
-            rises: Vec::new(),
-            obstacle_cost: ObstacleCost::default(),
-        }
-    }
-
-    /// Puts the cheapest path of `query` into `guide`.
+    /// Puts the cheapest path of `query` into `reference_path`.
     ///
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
     pub(crate) fn find(&mut self, query: &Query, reference_path: &mut ReferencePath) {
-        let settings = self.settings;
-        let length = (query.goal_x - query.start.x).clamp(0.05, settings.range_m);
-        let length = length.min(self.needed(query));
-        let layers = (length / settings.step_m).ceil().max(1.0) as usize;
-        let step = length / layers as f64;
-        let bend = query.curvature * settings.curvature_share / f64::from(BENDS);
-        let grid = Grid::new(query, bend * step);
-
-        self.obstacle_cost.measure(&settings, query, layers, step);
-        self.tabulate(&grid, step);
-        self.reserve(layers, &grid);
-        // Most searches find a clear path; only those that do not look at paths through obstacles at all.
+        let start = query.scene.initial;
+        let grid = Grid::new(&query.scene);
+        self.obstacle_cost.measure(query, grid.layers, grid.step);
+        self.tabulate(&grid);
+        self.reserve(&grid);
+        // Most searches find a clear path; only the others consider paths through obstacles.
         for hard in [false, true] {
-            let origin = grid.start_cell(query.start.y);
-            self.cells[origin] = Cell { cost: 0.0, y: query.start.y, parent: 0 };
+            let origin = grid.start_cell(start.y);
+            self.cells[origin] = Cell { cost: 0.0, y: start.y, parent: 0 };
             self.active[0].push(origin as u32);
-            let arc = Arc { step, bend, allowed: excess(query.start.y, query.y_range), hard };
-            for layer in 0..layers {
-                self.expand(layer, query, &grid, &arc);
+            for layer in 0..grid.layers {
+                self.expand(layer, query, &grid, hard);
             }
-            let found = self.read(query, layers, step, &grid, reference_path);
+            let found = self.read(query, &grid, reference_path);
             self.forget();
             if found {
                 return;
             }
         }
-        reference_path.set_line(query.start.x, query.line, query.speed);
+        reference_path.set_line(start.x, query.scene.config.goal.y_m, query.speed);
         reference_path.clear = false;
     }
 
-    /// How far there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
-    fn needed(&self, query: &Query) -> f64 {
-        if query.goal_x - query.start.x < self.settings.range_m {
-            return f64::INFINITY;
-        }
-        let behind = |obstacle: &PredictedObstacle| {
-            if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - query.start.x }
-        };
-        query.predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
-    }
-
-    fn reserve(&mut self, layers: usize, grid: &Grid) {
-        let cells = (layers + 1) * grid.layer_cells();
+    fn reserve(&mut self, grid: &Grid) {
+        let cells = (grid.layers + 1) * grid.layer_cells();
         if self.cells.len() < cells {
             self.cells.resize(cells, Cell::UNREACHED);
         }
-        if self.active.len() <= layers {
-            self.active.resize_with(layers + 1, Vec::new);
+        if self.active.len() <= grid.layers {
+            self.active.resize_with(grid.layers + 1, Vec::new);
         }
     }
 
-    /// Makes all cells unreached again: only those that were reached are touched.
+    /// Resets the cells that were reached.
     fn forget(&mut self) {
         for layer in &mut self.active {
             for &cell in layer.iter() {
@@ -127,26 +96,28 @@ impl Search {
         }
     }
 
-    fn tabulate(&mut self, grid: &Grid, step: f64) {
+    fn tabulate(&mut self, grid: &Grid) {
         self.rises.clear();
         for course in 0..grid.courses {
             for bend in -BENDS..=BENDS {
                 let (from, to) = (grid.sine(course), grid.sine(course + bend));
-                self.rises.push(if to.abs() <= SINE_MAX { rise(from, to, step) } else { f64::NAN });
+                self.rises.push(if to.abs() <= SINE_MAX { rise(from, to, grid.step) } else { f64::NAN });
             }
         }
     }
 
-    /// Extends every path of one layer by all arcs.
-    fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, arc: &Arc) {
-        let Arc { step, bend, allowed, hard } = *arc;
-        let settings = self.settings;
+    /// Extends every path of one layer by all arcs; with `hard` also by those through obstacles.
+    fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, hard: bool) {
+        let Scene { config, initial, y_range, .. } = query.scene;
+        let (settings, Grid { step, bend, .. }) = (config.guide, *grid);
+        // How far the robot is outside of its bounds already.
+        let allowed = excess(initial.y, y_range);
         let sources = std::mem::take(&mut self.active[layer]);
         let base = layer * grid.layer_cells();
         let crossed = self.obstacle_cost.has_crossing(layer);
         for &source in &sources {
             let Cell { cost, y, .. } = self.cells[source as usize];
-            let course = ((source as usize - base) / grid.cells) as i32;
+            let course = grid.course(source as usize);
             for turn in -BENDS..=BENDS {
                 let next = course + turn;
                 if next < 0 || next >= grid.courses {
@@ -157,7 +128,7 @@ impl Search {
                 let Some(cell) = grid.cell(y_next) else { continue };
                 let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
                 let (curvature, sine, offset) =
-                    (f64::from(turn) * bend, grid.sine(next), y_next - query.line);
+                    (f64::from(turn) * bend, grid.sine(next), y_next - config.goal.y_m);
                 let mut total = cost
                     + step
                         * (settings.lateral_weight * offset * offset
@@ -172,7 +143,7 @@ impl Search {
                 if crossed {
                     total += settings.switch_cost * self.obstacle_cost.switches(layer, y, y_next);
                 }
-                let outside = excess(y_next, query.y_range) - allowed;
+                let outside = excess(y_next, y_range) - allowed;
                 if outside > 1e-9 {
                     total += HARD * (1.0 + 10.0 * outside);
                 }
@@ -188,23 +159,16 @@ impl Search {
         self.active[layer] = sources;
     }
 
-    /// Follows the cheapest path back from its end.
-    /// False when no path comes to the end.
-    fn read(
-        &self,
-        query: &Query,
-        layers: usize,
-        step: f64,
-        grid: &Grid,
-        reference_path: &mut ReferencePath,
-    ) -> bool {
-        let at_goal = query.start.x + step * layers as f64 >= query.goal_x - 1e-6;
+    /// Follows the cheapest path back from its end; false when no path reaches the end.
+    fn read(&self, query: &Query, grid: &Grid, reference_path: &mut ReferencePath) -> bool {
+        let Scene { config, initial: start, .. } = query.scene;
+        let at_goal = start.x + grid.step * grid.layers as f64 >= config.goal.x_m - 1e-6;
+        let weight = if at_goal { config.guide.goal_weight } else { config.guide.lateral_weight };
         let mut best = (f64::INFINITY, 0usize);
-        for &cell in &self.active[layers] {
+        for &cell in &self.active[grid.layers] {
             let cell = cell as usize;
-            let sine = grid.sine(((cell - layers * grid.layer_cells()) / grid.cells) as i32);
-            let offset = self.cells[cell].y - query.line;
-            let weight = if at_goal { self.settings.goal_weight } else { self.settings.lateral_weight };
+            let sine = grid.sine(grid.course(cell));
+            let offset = self.cells[cell].y - config.goal.y_m;
             let total = self.cells[cell].cost + weight * offset * offset + sine * sine;
             if total < best.0 {
                 best = (total, cell);
@@ -214,14 +178,14 @@ impl Search {
             return false;
         }
         (reference_path.start_x, reference_path.step, reference_path.speed) =
-            (query.start.x, step, query.speed);
-        reference_path.clear = best.0 < HARD && (query.start.yaw + query.start.sideslip).cos() > MIN_COSINE;
+            (start.x, grid.step, query.speed);
+        reference_path.clear = best.0 < HARD && (start.yaw + start.sideslip).cos() > MIN_COSINE;
         reference_path.y.clear();
         reference_path.sine.clear();
         let mut cell = best.1;
-        for layer in (0..=layers).rev() {
+        for _ in 0..=grid.layers {
             reference_path.y.push(self.cells[cell].y);
-            reference_path.sine.push(grid.sine(((cell - layer * grid.layer_cells()) / grid.cells) as i32));
+            reference_path.sine.push(grid.sine(grid.course(cell)));
             cell = self.cells[cell].parent as usize;
         }
         reference_path.y.reverse();
@@ -230,22 +194,14 @@ impl Search {
     }
 }
 
-/// What all arcs of a search have in common.
+/// Layers along the track, each with courses and lateral cells.
 #[derive(Debug, Clone, Copy)]
-struct Arc {
-    /// Length along x [m].
+struct Grid {
+    layers: usize,
+    /// Length of an arc along x [m].
     step: f64,
     /// Smallest curvature that is not zero [1/m].
     bend: f64,
-    /// How far the robot is outside of its bounds already [m].
-    allowed: f64,
-    /// Whether paths through obstacles count.
-    hard: bool,
-}
-
-/// Courses and lateral cells of a layer.
-#[derive(Debug, Clone, Copy)]
-struct Grid {
     start_sine: f64,
     sine_step: f64,
     start_course: i32,
@@ -255,19 +211,32 @@ struct Grid {
 }
 
 impl Grid {
-    fn new(query: &Query, sine_step: f64) -> Self {
-        let (sin, cos) = (query.start.yaw + query.start.sideslip).sin_cos();
+    fn new(scene: &Scene) -> Self {
+        let Scene { config, initial: start, y_range, .. } = *scene;
+        let length = (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m).min(needed(scene));
+        let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
+        let step = length / layers as f64;
+        let curvature = scene.full_lock_curvature(config.cruise_mps);
+        let bend = curvature * config.guide.curvature_share / f64::from(BENDS);
+        let sine_step = bend * step;
+        let (sin, cos) = (start.yaw + start.sideslip).sin_cos();
         let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
         let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor() as i32;
         let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
-        let low = query.y_range[0].min(query.start.y) - OUTSIDE_M;
-        let high = query.y_range[1].max(query.start.y) + OUTSIDE_M;
+        let low = y_range[0].min(start.y) - OUTSIDE_M;
+        let high = y_range[1].max(start.y) + OUTSIDE_M;
         let cells = ((high - low) / CELL_M).ceil().clamp(1.0, 2e3) as usize;
-        Self { start_sine, sine_step, start_course: right, courses: right + left + 1, low, cells }
+        let courses = right + left + 1;
+        Self { layers, step, bend, start_sine, sine_step, start_course: right, courses, low, cells }
     }
 
     fn layer_cells(&self) -> usize {
         self.courses as usize * self.cells
+    }
+
+    /// Course of a cell of any layer.
+    fn course(&self, cell: usize) -> i32 {
+        (cell % self.layer_cells() / self.cells) as i32
     }
 
     fn sine(&self, course: i32) -> f64 {
@@ -284,10 +253,23 @@ impl Grid {
     }
 }
 
+/// Distance over which there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
+fn needed(scene: &Scene) -> f64 {
+    let Scene { config, predicted, initial: start, .. } = *scene;
+    if config.goal.x_m - start.x < config.guide.range_m {
+        return f64::INFINITY;
+    }
+    let behind = |obstacle: &PredictedObstacle| {
+        if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - start.x }
+    };
+    predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::side::{Passing, Sides};
+    use crate::config::{Config, Goal};
+    use crate::side::{Passing, Sides, hold};
     use nalgebra::Vector2;
     use vehicle::State;
     use vehicle::geometry::Rectangle;
@@ -298,19 +280,10 @@ mod tests {
     }
 
     fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
-        let query = Query {
-            start,
-            line: 0.0,
-            goal_x: 30.0,
-            y_range: [-1.5, 1.5],
-            curvature: 0.324,
-            margin: 0.02,
-            speed: 1.0,
-            predicted,
-            sides,
-        };
+        let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
+        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, sides };
         let mut reference_path = ReferencePath::default();
-        Search::new(LatticeSettings::default()).find(&query, &mut reference_path);
+        Search::default().find(&query, &mut reference_path);
         reference_path
     }
 
@@ -355,7 +328,7 @@ mod tests {
             Some(Passing::Right)
         );
         let mut sides = Sides::default();
-        sides.hold(&obstacle, Some(Passing::Left));
+        hold(&mut sides, &obstacle, Passing::Left);
         assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
     }
 

@@ -24,7 +24,7 @@ mod verify;
 mod warm;
 mod weights;
 
-pub use config::{Config, Goal, StopSettings, Track};
+pub use config::{Config, StopSettings};
 pub use controller::Controller;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;

@@ -1,16 +1,17 @@
-//! What stands in the way of a lattice search, tabulated per layer before the search begins.
+//! The obstacle cost of the lattice search, tabulated per layer before the search begins.
 
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::LatticeSettings;
-use crate::side::Passing;
+use crate::scene::Scene;
+use crate::side::{Passing, held};
 
-/// Cost of a violated ellipse or bound: above the sum of all other costs of a path.
+/// Cost of a violated ellipse or bound: larger than the sum of all other costs of a path.
 pub(crate) const HARD: f64 = 1e3;
-/// Part of its depth that a robot inside an ellipse keeps: the rest is room for rounding.
+/// Share of its depth that a robot inside an ellipse must keep; the rest allows for rounding.
 const SHRINK: f64 = 0.995;
 
-/// The extent of one ellipse across the track at one x.
+/// The extent of one ellipse across the track at one x: as it is, with the margin, and with the comfort distance.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     centre: f64,
@@ -39,7 +40,9 @@ pub(crate) struct ObstacleCost {
 
 impl ObstacleCost {
     /// Tabulates the extent of every ellipse at every half layer, and where centres are crossed.
-    pub(crate) fn measure(&mut self, settings: &LatticeSettings, query: &Query, layers: usize, step: f64) {
+    pub(crate) fn measure(&mut self, query: &Query, layers: usize, step: f64) {
+        let Scene { config, predicted, initial: start, .. } = query.scene;
+        let margin = config.ellipse_margin_m;
         self.spans.clear();
         self.offsets.clear();
         self.crossings.clear();
@@ -47,25 +50,25 @@ impl ObstacleCost {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
-            for obstacle in query.predicted {
-                // A robot already inside gets an ellipse that it is just outside of: it must not go deeper.
-                let scale = obstacle.value(0.0, query.start.x, query.start.y).sqrt() * SHRINK;
+            for obstacle in predicted {
+                // Around a robot already inside, the ellipse is shrunk until it is just outside: it must not go deeper.
+                let scale = obstacle.value(0.0, start.x, start.y).sqrt() * SHRINK;
                 let scale = if scale < 1.0 { scale } else { 1.0 };
                 let [centre_x, centre_y] = obstacle.centre_at(t);
                 let across = |grown: f64, scale: f64| {
-                    let ratio = (query.start.x + along - centre_x) / (obstacle.a * scale + grown);
+                    let ratio = (start.x + along - centre_x) / (obstacle.a * scale + grown);
                     (obstacle.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
                 };
-                let comfort = across(query.margin + settings.comfort_m, 1.0);
+                let comfort = across(margin + config.guide.comfort_m, 1.0);
                 if comfort > 0.0 {
-                    let (bare, margin) = (across(0.0, scale), across(query.margin, 1.0));
+                    let (bare, margin) = (across(0.0, scale), across(margin, 1.0));
                     self.spans.push(Span { centre: centre_y, bare, margin, comfort });
                 }
             }
         }
         self.offsets.push(self.spans.len());
-        for obstacle in query.predicted {
-            if let Some(side) = query.sides.held(obstacle)
+        for obstacle in predicted {
+            if let Some(side) = held(query.sides, obstacle)
                 && let Some(crossing) = crossing_of(obstacle, side, query, layers, step)
             {
                 self.crossings.push(crossing);
@@ -115,7 +118,7 @@ fn crossing_of(
 ) -> Option<Crossing> {
     for layer in 0..layers {
         let t = [layer, layer + 1].map(|layer| layer as f64 * step / query.speed);
-        let x = [layer, layer + 1].map(|layer| query.start.x + layer as f64 * step);
+        let x = [layer, layer + 1].map(|layer| query.scene.initial.x + layer as f64 * step);
         let (before, after) = (x[0] - obstacle.centre_at(t[0])[0], x[1] - obstacle.centre_at(t[1])[0]);
         if before < 0.0 && after >= 0.0 {
             let share = -before / (after - before);

@@ -1,11 +1,11 @@
-//! From the guide to a plan that may be driven: the rungs of the ladder.
+//! From the reference path to a plan that may be driven. These are tried in turn:
 //!
-//! 1. The program solved from the last plan, moved on in time, where it agrees with the guide on the sides.
-//! 2. The program solved from the guide.
-//! 3. The guide itself, as simple steering follows it: the iterate before the first.
-//! 4. The rest of the last plan.
+//! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides;
+//! 2. the optimal control problem, solved from the reference path;
+//! 3. the reference path itself, followed by simple steering;
+//! 4. the rest of the last plan.
 //!
-//! Each rung counts only when it is verified against the obstacles of this scan.
+//! A plan counts only when it is verified against the obstacles of this scan.
 
 use std::sync::Arc;
 
@@ -17,20 +17,21 @@ use crate::config::Config;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
+use crate::rollout::Rollout;
 use crate::scene::Scene;
 use crate::state::ControllerState;
-use crate::verify::{Driven, verify};
+use crate::verify::verify;
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
 const MAX_REST_S: f64 = 1.0;
-/// Largest distance between the solver's positions and those driven of a converged plan [m].
+/// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
 const LARGEST_DEFECT_M: f64 = 0.01;
 
-/// What is known when a plan is asked for.
+/// What a plan is made from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task<'a> {
-    /// What plans are held against.
+    /// What a plan must respect.
     pub(crate) scene: Scene<'a>,
     /// The path that a plan follows.
     pub(crate) reference_path: &'a ReferencePath,
@@ -65,10 +66,10 @@ impl Task<'_> {
     }
 }
 
-/// A plan that may be driven; its way and controls are in the planner.
+/// A plan that may be driven; its controls and rollout are in the planner.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Choice {
-    /// The rung it comes from.
+    /// How it was found.
     pub(crate) level: Level,
     /// How many of its intervals were verified.
     pub(crate) intervals: usize,
@@ -83,8 +84,8 @@ pub(crate) struct Planner {
     solution: Solution,
     /// Controls of the plan.
     pub(crate) controls: Vec<Control>,
-    /// Where they lead.
-    pub(crate) driven: Driven,
+    /// The trajectory of `controls`.
+    pub(crate) rollout: Rollout,
 }
 
 impl Planner {
@@ -109,11 +110,11 @@ impl Planner {
             guess: Trajectory::default(),
             solution: Solution::default(),
             controls: Vec::with_capacity(config.intervals),
-            driven: Driven::default(),
+            rollout: Rollout::default(),
         }
     }
 
-    /// The first rung of the ladder that holds, `None` when none does. The figures of the solver go into `command`.
+    /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
         self.build_problem(task);
         let mut used = 0;
@@ -161,7 +162,8 @@ impl Planner {
         fill_ellipses(config, predicted, &initial, &mut problem.ellipses);
     }
 
-    /// The last plan, moved on, as the start; false when it passes something on another side than the guide.
+    /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
+    /// reference path.
     fn start_from_plan(&mut self, task: &Task, elapsed_s: f64) -> bool {
         read_plan(task.last, &mut self.controls);
         if self.controls.is_empty() {
@@ -171,7 +173,7 @@ impl Planner {
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene, task.reference_path, &self.driven.way)
+        warm::agrees(&task.scene, task.reference_path, &self.rollout.samples)
     }
 
     fn start_from_reference(&mut self, task: &Task) {
@@ -180,21 +182,21 @@ impl Planner {
         self.drive_guess(task);
     }
 
-    /// Puts the states that the controls of the guess lead to into it.
+    /// Fills the states of the guess by driving its controls.
     fn drive_guess(&mut self, task: &Task) {
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
-        self.driven.drive(&task.scene, &self.guess.controls);
-        self.guess.states.clone_from(&self.driven.nodes);
+        self.rollout.drive(&task.scene, &self.guess.controls);
+        self.guess.states.clone_from(&self.rollout.nodes);
     }
 
-    /// Takes the guess as the plan when it may be driven, with the number of its intervals.
+    /// Makes the guess the plan when it may be driven; returns how many of its intervals were verified.
     fn verify_guess(&mut self, task: &Task) -> Option<usize> {
-        let verdict = verify(&task.scene, &self.guess.controls, &mut self.driven);
+        let verdict = verify(&task.scene, &self.guess.controls, &mut self.rollout);
         self.controls.clone_from(&self.guess.controls);
         verdict.holds().then_some(verdict.intervals)
     }
 
-    /// Solves from the guess, and takes the result when it may be driven.
+    /// Solves from the guess; returns the result when it may be driven.
     fn solve(
         &mut self,
         task: &Task,
@@ -224,12 +226,13 @@ impl Planner {
         }
         warm::clamp(&task.scene.config.bounds, &mut self.controls);
         let scene = &task.scene;
-        let verdict = verify(scene, &self.controls, &mut self.driven);
-        let agrees = !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.driven.way);
+        let verdict = verify(scene, &self.controls, &mut self.rollout);
+        let agrees =
+            !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         if !verdict.holds() || !agrees {
             return None;
         }
-        let defect = largest_distance(&solution.trajectory.states, &self.driven.nodes);
+        let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);
         command.largest_violation = command.largest_violation.max(defect);
         let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };

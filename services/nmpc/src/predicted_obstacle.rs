@@ -1,8 +1,8 @@
-//! The obstacles of one scan in the form that planning and verification ask for.
+//! The obstacles of one scan, predicted over the horizon for planning and verification.
 //!
-//! Every ellipse becomes a [`PredictedObstacle`] whose time counts from the start of the plan, which is when the command
-//! will act. A body whose velocity is not significant against its own covariance counts as standing:
-//! prediction with a noisy velocity moves the ellipse of a standing body by decimetres over the horizon.
+//! Every ellipse becomes a [`PredictedObstacle`] whose time counts from the start of the plan, which is when the
+//! command will act. A body whose velocity is not significant against its own covariance counts as standing:
+//! prediction with a noisy velocity would move its ellipse by decimetres over the horizon.
 //! Assumed: bodies keep their velocity over the horizon. Where they do not, the next scan corrects it.
 
 use nalgebra::Vector2;
@@ -13,7 +13,7 @@ use vehicle::geometry::Rectangle;
 const SIGNIFICANCE: f64 = 2.0;
 /// Speed below which a body counts as standing, whatever its covariance [m/s].
 const STANDING_MPS: f64 = 0.08;
-/// Largest number that is taken for a position or a size [m].
+/// Largest position that is accepted [m].
 const LARGEST_M: f64 = 1e5;
 
 /// One ellipse and the box of the body inside it, at the start of the plan.
@@ -57,9 +57,9 @@ impl PredictedObstacle {
     }
 }
 
-/// Fills `hazards` from the description, its times moved to the start of the plan `lead_s` after the scan.
+/// Fills `predicted` with the obstacles as they will be at the start of the plan, `lead_s` after the scan.
 ///
-/// Returns false when a number is not finite or a size means nothing: nothing may then be planned.
+/// Returns false when a number is not finite or a size is impossible: then no plan may be made.
 pub(crate) fn read(obstacles: &Obstacles, lead_s: f64, predicted: &mut Vec<PredictedObstacle>) -> bool {
     predicted.clear();
     for item in obstacles.list() {
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_without_meaning_are_refused() {
+    fn impossible_numbers_are_refused() {
         let mut predicted = Vec::new();
         assert!(!read(&one(Obstacle { x_m: f64::NAN, ..obstacle() }), 0.0, &mut predicted));
         assert!(!read(&one(Obstacle { b_m: 0.0, ..obstacle() }), 0.0, &mut predicted));

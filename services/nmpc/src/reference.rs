@@ -1,16 +1,15 @@
-//! The reference of the optimal control problem: a point that moves along the guide as fast as the robot can.
+//! The reference of the optimal control problem: a point that moves along the reference path ahead of the robot.
 //!
-//! The point starts beside the robot and keeps the cruising velocity until the distance to the goal over the
-//! landing time is less; then it slows down exponentially to the smallest velocity, with which it passes the
-//! goal: the stop is not part of the program. A reference outside of what the horizon can reach makes full-step
-//! Gauss-Newton diverge, and one that waits at the goal slows the robot down long before, because the robot
-//! cannot wait; so nothing here is ever out of reach, neither too far nor too near.
+//! The point starts at the robot's x and keeps the cruising velocity until the distance to the goal over the landing
+//! time is less. Then it slows down exponentially to the smallest velocity, with which it passes the goal: the stop
+//! is not part of the problem. The robot can always reach the point: full-step Gauss-Newton diverges when the
+//! reference is too far away, and a point that waits at the goal would slow the robot down long before.
 
 use vehicle::{Control, State};
 
 use crate::reference_path::ReferencePath;
 
-/// How the moving point is led.
+/// Velocity of the moving point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Pace {
     /// Velocity far from the goal [m/s].

@@ -1,14 +1,13 @@
-//! The guide: a path past everything in sight that the robot can steer.
+//! The reference path: a path past all obstacles in sight that the robot can steer.
 //!
 //! The horizon covers 2.7 m, but a lateral shift of 0.9 m at the smallest radius takes 3.2 m: a controller
-//! that waits until the obstacle is inside its horizon cannot pass it any more. So a search over the range of
-//! the scanner decides early where to pass, and the optimal control problem follows its path.
+//! that waits until the obstacle is inside its horizon cannot pass it any more. So the lattice planner decides early
+//! where to pass, over the range of the scanner, and the optimal control problem follows its path.
 //!
 //! The path is made of arcs of equal length along x. The sine of the course changes by curvature times length
 //! exactly, so a path is a list of lateral positions and sines.
 
-use serde::{Deserialize, Serialize};
-use vehicle::{Invalid, require};
+use vehicle::settings;
 
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::side::Passing;
@@ -16,70 +15,30 @@ use crate::side::Passing;
 /// Largest sine of the course.
 pub(crate) const SINE_MAX: f64 = 0.8;
 
-/// Settings of the guide.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LatticeSettings {
-    /// How far the search looks ahead [m]; 2 to 20.
-    pub range_m: f64,
-    /// Length of an arc along x [m]; 0.1 to 1.
-    pub step_m: f64,
-    /// Share of the full curvature that the guide uses; the rest corrects. 0.5 to 1.
-    pub curvature_share: f64,
-    /// Weight of the squared distance to the reference line, per metre [1/m^3].
-    pub lateral_weight: f64,
-    /// Weight of the squared curvature, per metre [m].
-    pub curvature_weight: f64,
-    /// Weight of the squared sine of the course, per metre [1/m].
-    pub course_weight: f64,
-    /// Extra distance to an ellipse that is worth a detour [m]; 0 to 0.5.
-    pub comfort_m: f64,
-    /// Weight of each metre that the comfort is missed by, per metre [1/m^2].
-    pub comfort_weight: f64,
-    /// Cost of passing an obstacle on another side than the one held.
-    pub switch_cost: f64,
-    /// Weight of the squared lateral distance at the goal [1/m^2].
-    pub goal_weight: f64,
-}
-
-impl Default for LatticeSettings {
-    fn default() -> Self {
-        Self {
-            range_m: 6.3,
-            step_m: 0.45,
-            curvature_share: 0.95,
-            lateral_weight: 1.0,
-            curvature_weight: 3.0,
-            course_weight: 0.1,
-            comfort_m: 0.10,
-            comfort_weight: 30.0,
-            switch_cost: 0.5,
-            goal_weight: 20.0,
-        }
-    }
-}
-
-impl LatticeSettings {
-    /// Passes when every setting is within its range.
-    ///
-    /// # Errors
-    /// [`Invalid`] with the first key that is not.
-    pub fn validate(&self) -> Result<(), Invalid> {
-        require("range_m", self.range_m, 2.0..=20.0)?;
-        require("step_m", self.step_m, 0.1..=1.0)?;
-        require("curvature_share", self.curvature_share, 0.5..=1.0)?;
-        require("comfort_m", self.comfort_m, 0.0..=0.5)?;
-        for (key, weight) in [
-            ("lateral_weight", self.lateral_weight),
-            ("curvature_weight", self.curvature_weight),
-            ("course_weight", self.course_weight),
-            ("comfort_weight", self.comfort_weight),
-            ("switch_cost", self.switch_cost),
-            ("goal_weight", self.goal_weight),
-        ] {
-            require(key, weight, 0.0..=100.0)?;
-        }
-        Ok(())
+settings! {
+    /// Settings of the lattice search for the reference path.
+    #[derive(Copy)]
+    pub struct LatticeSettings {
+        /// How far the search looks ahead [m].
+        pub range_m: f64 = 6.3, 2.0..=20.0;
+        /// Length of one arc of the path along x [m].
+        pub step_m: f64 = 0.45, 0.1..=1.0;
+        /// Fraction of the largest curvature that the path may use; the rest is left for corrections.
+        pub curvature_share: f64 = 0.95, 0.5..=1.0;
+        /// Weight of the squared distance to the line through the goal, per metre of the path [1/m^3].
+        pub lateral_weight: f64 = 1.0, 0.0..=100.0;
+        /// Weight of the squared curvature, per metre of the path [m].
+        pub curvature_weight: f64 = 3.0, 0.0..=100.0;
+        /// Weight of the squared sine of the course angle, per metre of the path [1/m].
+        pub course_weight: f64 = 0.1, 0.0..=100.0;
+        /// Extra distance to an ellipse that is worth a detour [m].
+        pub comfort_m: f64 = 0.10, 0.0..=0.5;
+        /// Weight of each metre by which the path misses `comfort_m`, per metre of the path [1/m^2].
+        pub comfort_weight: f64 = 30.0, 0.0..=100.0;
+        /// Cost of a path that passes an obstacle on another side than the one chosen before.
+        pub switch_cost: f64 = 0.5, 0.0..=100.0;
+        /// Weight of the squared lateral distance at the goal [1/m^2].
+        pub goal_weight: f64 = 20.0, 0.0..=100.0;
     }
 }
 
@@ -125,7 +84,7 @@ impl ReferencePath {
         )
     }
 
-    /// Side on which the path passes the hazard; `None` when it does not get there.
+    /// Side on which the path passes the obstacle; `None` when it does not get there.
     pub(crate) fn side_of(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
         let (mut before, mut position) = (f64::NAN, self.start_x);
         for (index, &y) in self.y.iter().enumerate() {
@@ -164,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_goes_on_for_ever() {
+    fn a_line_continues_for_ever() {
         let mut reference_path = ReferencePath::default();
         reference_path.set_line(2.0, 0.3, 1.0);
         assert_eq!(reference_path.at(1.0), (0.3, 0.0, 0.0));

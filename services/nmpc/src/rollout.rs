@@ -1,4 +1,4 @@
-//! What the robot does under a sequence of controls: the model, integrated independently of the solver.
+//! The trajectory of the robot under a sequence of controls, integrated independently of the solver.
 //!
 //! The step follows the stiffness: the fast eigenvalues of (7.27), (7.29) grow like 1/u1, so RK4 with a step
 //! proportional to u1 has the same accuracy at every velocity and needs 6 steps per decimetre. The error of a
@@ -7,9 +7,14 @@
 use vehicle::integrate::rk4;
 use vehicle::{Control, Parameters, State};
 
+use crate::scene::Scene;
+
+/// Samples per interval: 5 cm apart at 1 m/s and N = 6.
+pub(crate) const PIECES: usize = 9;
+
 /// Step per velocity [s per m/s]: the fastest motion, 34 1/s at 1 m/s, is resolved with |lambda h| < 0.7.
 const STEP_PER_VELOCITY: f64 = 0.02;
-/// Smallest velocity that a step is made for [m/s].
+/// Smallest velocity from which the step is computed [m/s].
 const SLOWEST_MPS: f64 = 0.02;
 
 /// A state at a time of the plan.
@@ -30,36 +35,39 @@ pub(crate) fn advance(parameters: &Parameters, state: &State, control: &Control,
     (0..steps as usize).fold(*state, |state, _| rk4(parameters, &state, control, step))
 }
 
-/// Fills `nodes` with the states at the ends of the intervals and `dense` with `pieces` samples per interval.
-///
-/// Both start with the initial state. Intervals are `interval_s` long.
-pub(crate) fn simulate(
-    parameters: &Parameters,
-    initial: &State,
-    controls: &[Control],
-    interval_s: f64,
-    pieces: usize,
-    nodes: &mut Vec<State>,
-    dense: &mut Vec<Sampled>,
-) {
-    nodes.clear();
-    dense.clear();
-    nodes.push(*initial);
-    dense.push(Sampled { t: 0.0, state: *initial });
-    let mut state = *initial;
-    let piece = interval_s / pieces as f64;
-    for (interval, control) in controls.iter().enumerate() {
-        for part in 1..=pieces {
-            state = advance(parameters, &state, control, piece);
-            dense.push(Sampled { t: interval as f64 * interval_s + part as f64 * piece, state });
+/// The trajectory of a plan.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Rollout {
+    /// States at the ends of the intervals, the first is the start.
+    pub(crate) nodes: Vec<State>,
+    /// [`PIECES`] states per interval, after that of the start.
+    pub(crate) samples: Vec<Sampled>,
+}
+
+impl Rollout {
+    /// Drives `controls` from the initial state, unchecked.
+    pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
+        let interval_s = scene.config.interval_s();
+        let piece = interval_s / PIECES as f64;
+        let mut state = scene.initial;
+        self.nodes.clear();
+        self.samples.clear();
+        self.nodes.push(state);
+        self.samples.push(Sampled { t: 0.0, state });
+        for (interval, control) in controls.iter().enumerate() {
+            for part in 1..=PIECES {
+                state = advance(&scene.config.parameters, &state, control, piece);
+                self.samples.push(Sampled { t: interval as f64 * interval_s + part as f64 * piece, state });
+            }
+            self.nodes.push(state);
         }
-        nodes.push(state);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
     use vehicle::integrate::integrate;
 
     #[test]
@@ -80,12 +88,14 @@ mod tests {
 
     #[test]
     fn nodes_are_the_ends_of_the_intervals() {
+        let config = Config { horizon_s: 2.4, ..Config::default() };
+        let mut rollout = Rollout::default();
         let controls = [Control { velocity: 0.5, steering: 0.0 }; 3];
-        let (mut nodes, mut dense) = (Vec::new(), Vec::new());
-        simulate(&Parameters::default(), &State::default(), &controls, 0.4, 5, &mut nodes, &mut dense);
-        assert_eq!((nodes.len(), dense.len()), (4, 16));
+        rollout.drive(&Scene::new(&config, &[], State::default()), &controls);
+        let Rollout { nodes, samples } = rollout;
+        assert_eq!((nodes.len(), samples.len()), (4, 28));
         assert!((nodes[3].x - 0.6).abs() < 1e-12);
-        assert_eq!(dense[15].state, nodes[3]);
-        assert!((dense[15].t - 1.2).abs() < 1e-12);
+        assert_eq!(samples[27].state, nodes[3]);
+        assert!((samples[27].t - 1.2).abs() < 1e-12);
     }
 }

@@ -1,10 +1,11 @@
-//! What a plan is held against at each of its places: the obstacles, the walls and the bounds of the position.
+//! The limits of a plan: the obstacles, the walls and the bounds of the position.
 //!
-//! What is violated at the start already is the [`Baseline`]: a plan must not make it worse.
+//! A limit that is violated at the start already is relaxed to its present value, the [`Baseline`]: a plan must not
+//! make it worse.
 
 use nalgebra::Vector2;
-use vehicle::State;
 use vehicle::geometry::Rectangle;
+use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::predicted_obstacle::PredictedObstacle;
@@ -16,7 +17,7 @@ const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
 
-/// What a plan is held against.
+/// What a plan must respect.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scene<'a> {
     /// The robot, the track and the goal.
@@ -26,10 +27,10 @@ pub(crate) struct Scene<'a> {
     /// State at the start of the plan.
     pub(crate) initial: State,
     /// Bounds across the track, (7.46) [m].
-    y_range: [f64; 2],
+    pub(crate) y_range: [f64; 2],
 }
 
-/// What is wrong at a place of the plan.
+/// The limit that a plan violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Violation {
     /// A number is not finite, or there is no plan.
@@ -45,7 +46,7 @@ pub(crate) enum Violation {
 }
 
 impl<'a> Scene<'a> {
-    /// What plans from `initial` are held against.
+    /// What plans from `initial` must respect.
     pub(crate) fn new(config: &'a Config, predicted: &'a [PredictedObstacle], initial: State) -> Self {
         Self { config, predicted, initial, y_range: config.y_range() }
     }
@@ -70,7 +71,7 @@ impl<'a> Scene<'a> {
         baseline
     }
 
-    /// The first thing wrong with the robot at `state`, `t` seconds after the start of the plan.
+    /// The first limit that the robot violates at `state`, `t` seconds after the start of the plan.
     pub(crate) fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
         if !state.is_finite() {
             return Some(Violation::NotFinite);
@@ -110,6 +111,12 @@ impl<'a> Scene<'a> {
         }
     }
 
+    /// Curvature of a steady turn at full lock [1/m].
+    pub(crate) fn full_lock_curvature(&self, velocity: f64) -> f64 {
+        let control = Control { velocity, steering: self.config.bounds.steering_max_rad };
+        vehicle::model::steady_turn(&self.config.parameters, &control).1 / velocity
+    }
+
     fn wall_gap(&self, state: &State) -> f64 {
         if !self.config.track.walls {
             return f64::INFINITY;
@@ -121,7 +128,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// What is already the case at the start of the plan, and so allowed along it.
+/// The limits along a plan, relaxed where the start already violates them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Baseline {
     values: [f64; shared_types::MAX_OBSTACLES],

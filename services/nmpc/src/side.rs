@@ -1,9 +1,9 @@
 //! On which side each obstacle is passed, held from scan to scan.
 //!
-//! An obstacle on the line is a symmetric trap: left and right cost the same, and noise would change the
-//! choice with every scan until it is too late for both. The choice itself is made by the guide, whose cost
-//! contains every side that was chosen before; this module remembers the choices. Ellipses are found again
-//! by their identity, or by their place when tracking has given them a new one.
+//! An obstacle on the line is a symmetric trap: left and right cost the same, and noise would change the choice with
+//! every scan until it is too late for both. The lattice search chooses the sides, and adds a cost for every change of
+//! a side chosen before; this module remembers the choices. Ellipses are recognised by their identity, or by their
+//! place when tracking has given them a new one.
 
 use shared_types::plain_state;
 
@@ -11,16 +11,16 @@ use crate::predicted_obstacle::PredictedObstacle;
 
 /// How many choices are remembered.
 pub(crate) const MAX_SIDES: usize = 16;
-/// Distance within which an ellipse with a new identity is taken for a known one [m].
+/// Distance within which an ellipse with a new identity counts as a known one [m].
 const SAME_PLACE_M: f64 = 0.5;
 
 /// On which side of an obstacle the robot passes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Passing {
     /// Left of its centre.
-    Left,
+    Left = 1,
     /// Right of its centre.
-    Right,
+    Right = -1,
 }
 
 impl Passing {
@@ -29,12 +29,9 @@ impl Passing {
         if y > centre_y { Self::Left } else { Self::Right }
     }
 
-    /// 1 for left, -1 for right, as samples and checkpoints have it.
+    /// The number in samples and checkpoints.
     pub(crate) fn wire(self) -> i32 {
-        match self {
-            Self::Left => 1,
-            Self::Right => -1,
-        }
+        self as i32
     }
 
     fn from_wire(side: i32) -> Option<Self> {
@@ -56,63 +53,50 @@ plain_state! {
     }
 }
 
-/// The choices of the last scan.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Sides {
-    entries: [Side; MAX_SIDES],
+/// The choices of one scan.
+pub(crate) type Sides = [Side; MAX_SIDES];
+
+/// The choices of a checkpoint without invalid entries.
+pub(crate) fn valid(sides: &Sides) -> Sides {
+    let is_valid = |entry: &Side| {
+        Passing::from_wire(entry.side).is_some() && entry.x_m.is_finite() && entry.y_m.is_finite()
+    };
+    sides.map(|entry| if is_valid(&entry) { entry } else { Side::default() })
 }
 
-impl Sides {
-    /// The choices as they stand in a checkpoint.
-    pub(crate) fn entries(&self) -> &[Side; MAX_SIDES] {
-        &self.entries
-    }
+/// The side held for the ellipse.
+pub(crate) fn held(sides: &Sides, obstacle: &PredictedObstacle) -> Option<Passing> {
+    let used = || sides.iter().filter(|entry| entry.id != 0);
+    let known = used().find(|entry| entry.id == obstacle.id).or_else(|| {
+        let distance = |entry: &Side| (entry.x_m - obstacle.centre[0]).hypot(entry.y_m - obstacle.centre[1]);
+        used()
+            .filter(|entry| distance(entry) < SAME_PLACE_M)
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    });
+    Passing::from_wire(known?.side)
+}
 
-    /// The choices of a checkpoint; entries without meaning are left out.
-    pub(crate) fn from_entries(entries: &[Side; MAX_SIDES]) -> Self {
-        let sound = |entry: &Side| {
-            Passing::from_wire(entry.side).is_some() && entry.x_m.is_finite() && entry.y_m.is_finite()
-        };
-        Self { entries: entries.map(|entry| if sound(&entry) { entry } else { Side::default() }) }
-    }
+/// Holds a side for the ellipse, replacing the one held before.
+pub(crate) fn hold(sides: &mut Sides, obstacle: &PredictedObstacle, side: Passing) {
+    let old = sides.iter().position(|entry| entry.id == obstacle.id);
+    let Some(index) = old.or_else(|| sides.iter().position(|entry| entry.id == 0)) else { return };
+    let [x_m, y_m] = obstacle.centre;
+    sides[index] = Side { id: obstacle.id, side: side.wire(), x_m, y_m };
+}
 
-    /// The side held for the ellipse.
-    pub(crate) fn held(&self, obstacle: &PredictedObstacle) -> Option<Passing> {
-        let used = || self.entries.iter().filter(|entry| entry.id != 0);
-        let known = used().find(|entry| entry.id == obstacle.id).or_else(|| {
-            let distance =
-                |entry: &Side| (entry.x_m - obstacle.centre[0]).hypot(entry.y_m - obstacle.centre[1]);
-            used()
-                .filter(|entry| distance(entry) < SAME_PLACE_M)
-                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-        });
-        Passing::from_wire(known?.side)
-    }
-
-    /// Holds a side for the ellipse; `None` lets go.
-    pub(crate) fn hold(&mut self, obstacle: &PredictedObstacle, side: Option<Passing>) {
-        let old = self.entries.iter().position(|entry| entry.id == obstacle.id);
-        let Some(index) = old.or_else(|| self.entries.iter().position(|entry| entry.id == 0)) else { return };
-        self.entries[index] = match side {
-            None => Side::default(),
-            Some(side) => {
-                Side { id: obstacle.id, side: side.wire(), x_m: obstacle.centre[0], y_m: obstacle.centre[1] }
-            }
-        };
-    }
-
-    /// Replaces all choices by those that `choose` makes; `None` keeps what was held for the ellipse.
-    pub(crate) fn renew(
-        &mut self,
-        predicted: &[PredictedObstacle],
-        choose: impl Fn(&PredictedObstacle) -> Option<Passing>,
-    ) {
-        let mut renewed = Self::default();
-        for obstacle in predicted.iter().filter(|obstacle| obstacle.id != 0) {
-            renewed.hold(obstacle, choose(obstacle).or_else(|| self.held(obstacle)));
+/// Replaces all choices by those that `choose` makes; where it makes none, the side held before stays.
+pub(crate) fn renew(
+    sides: &mut Sides,
+    predicted: &[PredictedObstacle],
+    choose: impl Fn(&PredictedObstacle) -> Option<Passing>,
+) {
+    let mut renewed = Sides::default();
+    for obstacle in predicted.iter().filter(|obstacle| obstacle.id != 0) {
+        if let Some(side) = choose(obstacle).or_else(|| held(sides, obstacle)) {
+            hold(&mut renewed, obstacle, side);
         }
-        *self = renewed;
     }
+    *sides = renewed;
 }
 
 #[cfg(test)]
@@ -127,30 +111,30 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_is_found_again_by_identity_or_by_place() {
+    fn a_choice_is_recognised_by_identity_or_by_place() {
         let mut sides = Sides::default();
-        sides.hold(&obstacle(7, 5.0, 0.0), Some(Passing::Right));
-        assert_eq!(sides.held(&obstacle(7, 5.9, 0.3)), Some(Passing::Right));
-        assert_eq!(sides.held(&obstacle(8, 5.2, 0.1)), Some(Passing::Right));
-        assert_eq!(sides.held(&obstacle(8, 6.0, 0.0)), None);
+        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right);
+        assert_eq!(held(&sides, &obstacle(7, 5.9, 0.3)), Some(Passing::Right));
+        assert_eq!(held(&sides, &obstacle(8, 5.2, 0.1)), Some(Passing::Right));
+        assert_eq!(held(&sides, &obstacle(8, 6.0, 0.0)), None);
     }
 
     #[test]
     fn choices_of_ellipses_that_are_gone_are_forgotten() {
         let mut sides = Sides::default();
-        sides.hold(&obstacle(7, 5.0, 0.0), Some(Passing::Right));
-        sides.renew(&[obstacle(9, 9.0, 0.0)], |_| Some(Passing::Left));
-        assert_eq!(sides.held(&obstacle(7, 5.0, 0.0)), None);
-        assert_eq!(sides.held(&obstacle(9, 9.0, 0.0)), Some(Passing::Left));
-        sides.renew(&[obstacle(9, 9.0, 0.0)], |_| None);
-        assert_eq!(sides.held(&obstacle(9, 9.0, 0.0)), Some(Passing::Left));
+        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right);
+        renew(&mut sides, &[obstacle(9, 9.0, 0.0)], |_| Some(Passing::Left));
+        assert_eq!(held(&sides, &obstacle(7, 5.0, 0.0)), None);
+        assert_eq!(held(&sides, &obstacle(9, 9.0, 0.0)), Some(Passing::Left));
+        renew(&mut sides, &[obstacle(9, 9.0, 0.0)], |_| None);
+        assert_eq!(held(&sides, &obstacle(9, 9.0, 0.0)), Some(Passing::Left));
     }
 
     #[test]
     fn nonsense_in_a_checkpoint_is_left_out() {
-        let mut entries = [Side::default(); MAX_SIDES];
+        let mut entries = Sides::default();
         entries[0] = Side { id: 3, side: 40, x_m: 1.0, y_m: 0.0 };
         entries[1] = Side { id: 4, side: 1, x_m: f64::NAN, y_m: 0.0 };
-        assert_eq!(Sides::from_entries(&entries), Sides::default());
+        assert_eq!(valid(&entries), Sides::default());
     }
 }

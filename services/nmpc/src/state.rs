@@ -2,7 +2,7 @@
 
 use shared_types::{PLAN_NODES, PlanNode, plain_state};
 
-use crate::side::{MAX_SIDES, Side};
+use crate::side::Sides;
 
 /// How far the robot has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,7 +14,7 @@ pub(crate) enum Arrival {
     Landed = 1,
     /// Behind the goal, which cannot be reached forwards.
     Passed = 2,
-    /// Driving on commands of which this controller knows nothing: it has to rest before all else.
+    /// The state was lost while driving: the robot has to rest before anything else.
     StateLost = 3,
 }
 
@@ -26,7 +26,7 @@ impl Arrival {
 }
 
 impl ControllerState {
-    /// How far the robot has come; a number without meaning counts as on the way.
+    /// How far the robot has come; an unknown number counts as on the way.
     pub(crate) fn arrival(&self) -> Arrival {
         let others = [Arrival::Landed, Arrival::Passed, Arrival::StateLost];
         others.into_iter().find(|arrival| arrival.wire() == self.arrival).unwrap_or(Arrival::OnTheWay)
@@ -34,13 +34,13 @@ impl ControllerState {
 }
 
 plain_state! {
-    /// The state of a controller after a scan: the last verified plan, the sides held, and what is latched.
+    /// The state of a controller after a scan: the last verified plan, the sides held, and latched decisions.
     pub struct ControllerState {
         /// 0 on the way, 1 when the robot has landed, 2 when it has passed the goal, 3 when it has to rest before all else
         pub arrival: u32,
         /// Scans since the path was found blocked, from 1; 0 when it is not
         pub blocked_scans: u32,
-        /// Scans in a row that showed a clear way
+        /// Scans in a row with a clear path
         pub clear_scans: u32,
         /// How many nodes of `plan` are used; 0 without a plan
         pub plan_length: u32,
@@ -55,7 +55,7 @@ plain_state! {
         /// Steering angle of the last command [rad]
         pub steering_rad: f64,
         /// Sides on which obstacles are passed
-        pub sides: [Side; MAX_SIDES],
+        pub sides: Sides,
         /// The last verified plan
         pub plan: [PlanNode; PLAN_NODES],
     }
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arrival_is_found_again_and_a_number_without_meaning_is_on_the_way() {
+    fn an_arrival_is_restored_and_an_unknown_number_is_on_the_way() {
         for arrival in [Arrival::OnTheWay, Arrival::Landed, Arrival::Passed, Arrival::StateLost] {
             let state = ControllerState { arrival: arrival.wire(), ..ControllerState::default() };
             assert_eq!(state.arrival(), arrival);

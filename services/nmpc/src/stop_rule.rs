@@ -1,16 +1,16 @@
-//! Whether the path is blocked: a solved program is no proof of safety.
+//! Whether the path is blocked: a solved optimal control problem is no proof of safety.
 //!
-//! Seen at 2.5 m, an obstacle makes the program brake to 0.1 m/s before the end of its horizon, and so only
-//! postpone the collision. So every plan is driven on behind its end: straight, at full lock to either side,
-//! and at full lock followed by the opposite lock back to the direction of the track; the same from where
-//! the robot is now. If one of them comes past what is in the way, the path is not blocked. If none does, the
-//! robot stops when the solver already needed slack, or when it is nearer than the distance at which full
-//! lock still clears an obstacle of that size.
+//! When an obstacle is first seen at 2.5 m, the solver brakes to 0.1 m/s before the end of its horizon, and so only
+//! postpones the collision. So every plan is extended behind its end: straight, at full lock to either side, and at
+//! full lock followed by the opposite lock back to the direction of the track; the same from the present place of the
+//! robot. If one of these passes all obstacles, the path is not blocked. If none does, the robot stops when the
+//! solver already needed slack, or when it is nearer than the distance at which full lock still clears an obstacle
+//! of that size.
 //!
 //! Assumed: a turn of constant radius begins a few centimetres after the command (the yaw rate needs 30 ms).
-//! The family of turns is small; the guide searches a larger one, and a clear guide is never blocked.
+//! The family of turns is small; the lattice search covers a larger one, and a clear reference path is never blocked.
 
-use vehicle::{Control, State};
+use vehicle::State;
 
 use crate::rollout::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
@@ -22,7 +22,7 @@ const LATEST: [(f64, f64); 4] = [(0.6, 2.42), (0.8, 2.64), (1.0, 2.82), (1.2, 3.
 const SIGHT_M: f64 = 4.5;
 /// Step along a turn [m].
 const STEP_M: f64 = 0.08;
-/// Way until a turn has begun [m].
+/// Distance until a turn has begun [m].
 const LAG_M: f64 = 0.03;
 /// Lengths of the first turn, before the opposite one [m].
 const TURNS_M: [f64; 8] = [0.5, 0.9, 1.3, 1.7, 2.1, 2.5, 2.9, 9.0];
@@ -34,10 +34,10 @@ pub(crate) fn latest_distance(b: f64) -> f64 {
     d0 + (b - b0) * (d1 - d0) / (b1 - b0)
 }
 
-/// Whether to stop: no continuation of the plan comes past the obstacles, and there is no time to wait.
+/// Whether to stop: no continuation of the plan passes the obstacles, and there is no time to wait.
 ///
-/// `way` is the verified plan as driven, `slack` the slack the solver needed, `largest_slack` what is still fine.
-pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_slack: f64) -> bool {
+/// `plan` is the trajectory of the verified plan, `slack` what the solver needed, `largest_slack` what is accepted.
+pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_slack: f64) -> bool {
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
     let Some(end_x) = scene
@@ -55,11 +55,11 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
         scene,
         baseline: scene.baseline(),
         end_x: end_x.min(scene.config.goal.x_m),
-        curvature: full_lock_curvature(scene),
+        curvature: scene.full_lock_curvature(scene.config.bounds.velocity_max_mps),
         speed: scene.config.bounds.velocity_max_mps,
     };
     let mut best = (f64::NEG_INFINITY, None);
-    for start in [way.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {
+    for start in [plan.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {
         for side in [0.0, 1.0, -1.0] {
             for &length in &TURNS_M[if side == 0.0 { 7 } else { 0 }..] {
                 match turns.drive(start, side, length) {
@@ -80,7 +80,7 @@ pub(crate) fn is_blocked(scene: &Scene, way: &[Sampled], slack: f64, largest_sla
     slack > largest_slack || too_near
 }
 
-/// How far a continuation comes.
+/// How far a continuation gets.
 enum Reach {
     Past,
     Hit { x: f64, obstacle: Option<usize> },
@@ -99,9 +99,9 @@ impl Turns<'_> {
     fn drive(&self, start: Sampled, side: f64, length: f64) -> Reach {
         let Sampled { mut t, mut state } = start;
         let mut course = state.yaw + state.sideslip;
-        let mut way = 0.0;
-        // Longest way: past the furthest obstacle in sight with a detour.
-        while way < 2.0 * SIGHT_M {
+        let mut driven = 0.0;
+        // Longest distance: past the furthest obstacle in sight with a detour.
+        while driven < 2.0 * SIGHT_M {
             if state.x >= self.end_x {
                 return Reach::Past;
             }
@@ -112,9 +112,9 @@ impl Turns<'_> {
                 };
                 return Reach::Hit { x: state.x, obstacle };
             }
-            let turn = if way < LAG_M {
+            let turn = if driven < LAG_M {
                 0.0
-            } else if way < length {
+            } else if driven < length {
                 side
             } else if course * side > 0.0 {
                 -side
@@ -132,29 +132,21 @@ impl Turns<'_> {
                 y: state.y + STEP_M * course.sin(),
                 ..state
             };
-            way += STEP_M;
+            driven += STEP_M;
             t += STEP_M / self.speed;
         }
         Reach::Hit { x: state.x, obstacle: None }
     }
 }
 
-/// Curvature at full lock and the largest velocity [1/m].
-fn full_lock_curvature(scene: &Scene) -> f64 {
-    let control = Control {
-        velocity: scene.config.bounds.velocity_max_mps,
-        steering: scene.config.bounds.steering_max_rad,
-    };
-    vehicle::model::steady_turn(&scene.config.parameters, &control).1 / control.velocity
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, Goal, Track};
+    use crate::config::Config;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;
+    use vehicle::{Goal, Track};
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
@@ -199,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn an_obstacle_beside_the_way_never_blocks() {
+    fn an_obstacle_beside_the_path_never_blocks() {
         assert!(!blocked_at(1.5, 1.2, 0.9, 0.1));
     }
 }

@@ -1,22 +1,19 @@
-//! Whether a plan may be driven: an independent look at every command before it leaves the controller.
+//! Whether a plan may be driven: an independent check of every command before it leaves the controller.
 //!
-//! The plan's controls are driven through the model from the initial state, whatever the solver says its
-//! states are, and the way is held against the described obstacles every few centimetres. A robot that is
-//! already too near, or outside a bound, may drive a plan that does not make it worse. Behind the goal nothing
-//! is checked, because the robot lands there; the plan is cut.
+//! The plan's controls are driven through the model from the initial state, without the states of the solver. The
+//! trajectory is checked against the obstacles every few centimetres. A robot that is already too near, or outside
+//! a bound, may drive a plan that does not make it worse. Behind the goal nothing is checked, because the robot
+//! lands there; the plan is cut.
 //!
-//! Assumed: the description is right. Obstacles out of sight are not known here; they are seen before the
-//! plan gets to them, because the scanner reaches 2 m further than the horizon.
+//! Assumed: the obstacles are described correctly. Obstacles out of sight are not known here; they are seen before
+//! the plan gets to them, because the scanner reaches 2 m further than the horizon.
 
-use vehicle::{Control, State};
+use vehicle::Control;
+use vehicle::bounds::ROUNDING;
 
-use crate::rollout::{Sampled, simulate};
+use crate::rollout::{PIECES, Rollout};
 use crate::scene::{Scene, Violation};
 
-/// Samples per interval: 5 cm apart at 1 m/s and N = 6.
-const PIECES: usize = 9;
-/// Tolerance of the hard bounds of the controls: solver accuracy, clamped before the command is sent.
-const CONTROL_TOLERANCE: f64 = 1e-6;
 /// How far behind the goal the plan is still checked [m].
 const BEHIND_GOAL_M: f64 = 0.03;
 
@@ -36,38 +33,20 @@ impl Verdict {
     }
 }
 
-/// A plan as it would be driven.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Driven {
-    /// States at the ends of the intervals, the first is the start.
-    pub(crate) nodes: Vec<State>,
-    /// States on the way.
-    pub(crate) way: Vec<Sampled>,
-}
-
-impl Driven {
-    /// Drives `controls` from the initial state, unchecked.
-    pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
-        let Scene { config, initial, .. } = scene;
-        let interval_s = config.interval_s();
-        simulate(&config.parameters, initial, controls, interval_s, PIECES, &mut self.nodes, &mut self.way);
-    }
-}
-
-/// Drives `controls` into `driven` and says how far they may be driven.
-pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -> Verdict {
-    driven.nodes.clear();
-    driven.way.clear();
+/// Drives `controls` into `rollout` and returns how far they may be driven.
+pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout) -> Verdict {
+    rollout.nodes.clear();
+    rollout.samples.clear();
     if !scene.initial.is_finite() || controls.is_empty() {
         return Verdict { intervals: 0, violation: Some((Violation::NotFinite, 0.0)) };
     }
-    if !controls.iter().all(|control| scene.config.bounds.contains(*control, CONTROL_TOLERANCE)) {
+    if !controls.iter().all(|control| scene.config.bounds.contains(*control, ROUNDING)) {
         return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
     }
-    driven.drive(scene, controls);
+    rollout.drive(scene, controls);
     let baseline = scene.baseline();
     let mut behind_goal = false;
-    for (index, sample) in driven.way.iter().enumerate() {
+    for (index, sample) in rollout.samples.iter().enumerate() {
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         if let Some(violation) = scene.check(&baseline, sample.t, &sample.state) {
             let intervals = index.saturating_sub(1) / PIECES;
@@ -81,10 +60,12 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], driven: &mut Driven) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, Goal, Track};
+    use crate::config::Config;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
+    use vehicle::State;
     use vehicle::geometry::Rectangle;
+    use vehicle::{Goal, Track};
 
     struct Fixture {
         config: Config,
@@ -116,11 +97,11 @@ mod tests {
     }
 
     fn verdict(scene: &Scene, controls: &[Control]) -> Verdict {
-        verify(scene, controls, &mut Driven::default())
+        verify(scene, controls, &mut Rollout::default())
     }
 
     #[test]
-    fn a_free_way_holds_and_nan_or_a_hard_bound_does_not() {
+    fn a_free_plan_holds_and_nan_or_a_hard_bound_does_not() {
         let fixture = Fixture::new(Vec::new());
         assert!(verdict(&fixture.scene(), &straight(1.0)).holds());
         assert_eq!(verdict(&fixture.scene(), &straight(1.01)).violation, Some((Violation::Control, 0.0)));

@@ -1,8 +1,8 @@
-//! Where the solver starts from: the last plan moved on in time, or the guide followed by simple steering.
+//! The initial guess of the solver: the last plan shifted in time, or simple steering along the reference path.
 //!
-//! Both are driven through the model from the present state, so the start has no defects. The last plan is
-//! the better start as long as it passes everything on the same side as the guide: within one scan little
-//! changes. When the side changes, Gauss-Newton would have to cross the obstacle; the guide is the start then.
+//! Both are driven through the model from the present state, so the guess has no defects. The last plan is the
+//! better guess while it passes all obstacles on the same side as the reference path: within one scan little
+//! changes. When a side changes, Gauss-Newton would have to cross the obstacle; then the reference path is followed.
 
 use vehicle::{Bounds, Control};
 
@@ -14,9 +14,9 @@ use crate::rollout::{Sampled, advance};
 use crate::scene::Scene;
 use crate::side::Passing;
 
-/// Steering correction per lateral distance to the guide, as curvature [1/m^2].
+/// Steering correction per lateral distance to the reference path, as curvature [1/m^2].
 const OFFSET_GAIN: f64 = 0.6;
-/// Steering correction per difference of course to the guide, as curvature [1/m].
+/// Steering correction per difference of course to the reference path, as curvature [1/m].
 const COURSE_GAIN: f64 = 1.4;
 
 /// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
@@ -37,7 +37,7 @@ pub fn shift(controls: &[Control], interval_s: f64, elapsed_s: f64, shifted: &mu
     }
 }
 
-/// Fills `controls` with steering that follows the guide at the pace of the reference.
+/// Fills `controls` with steering that follows the reference path at the given pace.
 pub(crate) fn follow(
     scene: &Scene,
     reference_path: &ReferencePath,
@@ -63,22 +63,22 @@ pub(crate) fn follow(
     }
 }
 
-/// Forces `controls` into the hard bounds: solvers keep them to their accuracy only.
+/// Clamps `controls` to the hard bounds, which a solver respects only to its accuracy.
 pub(crate) fn clamp(bounds: &Bounds, controls: &mut [Control]) {
     controls.iter_mut().for_each(|control| *control = bounds.clamp(*control));
 }
 
-/// Whether two ways pass every hazard that both come past on the same side.
-pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, way: &[Sampled]) -> bool {
+/// Whether a plan and the reference path have the same side of every obstacle that both pass.
+pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, plan: &[Sampled]) -> bool {
     scene.predicted.iter().all(|obstacle| {
-        let sides = side_of(obstacle, way).zip(reference_path.side_of(obstacle));
+        let sides = side_of(obstacle, plan).zip(reference_path.side_of(obstacle));
         sides.is_none_or(|(driven, planned)| driven == planned)
     })
 }
 
-/// Side on which a way passes the hazard; `None` when it does not come past its centre.
-fn side_of(obstacle: &PredictedObstacle, way: &[Sampled]) -> Option<Passing> {
-    for pair in way.windows(2) {
+/// Side on which a plan passes the obstacle; `None` when it does not reach its centre.
+fn side_of(obstacle: &PredictedObstacle, plan: &[Sampled]) -> Option<Passing> {
+    for pair in plan.windows(2) {
         let centres = [pair[0].t, pair[1].t].map(|t| obstacle.centre_at(t));
         let (from, to) = (pair[0].state.x - centres[0][0], pair[1].state.x - centres[1][0]);
         if from < 0.0 && to >= 0.0 {
@@ -95,11 +95,11 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Goal;
+    use vehicle::Goal;
     use vehicle::State;
 
     #[test]
-    fn a_plan_moves_on_in_time_and_holds_its_last_control() {
+    fn a_plan_is_shifted_in_time_and_holds_its_last_control() {
         let controls = [0.02, -0.04, 0.06].map(|steering| Control { velocity: 1.0, steering });
         let mut shifted = Vec::new();
         shift(&controls, 0.4, 0.1, &mut shifted);

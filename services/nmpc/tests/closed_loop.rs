@@ -3,9 +3,10 @@
 mod common;
 
 use common::{Body, Noise, Outcome, body, print, print_head, run};
-use nmpc::{Config, Goal, Track};
+use nmpc::Config;
 use shared_types::{CommandKind, StopReason};
 use vehicle::State;
+use vehicle::{Goal, Track};
 
 fn config(goal_x: f64) -> Config {
     Config { goal: Goal { x_m: goal_x, ..Goal::default() }, ..Config::default() }

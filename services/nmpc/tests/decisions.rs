@@ -11,7 +11,7 @@ fn controller() -> Controller {
     Controller::new(Config::default()).expect("the defaults are allowed")
 }
 
-/// A robot at (x, y) that looks along the track, at scan `scan`.
+/// A robot at (x, y) that faces along the track, at scan `scan`.
 fn pose(scan: u64, x: f64, y: f64) -> Pose {
     let mut pose = Pose { predicted_x_m: x, predicted_y_m: y, ..Pose::default() };
     pose.header.scan_id = scan;
@@ -112,7 +112,7 @@ fn a_stop_in_front_of_a_blocked_path_is_held_although_the_body_vanishes_for_a_sc
 }
 
 #[test]
-fn without_a_budget_the_guide_is_driven_verified() {
+fn without_a_budget_the_reference_path_is_driven_verified() {
     let command = controller().step(
         &pose(1, 0.0, 0.0),
         &obstacles(1, &[obstacle(5.0, 0.1, 0.4)]),
@@ -126,9 +126,9 @@ fn without_a_budget_the_guide_is_driven_verified() {
 fn a_resumed_controller_gives_the_same_bits() {
     let mut first = controller();
     let mut second = controller();
-    let way = |scan: u64| 0.1 * (scan - 1) as f64;
+    let x = |scan: u64| 0.1 * (scan - 1) as f64;
     for scan in 1..20 {
-        let (pose, obstacles) = (pose(scan, way(scan), 0.0), obstacles(scan, &[obstacle(5.0, 0.0, 0.4)]));
+        let (pose, obstacles) = (pose(scan, x(scan), 0.0), obstacles(scan, &[obstacle(5.0, 0.0, 0.4)]));
         let command = first.step(&pose, &obstacles, &BUDGET);
         if scan > 1 {
             assert_eq!(second.step(&pose, &obstacles, &BUDGET), command, "scan {scan}");
@@ -139,7 +139,7 @@ fn a_resumed_controller_gives_the_same_bits() {
 }
 
 #[test]
-fn a_checkpoint_full_of_nonsense_does_no_harm() {
+fn a_checkpoint_of_invalid_numbers_does_no_harm() {
     let mut state =
         ControllerState { plan_length: 900, plan_interval_s: f64::NAN, ..ControllerState::default() };
     (state.velocity_mps, state.steering_rad) = (f64::NAN, f64::INFINITY);

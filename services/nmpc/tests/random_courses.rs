@@ -1,18 +1,19 @@
-//! Random courses: whatever stands where, nothing is touched.
+//! Random courses: the robot never touches anything.
 //!
 //! Up to three boxes 0.1 to 0.5 m wide, anywhere across the track, with noise on position, yaw and description.
 //! At 5.5 m apart one side of every box is open by (7.35), so all these courses are passable. Closer together,
-//! or moving, some have no way that keeps outside of the ellipses: there a stop is right, and only contact is not.
+//! or moving, some have no path outside of the ellipses: there a stop is right, and only contact is a failure.
 //!
 //! `RUNS=1000 cargo test --release -p nmpc --test random_courses -- --nocapture` prints the table of more courses.
 
 mod common;
 
 use common::{Body, Noise, body, print, print_head, run};
-use nmpc::{Config, Goal, Track};
+use nmpc::Config;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use vehicle::State;
+use vehicle::{Goal, Track};
 
 /// What a campaign varies.
 #[derive(Debug, Clone, Copy)]

@@ -1,48 +1,49 @@
 //! Settings of the description.
 
-use vehicle::{Invalid, require, settings};
+use vehicle::{Invalid, settings};
 
 settings! {
-    /// Settings of the description; the defaults are the source's values where it has any.
+    /// Settings of the obstacle detector; the defaults are the source's values where it has any.
     #[derive(Copy)]
     pub struct Config {
-        /// Whether the track has walls; their returns never become obstacles.
+        /// Whether the track has walls, whose returns are never obstacles; `run` takes it from the scenario.
         pub walls: bool = false;
-        /// The track across: surfaces of the right and left wall, or the bound of the robot's centre without walls [m], -10 km to 10 km.
-        pub wall_y_m: [f64; 2] = [-1.5, 1.5];
-        /// Returns nearer to a wall than this belong to it [m], 0.02 to 0.5.
+        /// Surfaces of the right and left wall, or without walls the lateral bounds of the track; `run` takes them from the
+        /// scenario [m].
+        pub wall_y_m: [f64; 2] = [-1.5, 1.5], (-1e4..=1e4, "the second at least 0.5 m above the first");
+        /// Returns within this distance of a wall belong to the wall [m].
         pub wall_band_m: f64 = 0.12, 0.02..=0.5;
-        /// Without walls, returns farther beyond the track than this cannot matter and are ignored [m], 0 to 10.
+        /// Without walls, returns farther than this outside of the track are ignored [m].
         pub beside_m: f64 = 0.6, 0.0..=10.0;
-        /// Safety distance theta of (7.35) [m], 0.05 to 1.
+        /// Safety distance theta of (7.35) [m].
         pub safety_distance_m: f64 = 0.2, 0.05..=1.0;
-        /// Smallest semi-axis along the track, a of (7.35) [m], 0.5 to 5.
+        /// Smallest semi-axis of an ellipse along the track, a of (7.35) [m].
         pub long_axis_m: f64 = 1.2, 0.5..=5.0;
-        /// Semi-axis along the track per semi-axis across it for wide obstacles, (7.35), 1 to 3.
+        /// Ratio of the semi-axes a and b of wide obstacles, (7.35).
         pub long_axis_ratio: f64 = 1.15, 1.0..=3.0;
-        /// Length of the robot's body [m], 0.1 to 3.
+        /// Length of the robot's body [m].
         pub body_length_m: f64 = 0.56, 0.1..=3.0;
-        /// Width of the robot's body [m], 0.1 to 3.
+        /// Width of the robot's body [m].
         pub body_width_m: f64 = 0.40, 0.1..=3.0;
-        /// Distance that the body keeps to big or turned obstacles while its centre is outside of the ellipses [m], 0 to 1.
+        /// Distance that the body keeps from big or turned obstacles while its centre is outside of the ellipses [m].
         pub clearance_m: f64 = 0.1, 0.0..=1.0;
-        /// Depth of a body of which only the front has been seen [m], 0.01 to 1.
+        /// Assumed depth of a body of which only the front was seen [m].
         pub unseen_depth_m: f64 = 0.1, 0.01..=1.0;
-        /// Standard deviation of a range [m], 0.001 to 0.1.
+        /// Standard deviation of a range [m].
         pub range_noise_m: f64 = 0.02, 0.001..=0.1;
-        /// Standard deviation of the estimated position [m], 0.001 to 0.2.
+        /// Standard deviation of the estimated position [m].
         pub pose_noise_m: f64 = 0.015, 0.001..=0.2;
-        /// Standard deviation of the estimated yaw [rad], 0.0005 to 0.1.
+        /// Standard deviation of the estimated yaw [rad].
         pub pose_noise_rad: f64 = 0.01, 0.0005..=0.1;
-        /// Obstacles nearer than this are reported at their first sight, others at the second [m], 0 to 10.
+        /// Obstacles nearer than this are reported when they are first seen, others when they are seen again [m].
         pub near_m: f64 = 2.0, 0.0..=10.0;
-        /// Static obstacles are remembered until they are this far behind the robot [m], 0.5 to 10.
+        /// Obstacles at rest are remembered until they are this far behind the robot [m].
         pub keep_behind_m: f64 = 3.0, 0.5..=10.0;
-        /// Scans that must see an obstacle's place free before it is forgotten, 1 to 20.
+        /// An obstacle is forgotten after its place was seen free in this many scans.
         pub free_scans: u32 = 3, 1.0..=20.0;
-        /// How long a moving obstacle is extrapolated without being seen [s], 0 to 5.
+        /// Time for which a moving obstacle is extrapolated without being seen [s].
         pub moving_memory_s: f64 = 1.0, 0.0..=5.0;
-        /// Slower obstacles stand still [m/s], 0.02 to 1.
+        /// Obstacles slower than this count as at rest [m/s].
         pub moving_mps: f64 = 0.1, 0.02..=1.0;
     }
 }
@@ -53,9 +54,8 @@ impl Config {
     /// # Errors
     /// [`Invalid`] with the first key out of range.
     pub fn validate(&self) -> Result<(), Invalid> {
+        self.require_ranges()?;
         let [low, high] = self.wall_y_m;
-        require("wall_y_m[0]", low, -1e4..=1e4)?;
-        require("wall_y_m[1]", high, -1e4..=1e4)?;
         if high - low < 0.5 {
             return Err(Invalid::new(
                 "wall_y_m",
@@ -63,7 +63,7 @@ impl Config {
                 "the second at least 0.5 m above the first",
             ));
         }
-        self.require_ranges()
+        Ok(())
     }
 }
 

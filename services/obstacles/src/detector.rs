@@ -1,4 +1,4 @@
-//! The description from scan to scan: place returns, cut them into bodies, follow the bodies, draw ellipses.
+//! The steps of one scan: place returns, segment them into bodies, track the bodies, cover them by ellipses.
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, Fault, Header, MAX_OBSTACLES, Obstacle, Obstacles, Pose, Scan};
@@ -14,15 +14,15 @@ use crate::segment::Segments;
 use crate::shape::Directions;
 use crate::state::{ObstaclesState, TRACKS, TrackState};
 use crate::track::{Track, View};
-use crate::visibility::{Sight, look};
+use crate::visibility::{Sight, sight};
 use crate::walls::Walls;
 
-/// Identities of the ellipses of one body: its own times this, plus the number of the piece.
+/// Identity of an ellipse: that of its body times this, plus the number of the piece.
 const IDS_PER_BODY: u32 = 8;
 const _: () = assert!(MAX_PIECES <= IDS_PER_BODY as usize);
-/// Identities of bodies start again after this many, so that those of ellipses fit a u32.
+/// Identities of bodies wrap after this many, so that those of ellipses fit a u32.
 const MAX_BODY: u32 = u32::MAX / IDS_PER_BODY - 1;
-/// Returns this near to where a body is expected are its own [m]; a body of 1 m/s moves 0.1 m between scans.
+/// Returns nearer than this to where a body is expected belong to it [m]; at 1 m/s it moves 0.1 m between scans.
 const GATE_M: f64 = 0.2;
 /// Growth of the gate with the distance: three standard deviations of a yaw that is off by 0.01 rad.
 const GATE_PER_M: f64 = 0.03;
@@ -30,10 +30,10 @@ const GATE_PER_M: f64 = 0.03;
 const TOUCHING_M: f64 = 0.04;
 /// A body that is not confirmed is forgotten after this time [s].
 const SPECKLE_MEMORY_S: f64 = 0.35;
-/// A body this far away is out of all reach: the pose must have jumped [m].
+/// A body further away than this is out of reach: the pose must have jumped [m].
 const LOST_M: f64 = 12.0;
 
-/// Describes obstacles; one call per scan.
+/// Detects and tracks obstacles; one call per scan.
 #[derive(Debug, Clone)]
 pub struct ObstacleDetector {
     config: Config,
@@ -65,7 +65,7 @@ struct Outline {
     track: Option<usize>,
 }
 
-/// An ellipse on its way to the sample.
+/// An ellipse before it is sorted into the sample.
 #[derive(Debug, Clone, Copy)]
 struct Drawn {
     behind: bool,
@@ -74,7 +74,7 @@ struct Drawn {
 }
 
 impl ObstacleDetector {
-    /// A describer that knows no obstacles yet.
+    /// A detector without tracks.
     ///
     /// # Errors
     /// [`Invalid`] when a setting is out of its range.
@@ -100,7 +100,7 @@ impl ObstacleDetector {
 
     /// The obstacles known after `scan`, taken from `pose`; layout and sequence are left to the publisher.
     ///
-    /// A pose that is not finite shows nothing: what is known is carried on as unseen.
+    /// With a pose that is not finite nothing is detected: the known bodies count as unseen.
     pub fn step(&mut self, scan: &Scan, pose: &Pose) -> Obstacles {
         let elapsed = self.elapse(scan.header.acquired_ns);
         for track in &mut self.tracks {
@@ -135,10 +135,10 @@ impl ObstacleDetector {
         }
     }
 
-    /// Carries on from a state.
+    /// Continues from a state.
     ///
     /// # Errors
-    /// [`Fault`] when a number of the state cannot be; the describer is unchanged then.
+    /// [`Fault`] when a number of the state is impossible; the detector is unchanged then.
     pub fn resume(&mut self, state: &ObstaclesState) -> Result<(), Fault> {
         let count = state.count as usize;
         if count > TRACKS {
@@ -169,7 +169,7 @@ impl ObstacleDetector {
         if before == 0 { 0.0 } else { (acquired_ns - before) as f64 * 1e-9 }
     }
 
-    /// Cuts the scan into outlines of bodies.
+    /// Segments the scan into outlines of bodies.
     fn outline(&mut self, scan: &Scan, place: &Place) {
         self.beams.place(scan, place, &mut self.points);
         let walls = Walls::fit(&self.config, place, &self.points);
@@ -209,7 +209,7 @@ impl ObstacleDetector {
                     sum += distance;
                 }
                 let gate = GATE_M + GATE_PER_M * (expected.centre - place.at).norm();
-                // The mean decides between two that both touch.
+                // The mean decides between two boxes that both touch the outline.
                 let cost = least + 0.1 * sum / vertices.len() as f64;
                 if least < gate && cost < best {
                     (best, outline.track) = (cost, Some(index));
@@ -218,7 +218,7 @@ impl ObstacleDetector {
         }
     }
 
-    /// Shows each track all outlines that belong to it.
+    /// Updates each track with all outlines that belong to it.
     fn sight(&mut self, place: &Place, elapsed: f64) {
         for (index, track) in self.tracks.iter_mut().enumerate() {
             self.view.clear();
@@ -239,7 +239,7 @@ impl ObstacleDetector {
         }
     }
 
-    /// Starts a track for each outline in the window that belongs to none; returns how many found no room.
+    /// Starts a track for each outline in the window that belongs to none; returns how many did not fit.
     fn start(&mut self, place: &Place) -> u32 {
         let mut overflow = 0;
         for outline in self.outlines.iter().filter(|outline| outline.track.is_none() && outline.may_start) {
@@ -268,10 +268,10 @@ impl ObstacleDetector {
         overflow
     }
 
-    /// Forgets bodies whose place is seen to be free.
+    /// Forgets bodies whose place is free.
     fn forget(&mut self, scan: &Scan, place: &Place) {
         for track in self.tracks.iter_mut().filter(|track| track.unseen_s > 0.0) {
-            match look(scan, &self.beams, place, &track.rectangle(&self.directions)) {
+            match sight(scan, &self.beams, place, &track.rectangle(&self.directions)) {
                 Sight::Free => track.free = track.free.saturating_add(1),
                 Sight::Taken => track.free = 0,
                 Sight::Unknown => {}
@@ -281,7 +281,7 @@ impl ObstacleDetector {
         self.tracks.retain(|track| track.free < if track.confirmed { limit } else { limit.min(2) });
     }
 
-    /// Unites standing bodies that touch: parts of one that were first seen apart.
+    /// Merges standing bodies that touch: parts of one body that were first seen apart.
     fn unite(&mut self) {
         self.boxes.clear();
         self.boxes.extend(self.tracks.iter().map(|track| track.rectangle(&self.directions)));
@@ -327,7 +327,7 @@ impl ObstacleDetector {
         });
     }
 
-    /// Draws the ellipses of all confirmed tracks, nearest ahead first.
+    /// The ellipses of all confirmed tracks, nearest ahead first.
     fn describe(&mut self, header: Header, overflow: u32) -> Obstacles {
         let [x, y, yaw] = self.pose;
         self.drawn.clear();

@@ -1,14 +1,14 @@
 //! Ellipses that the robot's centre stays outside of, (7.32)-(7.35).
 //!
-//! (7.35) takes the width of an obstacle only: b = |y_begin - y_end| + 2 theta, a = 1.2 m or 1.15 b. That
-//! ellipse keeps the robot's body off obstacles up to about half a metre deep. Longer ones get a larger a, just
-//! so that the ellipse holds the body's box with the robot's keep-off distance around it. Long bodies that are
-//! turned, and very long ones, are cut into pieces along their length, each with an ellipse of its own: one
-//! ellipse around a turned body would close the corridor where there is room to pass.
+//! (7.35) uses the width of an obstacle only: b = |y_begin - y_end| + 2 theta, a = 1.2 m or 1.15 b. That ellipse keeps
+//! the robot's body clear of obstacles up to about half a metre deep. Longer ones get a larger a, just large enough
+//! that the ellipse holds the body's box with the robot's keep-off distance around it. Long bodies that are turned,
+//! and very long ones, are cut into pieces along their length, each with an ellipse of its own: one ellipse around a
+//! turned body would close the corridor where there is room to pass.
 //!
-//! The keep-off distance is half the diagonal of the robot along the track, and what the robot reaches sideways
-//! at a yaw of 0.4 rad across it, each with the clearance added. While the centre is outside of the ellipses
-//! the body keeps the clearance, as long as the robot drives roughly along their boundary.
+//! The keep-off distance along the track is half the diagonal of the robot; across the track it is the robot's
+//! extent at a yaw of 0.4 rad. The clearance is added to both. While the centre is outside of the ellipses the body
+//! keeps the clearance, as long as the robot drives roughly along their boundary.
 //!
 //! Source note: (7.32), (7.33) place the centre between the first and last boundary point, which are points of
 //! the visible front. Here the centre is that of the body's box, which grows as more of the body is seen.
@@ -24,15 +24,15 @@ use crate::shape::{DIRECTIONS, Directions};
 pub(crate) const MAX_PIECES: usize = 6;
 /// Largest a of a single ellipse [m]; a body of 3 m needs 2.4.
 const MAX_SINGLE_M: f64 = 2.6;
-/// Length of a piece [m]: about as long as the robot's corridor beside it is wide.
+/// Length of a piece [m]: about the width of the robot's corridor beside it.
 const PIECE_M: f64 = 0.65;
 /// Shorter bodies are not cut, however they are turned [m].
 const MIN_CUT_M: f64 = 0.8;
 /// A body is turned when the box along the track around it is this much larger.
 const TURNED: f64 = 1.5;
-/// What was decided for the last scan is kept until a value is this share beyond its limit.
+/// The decision of the last scan is kept until a value is this share beyond its limit.
 const KEEP: f64 = 0.1;
-/// Yaw at which the robot passes beside an ellipse at most [rad].
+/// Largest yaw at which the robot passes an ellipse [rad].
 const PASSING_YAW: f64 = 0.4;
 /// Semi-axis across the track per reach of a piece: 1 would need an endless a.
 const ROOM: f64 = 1.05;
@@ -73,14 +73,14 @@ pub(crate) fn cover(
     before: u32,
     directions: &Directions,
 ) -> Cover {
-    let keep = Keep::of(config);
-    let single = single(config, &keep, rectangle, extent, directions);
+    let sizing = Sizing::of(config, directions);
+    let single = sizing.single(rectangle, extent);
     let mut ellipses = [single; MAX_PIECES];
     let Some(count) = pieces(rectangle, &single, before) else { return Cover { ellipses, count: 1 } };
     for (index, ellipse) in ellipses.iter_mut().enumerate().take(count) {
         let piece = piece(rectangle, index, count);
-        let b = ROOM * (spans(&piece)[1] / 2.0 + keep.across);
-        *ellipse = sized(config, &keep, piece.centre, &piece, b, directions);
+        let b = ROOM * (spans(&piece)[1] / 2.0 + sizing.across);
+        *ellipse = sizing.ellipse(piece.centre, &piece, b);
     }
     Cover { ellipses, count }
 }
@@ -113,57 +113,47 @@ fn piece(rectangle: &Rectangle, index: usize, count: usize) -> Rectangle {
     }
 }
 
-/// The one ellipse of a body: its centre, see the source note on (7.32) and (7.33), and b of (7.35).
-fn single(
-    config: &Config,
-    keep: &Keep,
-    rectangle: &Rectangle,
-    extent: &[Vector2<f64>; 2],
-    directions: &Directions,
-) -> Ellipse {
-    let [low, high] = extent;
-    let width = high.y - low.y;
-    let b = (width + 2.0 * config.safety_distance_m).max(1.03 * (width / 2.0 + keep.across));
-    sized(config, keep, (low + high) / 2.0, rectangle, b, directions)
-}
-
-/// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to keep.
-fn sized(
-    config: &Config,
-    keep: &Keep,
-    centre: Vector2<f64>,
-    rectangle: &Rectangle,
-    b: f64,
-    directions: &Directions,
-) -> Ellipse {
-    let b = b.clamp(0.01, 80.0);
-    let rule = if b < config.long_axis_m { config.long_axis_m } else { config.long_axis_ratio * b };
-    let mut needed = 0.0_f64;
-    for corner in rectangle.corners() {
-        for index in (0..DIRECTIONS).step_by(3) {
-            let unit = directions.unit(index);
-            let reach = corner - centre + Vector2::new(unit.x * keep.along, unit.y * keep.across);
-            // What reaches beyond b is left to the neighbour or the bound on the ratio: 0.98 b needs 5 times the x.
-            let height = (reach.y / b).clamp(-0.98, 0.98);
-            needed = needed.max(reach.x.abs() / (1.0 - height * height).sqrt());
-        }
-    }
-    Ellipse { centre, a: rule.max(needed).min(100.0), b }
-}
-
-/// Distance that the robot's centre keeps from an obstacle's surface.
-struct Keep {
+/// How large ellipses are.
+struct Sizing<'a> {
+    config: &'a Config,
+    directions: &'a Directions,
+    /// Distance that the robot's centre keeps from an obstacle's surface, along the track [m].
     along: f64,
+    /// The same across the track [m].
     across: f64,
 }
 
-impl Keep {
-    fn of(config: &Config) -> Self {
+impl<'a> Sizing<'a> {
+    fn of(config: &'a Config, directions: &'a Directions) -> Self {
         let (sin, cos) = PASSING_YAW.sin_cos();
-        Self {
-            along: config.body_length_m.hypot(config.body_width_m) / 2.0 + config.clearance_m,
-            across: (config.body_length_m * sin + config.body_width_m * cos) / 2.0 + config.clearance_m,
+        let along = config.body_length_m.hypot(config.body_width_m) / 2.0 + config.clearance_m;
+        let across = (config.body_length_m * sin + config.body_width_m * cos) / 2.0 + config.clearance_m;
+        Self { config, directions, along, across }
+    }
+
+    /// The one ellipse of a body: its centre, see the source note on (7.32) and (7.33), and b of (7.35).
+    fn single(&self, rectangle: &Rectangle, [low, high]: &[Vector2<f64>; 2]) -> Ellipse {
+        let width = high.y - low.y;
+        let b = (width + 2.0 * self.config.safety_distance_m).max(1.03 * (width / 2.0 + self.across));
+        self.ellipse((low + high) / 2.0, rectangle, b)
+    }
+
+    /// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to keep.
+    fn ellipse(&self, centre: Vector2<f64>, rectangle: &Rectangle, b: f64) -> Ellipse {
+        let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
+        let b = b.clamp(0.01, 80.0);
+        let rule = if b < long_axis_m { long_axis_m } else { long_axis_ratio * b };
+        let mut needed = 0.0_f64;
+        for corner in rectangle.corners() {
+            for index in (0..DIRECTIONS).step_by(3) {
+                let unit = self.directions.unit(index);
+                let reach = corner - centre + Vector2::new(unit.x * self.along, unit.y * self.across);
+                // Beyond 0.98 b, which needs 5 times the x, the neighbour or the bound on the ratio covers the rest.
+                let height = (reach.y / b).clamp(-0.98, 0.98);
+                needed = needed.max(reach.x.abs() / (1.0 - height * height).sqrt());
+            }
         }
+        Ellipse { centre, a: rule.max(needed).min(100.0), b }
     }
 }
 
@@ -189,7 +179,7 @@ mod tests {
         cover(&Config::default(), rectangle, &extent, 0, &Directions::new())
     }
 
-    /// Smallest distance of the robot's body to the rectangle while its centre goes round the ellipses,
+    /// Smallest distance of the robot's body to the rectangle while its centre moves around the ellipses,
     /// heading along them, by at most 0.8 rad off the track.
     fn smallest_clearance(rectangle: &Rectangle) -> f64 {
         let cover = covered(rectangle);
@@ -236,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_turned_body_in_the_middle_leaves_a_way() {
+    fn a_long_turned_body_in_the_middle_leaves_room_to_pass() {
         let cover = covered(&Rectangle { centre: Vector2::new(5.0, 0.0), ..body(2.0, 0.3, 0.8) });
         let reach = cover.list().iter().map(|ellipse| ellipse.centre.y + ellipse.b).fold(0.0, f64::max);
         assert!(cover.list().len() > 1 && reach < 1.4, "{cover:?}");

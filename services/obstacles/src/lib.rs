@@ -1,12 +1,12 @@
-//! Obstacle description (7.32)-(7.35): from the ranges of one scan to the ellipses that the robot stays outside of.
+//! The obstacle detector, (7.32)-(7.35): from the ranges of one scan to the ellipses that the robot stays outside of.
 //!
-//! Returns are placed in the track from the pose at their own time, those of walls are taken out, the rest is
-//! cut into bodies. Bodies are followed from scan to scan: their outline grows as more of them is seen, their
-//! place and velocity are filtered, and they are remembered beside and behind the robot until their place is
-//! seen to be free. Each body is then covered by ellipses.
+//! Returns are placed in the track from the pose at their own time, those of walls are removed, the rest is segmented
+//! into bodies. Bodies are tracked from scan to scan: their outline grows as more of them is seen, their place and
+//! velocity are filtered, and they are remembered beside and behind the robot until a scan shows their place free.
+//! Each body is then covered by ellipses.
 //!
-//! Pure: values in, values out, the same bits on every machine run. State between scans is
-//! [`ObstaclesState`], plain bytes that another process can resume from.
+//! Pure: the same inputs give the same bits. State between scans is [`ObstaclesState`], plain bytes that another
+//! process can resume from.
 
 mod config;
 mod detector;

@@ -1,12 +1,12 @@
-//! Motion of a body: a constant-velocity Kalman filter beside one for a body at rest.
+//! Motion of a body: one Kalman filter with constant velocity, and one for a body at rest.
 //!
-//! Both take the same measured place of the body's reference point. The place is measured along two axes: the
-//! one towards the robot, where the nearest surface shows it, and the one across, where both ends must move the
-//! same way. A part that comes into view moves one end only and is no motion. The filter at rest has the smaller
-//! gain and says where a static body is; the other says whether it moves.
+//! Both use the same measured place of the body's reference point. The place is measured along two axes: the one
+//! towards the robot, where the nearest surface shows it, and the one across, where both ends must move the same
+//! way. A part that comes into view moves one end only and is no motion. The filter at rest has the smaller gain and
+//! gives the place of a static body; the other decides whether it moves.
 //!
-//! Where it fails: errors of the pose are common to all bodies and change slowly, so a drifting pose makes
-//! static bodies move. A body counts as moving only when it has also left its place.
+//! Where it fails: errors of the pose are common to all bodies and change slowly, so with a drifting pose static
+//! bodies seem to move. So a body counts as moving only when it has also left its place.
 
 use nalgebra::{Matrix2, Matrix2x4, Matrix4, SMatrix, Vector2, Vector4};
 
@@ -69,7 +69,7 @@ impl Motion {
         }
     }
 
-    /// Takes a measured place in, in the Joseph form.
+    /// Measurement update with a measured place, in the Joseph form.
     pub(crate) fn update(&mut self, measured: Vector2<f64>, noise: &Matrix2<f64>) {
         let observe = Matrix2x4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0);
         let cross: SMatrix<f64, 4, 2> = self.covariance.fixed_view::<4, 2>(0, 0).into();
@@ -113,7 +113,7 @@ pub(crate) struct Rest {
 }
 
 impl Rest {
-    /// Takes a measured place in, `elapsed` seconds after the last.
+    /// Measurement update with a measured place, `elapsed` seconds after the last.
     pub(crate) fn update(&mut self, measured: Vector2<f64>, noise: &Matrix2<f64>, elapsed: f64) {
         let predicted = self.covariance + Matrix2::identity() * (WANDER * WANDER * elapsed);
         let Some(inverse) = (predicted + noise).try_inverse() else { return };

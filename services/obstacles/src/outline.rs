@@ -1,8 +1,8 @@
 //! Outline of a cluster: a few vertices instead of many noisy returns.
 //!
-//! A cluster is split at its corners (iterative end point fit) and each piece replaced by its total least
-//! squares line, so that the noise of the ranges is averaged over the returns of a face. The ends of a body lie
-//! between its last return and the next beam that misses it: the line is carried on by half the spacing.
+//! A cluster is split at its corners (iterative end point fit) and each piece is replaced by its total least squares
+//! line, so that the noise of the ranges is averaged over the returns of a face. The end of a body lies between its
+//! last return and the next beam that misses it, so the line is extended by half the spacing.
 
 use nalgebra::Vector2;
 use shared_types::PITCH_RAD;
@@ -15,17 +15,17 @@ use crate::segment::Cluster;
 pub(crate) struct Vertex {
     /// Where it is [m].
     pub(crate) at: Vector2<f64>,
-    /// Whether the body may go on beyond it, unseen.
+    /// Whether the body may continue beyond it, unseen.
     pub(crate) open: bool,
 }
 
-/// Most pieces of one outline that wait to be split.
+/// Largest number of pieces of one outline that wait to be split.
 const STACK: usize = 32;
 
 /// Appends the outline of one cluster to `vertices` and returns the direction of its edges.
 ///
 /// That is the sum of (cos, sin) of four times the angle of each edge, weighted by its squared length: edges of
-/// a box, which are at right angles, add up. Edges of fewer than four returns say nothing.
+/// a box, which are at right angles, add up. Edges of fewer than four returns do not count.
 pub(crate) fn trace(
     cluster: &Cluster,
     members: &[Point],
@@ -92,12 +92,12 @@ fn corner(piece: &[Point], range_noise: f64) -> Option<usize> {
             worst = (deviation, index);
         }
     }
-    // A chord between two noisy ends is off by up to 3.5 sigma without any corner; the fit decides then.
+    // Noise of the ends alone gives deviations of up to 3.5 sigma; the fit decides whether there is a corner.
     let bent = worst.0 > 3.5 * range_noise && Line::fit(piece).rms > 1.5 * range_noise;
     bent.then_some(worst.1)
 }
 
-/// Half of the way along the line to where the next beam would hit it, at most 5 cm.
+/// Half of the distance along the line to where the next beam would hit it, at most 5 cm.
 fn half_spacing(end: &Point, direction: Vector2<f64>, place: &Place) -> f64 {
     let ray = (end.at - place.at).try_normalize(1e-9).unwrap_or(direction);
     let sine = (ray.x * direction.y - ray.y * direction.x).abs();

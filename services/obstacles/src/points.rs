@@ -1,11 +1,11 @@
 //! Returns of a sweep as points of the track.
 //!
-//! The beams are taken one after the other while the robot moves, so each is placed from the pose at its own
-//! time: the pose at the front beam carried on with speed, sideslip and yaw rate. Over half a sweep (33 ms)
-//! constant rates are good to a millimetre. Error codes are no returns. All 240 deg are placed: the window of
-//! the source decides only which points may start an obstacle, the rest keeps track of bodies beside the robot.
+//! The beams are taken one after the other while the robot moves, so each is placed from the pose at its own time: the
+//! pose at the front beam, predicted with constant speed, sideslip and yaw rate. Over half a sweep (33 ms) this is
+//! accurate to a millimetre. Error codes are no returns. All 240 deg are placed: the window of the source decides
+//! only which points may start an obstacle, the rest keeps track of bodies beside the robot.
 //!
-//! The scanner is taken to stand at the robot's reference point, as (7.32) and (7.33) do.
+//! The scanner is assumed to be at the robot's reference point, as in (7.32) and (7.33).
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, Pose, Scan};
@@ -25,7 +25,7 @@ pub(crate) struct Point {
     pub(crate) beam: usize,
 }
 
-/// A usable pose with what placing needs.
+/// A usable pose with the velocities that placing needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
     /// Position at the front beam [m].
@@ -39,9 +39,9 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// The pose, `None` when it cannot be one: not finite, or out of all bounds.
+    /// The pose, `None` when it is not finite or far out of bounds.
     ///
-    /// Speeds above 5 m/s and yaw rates above 3 rad/s are no motion of this robot and are taken as zero.
+    /// Speeds above 5 m/s and yaw rates above 3 rad/s are impossible for this robot and replaced by zero.
     pub(crate) fn of(pose: &Pose) -> Option<Self> {
         let Pose { x_m, y_m, yaw_rad, speed_mps, sideslip_rad, yaw_rate_radps, .. } = *pose;
         let usable = x_m.abs() < 1e6 && y_m.abs() < 1e6 && yaw_rad.abs() < 1e3;
@@ -63,7 +63,7 @@ impl Place {
     }
 }
 
-/// Range of a beam [m] with readings beyond the device's reach taken as no return.
+/// Range of a beam [m]; a reading beyond the device's reach is no return.
 pub(crate) fn range_of(scan: &Scan, beam: usize) -> Option<f64> {
     scan.range_m(beam).filter(|range| *range <= MAX_RANGE_M)
 }
@@ -93,7 +93,7 @@ impl Beams {
             let Some(range) = range_of(scan, beam) else { continue };
             let time = scan.beam_time_s(beam).clamp(-0.2, 0.2);
             let turned = place.yaw_rate * time;
-            // Series of cosine and sine: the turn within a sweep is below 0.1 rad, where they miss 1e-6.
+            // Series of cosine and sine: the turn within a sweep is below 0.1 rad, where their error is 1e-6.
             let (turn_sin, turn_cos) = (turned - turned * turned * turned / 6.0, 1.0 - turned * turned / 2.0);
             let forward = unit.x * turn_cos - unit.y * turn_sin;
             let left = unit.y * turn_cos + unit.x * turn_sin;
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_is_none_is_refused() {
+    fn an_impossible_pose_is_refused() {
         assert_eq!(Place::of(&Pose { x_m: f64::NAN, ..Pose::default() }), None);
         assert_eq!(Place::of(&Pose { yaw_rad: f64::INFINITY, ..Pose::default() }), None);
         assert!(Place::of(&Pose { speed_mps: f64::NAN, ..Pose::default() }).is_some());

@@ -1,9 +1,9 @@
 //! Segmentation: which neighbouring returns belong to one body.
 //!
-//! Two returns belong together when they are nearer than what a surface seen at a grazing angle of 10 deg would
-//! leave between them, plus three standard deviations of the range. Missing beams (dropouts) widen the gap that
-//! is allowed, a single return off the surface (speckle) is stepped over. The last return of a body is dropped
-//! when it trails far behind along its ray: a beam that hit an edge and the background at once (mixed pixel).
+//! Two returns belong together when they are nearer than neighbouring returns of a surface at a grazing angle of
+//! 10 deg, plus three standard deviations of the range. Missing beams (dropouts) widen the gap that is allowed, a
+//! single return off the surface (speckle) is skipped. The last return of a body is dropped when it trails far behind
+//! along its ray: a beam that hit an edge and the background at once (mixed pixel).
 //!
 //! Where it fails: bodies less than about 0.2 m apart at 5 m range are one. No robot fits in between.
 
@@ -15,13 +15,13 @@ use crate::points::{Point, range_of};
 const GRAZING: f64 = 0.174;
 /// Largest gap within one body, whatever the range [m]. The robot needs more than 0.4 m to pass.
 const MAX_GAP_M: f64 = 0.35;
-/// Most beams from one return to the next of a body: four dropouts in a row are one in 160 000 at 5 %.
+/// Largest step in beams from one return to the next of a body: four dropouts in a row are one in 160 000 at 5 %.
 const MAX_BEAM_STEP: usize = 5;
 /// Bodies nearer than this show at least three beams when they are 3 cm wide [m].
 const SPARSE_M: f64 = 3.0;
-/// A neighbour nearer than the end of a body by this hides what comes behind [m].
+/// A neighbour nearer than the end of a body by this hides what is behind it [m].
 const HIDING_M: f64 = 0.15;
-/// Beyond this the end of the view and the end of a body look the same [m].
+/// Beyond this range the end of a body cannot be told from the end of the view [m].
 const FADING_M: f64 = 5.4;
 
 /// Returns of one body: a range of [`Segments::members`].
@@ -31,9 +31,9 @@ pub(crate) struct Cluster {
     pub(crate) first: usize,
     /// Index behind the last member.
     pub(crate) end: usize,
-    /// Whether it is proof enough of a body that was not known before.
+    /// Whether it is evidence enough for a new body.
     pub(crate) may_start: bool,
-    /// Whether the body may go on beyond its first and last member.
+    /// Whether the body may continue beyond its first and last member.
     pub(crate) open: [bool; 2],
 }
 
@@ -57,22 +57,17 @@ impl Segments {
         self.members.clear();
         self.clusters.clear();
         let mut first = 0;
-        let mut index = 0;
-        while index < points.len() {
-            let point = points[index];
-            if self.members.len() > first {
-                let last = self.members[self.members.len() - 1];
-                if !connected(&last, &point, range_noise) {
-                    if is_speckle(points, index, &last, range_noise) {
-                        index += 1;
-                        continue;
-                    }
-                    self.close(scan, first, range_noise);
-                    first = self.members.len();
+        for (index, point) in points.iter().enumerate() {
+            if let Some(last) = self.members[first..].last().copied()
+                && !connected(&last, point, range_noise)
+            {
+                if is_speckle(points, index, &last, range_noise) {
+                    continue;
                 }
+                self.close(scan, first, range_noise);
+                first = self.members.len();
             }
-            self.members.push(point);
-            index += 1;
+            self.members.push(*point);
         }
         self.close(scan, first, range_noise);
     }
@@ -80,14 +75,13 @@ impl Segments {
     /// Ends the cluster that starts at member `first`, or forgets it when it is too small.
     fn close(&mut self, scan: &Scan, mut first: usize, range_noise: f64) {
         let start = first;
-        if self.members.len() >= first + 3 {
-            let end = self.members.len();
-            if is_mixed(&self.members[end - 1], &self.members[end - 2], &self.members[end - 3], range_noise) {
-                self.members.pop();
-            }
+        if let [.., inner, neighbour, end] = &self.members[first..]
+            && is_mixed(end, neighbour, inner, range_noise)
+        {
+            self.members.pop();
         }
-        if self.members.len() >= first + 3
-            && is_mixed(&self.members[first], &self.members[first + 1], &self.members[first + 2], range_noise)
+        if let [end, neighbour, inner, ..] = &self.members[first..]
+            && is_mixed(end, neighbour, inner, range_noise)
         {
             first += 1;
         }
@@ -120,9 +114,9 @@ fn connected(a: &Point, b: &Point, range_noise: f64) -> bool {
 
 /// Whether the return at `index` stands alone between two of one surface.
 fn is_speckle(points: &[Point], index: usize, last: &Point, range_noise: f64) -> bool {
-    let next = |offset: usize| points.get(index + offset);
-    next(1)
-        .is_some_and(|one| connected(last, one, range_noise) && !connected(&points[index], one, range_noise))
+    points.get(index + 1).is_some_and(|next| {
+        connected(last, next, range_noise) && !connected(&points[index], next, range_noise)
+    })
 }
 
 /// Whether `end` trails behind (or ahead of) its neighbours along the ray.
@@ -133,7 +127,7 @@ fn is_mixed(end: &Point, neighbour: &Point, inner: &Point, range_noise: f64) -> 
     trail > 4.0 * range_noise && trail > 2.5 * usual && along > 0.8 * trail
 }
 
-/// Whether the body may go on beyond its end: something nearer hides it, or the view ends.
+/// Whether the body may continue beyond its end: something nearer hides it, or the view ends.
 fn is_open(scan: &Scan, end: &Point, leftwards: bool) -> bool {
     if end.range > FADING_M {
         return true;

@@ -3,8 +3,8 @@
 //! Reaches (values of the support function) are kept relative to the body's reference point in fixed directions
 //! of the track, so what was seen from one side stays known while the robot sees another. Where the body faces
 //! the robot a reach follows what is seen, up and down with the same small gain, so that noise averages out and
-//! does not widen the body. Where it faces away, points can only prove that it reaches at least so far: such
-//! reaches grow and never shrink, except as far as their neighbours imply it.
+//! does not widen the body. Where it faces away, points only show that it reaches at least so far: such reaches grow
+//! and never shrink, except where their neighbours imply it.
 //!
 //! Where it fails: a hollow in a body is filled, and two bodies that touch are one.
 
@@ -23,11 +23,11 @@ const QUARTER: usize = DIRECTIONS / 4;
 const SEEN_GAIN: f64 = 0.08;
 /// A reach that grows by more than this shows a new part of the body rather than noise [m].
 const NEW_PART_M: f64 = 0.12;
-/// Gain for a new part: 90 % of it are taken within four scans, a single wrong return soon fades.
+/// Gain for a new part: 90 % of it after four scans, while a single wrong return soon fades.
 const GROWTH_GAIN: f64 = 0.5;
-/// Gain for a small growth where the body faces away: nothing takes it back if it was noise.
+/// Gain for a small growth where the body faces away: growth by noise is never undone there.
 const HIDDEN_GAIN: f64 = 0.2;
-/// Nearer than this to the unseen rest of a body, the outermost point seen says nothing about its end [m].
+/// Nearer than this to the unseen rest of a body, the outermost point seen is not its end [m].
 const OPEN_M: f64 = 0.15;
 /// Growth that noise alone may cause where the body faces away [m].
 const DEAD_BAND_M: f64 = 0.03;
@@ -146,7 +146,7 @@ fn axes(rectangle: &Rectangle) -> (Vector2<f64>, Vector2<f64>) {
     (forward, Vector2::new(-forward.y, forward.x))
 }
 
-/// What one sighting tells about the shape.
+/// What one scan shows of the shape.
 pub(crate) struct Sighting<'a> {
     /// What was seen, from the reference point expected for this scan.
     pub(crate) seen: &'a Seen,
@@ -160,7 +160,7 @@ pub(crate) struct Sighting<'a> {
     pub(crate) sightings: u32,
 }
 
-/// Takes a sighting into the reaches.
+/// Updates the reaches with a sighting.
 pub(crate) fn merge(reach: &mut [f32; DIRECTIONS], sighting: &Sighting<'_>, directions: &Directions) {
     let settled = (1.0 / (f64::from(sighting.sightings) + 1.0)).max(SEEN_GAIN);
     for (index, unit) in directions.0.iter().enumerate() {
@@ -182,7 +182,7 @@ pub(crate) fn merge(reach: &mut [f32; DIRECTIONS], sighting: &Sighting<'_>, dire
     tighten(reach);
 }
 
-/// No reach goes beyond the corner that its two neighbours form.
+/// Limits every reach to the corner that its two neighbours form.
 fn tighten(reach: &mut [f32; DIRECTIONS]) {
     let limit = 0.5 / (TAU / DIRECTIONS as f64).cos();
     for index in 0..DIRECTIONS {
@@ -220,7 +220,7 @@ pub(crate) fn deepen(
 
 /// The angle of the box around the body: small, along the edges that were seen, and steady.
 ///
-/// Boxes are measured by area times perimeter. Size alone cannot tell: two visible sides of a box form a
+/// Boxes are compared by area times perimeter. Size alone does not decide: two visible sides of a box form a
 /// triangle, and the box along its longest side, which is no edge, is as small. `edges` is the direction of the
 /// edges as of [`trace`](crate::outline::trace), zero when unknown.
 pub(crate) fn orient(

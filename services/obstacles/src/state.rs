@@ -4,7 +4,7 @@ use shared_types::{Flag, plain_state};
 
 use crate::shape::DIRECTIONS;
 
-/// Most bodies that are tracked at once; that many fit a checkpoint, and more than a description can hold.
+/// Largest number of tracked bodies: as many as fit a checkpoint, and more than a sample holds.
 pub const TRACKS: usize = 17;
 
 plain_state! {
@@ -46,7 +46,7 @@ plain_state! {
 }
 
 plain_state! {
-    /// State of a [`ObstacleDetector`](crate::ObstacleDetector) after a scan.
+    /// State of an [`ObstacleDetector`](crate::ObstacleDetector) after a scan.
     pub struct ObstaclesState {
         /// When the last scan was acquired [ns]
         pub acquired_ns: u64,

@@ -1,4 +1,4 @@
-//! One body followed from scan to scan: where it is, how it moves, how far it reaches.
+//! One body tracked from scan to scan: where it is, how it moves, how far it extends.
 
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 use shared_types::PITCH_RAD;
@@ -10,11 +10,11 @@ use crate::outline::Vertex;
 use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, deepen, facing, merge, orient};
 use crate::state::TrackState;
 
-/// Standard deviation along an axis that a sighting says nothing about [m].
+/// Standard deviation along an axis that a sighting does not measure [m].
 const BLIND_M: f64 = 10.0;
 /// A near surface that jumps farther than this has changed its shape and not its place [m].
 const JUMP_M: f64 = 0.25;
-/// The place of rest is left behind when the moving one is this far off [m].
+/// The place of rest is reset when it is this far from the moving place [m].
 const LEFT_BEHIND_M: f64 = 0.15;
 /// A body counts as moving only when it is this far from where it was first seen [m].
 const MOVED_M: f64 = 0.1;
@@ -24,15 +24,15 @@ const SIGNIFICANT: f64 = 11.8;
 const INSIGNIFICANT: f64 = 3.0;
 /// A body this far from where it was first seen has moved, however slowly: no error of the pose does that [m].
 const CARRIED_M: f64 = 0.25;
-/// Sightings after which the place is no longer that of a few noisy scans.
+/// Sightings after which the place is an average of enough noisy scans.
 const SETTLED: u32 = 12;
 /// Scans in a row that must show a body moving.
 const STARTS: u32 = 3;
 /// Scans in a row that must show a body standing.
 const STOPS: u32 = 5;
-/// Share of the edges seen before that counts beside those of a new scan: the last second counts most.
+/// Weight of the edges seen before against those of a new scan: the last second counts most.
 const EDGE_MEMORY: f64 = 0.9;
-/// Longest time a filter is carried on at once [s].
+/// Longest prediction of a filter at once [s].
 const MAX_ELAPSED_S: f64 = 1.0;
 
 /// A tracked body.
@@ -63,7 +63,7 @@ pub(crate) struct View<'a> {
     pub(crate) vertices: &'a [Vertex],
     /// Direction of its edges, see [`trace`](crate::outline::trace).
     pub(crate) edges: Vector2<f64>,
-    /// How many returns are behind it.
+    /// Number of its returns.
     pub(crate) returns: usize,
     /// Where the robot stands [m].
     pub(crate) robot: Vector2<f64>,
@@ -131,13 +131,13 @@ impl Track {
         [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]]
     }
 
-    /// Takes in what a scan shows of the body.
+    /// Updates the track with what a scan shows of the body.
     pub(crate) fn sight(&mut self, view: &View<'_>, config: &Config, directions: &Directions) {
         let origin = self.motion.place();
         let expected = self.expected(directions);
         let seen = Seen::of(view.vertices, origin, directions);
         let nearest = expected.nearest_to(view.robot);
-        // From afar the view is that of the centre; beside a long body it is that of its side.
+        // From afar the view is along the line to the centre; beside a long body, to its nearest side.
         let far = (expected.centre - view.robot).norm() > 1.5 * expected.length.hypot(expected.width) / 2.0;
         let near = directions.nearest(view.robot - if far { expected.centre } else { nearest });
         let excess = |index: usize| {
@@ -182,7 +182,7 @@ impl Track {
         self.judge(config);
     }
 
-    /// Takes in the whole of another body that has turned out to be a part of this one.
+    /// Merges another body, which is a part of this one.
     pub(crate) fn absorb(&mut self, other: &Self, directions: &Directions) {
         let offset = other.place() - self.place();
         for index in 0..DIRECTIONS {
@@ -240,7 +240,7 @@ impl Track {
         }
     }
 
-    /// The track behind plain bytes; `None` when they are none.
+    /// The track of a state; `None` when the state is impossible.
     pub(crate) fn from_state(state: &TrackState) -> Option<Self> {
         let [xx, xy, yy] = state.rest_covariance;
         let track = Self {

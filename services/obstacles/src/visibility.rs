@@ -1,19 +1,20 @@
-//! Whether the place of a body that was not seen in a scan is seen to be free.
+//! Whether a scan shows that the place of a body is free, for bodies that it did not show.
 
+use nalgebra::Vector2;
 use shared_types::{BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD, Scan};
 use vehicle::frame::{to_robot, wrap_angle};
-use vehicle::geometry::Rectangle;
+use vehicle::geometry::{Rectangle, ray_in_box};
 
 use crate::points::{Beams, Place, range_of};
 
-/// A return nearer or farther than the body by less than this is on it [m].
+/// A return that is nearer or farther than the body by less than this is on it [m].
 const MARGIN_M: f64 = 0.15;
 /// Bodies farther away than this need not return anything [m].
 const REACH_M: f64 = 5.2;
-/// Share of the silhouette's width at each side that noise of the yaw may move off the body.
+/// Share of the silhouette's width, at each side, that is not used because of noise of the yaw.
 const RIM: f64 = 0.2;
 
-/// What the beams towards a place say.
+/// What the beams towards a place show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sight {
     /// Beams pass through: nothing is there.
@@ -24,17 +25,17 @@ pub(crate) enum Sight {
     Unknown,
 }
 
-/// Looks at the place of `rectangle`.
-pub(crate) fn look(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle) -> Sight {
+/// What the scan shows at the place of `rectangle`.
+pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle) -> Sight {
     let distance = rectangle.distance_to_point(place.at);
     if distance <= 0.0 {
-        // The robot stands in it, so it is not there.
+        // The robot stands at this place, so no body is there.
         return Sight::Free;
     }
     if distance > REACH_M {
         return Sight::Unknown;
     }
-    let bearing = |point: nalgebra::Vector2<f64>| {
+    let bearing = |point: Vector2<f64>| {
         let offset = point - place.at;
         offset.y.atan2(offset.x) - place.yaw
     };
@@ -62,7 +63,7 @@ pub(crate) fn look(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectan
     }
     match (through, there) {
         (0, 0) => Sight::Unknown,
-        // A third of returns on a body is more than background and noise explain.
+        // Background and noise put fewer than a third of the returns on a body.
         _ if through >= 2 * there => Sight::Free,
         _ => Sight::Taken,
     }
@@ -74,23 +75,8 @@ fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam:
     let start = to_robot(rectangle.yaw, offset.x, offset.y);
     let unit = beams.unit(beam);
     let ray = to_robot(rectangle.yaw - place.yaw, unit.x, unit.y);
-    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
-    for (start, ray, half) in
-        [(start.x, ray.x, rectangle.length / 2.0), (start.y, ray.y, rectangle.width / 2.0)]
-    {
-        if ray.abs() < 1e-12 {
-            if start.abs() > half {
-                return None;
-            }
-            continue;
-        }
-        let (one, two) = ((-half - start) / ray, (half - start) / ray);
-        enter = enter.max(one.min(two));
-        leave = leave.min(one.max(two));
-    }
-    if enter > leave || enter > REACH_M {
-        return None;
-    }
+    let half = Vector2::new(rectangle.length / 2.0, rectangle.width / 2.0);
+    let (enter, leave) = ray_in_box(start, ray, half).filter(|(enter, _)| *enter <= REACH_M)?;
     match range_of(scan, beam) {
         None => Some(true),
         Some(range) if range > leave + MARGIN_M => Some(true),

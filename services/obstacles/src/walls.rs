@@ -1,11 +1,11 @@
 //! Walls of the corridor: which returns belong to them.
 //!
-//! The walls are known lines, but the pose is an estimate: 0.01 rad are 5 cm at the end of the view. So each
-//! wall is fitted anew in every scan, as its known line plus a small offset and slope with a prior as wide as
-//! the pose is uncertain. Returns within a band of the fitted line are the wall's.
+//! The walls are known lines, but the pose is an estimate: 0.01 rad are 5 cm at the end of the view. So each wall is
+//! fitted anew in every scan, as its known line plus a small offset and slope, with the uncertainty of the pose as
+//! prior. Returns within a band of the fitted line belong to the wall.
 //!
-//! Where it fails: what stands less than the band (0.12 m) off the wall is not seen apart from it. The robot's
-//! centre keeps 0.4 m from the wall, so such a body still has 0.08 m of air to the robot's side.
+//! Where it fails: a body less than the band (0.12 m) off the wall is taken for the wall. The robot's centre keeps
+//! 0.4 m from the wall, so its side still has 0.08 m to such a body.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -13,9 +13,9 @@ use crate::Config;
 use crate::outline::Vertex;
 use crate::points::{Place, Point};
 
-/// Returns farther from the known line than this have no say in its fit [m].
+/// Returns farther from the line than this are left out of the fit, one value per iteration [m].
 const FIT_M: [f64; 3] = [0.25, 0.15, 0.08];
-/// Fewer returns than this leave the line where it is known to be.
+/// With fewer returns than this the known line is not changed.
 const FIT_POINTS: usize = 8;
 
 /// One wall as seen in this scan: y = `y` + `offset` + `slope` (x - `from_x`).
@@ -74,7 +74,7 @@ impl Wall {
     fn fit(config: &Config, y: f64, place: &Place, points: &[Point]) -> Self {
         let mut wall = Self { y, from_x: place.at.x, offset: 0.0, slope: 0.0 };
         let noise = config.range_noise_m.powi(2);
-        // The prior allows twice the stated uncertainty: its cost is small, a wall taken for an obstacle is not.
+        // The prior allows twice the stated uncertainty: that costs little, a wall taken for an obstacle costs much.
         let prior = Matrix2::from_diagonal(&Vector2::new(
             noise / (2.0 * config.pose_noise_m).powi(2),
             noise / (2.0 * config.pose_noise_rad).powi(2),

@@ -28,7 +28,7 @@ fn noise_and_dropouts_do_not_widen_a_box() {
         for (scan, obstacles) in seen.iter().enumerate().skip(1) {
             let [item] = obstacles.list() else { panic!("seed {seed} scan {scan}: {obstacles:?}") };
             let width = item.b_m - 0.4;
-            // 5 cm is the figure asked for; the first scans have one beam pitch (2.5 cm) and noise on top.
+            // 5 cm is required; the first scans have one beam pitch (2.5 cm) and noise on top.
             let allowed = if scan < 10 { 0.09 } else { 0.055 };
             assert!((width - 0.4).abs() < allowed, "seed {seed} scan {scan}: width {width}");
             assert!((item.box_y_m - 0.3).abs() < 0.08, "seed {seed} scan {scan}: {}", item.box_y_m);
@@ -39,7 +39,7 @@ fn noise_and_dropouts_do_not_widen_a_box() {
 }
 
 #[test]
-fn a_moving_robot_sees_what_stands_where_it_stands() {
+fn a_moving_robot_sees_bodies_at_their_places() {
     for seed in 0..10 {
         let mut scene = Scene::of(&[block(5.0, 0.9, 0.4, 0.4, 0.0)]).noisy(seed);
         let mut robot = Robot { speed: 1.0, yaw_rate: 0.05, yaw: -0.1, ..Robot::default() };
@@ -73,7 +73,7 @@ fn something_near_is_reported_at_its_first_sight() {
 }
 
 #[test]
-fn walls_are_no_obstacles_but_what_stands_at_them_is() {
+fn walls_are_no_obstacles_but_bodies_at_them_are() {
     for seed in 0..10 {
         let mut scene = Scene::of(&[]).with_walls(-1.5, 1.5).noisy(seed);
         let mut robot = Robot { speed: 0.9, yaw_rate: 0.2, yaw: -0.3, ..Robot::default() };
@@ -86,7 +86,7 @@ fn walls_are_no_obstacles_but_what_stands_at_them_is() {
         let seen = run(&mut with_walls(), &mut scene, &mut robot, 40);
         for (scan, obstacles) in seen.iter().enumerate().skip(2) {
             let [item] = obstacles.list() else { panic!("seed {seed} scan {scan}: {obstacles:?}") };
-            // Its inner side is at y = 1.1; at the wall it is carried on up to the wall.
+            // Its inner side is at y = 1.1; the outline is extended to the wall.
             let inner = item.box_y_m - item.box_width_m / 2.0;
             let outer = item.box_y_m + item.box_width_m / 2.0;
             assert!((inner - 1.1).abs() < 0.09, "seed {seed} scan {scan}: {inner}");

@@ -103,7 +103,7 @@ fn a_moving_obstacle_out_of_sight_is_carried_on_for_a_second() {
 
 #[test]
 fn a_body_that_comes_into_view_part_by_part_does_not_move() {
-    // A long box beside the way: at first only its front is seen, then more and more of its side.
+    // A long box beside the path: at first only its front is seen, then more and more of its side.
     for seed in 0..20 {
         for yaw in [0.0, 0.3, -0.5] {
             let mut scene = Scene::of(&[block(5.0, 1.1, 2.0, 0.4, yaw)]).noisy(seed);
@@ -118,7 +118,7 @@ fn a_body_that_comes_into_view_part_by_part_does_not_move() {
 }
 
 #[test]
-fn a_describer_that_resumes_goes_on_bit_by_bit() {
+fn a_detector_that_resumes_continues_bit_by_bit() {
     let bodies = [
         block(4.0, 0.8, 0.3, 0.4, 0.4),
         mover(3.5, -1.0, 0.3, 0.1, 0.2),

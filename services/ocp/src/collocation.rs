@@ -35,6 +35,8 @@ pub enum Scheme {
     Gauss4,
 }
 
+impl vehicle::Setting for Scheme {}
+
 impl Scheme {
     /// All schemes.
     pub const ALL: [Self; 8] = [

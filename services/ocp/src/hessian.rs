@@ -39,6 +39,8 @@ pub enum Hessian {
     Exact,
 }
 
+impl vehicle::Setting for Hessian {}
+
 /// Second derivatives by (sideslip, yaw, yaw rate, x, y, velocity, steering) of a node and its interval.
 pub(crate) type Block = [[f64; 7]; 7];
 

@@ -23,6 +23,8 @@ pub enum QpChoice {
     Clarabel,
 }
 
+impl vehicle::Setting for QpChoice {}
+
 /// Data of the program; n variables, m rows.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Qp {

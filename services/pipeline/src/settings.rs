@@ -35,12 +35,8 @@ impl Tuning {
     /// Never the obstacles, and nothing of what is wrong with the robot.
     #[must_use]
     pub fn for_scenario(mut self, scenario: &Scenario) -> Self {
-        self.controller.goal.x_m = scenario.goal.x_m;
-        self.controller.goal.y_m = scenario.goal.y_m;
-        self.controller.goal.tolerance_m = scenario.goal.tolerance_m;
-        self.controller.track.x_m = scenario.track.x_m;
-        self.controller.track.y_m = scenario.track.y_m;
-        self.controller.track.walls = scenario.track.walls;
+        self.controller.goal = scenario.goal;
+        self.controller.track = scenario.track;
         self.obstacles.walls = scenario.track.walls;
         self.obstacles.wall_y_m = scenario.track.y_m;
         self

@@ -9,6 +9,7 @@
 
 use std::num::NonZeroU64;
 
+use key_table::{Setting, settings};
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity, set_current_timer_slack};
@@ -25,48 +26,33 @@ pub enum Scheduler {
     Fifo,
 }
 
-/// The table `realtime` of the system file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Realtime {
-    /// How long a process looks at its doorbell without sleeping, before and after the time at which it expects its
-    /// next input, 0 to 2000 [us].
-    pub poll_us: u64,
-    /// How long before its next input is due a process wakes once, so that code and data are in the caches when that
-    /// comes, 0 for never to 2000 [us]. Scans that follow each other within 5 ms keep it warm anyway.
-    pub warm_up_us: u64,
-    /// Processors that the processes of the loop may run on; empty for all.
-    pub cpu: Vec<usize>,
-    /// How the kernel chooses among processes.
-    pub scheduler: Scheduler,
-    /// Priority with `fifo`, 1 to 98.
-    pub priority: u32,
-    /// Whether memory is mapped, written to and locked before the robot drives.
-    pub lock_memory: bool,
-    /// Whether processors may sleep deeply when idle; false keeps them awake while the system runs.
-    pub idle_states: bool,
-    /// How much later than asked for a sleep may end, 1 to 1000000 [ns].
-    pub timer_slack_ns: u64,
-    /// How long a process of fair shares asks to run at a time, 100 to 100000, 0 for the kernel's usual [us]. The kernel
-    /// lets one that asks for little go first when it wakes.
-    pub slice_us: u64,
-}
+impl Setting for Scheduler {}
 
-impl Default for Realtime {
-    fn default() -> Self {
-        Self {
-            poll_us: 0,
-            warm_up_us: 800,
-            cpu: Vec::new(),
-            scheduler: Scheduler::Other,
-            priority: 40,
-            lock_memory: false,
-            idle_states: true,
-            // What the kernel gives every process.
-            timer_slack_ns: 50_000,
-            // The least that the kernel grants.
-            slice_us: 100,
-        }
+settings! {
+    /// The table `realtime` of the system file.
+    pub struct Realtime {
+        /// A process polls its doorbell without sleeping for this long before and after its next input is due [us].
+        pub poll_us: u64 = 0, (0.0..=2000.0, "0 with a single processor in `cpu`");
+        /// A process wakes once this long before its next input is due, so that code and data are in the caches; 0 for
+        /// never [us]. It has no effect when scans are at most 5 ms apart.
+        pub warm_up_us: u64 = 800, 0.0..=2000.0;
+        /// Processors that the processes of the loop may run on; empty for all.
+        pub cpu: Vec<usize> = Vec::new(), 0.0..=1023.0;
+        /// Scheduling policy: the usual one of Linux, SCHED_OTHER, or SCHED_FIFO.
+        pub scheduler: Scheduler = Scheduler::Other;
+        /// Priority with `fifo`.
+        pub priority: u32 = 40, "1 to 98";
+        /// Whether memory is mapped, written to and locked before the robot drives.
+        pub lock_memory: bool = false;
+        /// Whether idle processors may enter deep sleep states; `false` keeps them awake while the system runs.
+        pub idle_states: bool = true;
+        /// Timer slack: how much later than requested a sleep may end [ns].
+        // The kernel gives 50 us to every process.
+        pub timer_slack_ns: u64 = 50_000, 1.0..=1e6;
+        /// Time slice that a process with `other` requests; 0 for the kernel's default [us]. The kernel lets a process with
+        /// a short slice run first when it wakes.
+        // 100 us is the smallest that the kernel grants.
+        pub slice_us: u64 = 100, (0.0..=100_000.0, "0 or at least 100");
     }
 }
 

@@ -1,6 +1,6 @@
 //! Bounds of controls and states, (7.41)-(7.46).
 
-use serde::{Deserialize, Serialize};
+use key_table::settings;
 
 use crate::Control;
 
@@ -11,34 +11,22 @@ pub const STEERING_MAX_RAD: f64 = 0.06;
 /// How far desired values may be outside of their bounds [m/s, rad]: the rounding of a solver, no more.
 pub const ROUNDING: f64 = 1e-6;
 
-/// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Bounds {
-    /// Smallest velocity, (7.41) [m/s]. Above zero, because the model divides by it.
-    pub velocity_min_mps: f64,
-    /// Largest velocity, (7.41) [m/s].
-    pub velocity_max_mps: f64,
-    /// Largest steering angle to either side, (7.41) [rad].
-    pub steering_max_rad: f64,
-    /// Largest sideslip to either side, (7.42) [rad].
-    pub sideslip_max_rad: f64,
-    /// Largest yaw to either side, (7.43) [rad].
-    pub yaw_max_rad: f64,
-    /// Largest yaw rate to either side, (7.44) [rad/s].
-    pub yaw_rate_max_radps: f64,
-}
-
-impl Default for Bounds {
-    fn default() -> Self {
-        Self {
-            velocity_min_mps: 0.1,
-            velocity_max_mps: 1.0,
-            steering_max_rad: STEERING_MAX_RAD,
-            sideslip_max_rad: 0.15,
-            yaw_max_rad: std::f64::consts::PI,
-            yaw_rate_max_radps: 0.8,
-        }
+settings! {
+    /// Bounds (7.41)-(7.44); those of the position, (7.45) and (7.46), belong to the track.
+    #[derive(Copy)]
+    pub struct Bounds {
+        /// Smallest velocity, (7.41) [m/s]. It is above zero because the model divides by it.
+        pub velocity_min_mps: f64 = 0.1, 0.02..=10.0;
+        /// Largest velocity, (7.41) [m/s].
+        pub velocity_max_mps: f64 = 1.0, (0.02..=10.0, "at least `velocity_min_mps`");
+        /// Largest steering angle to either side, (7.41) [rad].
+        pub steering_max_rad: f64 = STEERING_MAX_RAD, 0.001..=0.5;
+        /// Largest sideslip angle to either side, (7.42) [rad].
+        pub sideslip_max_rad: f64 = 0.15, 0.001..=1.5;
+        /// Largest yaw to either side, (7.43) [rad].
+        pub yaw_max_rad: f64 = std::f64::consts::PI, 0.1..=10.0;
+        /// Largest yaw rate to either side, (7.44) [rad/s].
+        pub yaw_rate_max_radps: f64 = 0.8, 0.01..=100.0;
     }
 }
 

@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::network::SteeringNetwork;
-use crate::{Control, Invalid, require};
+use crate::{Control, Invalid, Setting, require};
 
 /// Largest velocity that may be sent [m/s].
 pub const SENT_VELOCITY_MAX_MPS: f64 = 2.0;
@@ -81,6 +81,16 @@ pub enum Calibration {
     Custom(CommandCorrection),
 }
 
+impl Setting for Calibration {
+    fn require_all(&self, name: &str) -> Result<(), Invalid> {
+        self.correction().validate().map_err(|error| error.within(name))
+    }
+
+    fn allowed() -> String {
+        "`\"default\"`, `\"identity\"`, `{ custom = { ... } }` from `scanloop calibrate`".to_owned()
+    }
+}
+
 impl Calibration {
     /// The correction behind the name.
     pub fn correction(&self) -> CommandCorrection {
@@ -97,14 +107,6 @@ impl Calibration {
             },
             Self::Custom(correction) => *correction,
         }
-    }
-
-    /// Passes when the correction can be used.
-    ///
-    /// # Errors
-    /// [`Invalid`] with the key, the value and what is allowed.
-    pub fn validate(&self) -> Result<(), Invalid> {
-        self.correction().validate()
     }
 }
 
@@ -232,17 +234,17 @@ mod tests {
     fn unusable_corrections_are_refused() {
         let mut correction = Calibration::Default.correction();
         correction.velocity_factor = f64::NAN;
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "velocity_factor");
+        assert_eq!(correction.validate().unwrap_err().key, "velocity_factor");
         let network = SteeringNetwork { output_bias: f64::INFINITY, ..SHIPPED_NETWORK };
         let correction = CommandCorrection {
             velocity_factor: 1.0,
             steering: SteeringCorrection::Network(network),
             play_rad: 0.0,
         };
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "steering");
+        assert_eq!(correction.validate().unwrap_err().key, "steering");
         let correction = CommandCorrection { play_rad: 0.06, ..Calibration::Default.correction() };
-        assert_eq!(Calibration::Custom(correction).validate().unwrap_err().key, "play_rad");
-        assert_eq!(Calibration::Default.validate(), Ok(()));
+        assert_eq!(correction.validate().unwrap_err().key, "play_rad");
+        assert_eq!(Calibration::Default.correction().validate(), Ok(()));
     }
 
     proptest! {

@@ -78,6 +78,28 @@ impl Rectangle {
     }
 }
 
+/// Distances along a ray at which it enters and leaves a box about the origin; it enters at zero from inside, and
+/// `None` is a miss.
+///
+/// The slab method: the ray is inside the box where it is inside both strips. `half` has half the sizes of the box.
+pub fn ray_in_box(origin: Vector2<f64>, direction: Vector2<f64>, half: Vector2<f64>) -> Option<(f64, f64)> {
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for axis in 0..2 {
+        if direction[axis].abs() < 1e-12 {
+            // Parallel to the strip: always inside or never.
+            if origin[axis].abs() > half[axis] {
+                return None;
+            }
+            continue;
+        }
+        let low = (-half[axis] - origin[axis]) / direction[axis];
+        let high = (half[axis] - origin[axis]) / direction[axis];
+        enter = enter.max(low.min(high));
+        leave = leave.min(low.max(high));
+    }
+    (enter <= leave).then_some((enter, leave))
+}
+
 /// Largest gap between the rectangles along the axes of `frame`; negative when they overlap on both axes.
 fn separation(frame: &Rectangle, other: &Rectangle) -> f64 {
     let local = other.corners().map(|corner| {
@@ -121,5 +143,13 @@ mod tests {
     fn a_wall_is_as_far_as_the_nearest_corner() {
         assert!((square(0.0, 0.0, 0.0).distance_to_wall(1.5, 0.0) - 0.5).abs() < 1e-12);
         assert!((square(0.0, 0.0, 0.0).distance_to_wall(-0.75, 0.0) + 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_ray_enters_and_leaves_a_box_where_it_crosses_its_sides() {
+        let (ahead, half) = (Vector2::new(1.0, 0.0), Vector2::new(1.0, 0.5));
+        assert_eq!(ray_in_box(Vector2::new(-3.0, 0.2), ahead, half), Some((2.0, 4.0)));
+        assert_eq!(ray_in_box(Vector2::new(0.25, 0.2), ahead, half), Some((0.0, 0.75)));
+        assert_eq!(ray_in_box(Vector2::new(-3.0, 0.6), ahead, half), None);
     }
 }

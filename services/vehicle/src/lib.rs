@@ -8,15 +8,14 @@ pub mod correction;
 pub mod frame;
 pub mod geometry;
 pub mod integrate;
-mod invalid;
 pub mod model;
 pub mod network;
 mod parameters;
-mod settings;
 mod state;
+mod track;
 
 pub use bounds::Bounds;
-pub use invalid::{Invalid, require};
+pub use key_table::{Ascending, Invalid, Key, Setting, parse, read, require, settings, toml_text};
 pub use parameters::Parameters;
-pub use settings::Numeric;
 pub use state::{Control, State};
+pub use track::{Goal, Track};

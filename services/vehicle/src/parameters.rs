@@ -1,34 +1,23 @@
 //! Physical parameters of the robot.
 
-use serde::{Deserialize, Serialize};
+use key_table::settings;
 
-/// Parameters of (7.27)-(7.31).
-///
-/// Source note: the text prints the unit of the inertia as Nm; it is kg m^2.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Parameters {
-    /// Mass m [kg].
-    pub mass_kg: f64,
-    /// Distance of the rear axle from the centre of mass, lh [m].
-    pub rear_m: f64,
-    /// Distance of the front axle from the centre of mass, lv [m].
-    pub front_m: f64,
-    /// Lateral tyre stiffness per axle, c [N/rad].
-    pub stiffness_n_per_rad: f64,
-    /// Moment of inertia about the vertical axis, J [kg m^2].
-    pub inertia_kgm2: f64,
-}
-
-impl Default for Parameters {
-    fn default() -> Self {
-        Self {
-            mass_kg: 14.695,
-            rear_m: 0.1924,
-            front_m: 0.1776,
-            stiffness_n_per_rad: 250.0,
-            inertia_kgm2: 0.5024,
-        }
+settings! {
+    /// Parameters of (7.27)-(7.31).
+    ///
+    /// Source note: the text prints the unit of the inertia as Nm; it is kg m^2.
+    #[derive(Copy)]
+    pub struct Parameters {
+        /// Mass m [kg].
+        pub mass_kg: f64 = 14.695, 1e-3..=1e6;
+        /// Distance of the rear axle from the centre of mass, lh [m].
+        pub rear_m: f64 = 0.1924, 1e-3..=1e6;
+        /// Distance of the front axle from the centre of mass, lv [m].
+        pub front_m: f64 = 0.1776, 1e-3..=1e6;
+        /// Lateral tyre stiffness of one axle, c [N/rad].
+        pub stiffness_n_per_rad: f64 = 250.0, 1e-3..=1e6;
+        /// Moment of inertia about the vertical axis, J [kg m^2].
+        pub inertia_kgm2: f64 = 0.5024, 1e-3..=1e6;
     }
 }
 

@@ -6,4 +6,5 @@ mod bench_latency;
 mod bench_solver;
 mod bench_transport;
 mod calibrate;
+mod reference;
 mod scenarios;

@@ -11,22 +11,22 @@ use ocp::analysis::intervals::{ErrorMeasure, Family, Grid};
 /// The design analyses.
 #[derive(Debug, Subcommand)]
 pub enum AnalyseCommand {
-    /// Whether what is measured determines yaw, x and y: the rank of (7.2).
+    /// Test whether the measured states determine yaw, x and y: the rank of (7.2).
     ///
-    /// Exit code 1 when it does not. JSON keys: `rank`, `observable`, `open`, `reason`, `singular_values`, ...
+    /// Exit code 1 if they do not. JSON keys: `rank`, `observable`, `open`, `reason`, `singular_values`, ...
     Observability(ObservabilityArguments),
-    /// Whether velocity and steering act in different directions, so that BFGS is admissible.
+    /// Test whether velocity and steering act in different directions, so that BFGS is admissible.
     ///
-    /// Exit code 1 when an angle is below 10 degrees. JSON keys: `angle_deg`, `min_angle_deg`, `box_min_angle_deg`,
+    /// Exit code 1 if an angle is below 10 degrees. JSON keys: `angle_deg`, `min_angle_deg`, `box_min_angle_deg`,
     /// `bfgs_admissible`, `intervals`, ...
     Correlation(CorrelationArguments),
-    /// How many intervals a horizon needs; with `--n`, how long a horizon N intervals carry.
+    /// Find the number of intervals that a horizon needs; with `--n`, the longest horizon for N intervals.
     ///
-    /// The defaults are the definition that gives the source's N = 6. Exit code 1 when the tolerance is not kept. JSON
+    /// The defaults are the definition that gives the source's N = 6. Exit code 1 if the tolerance is not kept. JSON
     /// keys: `n`, `max_error`, `errors` (for N = 1, 2, ...), `worst_controls`, `lengths_s`, `max_tf_s` (with `--n`),
     /// `other_definitions`, `other_schemes`, ...
     Intervals(IntervalsArguments),
-    /// What each form of the correction of measured data leaves of an error of the odometry.
+    /// Show how much of an odometry error each form of the correction leaves.
     ///
     /// JSON keys: `robots` with `forms` and their `largest_error_m` at `times_s`.
     Drift(DriftArguments),
@@ -38,7 +38,7 @@ pub struct OutputArguments {
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Where the picture is written.
+    /// Folder for the picture.
     #[arg(long, value_name = "DIR", default_value = "out/analyse", value_parser = console::output::folder())]
     pub out: PathBuf,
 }
@@ -54,13 +54,13 @@ pub struct DriftArguments {
 /// Options of `analyse observability`.
 #[derive(Debug, Args)]
 pub struct ObservabilityArguments {
-    /// What is measured, separated by commas.
-    #[arg(long, value_name = "STATES", value_delimiter = ',', default_value = "yaw,x,y", value_parser = measured())]
+    /// Measured states, separated by commas.
+    #[arg(long, value_name = "STATES", value_delimiter = ',', default_value = "yaw,x,y", value_parser = one_of(&STATES))]
     pub measure: Vec<Measured>,
-    /// While the robot moves (the default).
+    /// Assume that the robot moves (the default).
     #[arg(long, conflicts_with = "standing")]
     pub moving: bool,
-    /// While the robot stands.
+    /// Assume that the robot stands.
     #[arg(long)]
     pub standing: bool,
     /// Velocity of the moving robot [m/s], 0.1 to 1.
@@ -80,7 +80,7 @@ pub struct CorrelationArguments {
     /// Velocity at the operating point, u1 [m/s], 0.1 to 1.
     #[arg(long, value_name = "V", default_value_t = 0.5, allow_negative_numbers = true)]
     pub velocity: f64,
-    /// Steering angle at the operating point, u2 [rad], -0.06 to 0.06; by default where the source's angle is.
+    /// Steering angle at the operating point, u2 [rad], -0.06 to 0.06; the default is where the source's angle is.
     #[arg(long, value_name = "ANGLE", default_value_t = -0.0074, allow_negative_numbers = true)]
     pub steering: f64,
     /// Length of the horizon [s], 0.05 to 60.
@@ -89,8 +89,8 @@ pub struct CorrelationArguments {
     /// Number of intervals, 1 to 100.
     #[arg(long, value_name = "N", default_value_t = 6)]
     pub n: usize,
-    /// Scheme whose own angles are told beside those of the model.
-    #[arg(long, value_name = "SCHEME", default_value = "radau-3", value_parser = scheme())]
+    /// Collocation scheme whose own angles are printed together with those of the model.
+    #[arg(long, value_name = "SCHEME", default_value = "radau-3", value_parser = one_of(&SCHEMES))]
     pub scheme: Scheme,
     /// Where the answer goes.
     #[command(flatten)]
@@ -103,25 +103,25 @@ pub struct IntervalsArguments {
     /// Length of the horizon [s], 0.05 to 60.
     #[arg(long, value_name = "S", default_value_t = 2.72, allow_negative_numbers = true)]
     pub tf: f64,
-    /// Largest error allowed, 1e-9 to 1.
+    /// Largest allowed error, 1e-9 to 1.
     #[arg(long, value_name = "ERROR", default_value_t = 2.5e-4, allow_negative_numbers = true)]
     pub tol: f64,
-    /// Scheme of collocation.
-    #[arg(long, value_name = "SCHEME", default_value = "gauss-2", value_parser = scheme())]
+    /// Collocation scheme.
+    #[arg(long, value_name = "SCHEME", default_value = "gauss-2", value_parser = one_of(&SCHEMES))]
     pub scheme: Scheme,
-    /// What the error is of: position or all states at interval ends, or position inside intervals too.
-    #[arg(long, value_name = "ERROR", default_value = "position-ends", value_parser = error())]
+    /// Error measure: position or all states at the ends of the intervals, or position also inside the intervals.
+    #[arg(long, value_name = "ERROR", default_value = "position-ends", value_parser = one_of(&ERRORS))]
     pub error: ErrorMeasure,
-    /// Admissible controls: one held over the horizon, or one per interval.
-    #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = controls())]
+    /// Admissible controls: constant over the horizon, or one value per interval.
+    #[arg(long, value_name = "FAMILY", default_value = "constant", value_parser = one_of(&FAMILIES))]
     pub controls: Family,
-    /// Number of intervals, 1 to 40 (10 if piecewise or free): ask for the longest horizon instead.
+    /// Find the longest horizon for this number of intervals instead, 1 to 40 (10 if piecewise or free).
     #[arg(long, value_name = "N")]
     pub n: Option<usize>,
-    /// Equal intervals, or lengths that keep the error small.
-    #[arg(long, value_name = "GRID", default_value = "uniform", value_parser = grid())]
+    /// Lengths of the intervals: equal, or chosen for a small error.
+    #[arg(long, value_name = "GRID", default_value = "uniform", value_parser = one_of(&GRIDS))]
     pub grid: Grid,
-    /// Most intervals that are tried, 1 to 40 (10 if piecewise or free); default 24 (10).
+    /// Largest number of intervals that is tried, 1 to 40 (10 if piecewise or free); default 24 (10).
     #[arg(long, value_name = "N", conflicts_with = "n")]
     pub limit: Option<usize>,
     /// Where the answer goes.
@@ -169,24 +169,4 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     PossibleValuesParser::new(names.iter().map(|(name, _)| *name)).try_map(move |text| {
         names.iter().find(|(name, _)| *name == text).map(|(_, value)| *value).ok_or("not a name of the list")
     })
-}
-
-fn measured() -> impl TypedValueParser<Value = Measured> {
-    one_of(&STATES)
-}
-
-fn scheme() -> impl TypedValueParser<Value = Scheme> {
-    one_of(&SCHEMES)
-}
-
-fn error() -> impl TypedValueParser<Value = ErrorMeasure> {
-    one_of(&ERRORS)
-}
-
-fn controls() -> impl TypedValueParser<Value = Family> {
-    one_of(&FAMILIES)
-}
-
-fn grid() -> impl TypedValueParser<Value = Grid> {
-    one_of(&GRIDS)
 }

@@ -28,17 +28,17 @@ const METRICS: [&str; 2] = ["scan_to_actuation_us.p50", "scan_to_actuation_us.p9
 #[derive(Debug, Clone, Args)]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(false))]
 pub struct CompareArguments {
-    /// Two results of `bench latency --json` that were made with the same arguments.
+    /// Two results of `bench latency --json` with the same arguments.
     #[arg(num_args = 2, value_names = ["A.json", "B.json"], group = "what")]
     pub files: Vec<PathBuf>,
-    /// Two commands for the shell, run in turns.
+    /// Two shell commands that run in turns.
     #[arg(long, num_args = 2, value_names = ["CMD A", "CMD B"], group = "what")]
     pub ab: Vec<String>,
-    /// How often each command is run, at least 8.
+    /// Number of runs of each command, at least 8.
     #[arg(long, value_name = "N", default_value_t = 12)]
     pub rounds: usize,
-    /// The figure to compare, as a path of keys like `stages_us.controller.p50`, or `wall` for the run time of a
-    /// command in seconds; without it median and 99 % of scan to actuation.
+    /// Figure to compare, as a path of keys like `stages_us.controller.p50`, or `wall` for the run time of a command in
+    /// seconds; without it the median and the 99th percentile of scan to actuation.
     #[arg(long, value_name = "KEY.PATH")]
     pub metric: Option<String>,
     /// Print JSON to standard output.

@@ -12,20 +12,20 @@ use rustix::thread::{CpuSet, sched_getaffinity};
 /// Scheduling policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Policy {
-    /// The default of the system.
+    /// SCHED_OTHER, the default of Linux.
     Other,
-    /// SCHED_FIFO: real time, runs until it sleeps.
+    /// SCHED_FIFO: real time, a process runs until it sleeps.
     Fifo,
 }
 
 /// Arguments of benches that start processes.
 #[derive(Debug, Clone, Args, Default)]
 pub struct SchedulingArguments {
-    /// Scheduling policy of the processes; `fifo` takes root, or the right to priority 40. Without it that of the
-    /// system.
+    /// Scheduling policy of the processes; without it that of the system file. `fifo` needs root, or the right to
+    /// priority 40.
     #[arg(long, value_name = "POLICY", value_enum)]
     pub sched: Option<Policy>,
-    /// Processors that the processes may run on, like `0` or `0,2-3`; without it all.
+    /// Processors that the processes may run on, for example `0` or `0,2-3`; without it all.
     #[arg(long, value_name = "LIST")]
     pub cpu: Option<String>,
 }

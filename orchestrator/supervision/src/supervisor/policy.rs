@@ -1,7 +1,8 @@
 //! How one process is to be kept alive.
 
+use serde::{Deserialize, Serialize};
 use shared_types::Role;
-use vehicle::Invalid;
+use vehicle::{Invalid, Setting};
 
 /// Heartbeats come ten times a second; a limit below three of them would call a healthy process hung.
 pub const MIN_HANG_AFTER_MS: u64 = 300;
@@ -13,7 +14,8 @@ const MAX_MS: u64 = 3_600_000;
 const MAX_WINDOW_MS: u64 = 24 * MAX_MS;
 
 /// When a process that ended is started again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Restart {
     /// Never: its end is the end of the run.
     Never,
@@ -22,6 +24,8 @@ pub enum Restart {
     /// Always.
     Always,
 }
+
+impl Setting for Restart {}
 
 /// How one process is started, watched, restarted and stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -54,7 +54,7 @@ fn a_frame_that_is_shifted_and_turned_changes_nothing() {
         }
     }
     let fit = fit(&rows).unwrap();
-    // The turn is taken to first order: 0.003^2 / 2 of the way is missed, and is one with df.
+    // The turn is fitted to first order: the rest, 0.003^2 / 2 of the distance, adds to df.
     assert!((fit.longitudinal.value - 0.012).abs() < 1e-5, "{:?}", fit.longitudinal);
     assert!((fit.lateral_rate.value - 0.0003).abs() < 2e-6, "{:?}", fit.lateral_rate);
 }
@@ -82,7 +82,7 @@ fn rows_out_of_order_standstill_and_half_a_position_are_refused_with_their_line(
     rows[20].measured_y_m = None;
     assert!(reason(&rows).contains("line 22: measured_x_m and measured_y_m have to be given both"));
     let rows = [run(1, 0.01, 0.0, 20), run(2, 0.01, 0.0, 20), run(1, 0.01, 0.0, 20)].concat();
-    assert!(reason(&rows).contains("run 1 goes on after another run"));
+    assert!(reason(&rows).contains("run 1 continues after another run"));
 }
 
 #[test]

@@ -2,7 +2,7 @@ use super::*;
 use crate::{drift, steering, velocity};
 use emulator::scenario::{Noise, Robot};
 
-/// A robot whose hidden parameters are up to 30 % beside those of scenario `imperfect-robot`.
+/// A robot whose hidden parameters differ by up to 30 % from those of scenario `imperfect-robot`.
 fn hidden(trial: u64) -> Scenario {
     let mut stream = Stream::new(trial, Purpose::Course, 4242);
     let mut off = |value: f64| value * stream.between(0.7, 1.3);

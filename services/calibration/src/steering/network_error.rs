@@ -1,8 +1,7 @@
-//! Standard error of what a fitted network says.
+//! Standard error of the output of a fitted network.
 //!
-//! First order in the weights: the network is as uncertain at an angle as its weights are in the direction that the
-//! output there depends on. The weights' covariance is that of least squares, with the decay that keeps neurons
-//! apart from growing against each other taken as it acts in the fit.
+//! First order in the weights: the covariance of the weights, projected on the gradient of the output at an angle. It
+//! is the covariance of least squares with the weight decay of the training.
 
 use nalgebra::{SMatrix, SVector};
 use vehicle::network::{NEURONS, SteeringNetwork};
@@ -11,7 +10,7 @@ use crate::Estimate;
 
 const WEIGHTS: usize = 3 * NEURONS + 1;
 
-/// Ridge of the curvature per sample; directions of the weights that no run tells apart cost nothing.
+/// Weight decay of the training, per sample: it bounds the weights that no run determines.
 const RIDGE: f64 = 1e-10;
 
 /// The covariance of a network's weights.
@@ -24,7 +23,7 @@ pub(super) struct NetworkError {
 impl NetworkError {
     /// The error of a network that [`vehicle::network::train`] fitted to the samples.
     ///
-    /// Every third sample (in order of the input) was kept back there and tells nothing about the weights.
+    /// Every third sample (in order of the input) was held out there, so it determines no weights.
     pub(super) fn of(network: &SteeringNetwork, samples: &[(f64, f64)]) -> Option<Self> {
         let mut sorted = samples.to_vec();
         sorted.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
@@ -53,7 +52,7 @@ impl NetworkError {
         let row = gradient(&self.network, sent);
         let variance = (row.transpose() * self.covariance * row)[0].max(0.0);
         let angle = self.network.eval(sent);
-        // What the small-angle form of the model (7.29) differs by from the exact geometry of the arc.
+        // Difference between the small-angle form of the model (7.29) and the exact geometry of the arc.
         let geometry = angle.abs().powi(3) / 3.0;
         Estimate::new(angle, variance.sqrt().hypot(geometry), self.freedom)
     }

@@ -6,11 +6,11 @@ use crate::record::{CircleRun, Side};
 /// Fewest angles that were approached from both sides.
 const MIN_PAIRS: usize = 5;
 
-/// Half the play between shaft and wheels: half of what the realised angle differs by when the same angle is
-/// approached from above and from below, on average over all angles.
+/// Half the play between shaft and wheels: half the difference of the realised angle between an approach from above
+/// and one from below, on average over all angles.
 ///
-/// `None` when fewer than [`MIN_PAIRS`] angles were approached from both sides. Where there is no play the value may
-/// be a little below zero.
+/// `None` when fewer than [`MIN_PAIRS`] angles were approached from both sides. Without play the value may be a little
+/// below zero.
 pub(super) fn estimate(runs: &[CircleRun], realised: &[f64]) -> Option<Estimate> {
     let from =
         |side: Side| runs.iter().zip(realised).filter(move |(run, _)| run.approached_from == Some(side));

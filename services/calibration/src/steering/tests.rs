@@ -3,14 +3,14 @@ use crate::record::{read, write};
 use emulator::noise::{Purpose, Stream};
 use emulator::steering_map::nonlinear;
 
-/// Arc of a given way driven with a steering angle of the wheels.
+/// Arc of a given length driven with a steering angle of the wheels.
 fn arc(sent: f64, wheels: f64, side: Option<Side>, noise: &mut dyn FnMut() -> f64) -> CircleRun {
-    let way = 4.0;
+    let length = 4.0;
     let curvature = 2.0 * wheels.tan() / 0.37;
     let (chord, height) = if curvature.abs() < 1e-9 {
-        (way, 0.0)
+        (length, 0.0)
     } else {
-        let half = way * curvature / 2.0;
+        let half = length * curvature / 2.0;
         (2.0 * half.sin() / curvature, (1.0 - half.cos()) / curvature)
     };
     CircleRun {

@@ -1,8 +1,7 @@
 //! The whole state of the robot and its surroundings as plain bytes, from which a successor continues.
 //!
-//! Random numbers need no state: each scan starts its own streams. The poses of the past need none either as long
-//! as the next sweep lies ahead: it begins two thirds of a period before its scan is ready, so a state is whole up
-//! to a third of a period after the scan before it was. A later one is not given away.
+//! Random numbers need no state: each scan starts its own streams. Past poses need none before the next sweep
+//! begins, which is a third of a period after the last scan was ready. From then on there is no state to hand over.
 
 use nalgebra::Vector2;
 use shared_types::{Fault, Flag, finite, plain_state};
@@ -12,10 +11,10 @@ use super::{Emulator, HISTORY_PERIODS, node};
 use crate::history::History;
 use crate::odometer::Reported;
 
-/// Most obstacles that appear when the robot comes near; a scene with more of them has no state to give away.
+/// Largest number of obstacles that appear when the robot comes near; a scene with more has no state to hand over.
 pub const APPEARING: usize = 512;
 
-/// Stands for the time at which an obstacle appeared that still waits for the robot [s].
+/// Marks an obstacle that has not appeared yet, in place of the time at which it did [s].
 const WAITS_S: f64 = -1.0;
 
 plain_state! {
@@ -39,7 +38,7 @@ plain_state! {
         pub wrecked: Flag,
         /// Lateral share of the way that the odometer misses
         pub odometry_lateral: f64,
-        /// Position that the odometer believes in, without noise [m]
+        /// Position that the odometer reports, without noise [m]
         pub odometry_m: [f64; 2],
         /// Position and yaw reported last, noise included [m, m, rad]
         pub reported: [f64; 3],
@@ -75,13 +74,14 @@ plain_state! {
 }
 
 impl Emulator {
-    /// All that another emulator of the same scenario needs to go on from the scan `last_scan`; `None` when the
-    /// next sweep may have begun, or when too many obstacles wait for the robot.
+    /// All that another emulator of the same scenario needs to continue after the scan `last_scan`.
+    ///
+    /// `None` when the next sweep may have begun, or when too many obstacles wait for the robot.
     pub fn state(&self, last_scan: u64) -> Option<EmulatorState> {
-        let Self { plant, reckoning, tally, .. } = self;
+        let Self { plant, reckoning, .. } = self;
         let next_sweep_ns = self.scan_ready_ns(last_scan + 1).saturating_sub(self.sweep_ns());
         let appearing = self.scene.appearances().count();
-        if self.clock_ns > next_sweep_ns || appearing > APPEARING {
+        if self.state.clock_ns > next_sweep_ns || appearing > APPEARING {
             return None;
         }
         let mut appeared_s = [WAITS_S; APPEARING];
@@ -89,70 +89,48 @@ impl Emulator {
             *slot = appears_s.unwrap_or(WAITS_S);
         }
         let State { sideslip, yaw, yaw_rate, x, y } = *plant.state();
-        let last = self.odometer.last();
+        let last = self.odometer.last;
         Some(EmulatorState {
-            clock_ns: self.clock_ns,
-            plant_ns: self.plant_ns,
-            last_actuation_ns: self.last_actuation_ns,
             motion: [sideslip, yaw, yaw_rate, x, y],
             speed_mps: plant.speed(),
             steering_rad: plant.steering(),
             blocked: plant.is_blocked().into(),
-            wrecked: plant.is_wrecked().into(),
-            odometry_lateral: reckoning.lateral(),
+            wrecked: plant.wrecked.into(),
+            odometry_lateral: reckoning.lateral,
             odometry_m: reckoning.reported().into(),
             reported: last.map_or([0.0; 3], |last| [last.x, last.y, last.yaw]),
             reported_ns: last.map_or(0, |last| last.time_ns),
             has_reported: u64::from(last.is_some()),
-            min_clearance_m: tally.min_clearance,
-            path_length_m: tally.path_length,
-            max_abs_lateral_m: tally.max_abs_lateral,
-            longest_blind_ns: tally.longest_blind_ns,
-            collided: tally.collided.into(),
-            struck: tally.struck.into(),
-            dead_man: tally.dead_man.into(),
             appearing: appearing as u32,
-            refused: tally.refused,
-            steps: tally.steps,
-            actuation_scan: tally.actuation_scan,
             appeared_s,
+            ..self.state
         })
     }
 
-    /// Goes on from the state of another emulator of the same scenario.
+    /// Continues from the state of another emulator of the same scenario.
     ///
     /// # Errors
-    /// [`Fault`] when a number can't be, or the state is of another scene; the emulator is unchanged then.
+    /// [`Fault`] when a number is impossible, or the state is of another scene; the emulator is unchanged then.
     pub fn resume(&mut self, state: &EmulatorState) -> Result<(), Fault> {
         state.check()?;
         if state.appearing as usize != self.scene.appearances().count() {
             return Err(Fault::OutOfRange { field: "appearing", value: f64::from(state.appearing) });
         }
         let [sideslip, yaw, yaw_rate, x, y] = state.motion;
-        let motion = State { sideslip, yaw, yaw_rate, x, y };
-        let (blocked, wrecked) = (state.blocked.is_set(), state.wrecked.is_set());
-        self.clock_ns = state.clock_ns;
-        self.plant_ns = state.plant_ns;
-        self.last_actuation_ns = state.last_actuation_ns;
-        self.plant = self.plant.resumed(motion, state.speed_mps, state.steering_rad, blocked, wrecked);
-        self.reckoning = self.reckoning.resumed(state.odometry_lateral, Vector2::from(state.odometry_m));
+        self.state = *state;
+        let plant = &mut self.plant;
+        plant.state = State { sideslip, yaw, yaw_rate, x, y };
+        (plant.speed, plant.steering) = (state.speed_mps, state.steering_rad);
+        (plant.blocked, plant.wrecked) = (state.blocked.is_set(), state.wrecked.is_set());
+        self.reckoning.lateral = state.odometry_lateral;
+        self.reckoning.reported = Vector2::from(state.odometry_m);
         let [x, y, yaw] = state.reported;
         let last = Reported { time_ns: state.reported_ns, x, y, yaw };
-        self.odometer = self.odometer.clone().resumed((state.has_reported == 1).then_some(last));
+        self.odometer.last = (state.has_reported == 1).then_some(last);
         let appeared = state.appeared_s.iter().map(|appeared_s| (*appeared_s >= 0.0).then_some(*appeared_s));
         self.scene.set_appearances(appeared);
-        self.tally.min_clearance = state.min_clearance_m;
-        self.tally.path_length = state.path_length_m;
-        self.tally.max_abs_lateral = state.max_abs_lateral_m;
-        self.tally.longest_blind_ns = state.longest_blind_ns;
-        self.tally.collided = state.collided.is_set();
-        self.tally.struck = state.struck.is_set();
-        self.tally.dead_man = state.dead_man.is_set();
-        self.tally.refused = state.refused;
-        self.tally.steps = state.steps;
-        self.tally.actuation_scan = state.actuation_scan;
         let keep_ns = HISTORY_PERIODS.saturating_mul(self.period_ns);
-        self.history = History::new(node(self.plant_ns, &self.plant, &self.reckoning), keep_ns);
+        self.history = History::new(node(state.plant_ns, &self.plant, &self.reckoning), keep_ns);
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ fn parse(text: &str) -> Scenario {
     Scenario::parse(text, "test").unwrap()
 }
 
-/// A robot that does exactly what it is told.
+/// A robot that follows its commands exactly.
 fn ideal(more: &str) -> Emulator {
     let robot = "[robot]\nvelocity_factor = 1.0\nsteering_map = \"identity\"\nodometry_longitudinal = 0.0";
     Emulator::new(&parse(&format!("{robot}\n[noise]\nrange_m = 0.0\n{more}")), PERIOD)
@@ -174,7 +174,7 @@ fn clearances_are_those_of_the_plant_steps_and_of_the_front_beam() {
 }
 
 #[test]
-fn small_portions_of_time_and_looking_more_often_change_no_bit() {
+fn small_portions_of_time_and_more_measurements_change_no_bit() {
     let scenario = parse(Scenario::shipped("imperfect-robot").unwrap());
     let (mut whole, mut parts) = (Emulator::new(&scenario, PERIOD), Emulator::new(&scenario, PERIOD));
     for scan_id in 1..=40 {
@@ -318,7 +318,7 @@ fn eventful() -> Scenario {
 }
 
 #[test]
-fn one_that_goes_on_from_a_state_measures_the_same_to_the_last_bit() {
+fn one_that_continues_from_a_state_measures_the_same_to_the_last_bit() {
     let scenario = eventful();
     let mut old = Emulator::new(&scenario, PERIOD);
     let actuation = |scan_id: u64| {

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 use vehicle::geometry::Rectangle;
-use vehicle::{Invalid, require};
+use vehicle::{Invalid, Key, Setting, require, settings};
 
 use crate::scene::Solid;
 
@@ -17,16 +17,16 @@ use crate::scene::Solid;
 pub enum Shape {
     /// An upright cylinder.
     Circle {
-        /// Radius [m], 0.005 to 50.
+        /// Radius [m].
         radius_m: f64,
     },
     /// An upright box.
     Box {
-        /// Full length along its own axis [m], 0.005 to 100.
+        /// Full length along its own axis [m].
         length_m: f64,
-        /// Full width [m], 0.005 to 100.
+        /// Full width [m].
         width_m: f64,
-        /// Direction of the length axis [rad], -pi to pi.
+        /// Direction of the length axis [rad].
         yaw_rad: f64,
     },
 }
@@ -99,52 +99,61 @@ impl Obstacle {
         }
     }
 
-    pub(super) fn validate(&self) -> Result<(), Invalid> {
-        match self.shape {
-            Shape::Circle { radius_m } => require("radius_m", radius_m, 0.005..=50.0)?,
-            Shape::Box { length_m, width_m, yaw_rad } => {
-                require("length_m", length_m, 0.005..=100.0)?;
-                require("width_m", width_m, 0.005..=100.0)?;
-                require("yaw_rad", yaw_rad, -PI..=PI)?;
-            }
-        }
-        require("x_m", self.x_m, -20_000.0..=20_000.0)?;
-        require("y_m", self.y_m, -2_000.0..=2_000.0)?;
-        require("appears_s", self.appears_s, 0.0..=1e6)?;
-        if let Some(ahead) = self.appears_ahead_m {
-            require("appears_ahead_m", ahead, 0.0..=100.0)?;
-        }
-        if let Some(disappears) = self.disappears_s {
-            require("disappears_s", disappears, self.appears_s..=1e6)?;
-        }
-        require("velocity_x_mps", self.velocity_x_mps, -5.0..=5.0)?;
-        require("velocity_y_mps", self.velocity_y_mps, -5.0..=5.0)
+    /// Passes when it vanishes after it appears.
+    fn require_order(&self) -> Result<(), Invalid> {
+        self.disappears_s
+            .map_or(Ok(()), |disappears| require("disappears_s", disappears, self.appears_s..=1e6))
     }
 }
 
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+impl Setting for Obstacle {
+    fn require_all(&self, name: &str) -> Result<(), Invalid> {
+        let allowed = ObstacleFile::from(*self).require_ranges().and_then(|()| self.require_order());
+        allowed.map_err(|error| error.within(name))
+    }
+
+    fn keys() -> Vec<Key> {
+        ObstacleFile::keys()
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum ShapeName {
     Circle,
     Box,
 }
 
-/// The keys as they stand in the file.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub(super) struct ObstacleFile {
-    shape: Option<ShapeName>,
-    x_m: Option<f64>,
-    y_m: Option<f64>,
-    radius_m: Option<f64>,
-    length_m: Option<f64>,
-    width_m: Option<f64>,
-    yaw_rad: Option<f64>,
-    appears_s: Option<f64>,
-    appears_ahead_m: Option<f64>,
-    disappears_s: Option<f64>,
-    velocity_x_mps: Option<f64>,
-    velocity_y_mps: Option<f64>,
+impl Setting for ShapeName {}
+
+settings! {
+    /// The keys as they stand in the file.
+    pub(super) struct ObstacleFile {
+        /// Shape of the obstacle.
+        shape: Option<ShapeName> = None, "must be given";
+        /// Position of the centre along the track when the obstacle appears [m].
+        x_m: Option<f64> = None, (-20_000.0..=20_000.0, "must be given");
+        /// Lateral position of the centre when the obstacle appears [m].
+        y_m: Option<f64> = None, (-2_000.0..=2_000.0, "must be given");
+        /// Radius of a circle [m].
+        radius_m: Option<f64> = None, (0.005..=50.0, "must be given for a circle");
+        /// Length of a box along its own axis [m].
+        length_m: Option<f64> = None, (0.005..=100.0, "must be given for a box");
+        /// Width of a box [m].
+        width_m: Option<f64> = None, (0.005..=100.0, "must be given for a box");
+        /// Direction of the length axis of a box; without the key 0 [rad].
+        yaw_rad: Option<f64> = None, -PI..=PI;
+        /// Time at which the obstacle appears; without the key 0 [s].
+        appears_s: Option<f64> = None, 0.0..=1e6;
+        /// The obstacle appears when the front of the body is this near to its surface, measured forward [m].
+        appears_ahead_m: Option<f64> = None, (0.0..=100.0, "not together with `appears_s`");
+        /// Time at which the obstacle disappears [s].
+        disappears_s: Option<f64> = None, (0.0..=1e6, "not before `appears_s`");
+        /// Velocity along the track from the moment it appears [m/s].
+        velocity_x_mps: f64 = 0.0, -5.0..=5.0;
+        /// Velocity across the track from the moment it appears [m/s].
+        velocity_y_mps: f64 = 0.0, -5.0..=5.0;
+    }
 }
 
 impl TryFrom<ObstacleFile> for Obstacle {
@@ -178,36 +187,33 @@ impl TryFrom<ObstacleFile> for Obstacle {
             appears_s: file.appears_s.unwrap_or(0.0),
             appears_ahead_m: file.appears_ahead_m,
             disappears_s: file.disappears_s,
-            velocity_x_mps: file.velocity_x_mps.unwrap_or(0.0),
-            velocity_y_mps: file.velocity_y_mps.unwrap_or(0.0),
+            velocity_x_mps: file.velocity_x_mps,
+            velocity_y_mps: file.velocity_y_mps,
         })
     }
 }
 
 impl From<Obstacle> for ObstacleFile {
     fn from(obstacle: Obstacle) -> Self {
-        let Obstacle { appears_ahead_m, disappears_s, .. } = obstacle;
-        let base = Self {
+        let (shape, [radius_m, length_m, width_m, yaw_rad]) = match obstacle.shape {
+            Shape::Circle { radius_m } => (ShapeName::Circle, [Some(radius_m), None, None, None]),
+            Shape::Box { length_m, width_m, yaw_rad } => {
+                (ShapeName::Box, [None, Some(length_m), Some(width_m), Some(yaw_rad)])
+            }
+        };
+        Self {
+            shape: Some(shape),
             x_m: Some(obstacle.x_m),
             y_m: Some(obstacle.y_m),
-            appears_s: appears_ahead_m.is_none().then_some(obstacle.appears_s),
-            appears_ahead_m,
-            disappears_s,
-            velocity_x_mps: Some(obstacle.velocity_x_mps),
-            velocity_y_mps: Some(obstacle.velocity_y_mps),
-            ..Self::default()
-        };
-        match obstacle.shape {
-            Shape::Circle { radius_m } => {
-                Self { shape: Some(ShapeName::Circle), radius_m: Some(radius_m), ..base }
-            }
-            Shape::Box { length_m, width_m, yaw_rad } => Self {
-                shape: Some(ShapeName::Box),
-                length_m: Some(length_m),
-                width_m: Some(width_m),
-                yaw_rad: Some(yaw_rad),
-                ..base
-            },
+            radius_m,
+            length_m,
+            width_m,
+            yaw_rad,
+            appears_s: obstacle.appears_ahead_m.is_none().then_some(obstacle.appears_s),
+            appears_ahead_m: obstacle.appears_ahead_m,
+            disappears_s: obstacle.disappears_s,
+            velocity_x_mps: obstacle.velocity_x_mps,
+            velocity_y_mps: obstacle.velocity_y_mps,
         }
     }
 }

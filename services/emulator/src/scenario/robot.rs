@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
-use vehicle::settings;
+use vehicle::{Setting, settings};
 
 use crate::steering_map::SteeringMap;
 
@@ -18,50 +18,52 @@ pub enum Drift {
     Time,
 }
 
+impl Setting for Drift {}
+
 settings! {
-    /// True imperfections of the robot.
+    /// Body and imperfections of the emulated robot.
     #[derive(Copy)]
     pub struct Robot {
-        /// Length of the body [m], 0.05 to 5.
+        /// Length of the body [m].
         pub length_m: f64 = 0.56, 0.05..=5.0;
-        /// Width of the body [m], 0.05 to 5.
+        /// Width of the body [m].
         pub width_m: f64 = 0.40, 0.05..=5.0;
-        /// Velocity sent divided by true velocity, kv, 0.1 to 10.
+        /// Velocity sent divided by the true velocity, kv.
         pub velocity_factor: f64 = 1.4, 0.1..=10.0;
-        /// Half the play between steering shaft and wheels, nu [rad], 0 to 0.1.
+        /// Half the play between steering shaft and wheels, nu [rad].
         pub steering_backlash_rad: f64 = 0.0, 0.0..=0.1;
-        /// Angle of the shaft as a function of the angle sent.
+        /// True steering angle of the shaft as a function of the angle sent: a fixed curve, or the same angle.
         pub steering_map: SteeringMap = SteeringMap::Nonlinear;
-        /// Deceleration with blocked wheels [m/s^2], 0.1 to 50.
+        /// Deceleration while the wheels are blocked [m/s^2].
         pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
-        /// Share of the way that the odometry misses, df, -0.5 to 0.5.
+        /// Odometry scale error: fraction of the travelled distance that is not reported, df.
         pub odometry_longitudinal: f64 = 0.01, -0.5..=0.5;
-        /// Growth of the lateral share of the way that the odometry misses, dds of (7.38) [1/s], -1 to 1.
+        /// Growth of the lateral odometry error, dds of (7.38) [1/s].
         pub odometry_lateral_rate: f64 = 0.0, -1.0..=1.0;
-        /// When that share grows.
+        /// When the lateral odometry error grows: while the robot moves, or with time, also at standstill.
         pub odometry_drift: Drift = Drift::Moving;
-        /// What the reported yaw is off from `odometry_jump_s` on [rad], -pi to pi.
+        /// Error of the reported yaw from `odometry_jump_s` on [rad].
         pub odometry_jump_rad: f64 = 0.0, -PI..=PI;
-        /// When the reported yaw jumps [s], 0 to 1e6.
+        /// Time at which the reported yaw jumps [s].
         pub odometry_jump_s: f64 = 0.0, 0.0..=1e6;
     }
 }
 
 settings! {
-    /// Noise of scanner and odometer; standard deviations unless noted.
+    /// Noise of scanner and odometer; standard deviations unless stated otherwise.
     #[derive(Copy)]
     pub struct Noise {
-        /// Noise of a laser range at any distance [m], 0 to 1.
+        /// Noise of a range at any distance [m].
         pub range_m: f64 = 0.01, 0.0..=1.0;
-        /// Noise of a laser range as a share of the range, 0 to 0.5; the larger of the two acts.
+        /// Noise of a range as a fraction of the range; the larger of `range_m` and this acts.
         pub range_share: f64 = 0.0, 0.0..=0.5;
-        /// Probability that a beam gives no return, 0 to 1.
+        /// Probability that a beam gives no return.
         pub dropout: f64 = 0.0, 0.0..=1.0;
-        /// Probability that a beam across an edge mixes both distances, 0 to 1.
+        /// Probability that a beam across an edge mixes both distances.
         pub mixed_pixels: f64 = 0.0, 0.0..=1.0;
-        /// Noise of the reported position, on x and y each [m], 0 to 10.
+        /// White noise of the reported x and y; it does not accumulate [m].
         pub odometry_m: f64 = 0.0, 0.0..=10.0;
-        /// Noise of the reported yaw [rad], 0 to 1.
+        /// White noise of the reported yaw; it does not accumulate [rad].
         pub odometry_rad: f64 = 0.0, 0.0..=1.0;
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 use vehicle::frame::heading;
-use vehicle::geometry::Rectangle;
+use vehicle::geometry::{Rectangle, ray_in_box};
 
 /// An upright body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,14 +63,14 @@ impl Solid {
         }
     }
 
-    /// Way along a ray (unit `direction`) to the surface [m]; zero inside, `None` when the ray misses.
+    /// Distance along a ray (unit `direction`) to the surface [m]; zero inside, `None` when the ray misses.
     pub fn ray(&self, origin: Vector2<f64>, direction: Vector2<f64>) -> Option<f64> {
         match self {
             Self::Circle { centre, radius } => ray_to_circle(origin - centre, direction, *radius),
             Self::Box { outline, axis } => {
                 let offset = origin - outline.centre;
                 let half = Vector2::new(outline.length / 2.0, outline.width / 2.0);
-                ray_to_box(in_axes(offset, *axis), in_axes(direction, *axis), half)
+                ray_in_box(in_axes(offset, *axis), in_axes(direction, *axis), half).map(|(enter, _)| enter)
             }
         }
     }
@@ -91,25 +91,6 @@ fn ray_to_circle(offset: Vector2<f64>, direction: Vector2<f64>, radius: f64) -> 
     (approach > 0.0 && discriminant >= 0.0).then(|| approach - discriminant.sqrt())
 }
 
-/// The slab method: the ray is inside the box where it is inside both of its strips.
-fn ray_to_box(offset: Vector2<f64>, direction: Vector2<f64>, half: Vector2<f64>) -> Option<f64> {
-    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
-    for axis in 0..2 {
-        if direction[axis].abs() < 1e-12 {
-            // Parallel to the strip: inside it for good or never.
-            if offset[axis].abs() > half[axis] {
-                return None;
-            }
-            continue;
-        }
-        let low = (-half[axis] - offset[axis]) / direction[axis];
-        let high = (half[axis] - offset[axis]) / direction[axis];
-        enter = enter.max(low.min(high));
-        leave = leave.min(low.max(high));
-    }
-    (enter <= leave).then_some(enter)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -127,7 +108,7 @@ mod tests {
     fn a_ray_ends_at_the_near_side_of_a_circle() {
         let circle = Solid::circle(Vector2::new(5.0, 0.0), 0.5);
         assert_eq!(ray(&circle, [0.0, 0.0], 0.0), Some(4.5));
-        // 3-4-5 triangle: 0.3 beside the centre, the surface is 0.4 before it.
+        // 3-4-5 triangle: 0.3 to the side of the centre, the surface is 0.4 before it.
         assert!((ray(&circle, [0.0, 0.3], 0.0).unwrap() - 4.6).abs() < 1e-12);
         assert_eq!(ray(&circle, [0.0, 0.6], 0.0), None);
         assert_eq!(ray(&circle, [7.0, 0.0], 0.0), None, "a circle behind is not seen");

@@ -71,7 +71,7 @@ fn the_first_odometry_is_the_first_estimate() {
 }
 
 #[test]
-fn the_look_ahead_ends_when_an_answer_would_act() {
+fn the_prediction_ends_when_the_command_would_act() {
     let config = Config { extra_latency_ms: 10.0, ..ideal() };
     let (_, pose) = straight(&config, 20);
     let pose = pose.unwrap();
@@ -139,7 +139,7 @@ fn stamps_from_the_future_do_not_shut_out_the_present() {
 }
 
 #[test]
-fn an_outlier_is_refused_and_the_prediction_stands() {
+fn an_outlier_is_refused_and_the_prediction_is_kept() {
     let (mut estimator, _) = straight(&ideal(), 20);
     let pose = estimator.step(&odometry(21, 3.0, 1.0), None, at(21)).unwrap();
     assert!((pose.x_m - 2.1).abs() < 1e-9 && pose.nis > GATE[2]);
@@ -166,7 +166,7 @@ fn after_a_long_gap_the_estimate_is_the_measurement() {
     assert_eq!((pose.x_m, pose.speed_mps, estimator.state().restarts), (1.25, 0.0, 1));
 }
 
-/// A successor knows the state of scan 5; the wheels were blocked at scan 7, and it was not told.
+/// A successor has the state of scan 5; the wheels were blocked at scan 7, which it did not receive.
 #[test]
 fn after_a_gap_the_measured_speed_wins_over_the_predicted_one_and_nothing_is_suspected() {
     let (mut estimator, _) = straight(&ideal(), 5);
@@ -204,14 +204,14 @@ fn yaw_passes_the_half_turn_without_a_jump() {
 fn the_printed_noise_has_the_printed_gains() {
     let (_, pose) = straight(&Config { correction: Some(Mode::Off), ..source() }, 200);
     let pose = pose.unwrap();
-    // y is coupled with yaw by the way driven, a little.
+    // y is coupled with yaw by the distance driven, a little.
     for (index, expected) in [(0, 0.27), (4, 0.27), (8, 0.92)] {
         assert!((pose.gain[index] - expected).abs() < 0.01, "{index}: {}", pose.gain[index]);
     }
 }
 
 #[test]
-fn a_resumed_estimator_goes_on_with_the_same_bits() {
+fn a_resumed_estimator_continues_with_the_same_bits() {
     let (mut original, _) = straight(&Config::default(), 30);
     let mut resumed = Estimator::new(&Config::default()).unwrap();
     assert_eq!(resumed.resume(&original.state()), Ok(()));

@@ -254,10 +254,10 @@ fn drive(
             speed = control.velocity;
         } else {
             let after = (speed - DECELERATION_MPS2 * step).max(0.0);
-            let way = (speed * speed - after * after) / (2.0 * DECELERATION_MPS2);
+            let distance = (speed * speed - after * after) / (2.0 * DECELERATION_MPS2);
             let course = state.yaw + state.sideslip;
-            state.x += way * course.cos();
-            state.y += way * course.sin();
+            state.x += distance * course.cos();
+            state.y += distance * course.sin();
             (state.sideslip, state.yaw_rate) = (0.0, 0.0);
             speed = after;
         }

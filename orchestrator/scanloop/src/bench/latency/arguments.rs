@@ -14,10 +14,10 @@ const LARGEST_PAYLOAD: usize = 16 << 20;
 /// What the five processes compute.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
 pub enum Compute {
-    /// The pipeline, driving the scenario `endless`.
+    /// The pipeline that drives the scenario `endless`.
     #[default]
     Real,
-    /// Nothing: stages answer at once, and transport is all there is.
+    /// Nothing: stages answer at once, so that only transport remains.
     None,
 }
 
@@ -37,29 +37,29 @@ pub struct LatencyArguments {
     /// Scans per second, 0.5 to 1000.
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub rate: f64,
-    /// Seconds of driving.
+    /// Driven time [s], 0.1 to 36000.
     #[arg(long, value_name = "S", default_value_t = 30.0)]
     pub duration: f64,
-    /// Whether the stages compute.
+    /// What the stages compute.
     #[arg(long, value_name = "WHAT", value_enum, default_value = "real")]
     pub compute: Compute,
-    /// Bytes that travel over each of the four hops, 1 to 16777216, or like 4k or 1M; without it the pipeline's own
-    /// samples. Only with `--compute none`.
+    /// Bytes per message on each of the four hops, 1 to 16777216, or for example 4k or 1M; only with `--compute none`.
+    /// Without it messages are as large as the samples of the pipeline.
     #[arg(long, value_name = "BYTES", value_parser = size)]
     pub payload: Option<usize>,
     /// Policy and processors of the processes.
     #[command(flatten)]
     pub scheduling: SchedulingArguments,
-    /// Keep all processors busy meanwhile.
+    /// Keep all processors busy during the measurement.
     #[arg(long)]
     pub load: bool,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
-    /// Write histograms, pictures, a trace and `report.json` there.
+    /// Folder for histograms, pictures, a trace and `report.json`.
     #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
     pub out: Option<PathBuf>,
-    /// No progress.
+    /// Print no progress.
     #[arg(long)]
     pub quiet: bool,
     /// The choice of system and settings, as of `run`.

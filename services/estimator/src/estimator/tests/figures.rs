@@ -10,7 +10,7 @@ use super::*;
 use crate::Measured;
 use crate::config::SCALED_NOISE;
 
-/// What the emulated robot of a test does with what is desired.
+/// How the emulated robot of a test follows the desired values.
 #[derive(Clone, Copy)]
 struct Robot {
     steering_offset: f64,
@@ -81,7 +81,7 @@ fn run(config: &Config, robot: Robot, seconds: u64, seed: u64, desired: impl Fn(
     let mut reported = nalgebra::Vector2::new(0.0, 0.0);
     let (mut lateral, mut errors) = (0.0, Errors::default());
     let mut realised: Option<Actuation> = None;
-    // The robot drives from the start, so that the way of the source's figure is complete.
+    // The robot drives from the start, so that the path of the source's figure is complete.
     let mut control = desired(0.0);
     for scan in 1..=10 * seconds + 1 {
         let noisy = |value: f64, deviation: f64, generator: &mut Pcg64| value + deviation * normal(generator);
@@ -195,7 +195,7 @@ fn drift_as_modelled_with_noise_stays_below_10_cm_over_40_s() {
 
 #[test]
 fn on_matched_noise_the_nis_lies_in_its_95_percent_band_in_90_to_99_percent_of_steps() {
-    // Noise of the measurement as R says, and noise of the process as Q says: what the filter is built for.
+    // Noise of the measurement and of the process exactly as in R and Q.
     let robot =
         Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, matched: true, ..PERFECT };
     let (mut lowest, mut highest) = (1.0f64, 0.0f64);

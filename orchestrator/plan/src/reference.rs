@@ -1,0 +1,127 @@
+//! The keys of scenario and system files: as pages of the documentation, and found by a part of their name.
+
+use std::fmt::Write as _;
+
+use emulator::Scenario;
+use estimator::Profile;
+use toml::Table;
+use vehicle::{Key, Setting, toml_text};
+
+use crate::System;
+
+/// The page `docs/scenario-file.md`.
+pub fn scenario_page() -> String {
+    page(include_str!("reference/scenario.md"), &Scenario::keys())
+}
+
+/// The page `docs/system-file.md`.
+pub fn system_page() -> String {
+    page(include_str!("reference/system.md"), &system_keys())
+}
+
+/// All keys whose name or meaning contains `text`, two lines each, named as `--set` takes them.
+pub fn find(text: &str) -> String {
+    let mut found = String::new();
+    for keys in [Scenario::keys(), system_keys()] {
+        collect(&mut found, "", &keys, &text.to_lowercase());
+    }
+    found
+}
+
+/// Keys of the system file; those of the estimator with the defaults that its profiles give them.
+fn system_keys() -> Vec<Key> {
+    let defaults = |profile| {
+        let config = estimator::Config { profile, ..estimator::Config::default() };
+        config.complete().ok().and_then(|config| Table::try_from(config).ok()).unwrap_or_default()
+    };
+    let (scaled, source) = (defaults(Profile::Scaled), defaults(Profile::Source));
+    let of = |table: &Table, name: &str| table.get(name).map(toml_text).unwrap_or_default();
+    let mut keys = System::keys();
+    let estimator = keys.iter_mut().filter(|key| key.name == "estimator").flat_map(|key| &mut key.keys);
+    for key in estimator.filter(|key| key.default.is_empty()) {
+        let (scaled, source) = (of(&scaled, key.name), of(&source, key.name));
+        key.default = if scaled == source { scaled } else { format!("{scaled}; profile `source`: {source}") };
+    }
+    keys
+}
+
+fn page(introduction: &str, keys: &[Key]) -> String {
+    let mut text = introduction.to_owned();
+    rows(&mut text, keys);
+    sections(&mut text, "", keys);
+    text
+}
+
+/// The values of a table, one row each.
+fn rows(text: &mut String, keys: &[Key]) {
+    text.push_str("| key | default | allowed | meaning |\n|---|---|---|---|\n");
+    for Key { name, default, allowed, doc, .. } in keys.iter().filter(|key| key.keys.is_empty()) {
+        let _ = writeln!(text, "| `{name}` | {default} | {allowed} | {doc} |");
+    }
+}
+
+/// The tables in a table, with their own tables behind them.
+fn sections(text: &mut String, around: &str, keys: &[Key]) {
+    for key in keys.iter().filter(|key| !key.keys.is_empty()) {
+        let path = format!("{around}{}", key.name);
+        let heading = if key.is_list_of_tables() { format!("[[{path}]]") } else { format!("[{path}]") };
+        let _ = writeln!(text, "\n## `{heading}`\n\n{}\n", key.doc);
+        if !key.allowed.is_empty() {
+            let _ = writeln!(text, "Allowed: {}.\n", key.allowed);
+        }
+        rows(text, &key.keys);
+        sections(text, &format!("{path}."), &key.keys);
+    }
+}
+
+fn collect(found: &mut String, around: &str, keys: &[Key], wanted: &str) {
+    for key in keys {
+        let path = format!("{around}{}", key.name);
+        if !key.keys.is_empty() {
+            let element = if key.is_list_of_tables() { ".0." } else { "." };
+            collect(found, &format!("{path}{element}"), &key.keys, wanted);
+        } else if path.contains(wanted) || key.doc.to_lowercase().contains(wanted) {
+            let default = if key.default.is_empty() { "no default" } else { &key.default };
+            let allowed =
+                if key.allowed.is_empty() { String::new() } else { format!("   ({})", key.allowed) };
+            let _ = writeln!(found, "{path} = {default}{allowed}\n    {}", key.doc);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_found_by_name_and_by_meaning_and_named_as_an_override_takes_them() {
+        let factor = "robot.velocity_factor = 1.4   (0.1 to 10)\n    Velocity sent divided by the true velocity, kv.\n";
+        assert_eq!(find("velocity_factor"), factor);
+        assert!(find("True Velocity").contains(factor));
+        assert!(
+            find("radius_m").starts_with("obstacle.0.radius_m = no default   (0.005 to 50, must be given")
+        );
+        assert!(find("process.0.grace_ms").starts_with("process.0.grace_ms = 1000   (1 to 3.6e6)\n"));
+        assert_eq!(find("no such key"), "");
+    }
+
+    #[test]
+    fn defaults_that_depend_on_the_profile_of_the_estimator_are_both_shown() {
+        let row = "| `odometry_lateral_rate` | 0.0; profile `source`: 0.053 | -1 to 1 |";
+        assert!(system_page().contains(row), "{}", system_page());
+        assert!(system_page().contains("| `odometry_longitudinal` | 0.01 | -0.5 to 0.5 |"));
+    }
+
+    #[test]
+    fn every_key_of_every_table_has_a_meaning_that_is_a_sentence() {
+        fn check(around: &str, keys: &[Key]) {
+            for key in keys {
+                let sentence = key.doc.ends_with(['.', ']']) || key.doc.ends_with(").");
+                assert!(sentence && !key.doc.contains('|'), "{around}{}: {}", key.name, key.doc);
+                check(&format!("{}.", key.name), &key.keys);
+            }
+        }
+        check("", &Scenario::keys());
+        check("", &system_keys());
+    }
+}

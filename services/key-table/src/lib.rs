@@ -1,0 +1,15 @@
+//! Tables of keys: the settings of a file, each key declared once with its meaning, default and allowed values.
+//!
+//! [`settings!`] turns such a declaration into a struct that serde reads. The checks of its values and the pages
+//! `docs/scenario-file.md` and `docs/system-file.md` come from the same declaration.
+
+mod invalid;
+mod key;
+mod read;
+mod rule;
+mod settings;
+
+pub use invalid::{Invalid, require};
+pub use key::{Key, Setting, require_key, toml_text};
+pub use read::{parse, read};
+pub use rule::{Ascending, Numeric, Rule};

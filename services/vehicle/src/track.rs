@@ -1,0 +1,30 @@
+//! Where the robot drives: the track and the goal, as scenario and controller know them.
+
+use key_table::{Ascending, settings};
+
+settings! {
+    /// The track.
+    #[derive(Copy)]
+    pub struct Track {
+        /// Bounds of the robot's centre along the track, (7.45) [m].
+        pub x_m: [f64; 2] = [0.0, 22.0], Ascending(-1e4..=1e4);
+        /// Bounds of the robot's centre across the track, (7.46), or with `walls` the surfaces of the walls [m].
+        pub y_m: [f64; 2] = [-1.5, 1.5], Ascending(-1e3..=1e3);
+        /// Whether the track has walls at `y_m`, which the scanner sees. The robot's centre then stays half the body width
+        /// and the safety distance away from them.
+        pub walls: bool = false;
+    }
+}
+
+settings! {
+    /// Where to land.
+    #[derive(Copy)]
+    pub struct Goal {
+        /// Position along the track [m].
+        pub x_m: f64 = 10.0, (-1e4..=1e4, "within `track.x_m`");
+        /// Lateral position, which is also the line that the robot follows [m].
+        pub y_m: f64 = 0.0, (-1e3..=1e3, "within `track.y_m`");
+        /// The goal is reached when the robot's centre lands within this distance of it [m].
+        pub tolerance_m: f64 = 0.1, 0.01..=1.0;
+    }
+}

@@ -1,0 +1,43 @@
+//! Pages of the documentation that the executable prints, and keys found in the terminal.
+
+use std::path::Path;
+
+use scanloop_tests::System;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+#[test]
+fn the_pages_are_what_the_executable_prints() {
+    let system = System::new(EXECUTABLE);
+    for (page, file) in
+        [("scenario", "scenario-file.md"), ("system", "system-file.md"), ("commands", "commands.md")]
+    {
+        let output = system.run(&["reference", "--page", page]);
+        assert_eq!(output.status.code(), Some(0), "{page}");
+        let printed = String::from_utf8(output.stdout).unwrap();
+        let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs").join(file);
+        let kept = std::fs::read_to_string(kept).unwrap();
+        let place =
+            printed.lines().zip(kept.lines()).position(|(new, old)| new != old).map_or(0, |line| line + 1);
+        assert!(printed == kept, "line {place}: run `scanloop reference --page {page} > docs/{file}`");
+    }
+}
+
+#[test]
+fn a_key_is_found_by_a_part_of_its_name_and_an_override_takes_what_is_shown() {
+    let system = System::new(EXECUTABLE);
+    let output = system.run(&["reference", "backlash"]);
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(printed.lines().next(), Some("robot.steering_backlash_rad = 0.0   (0 to 0.1)"));
+    for key in
+        ["robot.steering_backlash_rad=0.05", "obstacle.0.x_m=6.0", "controller.bounds.steering_max_rad=0.05"]
+    {
+        let (name, _) = key.split_once('=').unwrap();
+        let found = String::from_utf8(system.run(&["reference", name]).stdout).unwrap();
+        assert!(found.starts_with(&format!("{name} = ")), "{found}");
+        assert_eq!(system.run(&["check", "--set", key]).status.code(), Some(0), "{key}");
+    }
+    let output = system.run(&["reference", "wheelbase"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("wheelbase"));
+}
