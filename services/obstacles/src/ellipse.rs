@@ -138,7 +138,8 @@ impl<'a> Sizing<'a> {
         self.ellipse((low + high) / 2.0, rectangle, b)
     }
 
-    /// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to keep.
+    /// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to
+    /// keep.
     fn ellipse(&self, centre: Vector2<f64>, rectangle: &Rectangle, b: f64) -> Ellipse {
         let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
         let b = b.clamp(0.01, 80.0);
