@@ -169,6 +169,23 @@ pub(crate) const fn fingerprint(kind: &Kind, seed: u32) -> u32 {
     }
 }
 
+/// Stops the build when a sample declares another layout than that of its fields; the message holds the right one.
+pub(crate) const fn require_layout(found: u32, declared: u32) {
+    const DIGITS_AT: usize = 30;
+    let mut message = *b"fields changed: the layout is 0x........, and the type name needs the next version";
+    let mut digit = 0;
+    while digit < 8 {
+        message[DIGITS_AT + 2 + digit] = b"0123456789abcdef"[(found >> (28 - 4 * digit)) as usize & 15];
+        digit += 1;
+    }
+    if found != declared {
+        match std::str::from_utf8(&message) {
+            Ok(text) => panic!("{}", text),
+            Err(_) => panic!("fields changed"),
+        }
+    }
+}
+
 pub(crate) const FNV_OFFSET: u32 = 0x811c_9dc5;
 const FNV_PRIME: u32 = 0x0100_0193;
 

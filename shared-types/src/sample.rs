@@ -60,10 +60,7 @@ macro_rules! sample {
     ) => {
         $crate::describe::layout! { $(#[$meta])* pub struct $name($size) { $($body)* } }
 
-        const _: () = assert!(
-            <$name as $crate::Sample>::LAYOUT == $layout,
-            "names, kinds or offsets of fields changed: update the layout and the version in the type name"
-        );
+        const _: () = $crate::describe::require_layout(<$name as $crate::Sample>::LAYOUT, $layout);
 
         impl $crate::Sample for $name {
             const TOPIC: $crate::Topic = $crate::Topic::$topic;

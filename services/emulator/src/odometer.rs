@@ -78,7 +78,8 @@ impl Odometer {
         }
     }
 
-    /// Fills all but the header with the reported pose at a node and the increments since the sample before.
+    /// Fills all but the header with the reported pose at a node and the increments since the sample before, (7.36)
+    /// and (7.37).
     pub fn report(&mut self, scan_id: u64, node: &Node, odometry: &mut Odometry) {
         let mut noise = Stream::new(self.seed, Purpose::Odometry, scan_id);
         let jump = if node.time_ns >= self.jump_ns { self.jump_rad } else { 0.0 };

@@ -11,7 +11,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// State and covariance of a filter.
+/// State and covariance of a filter for a process and a measurement with noise of zero mean and covariances Q and R,
+/// (7.3)-(7.8).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ekf<const N: usize> {
     /// Estimated state.
@@ -40,7 +41,8 @@ pub struct NotPositive;
 
 impl<const N: usize> Ekf<N> {
     /// Time update, (7.22) and (7.23): the state becomes `predicted` = f(state, control, 0), and
-    /// P = A P A' + W Q W' with A = `by_state`, W = `by_noise`, Q = `noise`.
+    /// P = A P A' + W Q W' with A = `by_state` and W = `by_noise`, Jacobians of (7.20)-(7.21), and Q = `noise`.
+    /// With constant A and W = 1 it is (7.9) and (7.10).
     pub fn predict<const W: usize>(
         &mut self,
         predicted: SVector<f64, N>,
@@ -55,7 +57,8 @@ impl<const N: usize> Ekf<N> {
     }
 
     /// Compares a measurement with the `expected` one, h(state, 0), and computes the gain,
-    /// K = P H' (H P H' + V R V')^-1 with H = `by_state`, V = `by_noise`, R = `noise`, (7.24).
+    /// K = P H' (H P H' + V R V')^-1, (7.24), with H = `by_state` and V = `by_noise`, Jacobians of (7.20)-(7.21), and
+    /// R = `noise`. With constant H and V = 1 it is (7.11).
     ///
     /// # Errors
     /// [`NotPositive`] when H P H' + V R V' has no Cholesky factor.
@@ -78,6 +81,7 @@ impl<const N: usize> Ekf<N> {
     }
 
     /// Measurement update, (7.25) and (7.26): state + K (z - h), and P = (1 - K H) P in Joseph's form.
+    /// With constant H it is (7.12) and (7.13).
     pub fn update<const M: usize>(&mut self, innovation: &Innovation<N, M>) {
         let Innovation { value, gain, by_state, noise, .. } = innovation;
         self.state += gain * value;

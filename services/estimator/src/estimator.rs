@@ -186,7 +186,7 @@ impl Estimator {
         self.state.restarts += 1;
     }
 
-    /// Time update (7.22), (7.23) from the last sample to this one.
+    /// Time update (7.22), (7.23) from the last sample to this one. The process f of (7.14)-(7.19) is the motion of the robot.
     fn predict(&mut self, odometry: &Odometry, dt: f64) {
         let mut filter = self.filter();
         let before = Planar { yaw: filter.state[0], x: filter.state[1], y: filter.state[2] };
@@ -273,7 +273,8 @@ impl Estimator {
         }
     }
 
-    /// The update with M of (yaw, x, y), and whether the measurement was used.
+    /// The update with M of (yaw, x, y), and whether the measurement was used. The measurement h of (7.14)-(7.19) selects
+    /// these states.
     fn update_with<const M: usize>(
         &mut self,
         indices: [usize; M],

@@ -55,7 +55,7 @@ pub fn motion_jacobian(dx: f64, dy: f64) -> Matrix3<f64> {
     Matrix3::new(1.0, 0.0, 0.0, -dy, 1.0, 0.0, dx, 0.0, 1.0)
 }
 
-/// The matrix (H; H A; H A^2), (7.2); rows of states that are not measured are zero.
+/// The matrix (H; H A; H A^2), (7.2), whose rank (7.1) asks for; rows of states that are not measured are zero.
 pub fn observability_matrix(measured: &[Measured], jacobian: &Matrix3<f64>) -> SMatrix<f64, 9, 3> {
     let mut output = Matrix3::zeros();
     for state in measured {

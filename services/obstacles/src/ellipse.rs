@@ -131,14 +131,15 @@ impl<'a> Sizing<'a> {
         Self { config, directions, along, across }
     }
 
-    /// The one ellipse of (7.35), its a enlarged where the body is long.
+    /// The one ellipse of a body: its centre, see the source note on (7.32) and (7.33), and b of (7.35).
     fn single(&self, rectangle: &Rectangle, [low, high]: &[Vector2<f64>; 2]) -> Ellipse {
         let width = high.y - low.y;
         let b = (width + 2.0 * self.config.safety_distance_m).max(1.03 * (width / 2.0 + self.across));
         self.ellipse((low + high) / 2.0, rectangle, b)
     }
 
-    /// The ellipse with semi-axis `b` that follows (7.35) and holds the rectangle with the distance to keep.
+    /// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to
+    /// keep.
     fn ellipse(&self, centre: Vector2<f64>, rectangle: &Rectangle, b: f64) -> Ellipse {
         let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
         let b = b.clamp(0.01, 80.0);

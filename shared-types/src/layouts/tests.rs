@@ -110,7 +110,7 @@ enum Mutation {
     Add,
 }
 
-/// A sample with one field changed, the name of that field, and what the difference has to say; `None` where the
+/// A sample with one field changed, the name of that field, and the message about the difference; `None` where the
 /// mutation makes no sense.
 fn mutated(topic: Topic, path: &[usize], mutation: Mutation) -> Option<(Layouts, String, &'static str)> {
     let mut sample = Node::sample(topic);

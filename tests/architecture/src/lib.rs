@@ -5,7 +5,10 @@
 //! that a macro makes. Code behind `#[cfg(test)]` does not count, nor what a module and its parent use of each other.
 
 pub mod circles;
+pub mod glossary;
+pub mod markdown;
 pub mod modules;
 pub mod packages;
 pub mod paths;
 pub mod resolve;
+pub mod rust_text;

@@ -1,27 +1,12 @@
 //! Words that certain code does not contain.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
 
-use crate::root;
+use crate::{files, root};
 
 /// All Rust sources below a folder, without build output.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     files(folder, ".rs")
-}
-
-fn files(folder: &Path, end: &str) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap().flatten() {
-        let path = entry.path();
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if path.is_dir() && name != "target" && !name.starts_with('.') {
-            found.extend(files(&path, end));
-        } else if name.ends_with(end) {
-            found.push(path);
-        }
-    }
-    found
 }
 
 fn within(path: &Path, folders: &[&str]) -> bool {
