@@ -6,15 +6,15 @@
 //! by the receiver. Both then count as compute of the stage, and as part of scan to actuation.
 //! What the real stages do beside the critical path, checkpoints after each scan, is left out.
 
-use std::rc::Rc;
-
 use commands::bench::latency::echo::PREFIX;
 use emulator::service::next_due;
-use runtime::{BlobInput, BlobOutput, Process, join};
+use runtime::{Process, join};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
     Truth,
 };
+
+use crate::payload::{Received, Sent};
 
 /// Runs the echo that `name` asks for until it is told to end; `None` when it asks for none.
 ///
@@ -176,33 +176,6 @@ fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// The payload that a stage sends, if there is one.
-struct Sent(Option<Rc<BlobOutput>>);
-
-/// The payload that a stage takes, if there is one.
-struct Received(Option<Rc<BlobInput>>);
-
-impl Sent {
-    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
-        Ok(Self(payload.map(|bytes| process.blob_output(topic, bytes)).transpose()?))
-    }
-
-    fn publish(&self, scan_id: u64) -> anyhow::Result<()> {
-        Ok(self.0.as_ref().map_or(Ok(()), |output| output.publish(scan_id))?)
-    }
-}
-
-impl Received {
-    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
-        Ok(Self(payload.map(|_| process.blob_input(topic)).transpose()?))
-    }
-
-    /// Whether the stage may answer: a scan whose payload is missing stays without an answer, and counts as lost.
-    fn take(&self, scan_id: u64) -> anyhow::Result<bool> {
-        Ok(self.0.as_ref().map_or(Ok(true), |input| input.take(scan_id))?)
-    }
 }
 
 #[cfg(test)]

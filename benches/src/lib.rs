@@ -8,6 +8,7 @@ mod allocations;
 mod empty_stages;
 mod lap;
 mod load;
+mod payload;
 mod round_trips;
 mod transport;
 

@@ -106,14 +106,9 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`] when the type or its length differs.
     pub fn state<S: Pod + Described>(&self) -> Result<S, CheckpointError> {
-        let expected = const { fingerprint(&S::KIND, FNV_OFFSET) };
-        if self.state_layout != expected {
-            return Err(CheckpointError::UnknownState { found: self.state_layout, expected });
-        }
-        if self.length as usize != size_of::<S>() {
-            return Err(CheckpointError::Length { found: self.length as usize, expected: size_of::<S>() });
-        }
-        Ok(bytemuck::pod_read_unaligned(&self.bytes[..size_of::<S>()]))
+        let bytes = self.state_bytes(const { fingerprint(&S::KIND, FNV_OFFSET) })?;
+        bytemuck::try_pod_read_unaligned(bytes)
+            .map_err(|_| CheckpointError::Length { found: bytes.len(), expected: size_of::<S>() })
     }
 }
 

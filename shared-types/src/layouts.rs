@@ -66,33 +66,22 @@ pub enum Deviation {
         mine: String,
     },
     /// It begins elsewhere [bytes].
-    Offset {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Offset(Both<usize>),
     /// It is of another type.
-    Type {
-        /// In the process.
-        mine: String,
-        /// In the system.
-        theirs: String,
-    },
+    Type(Both<String>),
     /// It has more or fewer elements.
-    Count {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Count(Both<usize>),
     /// An element has another size [bytes].
-    Size {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Size(Both<usize>),
+}
+
+/// Two values that should be the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Both<T> {
+    /// In the process.
+    pub mine: T,
+    /// In the system.
+    pub theirs: T,
 }
 
 impl Layouts {
@@ -141,46 +130,46 @@ pub fn difference(
 }
 
 fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Deviation)> {
-    // What is wrong with a struct as a whole is said only where nothing is wrong with its fields.
+    // A struct as a whole is reported only where none of its fields differs.
     let mut whole: Option<(&str, Deviation)> = None;
-    let said = |(field, what): (&str, Deviation)| Some((field.to_owned(), what));
+    let found = |(field, what): (&str, Deviation)| Some((field.to_owned(), what));
     for index in 0..mine.len().max(theirs.len()) {
         let (my, their) = (mine.get(index), theirs.get(index));
         let inside = |field: &str| [my, their].into_iter().flatten().any(|row| within(&row.field, field));
-        if let Some(found) = whole.take_if(|(field, _)| !inside(field)) {
-            return said(found);
+        if let Some(earlier) = whole.take_if(|(field, _)| !inside(field)) {
+            return found(earlier);
         }
         let (my, their) = match (my, their) {
             (Some(my), Some(their)) => (my, their),
-            (None, Some(their)) => return said((&their.field, Deviation::Missing)),
-            (Some(my), None) => return said((&my.field, Deviation::Extra)),
+            (None, Some(their)) => return found((&their.field, Deviation::Missing)),
+            (Some(my), None) => return found((&my.field, Deviation::Extra)),
             (None, None) => break,
         };
         if my.field != their.field {
-            return said(misplaced(my, their, mine, theirs));
+            return found(misplaced(my, their, mine, theirs));
         }
         let field = my.field.as_str();
-        let kinds = Deviation::Type { mine: my.kind.clone(), theirs: their.kind.clone() };
+        let kinds = Deviation::Type(Both { mine: my.kind.clone(), theirs: their.kind.clone() });
         let is_struct = |row: &LayoutRow| !SCALARS.contains(&row.kind.as_str());
         let both = is_struct(my) && is_struct(their);
         if my.kind != their.kind && !both {
-            return said((field, kinds));
+            return found((field, kinds));
         }
         if my.count != their.count {
-            return said((field, Deviation::Count { mine: my.count, theirs: their.count }));
+            return found((field, Deviation::Count(Both { mine: my.count, theirs: their.count })));
         }
         if my.offset != their.offset {
-            return said((field, Deviation::Offset { mine: my.offset, theirs: their.offset }));
+            return found((field, Deviation::Offset(Both { mine: my.offset, theirs: their.offset })));
         }
-        let sizes = Deviation::Size { mine: my.size, theirs: their.size };
+        let sizes = Deviation::Size(Both { mine: my.size, theirs: their.size });
         match (my.kind != their.kind, my.size != their.size) {
             (true, _) => whole = Some((field, kinds)),
             (_, true) if both => whole = Some((field, sizes)),
-            (_, true) => return said((field, sizes)),
+            (_, true) => return found((field, sizes)),
             _ => {}
         }
     }
-    whole.and_then(said)
+    whole.and_then(found)
 }
 
 /// Why two rows in one place have different names.
@@ -195,7 +184,9 @@ fn misplaced<'a>(
     };
     match (find(mine, their), find(theirs, my)) {
         // Both are there: they have changed places.
-        (Some(offset), Some(_)) => (&their.field, Deviation::Offset { mine: offset, theirs: their.offset }),
+        (Some(offset), Some(_)) => {
+            (&their.field, Deviation::Offset(Both { mine: offset, theirs: their.offset }))
+        }
         (Some(_), None) => (&my.field, Deviation::Extra),
         (None, Some(_)) => (&their.field, Deviation::Missing),
         (None, None) => (&their.field, Deviation::Renamed { mine: my.field.clone() }),
@@ -298,16 +289,16 @@ impl fmt::Display for Difference {
             Deviation::Missing => write!(formatter, "is missing in this process"),
             Deviation::Extra => write!(formatter, "is not in the samples of the system"),
             Deviation::Renamed { mine } => write!(formatter, "is called {mine} in this process"),
-            Deviation::Offset { mine, theirs } => {
+            Deviation::Offset(Both { mine, theirs }) => {
                 write!(formatter, "begins at byte {mine} in this process, at {theirs} in the system")
             }
-            Deviation::Type { mine, theirs } => {
+            Deviation::Type(Both { mine, theirs }) => {
                 write!(formatter, "is of type {mine} in this process, {theirs} in the system")
             }
-            Deviation::Count { mine, theirs } => {
+            Deviation::Count(Both { mine, theirs }) => {
                 write!(formatter, "has {mine} elements in this process, {theirs} in the system")
             }
-            Deviation::Size { mine, theirs } => {
+            Deviation::Size(Both { mine, theirs }) => {
                 write!(formatter, "has {mine} bytes in this process, {theirs} in the system")
             }
         }

@@ -58,11 +58,6 @@ impl Directive {
         topic.writer().map(|role| &self.authority[role.index()])
     }
 
-    /// Whether a sample of `role` for `scan_id` made by `incarnation` counts.
-    pub fn accepts(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
-        self.authority[role.index()].accepts(incarnation, scan_id)
-    }
-
     /// Whether the writer of a sample of `topic` is the one that counts for its scan.
     pub fn counts(&self, topic: Topic, header: &Header) -> bool {
         let authority = self.authority_over(topic);

@@ -53,9 +53,8 @@ impl Row {
         }
     }
 
-    /// Adds `weight` times the row.
-    fn add_to(&self, weight: f64, slopes: &mut [[f64; 7]]) {
-        let slope = &mut slopes[self.node];
+    /// Adds `weight` times the row to the slope of its node.
+    fn add_to(&self, weight: f64, slope: &mut [f64; 7]) {
         for (&place, factor) in self.places.iter().zip(self.factors) {
             slope[place] += weight * factor;
         }

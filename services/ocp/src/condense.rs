@@ -9,7 +9,6 @@
 //! Work grows with N^3; that is as fast as a Riccati recursion ([`crate::chain`]) at N = 6 and half as fast at N = 24.
 
 use crate::collocation::Collocation;
-use crate::curvature::Curvature;
 use crate::dense::refill;
 use crate::hessian::{Block, Point, bend};
 use crate::interval::Linearisation;
@@ -104,7 +103,8 @@ pub(crate) fn add_second_order(
     let ellipses = problem.ellipses.len();
     for node in 1..=count {
         let bend = bend(problem, collocation, Point { iterate, shooting }, multipliers, node - 1);
-        add_curvature(&bend, width, node, rows, hessian);
+        // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
+        add_product(&bend, [0, 2, 1], width, node - 1, rows, hessian);
         let mut bend = [0.0; 2];
         for (which, ellipse) in problem.ellipses.iter().enumerate() {
             let multiplier = multipliers.rows[ellipse_row(count, ellipses, node, which)];
@@ -131,7 +131,7 @@ pub(crate) fn condense_blocks(
     let width = 2 * problem.intervals.len();
     refill(hessian, width * width, 0.0);
     for (node, block) in blocks.iter().enumerate() {
-        add_block(block, width, node, rows, hessian);
+        add_product(block, [0, 1, 2, 3, 4], width, node, rows, hessian);
     }
     add_changes(problem, damping, hessian);
     mirror(hessian, width);
@@ -176,17 +176,6 @@ fn predict(rows: &mut [f64], width: usize, node: usize, interval: &Linearisation
         row[used] = interval.by_control[component][0];
         row[used + 1] = interval.by_control[component][1];
     }
-}
-
-/// Adds the curvature of the interval before `node`, in the rows of G at its start and its own controls.
-fn add_curvature(bend: &Curvature, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
-    // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
-    add_product(bend, [0, 2, 1], width, node - 1, rows, hessian);
-}
-
-/// Adds a block of the Hessian, in the rows of G at its node and the controls of its interval, to the lower triangle.
-fn add_block(block: &Block, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
-    add_product(block, [0, 1, 2, 3, 4], width, node, rows, hessian);
 }
 
 /// Adds second derivatives by these components of the state at `node`, then by the controls after it.

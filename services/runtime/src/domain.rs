@@ -78,8 +78,7 @@ impl Domain {
     /// # Errors
     /// As [`Domain::create`].
     pub fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
-        check_id(system_id)?;
-        place::mark_stopped(system_id)
+        place::make()?.write(&mark(system_id)?, b"")
     }
 
     /// Takes the mark of [`Domain::mark_stopped`] away; whether there was one.
@@ -87,8 +86,10 @@ impl Domain {
     /// # Errors
     /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
     pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
-        check_id(system_id)?;
-        place::take_mark(system_id)
+        let name = mark(system_id)?;
+        let marked: Vec<Folder> = place::all()?.into_iter().filter(|place| place.contains(&name)).collect();
+        marked.iter().try_for_each(|place| place.remove(&name))?;
+        Ok(!marked.is_empty())
     }
 
     /// All systems of this user that have a directory.
@@ -276,6 +277,11 @@ pub fn remove_bus_files_of(run_id: &str) -> Result<(), RuntimeError> {
 /// `_` ends the run id in file names, so that no prefix is the beginning of another.
 fn prefix(run_id: &str) -> String {
     format!("scanloop-{run_id}_")
+}
+
+/// Name of the mark of a system that was stopped and whose orchestrator had to be killed; no id has a dot.
+fn mark(system_id: &str) -> Result<String, RuntimeError> {
+    check_id(system_id).map(|()| format!("{system_id}.stopped"))
 }
 
 /// The limit keeps lists readable; the letters keep an id one component of a path.

@@ -1,9 +1,11 @@
 //! What can go wrong between a process and the bus.
 
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use shared_types::{Difference, Role, Topic};
 
+use crate::Domain;
 use crate::shared_memory::Shortage;
 
 /// An error of the bus or of its surroundings.
@@ -110,6 +112,10 @@ pub enum RuntimeError {
 impl RuntimeError {
     pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {
         Self::File { path: path.into(), source: source.into() }
+    }
+
+    pub(crate) fn settings(domain: &Domain, file: impl AsRef<Path>, reason: impl Display) -> Self {
+        Self::Settings { path: domain.directory().join(file), reason: reason.to_string() }
     }
 
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {

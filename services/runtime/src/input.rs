@@ -10,8 +10,8 @@ use shared_types::{Fault, Sample};
 
 use crate::enclosed::Enclosed;
 use crate::port::Received;
-use crate::sample_type::{SampleType, view};
 use crate::shared::Shared;
+use crate::view::view;
 use crate::{Bus, RuntimeError};
 
 pub use self::reader::KEPT;
@@ -55,7 +55,7 @@ impl<S: Sample> Input<S> {
 
     /// The input of a process, or of a test of one.
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
-        Ok(Self::of(Enclosed::new(Rc::new(Reader::new(bus, shared, SampleType::of::<S>())?))))
+        Ok(Self::of(Enclosed::new(Rc::new(Reader::new(bus, shared, S::TYPE)?))))
     }
 
     /// The reader of this input.

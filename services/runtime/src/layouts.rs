@@ -1,6 +1,6 @@
 //! The layouts of a system beside its bus, so that a process built against others is refused before it joins.
 
-use shared_types::{Layouts, Role, difference, topics_of};
+use shared_types::{Layouts, NotALayout, Role, difference, topics_of};
 
 use crate::{Domain, RuntimeError};
 
@@ -21,10 +21,8 @@ pub fn verify_layouts(role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
 
 pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
     let text = domain.folder().read_text(LAYOUTS_FILE)?;
-    let theirs: Layouts = text.parse().map_err(|error| RuntimeError::Settings {
-        path: domain.directory().join(LAYOUTS_FILE),
-        reason: format!("{error}"),
-    })?;
+    let theirs: Layouts =
+        text.parse().map_err(|error: NotALayout| RuntimeError::settings(domain, LAYOUTS_FILE, error))?;
     difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
 }
 
@@ -56,7 +54,7 @@ mod tests {
             panic!("not refused")
         };
         assert_eq!((found.topic.as_str(), found.field.as_str()), ("pose", "nis"));
-        assert!(matches!(found.what, Deviation::Offset { .. }));
+        assert!(matches!(found.what, Deviation::Offset(_)));
         assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot has no part in it");
         domain.folder().write(LAYOUTS_FILE, b"nonsense").unwrap();
         assert!(matches!(verify(&domain, Role::Robot, &mine), Err(RuntimeError::Settings { .. })));

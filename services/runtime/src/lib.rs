@@ -26,7 +26,6 @@
 
 mod alarm;
 mod bell;
-mod blob;
 mod bus;
 mod clock;
 mod counters;
@@ -54,7 +53,6 @@ mod qos;
 mod realtime;
 mod refusals;
 mod reserve;
-mod sample_type;
 mod settings;
 mod shared;
 mod shared_memory;
@@ -63,10 +61,10 @@ mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
+mod view;
 mod waiter;
 mod wake;
 
-pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};

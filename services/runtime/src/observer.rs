@@ -5,13 +5,13 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 
 use bytemuck::{bytes_of, bytes_of_mut};
-use shared_types::{Fault, Sample};
+use shared_types::{Fault, Sample, SampleType};
 
 use crate::bell::{Bells, bit};
 use crate::enclosed::Enclosed;
 use crate::port::{BytePublisher, ByteSubscriber, Received};
 use crate::qos::qos;
-use crate::sample_type::{SampleType, view};
+use crate::view::view;
 use crate::waiter::{Ringer, Waiter};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
@@ -30,7 +30,7 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Source::open(bus, SampleType::of::<S>(), false).map(|source| Self(source, PhantomData))
+        Source::open(bus, S::TYPE, false).map(|source| Self(source, PhantomData))
     }
 
     /// Looks at the topic and can be slept on, see [`Observer::wait`].
@@ -38,7 +38,7 @@ impl<S: Sample> Observer<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
-        Source::open(bus, SampleType::of::<S>(), true).map(|source| Self(source, PhantomData))
+        Source::open(bus, S::TYPE, true).map(|source| Self(source, PhantomData))
     }
 
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
@@ -178,7 +178,7 @@ impl<S: Sample> Publisher<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Sender::open(bus, SampleType::of::<S>()).map(|sender| Self(sender, PhantomData))
+        Sender::open(bus, S::TYPE).map(|sender| Self(sender, PhantomData))
     }
 
     /// Publishes, and wakes the readers when `wake`. Layout and sequence are filled here.
@@ -225,7 +225,7 @@ impl Sender {
         let error = |reason: &dyn std::fmt::Debug| {
             RuntimeError::bus(format!("publish topic {}", self.of.topic), reason)
         };
-        let mut place = self.publisher.loan(1).map_err(|reason| error(&reason))?;
+        let mut place = self.publisher.loan().map_err(|reason| error(&reason))?;
         place.bytes().copy_from_slice(sample);
         place.send().map_err(|reason| error(&reason))?;
         if wake {

@@ -9,8 +9,8 @@ use bytemuck::bytes_of_mut;
 use shared_types::Sample;
 
 use crate::enclosed::Enclosed;
-use crate::sample_type::{SampleType, view_mut};
 use crate::shared::Shared;
+use crate::view::view_mut;
 use crate::{Bus, RuntimeError};
 
 pub(crate) use self::writer::{Connect, Writer, may_write};
@@ -26,7 +26,7 @@ impl<S: Sample> Output<S> {
 
     /// The output of a process, or of a test of one.
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
-        Ok(Self::of(Enclosed::new(Rc::new(Writer::new(bus, shared, SampleType::of::<S>())?))))
+        Ok(Self::of(Enclosed::new(Rc::new(Writer::new(bus, shared, S::TYPE)?))))
     }
 
     /// The writer of this output.

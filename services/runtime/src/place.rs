@@ -110,24 +110,6 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
     }))
 }
 
-/// Name of the mark of a system that was stopped and whose orchestrator had to be killed; no id has a dot.
-fn mark(system_id: &str) -> String {
-    format!("{system_id}.stopped")
-}
-
-/// Leaves a mark that a system was stopped.
-pub(crate) fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
-    make()?.write(&mark(system_id), b"")
-}
-
-/// Takes the mark away; whether there was one.
-pub(crate) fn take_mark(system_id: &str) -> Result<bool, RuntimeError> {
-    let name = mark(system_id);
-    let marked: Vec<Folder> = all()?.into_iter().filter(|place| place.contains(&name)).collect();
-    marked.iter().try_for_each(|place| place.remove(&name))?;
-    Ok(!marked.is_empty())
-}
-
 /// All places in which systems may be, those that are not private left out.
 ///
 /// # Errors

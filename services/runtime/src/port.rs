@@ -20,10 +20,10 @@ use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::publish_subscribe;
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
-use shared_types::Topic;
+use shared_types::{SampleType, Topic};
 
 use crate::RuntimeError;
-use crate::sample_type::SampleType;
+use crate::qos::qos;
 
 /// A service for samples.
 pub(crate) type Samples =
@@ -35,11 +35,6 @@ pub(crate) type SamplesBuilder = Builder<[CustomPayloadMarker], CustomHeaderMark
 pub(crate) fn of_samples(of: &SampleType) -> Result<TypeDetail, RuntimeError> {
     TypeDetail::__internal_new_from_parts(TypeVariant::FixedSize, of.name, of.size, of.alignment)
         .map_err(|reason| RuntimeError::bus(format!("describe samples of topic {}", of.topic), reason))
-}
-
-/// How a service describes any number of bytes.
-pub(crate) fn of_bytes() -> TypeDetail {
-    TypeDetail::new::<u8>(TypeVariant::Dynamic)
 }
 
 /// What makes or opens the service of a name, for samples without a header of the user.
@@ -65,21 +60,20 @@ pub(crate) struct BytePublisher {
 }
 
 impl BytePublisher {
-    /// A port that lends one place at a time, of at most `longest` elements.
-    pub(crate) fn new(service: Samples, longest: usize) -> Result<Self, PublisherCreateError> {
+    /// A port that lends one place at a time.
+    pub(crate) fn new(service: Samples) -> Result<Self, PublisherCreateError> {
         let port = service
             .publisher_builder()
-            .initial_max_slice_len(longest)
             .max_loaned_samples(1)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()?;
         Ok(Self { port, service })
     }
 
-    /// The place of the next sample, which has `elements`: one, or so many bytes.
-    pub(crate) fn loan(&self, elements: usize) -> Result<Loan, LoanError> {
-        // SAFETY: services of samples have one element each; more are asked for where the service carries bytes.
-        unsafe { self.port.loan_custom_payload(elements) }.map(Loan)
+    /// The place of the next sample.
+    pub(crate) fn loan(&self) -> Result<Loan, LoanError> {
+        // SAFETY: samples have one element each.
+        unsafe { self.port.loan_custom_payload(1) }.map(Loan)
     }
 
     /// Makes this end of all connections; one that fails is tried again at the next send.
@@ -123,20 +117,16 @@ impl Loan {
 pub(crate) struct ByteSubscriber {
     port: subscriber::Subscriber<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
     topic: Topic,
-    /// Of each sample, where all have the same [bytes].
-    size: Option<usize>,
+    /// Size of each sample [bytes].
+    size: usize,
 }
 
 impl ByteSubscriber {
-    /// A port that asks for `history` samples of the past.
-    pub(crate) fn new(
-        service: &Samples,
-        history: usize,
-        topic: Topic,
-        size: Option<usize>,
-    ) -> Result<Self, SubscriberCreateError> {
+    /// A port that also receives as many earlier samples as the topic keeps.
+    pub(crate) fn new(service: &Samples, of: &SampleType) -> Result<Self, SubscriberCreateError> {
+        let history = qos(of.topic).history;
         let port = service.subscriber_builder().history_request(history).create()?;
-        Ok(Self { port, topic, size })
+        Ok(Self { port, topic: of.topic, size: of.size })
     }
 
     /// The next sample. One that says of itself that it has another size is none: its publisher is damaged.
@@ -164,7 +154,7 @@ impl ByteSubscriber {
     fn next(&self) -> Result<Option<Received>, ReceiveError> {
         while let Some(sample) = self.port.receive()? {
             let sample = Received::new(sample);
-            if self.size.is_none_or(|size| sample.len() == size) {
+            if sample.len() == self.size {
                 return Ok(Some(sample));
             }
         }

@@ -7,10 +7,11 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
+use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
-    Topic,
+    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
+    StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -24,7 +25,6 @@ use crate::input::{Input, Reader};
 use crate::orphan::Janitor;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::reserve::require_room;
-use crate::sample_type::SampleType;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
@@ -211,7 +211,7 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when the role does not read it, and errors of the bus.
     pub fn input<S: Sample>(&mut self) -> Result<Input<S>, RuntimeError> {
-        self.open_input(SampleType::of::<S>()).map(Input::of)
+        self.open_input(S::TYPE).map(Input::of)
     }
 
     fn open_input(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Reader>>, RuntimeError> {
@@ -230,7 +230,7 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when another role writes it, and errors of the bus.
     pub fn output<S: Sample>(&mut self) -> Result<Rc<Output<S>>, RuntimeError> {
-        self.open_output(SampleType::of::<S>()).map(|writer| Rc::new(Output::of(writer)))
+        self.open_output(S::TYPE).map(|writer| Rc::new(Output::of(writer)))
     }
 
     fn open_output(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Writer>>, RuntimeError> {
@@ -243,14 +243,14 @@ impl Process {
         Ok(Enclosed::new(writer))
     }
 
-    /// The bus of this process.
-    pub(crate) fn bus(&self) -> &Bus {
-        &self.bus
+    /// The node of this process on the bus, for services beside the topics: a bench has some.
+    pub fn node(&self) -> &Node<ipc::Service> {
+        self.bus.node()
     }
 
-    /// Makes one more end of connections when the start barrier says so.
-    pub(crate) fn connects(&mut self, end: Rc<dyn Connect>) {
-        self.outputs.push(end);
+    /// Calls `connect` where [`Process::start`] connects the ports, and before inputs are due: for ports of other services.
+    pub fn on_connect(&mut self, connect: impl Fn() + 'static) {
+        self.outputs.push(Rc::new(connect));
     }
 
     /// Waits until all processes have opened their ports and all connections are made; false when asked to end.

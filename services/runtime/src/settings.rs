@@ -54,10 +54,7 @@ pub struct RunSettings {
 pub(crate) fn read(domain: &Domain, role: Role) -> Result<toml::Table, RuntimeError> {
     let name = settings_file(role);
     let text = domain.folder().read_text(&name)?;
-    text.parse().map_err(|error: toml::de::Error| RuntimeError::Settings {
-        path: domain.directory().join(name),
-        reason: error.to_string(),
-    })
+    text.parse().map_err(|error: toml::de::Error| RuntimeError::settings(domain, name, error))
 }
 
 /// One table of the file as settings of type `T`; a table that is absent reads as empty.
@@ -67,16 +64,7 @@ pub(crate) fn table<T: DeserializeOwned>(
     all: &toml::Table,
     name: &str,
 ) -> Result<T, RuntimeError> {
-    T::deserialize(value(all, name)).map_err(|error| misfit(domain, role, name, &error))
-}
-
-fn value(all: &toml::Table, name: &str) -> toml::Value {
-    all.get(name).cloned().unwrap_or_else(|| toml::Value::Table(toml::Table::new()))
-}
-
-fn misfit(domain: &Domain, role: Role, name: &str, error: &toml::de::Error) -> RuntimeError {
-    RuntimeError::Settings {
-        path: domain.directory().join(settings_file(role)),
-        reason: format!("{name}: {error}"),
-    }
+    let value = all.get(name).cloned().unwrap_or_else(|| toml::Table::new().into());
+    T::deserialize(value)
+        .map_err(|error| RuntimeError::settings(domain, settings_file(role), format_args!("{name}: {error}")))
 }

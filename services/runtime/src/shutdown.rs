@@ -45,13 +45,10 @@ impl Shutdown {
     /// # Errors
     /// As [`Shutdown::on_signals`].
     pub fn latch_also(&self, word: &StopWord) -> Result<(), RuntimeError> {
-        for &signal in self.signals {
-            let word = word.clone();
-            // SAFETY: latching reads a clock and stores two words of mapped memory; it takes no lock, allocates nothing and
-            // does not unwind. The closure keeps the memory mapped.
-            let registered = unsafe { signal_hook::low_level::register(signal, move || word.latch()) };
-            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
-        }
+        let latched = word.clone();
+        // SAFETY: latching reads a clock and stores two words of mapped memory; it takes no lock, allocates nothing and
+        // does not unwind. The closure keeps the memory mapped.
+        unsafe { self.call_also(move || latched.latch()) }?;
         if self.requested() {
             word.latch();
         }
@@ -76,15 +73,27 @@ impl Shutdown {
     /// Lets the signals ring the bell of a role as well, after the flag is set: whoever looks at the bell and then at
     /// the flag can't sleep through a signal, whenever it comes.
     pub(crate) fn ring_also(&self, bells: &Arc<Bells>, role: Role) -> Result<(), RuntimeError> {
-        for &signal in self.signals {
-            let bells = Arc::clone(bells);
-            // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
-            // allocates nothing and does not unwind. The closure keeps the memory mapped.
-            let registered =
-                unsafe { signal_hook::low_level::register(signal, move || bells.role(role).ring_all()) };
-            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
-        }
-        Ok(())
+        let bells = Arc::clone(bells);
+        // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
+        // allocates nothing and does not unwind. The closure keeps the memory mapped.
+        unsafe { self.call_also(move || bells.role(role).ring_all()) }
+    }
+
+    /// Calls `action` from the handlers of the signals as well.
+    ///
+    /// # Safety
+    /// `action` must do only what a signal handler may do.
+    unsafe fn call_also(
+        &self,
+        action: impl Fn() + Clone + Send + Sync + 'static,
+    ) -> Result<(), RuntimeError> {
+        self.signals.iter().try_for_each(|signal| {
+            // SAFETY: the caller's promise.
+            let registered = unsafe { signal_hook::low_level::register(*signal, action.clone()) };
+            registered
+                .map(|_| ())
+                .map_err(|source| RuntimeError::System { action: "listen to signals", source })
+        })
     }
 
     /// Whether a signal has come.

@@ -65,7 +65,8 @@ impl Chain {
                 return false;
             }
             for (&row, &multiplier) in self.equations.iter().zip(&self.multipliers) {
-                self.rows[row].add_to(multiplier, &mut self.sums);
+                let row = &self.rows[row];
+                row.add_to(multiplier, &mut self.sums[row.node]);
             }
             self.riccati.solve(intervals, &self.sums, &self.held, Some(&shooting.gaps), &mut self.path);
         }
@@ -91,7 +92,7 @@ impl Chain {
         for (index, (row, state)) in self.rows.iter().zip(&solution.row_states).enumerate() {
             if let Some((sign, limit)) = state.beyond([row.lower, row.upper]) {
                 row.add_square(bend, &mut self.blocks);
-                row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums);
+                row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums[row.node]);
             } else if *state != RowState::Inside {
                 self.equations.push(index);
                 let block = &self.blocks[row.node];
@@ -100,7 +101,7 @@ impl Chain {
                 let weight = square_weight * size / square.max(1e-6);
                 let limit = if *state == RowState::AtLower { row.lower } else { row.upper };
                 row.add_square(weight, &mut self.blocks);
-                row.add_to(-weight * limit, &mut self.sums);
+                row.add_to(-weight * limit, &mut self.sums[row.node]);
             }
         }
     }
@@ -114,9 +115,7 @@ impl Chain {
         for (response, &row) in self.responses.iter_mut().zip(&self.equations) {
             let row = &self.rows[row];
             let mut slope = [0.0; 7];
-            for (&place, factor) in row.places.iter().zip(row.factors) {
-                slope[place] += factor;
-            }
+            row.add_to(1.0, &mut slope);
             self.riccati.respond(&shooting.intervals, row.node, &slope, response);
         }
         self.schur.clear();

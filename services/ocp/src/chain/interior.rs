@@ -277,7 +277,7 @@ impl Chain {
             let slope = side.slope();
             match side.owner {
                 Owner::Control(place) => self.sums[place / 2][5 + place % 2] += slope,
-                Owner::Row(row) => self.rows[row].add_to(slope, &mut self.sums),
+                Owner::Row(row) => self.rows[row].add_to(slope, &mut self.sums[self.rows[row].node]),
             }
         }
         self.riccati.solve(&shooting.intervals, &self.sums, &self.held, None, &mut self.path);

@@ -6,7 +6,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use shared_types::{
-    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, Topic,
+    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, SampleType,
+    Topic,
 };
 
 use crate::bell::Bells;
@@ -14,7 +15,6 @@ use crate::enclosed::Enclosed;
 use crate::port::{ByteSubscriber, Received};
 use crate::qos::{Qos, qos};
 use crate::refusals::Refusals;
-use crate::sample_type::SampleType;
 use crate::shared::Shared;
 use crate::waiter::Waiter;
 use crate::{Bus, RuntimeError};

@@ -4,12 +4,11 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Actuation, Role, Topic};
+use shared_types::{Actuation, Role, SampleType, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
 use crate::port::{BytePublisher, Loan};
-use crate::sample_type::SampleType;
 use crate::shared::Shared;
 use crate::waiter::Ringer;
 use crate::{Bus, RuntimeError};
@@ -97,7 +96,7 @@ impl Writer {
         self.ringer.ring();
         let mut next = self.next.borrow_mut();
         if next.is_none() {
-            *next = self.publisher.loan(1).ok();
+            *next = self.publisher.loan().ok();
         }
     }
 
@@ -111,7 +110,7 @@ impl Writer {
     fn loan(&self) -> Result<Loan, RuntimeError> {
         match self.next.borrow_mut().take() {
             Some(place) => Ok(place),
-            None => self.publisher.loan(1).map_err(|reason| self.error("loan", reason)),
+            None => self.publisher.loan().map_err(|reason| self.error("loan", reason)),
         }
     }
 
@@ -145,6 +144,12 @@ pub(crate) trait Connect {
     }
 }
 
+impl<F: Fn()> Connect for F {
+    fn connect(&self) {
+        self();
+    }
+}
+
 impl Connect for Writer {
     fn connect(&self) {
         self.publisher.connect();
@@ -159,7 +164,7 @@ impl Connect for Writer {
         self.connect();
         let mut next = self.next.borrow_mut();
         *next = None;
-        if let Ok(mut place) = self.publisher.loan(1) {
+        if let Ok(mut place) = self.publisher.loan() {
             warm(place.bytes());
             *next = Some(place);
         }

@@ -1,11 +1,8 @@
 //! How the stages that compute nothing are called: services of the instrument, one per role.
 
-use shared_types::{Role, Topic};
+use shared_types::Role;
 
-/// The topics whose samples carry a payload beside them, in the order of the chain.
-pub const PAYLOAD_TOPICS: [Topic; 4] = [Topic::Odometry, Topic::Pose, Topic::Obstacles, Topic::Command];
-
-/// Startup of the names of these services; the role follows, and after a colon the bytes of the payload.
+/// Start of the names of these services; the role follows, and after a colon the bytes of the payload.
 pub const PREFIX: &str = "echo-";
 
 /// Arguments that make the instrument the echo of a role.
