@@ -1,13 +1,14 @@
-//! The quadratic program of one iteration with its node states: a chain of stages, solved in time linear in their number.
+//! The quadratic program of one iteration with its node states: a chain of stages, solved in time linear in their
+//! number.
 //!
 //! It is the program of [`crate::qp`] before the states are eliminated:
 //!
-//! minimise sum over nodes of 1/2 (x, u)' B (x, u) + q' (x, u) + sum over intervals of d (u - u of the interval before)^2
-//! subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
+//! minimise sum over nodes of 1/2 (x, u)' B (x, u) + q' (x, u) + sum over intervals of d (u - u of the interval
+//! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
-//! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds which,
-//! [`interior`] is called where that goes round in circles, and [`newton`] makes the step with the exact Hessian. Rows and controls are numbered as in the condensed
-//! program, so that both write the same kind of solution.
+//! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
+//! which, [`interior`] is called where that goes round in circles, and [`newton`] makes the step with the exact
+//! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
 mod interior;
@@ -164,7 +165,8 @@ impl Chain {
             return true;
         }
         self.solve_interior(shooting, blocks, solution) && {
-            // The interior point is exact up to its tolerance; where its active set is right, so is the search's answer.
+            // The interior point is exact up to its tolerance; where its active set is right, so is the search's
+            // answer.
             let mut exact = std::mem::take(&mut self.exact);
             exact.copy_from(solution);
             if self.search(shooting, blocks, &mut exact, ROUNDS) {

@@ -1,8 +1,7 @@
 //! The services of one system on iceoryx2: created in one place, opened everywhere else.
 //!
-//! Only the orchestrator creates, so a process that starts first can't create a topic with other sizes, and
-//! the order of starts is irrelevant. A service lives as long as anyone has it open, so it outlives the
-//! orchestrator that created it.
+//! Only the orchestrator creates topics. So no process can create one with other sizes, and the order of starts does
+//! not matter. A service lives as long as any process has it open, so it outlives the orchestrator that created it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,7 +19,7 @@ use crate::{Domain, RuntimeError, layouts, node};
 
 pub(crate) type Events = event::PortFactory<ipc::Service>;
 
-/// How long to retry opening a service that another process is just cleaning up.
+/// How long to retry opening a service that another process is cleaning up.
 const OPEN_RETRY: Duration = Duration::from_secs(5);
 
 /// One process's access to the services of its system.
@@ -29,27 +28,27 @@ pub struct Bus {
     domain: Domain,
     node: Enclosed<Node<ipc::Service>>,
     bells: Arc<Bells>,
-    /// Services that exist for as long as this value does.
+    /// Services that exist as long as this value.
     held: Vec<Enclosed<(Samples, Option<Events>)>>,
 }
 
 impl Bus {
-    /// Creates all services of the system and keeps them for as long as the value lives: the orchestrator.
+    /// Creates all services of the system and keeps them as long as the value lives: for the orchestrator.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when a system does not fit, [`RuntimeError::Bus`] when iceoryx2 refuses, and
     /// [`RuntimeError::File`] when the layouts of the samples can't be written.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
-        // Freed at once: what follows takes it piece by piece.
+        // Checked as a whole and freed at once; the services then take it piece by piece.
         Reserve::take(Reserve::of_a_system())?;
         Self::create_empty(domain)?.with_topics(false)
     }
 
-    /// Opens the services of a system that lost its orchestrator, and creates those that nobody keeps any more.
+    /// Opens the services of an orphaned system, and creates those that no process keeps open.
     ///
     /// # Errors
-    /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when iceoryx2
-    /// refuses.
+    /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when
+    /// iceoryx2 refuses.
     pub fn take_over(domain: &Domain) -> Result<Self, RuntimeError> {
         let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
         layouts::verify_all(domain)?;
@@ -80,20 +79,21 @@ impl Bus {
     /// Joins the system as `name`; services are opened, never created.
     ///
     /// # Errors
-    /// [`RuntimeError::SharedMemory`] when there is no room for its ports, and [`RuntimeError::Bus`] when iceoryx2 refuses.
+    /// [`RuntimeError::SharedMemory`] when there is no room for its ports, and [`RuntimeError::Bus`] when iceoryx2
+    /// refuses.
     pub fn open(domain: &Domain, name: &str) -> Result<Self, RuntimeError> {
         Self::join(domain, name, Bells::open(domain)?)
     }
 
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
-        // The processes that run make their ends of its connections: without room they would be ended by SIGBUS.
+        // Running processes make their ends of its connections: without room SIGBUS would end them.
         require_room(None)?;
         let node = Enclosed::new(node::join(domain, name)?);
         Ok(Self { domain: domain.clone(), node, bells, held: Vec::new() })
     }
 
-    /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
-    /// later. To be called once the ports of a process are open.
+    /// Allocates the shared memory of all ports opened until now, so that none of them runs out of it later. Call it
+    /// when the ports of a process are open.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when there is no room.
@@ -101,7 +101,7 @@ impl Bus {
         allocate_files(&self.domain)
     }
 
-    /// Frees what processes that died have left on the bus; returns how many were cleaned up.
+    /// Frees what dead processes have left on the bus; returns how many were cleaned up.
     pub fn clean_up_dead_processes(&self) -> u64 {
         remove_empty_files(&self.domain);
         self.node.try_cleanup_dead_nodes().cleanups
@@ -129,8 +129,8 @@ impl Bus {
         retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 
-    /// Creates the topic of `S` with room for `readers` instead of the usual number, because large samples times many
-    /// readers are much memory; keeps it for as long as the value lives.
+    /// Creates the topic of `S` with room for `readers` instead of the usual number, which saves memory where samples
+    /// are large; keeps it as long as the value lives.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
@@ -194,7 +194,7 @@ fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
     ServiceName::new(topic.name()).map_err(|reason| RuntimeError::bus("name a topic", reason))
 }
 
-/// Opening can collide with a clean-up by another process; that passes.
+/// Retries, because opening can collide with a clean-up by another process.
 fn retry<T, E>(mut open: impl FnMut() -> Result<T, E>) -> Result<T, E> {
     let started = Instant::now();
     loop {

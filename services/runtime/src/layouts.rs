@@ -1,4 +1,4 @@
-//! The layouts of a system beside its bus, so that a process built against others is refused before it joins.
+//! The layouts of a system in a file, so that a process built against others is refused before it joins.
 
 use shared_types::{Layouts, NotALayout, Role, difference, topics_of};
 
@@ -9,7 +9,7 @@ pub const LAYOUTS_FILE: &str = "layouts.txt";
 
 /// Compares the layouts that a process of `role` was built with to those of the system that started it.
 ///
-/// [`crate::Process::attach`] does this with the layouts of this crate; a library for another language does it also
+/// [`crate::Process::attach`] does this with the layouts of this crate. A library for another language also does it
 /// with those of the program that uses it.
 ///
 /// # Errors
@@ -55,7 +55,7 @@ mod tests {
         };
         assert_eq!((found.topic.as_str(), found.field.as_str()), ("pose", "nis"));
         assert!(matches!(found.what, Deviation::Offset(_)));
-        assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot has no part in it");
+        assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot does not use it");
         domain.folder().write(LAYOUTS_FILE, b"nonsense").unwrap();
         assert!(matches!(verify(&domain, Role::Robot, &mine), Err(RuntimeError::Settings { .. })));
         domain.remove().unwrap();

@@ -1,6 +1,6 @@
-//! Everything a process of the loop shares with the others: bus, clock, wake-up, start barrier, heartbeat.
+//! What all processes of the loop have in common: bus, clock, wake-up, start barrier, heartbeat.
 //!
-//! This is the only crate that knows iceoryx2. A process of one's own is this much:
+//! This is the only product crate that uses iceoryx2. A complete process of your own:
 //!
 //! ```no_run
 //! use runtime::Process;
@@ -21,8 +21,8 @@
 //! }
 //! ```
 //!
-//! What the process never has to do: wait without a time-out, check layouts, drop samples of a producer that
-//! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
+//! [`Process`] does the rest: it waits with a time-out, checks layouts, drops and counts samples of processes that are
+//! not in charge, copies stamps, and handles signals.
 
 mod alarm;
 mod bell;
@@ -80,7 +80,7 @@ pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
     started_processes, uid_of,
 };
-pub use input::{Input, KEPT, Taken, join};
+pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Publisher};

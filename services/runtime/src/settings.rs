@@ -16,13 +16,13 @@ pub fn settings_table(role: Role) -> &'static str {
     if role == Role::Robot { "scenario" } else { role.name() }
 }
 
-/// Which time the loop lives in.
+/// The time of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockKind {
     /// CLOCK_MONOTONIC: driving in real time.
     Monotonic,
-    /// Time moves with the samples: lock-step.
+    /// Time moves with the samples, in lock-step.
     Simulated,
 }
 

@@ -1,9 +1,10 @@
-//! The active set of the chain by a primal-dual search: solve with the present set, then correct it everywhere at once.
+//! The active set of the chain by a primal-dual search: solve with the present set, then correct it everywhere at
+//! once.
 //!
-//! Controls in the set are held at their bounds, rows beyond a limit are penalties, rows at a limit are equations. The
-//! first two cost nothing in the recursion; the equations are solved for by their Schur complement, one linear solve each,
-//! and there are few: a path touches an ellipse at some nodes only. From a good start one to three rounds are enough, and
-//! the answer is exact. There is no proof that the rounds end; the caller limits them.
+//! Controls in the set are held at their bounds, rows beyond a limit are penalties, rows at a limit are equations.
+//! The first two cost nothing in the recursion; the equations are solved for by their Schur complement, one linear
+//! solve each, and there are few: a path touches an ellipse at some nodes only. From a good start one to three rounds
+//! are enough, and the answer is exact. There is no proof that the rounds end; the caller limits them.
 
 use super::Chain;
 use crate::dense::{cholesky, fill, solve_factored};
@@ -136,8 +137,8 @@ impl Chain {
     /// Corrects the states in `solution` wherever the path contradicts them; true where it did nowhere. Multipliers of
     /// the present set are filled in.
     ///
-    /// Where neighbouring nodes exceed the same limit only the worst of them joins: a path that is pushed out at one node
-    /// is out at the next, and equations at all of them would leave it no freedom.
+    /// Where neighbouring nodes exceed the same limit only the worst of them joins: a path that is pushed out at one
+    /// node is out at the next, and equations at all of them would leave it no freedom.
     fn correct_set(&mut self, solution: &mut QpSolution) -> bool {
         let mut right = true;
         self.find_violations(solution);

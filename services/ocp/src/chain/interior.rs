@@ -334,7 +334,8 @@ impl Chain {
         sum / f64::max(count, 1.0)
     }
 
-    /// Reads solution and active set off the last point: a constraint is active when its multiplier exceeds its distance.
+    /// Reads solution and active set off the last point: a constraint is active when its multiplier exceeds its
+    /// distance.
     fn finish_interior(&mut self, solution: &mut QpSolution) {
         self.write(&self.point, solution);
         for side in &self.sides {
