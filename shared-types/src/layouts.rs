@@ -1,11 +1,11 @@
 //! The layouts of all samples as a table that crosses process borders, and the first difference between two.
 //!
-//! The bus compares name, size and alignment of a type only, so two fields that have changed places would go
-//! unnoticed. Therefore the orchestrator writes its table beside the bus and each process compares its own, which its
-//! compiler made, before it joins.
+//! The bus compares only name, size and alignment of a type, so it would accept two exchanged fields. Therefore the
+//! orchestrator writes its table into the directory of the system. Each process compares it with the table of its own
+//! compiler before it joins.
 //!
-//! One row is one field; a struct comes before its fields, and of an array the first element stands for all. Where
-//! this fails: a field that has kept name, place and type but means something else is not found.
+//! One row is one field. A struct comes before its fields, and the first element of an array stands for all. A change
+//! of meaning alone, with the same name, place and type, is not detected.
 
 use std::fmt;
 use std::str::FromStr;
@@ -27,11 +27,11 @@ pub struct LayoutRow {
     pub field: String,
     /// `u8`, `u16`, `u32`, `u64`, `i32`, `f64`, or the name of a struct.
     pub kind: String,
-    /// Number of elements, 1 for what is no array.
+    /// Number of elements, 1 for no array.
     pub count: usize,
     /// Size of one element [bytes].
     pub size: usize,
-    /// Offset from the beginning of the sample [bytes].
+    /// Offset from the start of the sample [bytes].
     pub offset: usize,
 }
 
@@ -183,7 +183,7 @@ fn misplaced<'a>(
         rows.iter().find(|other| other.field == row.field).map(|other| other.offset)
     };
     match (find(mine, their), find(theirs, my)) {
-        // Both are there: they have changed places.
+        // Both tables have both fields: the fields were exchanged.
         (Some(offset), Some(_)) => {
             (&their.field, Deviation::Offset(Both { mine: offset, theirs: their.offset }))
         }
@@ -240,7 +240,7 @@ impl fmt::Display for Layouts {
 pub struct NotALayout {
     /// Number of the line, from 1.
     pub line: usize,
-    /// What stands there.
+    /// Its content.
     pub text: String,
 }
 
@@ -270,12 +270,12 @@ impl FromStr for Layouts {
 }
 
 fn row(line: &str) -> Option<LayoutRow> {
-    let mut words = line.split(' ');
-    let mut text = || words.next().map(str::to_owned);
+    let mut columns = line.split(' ');
+    let mut text = || columns.next().map(str::to_owned);
     let (topic, field, kind) = (text()?, text()?, text()?);
     let mut number = || text()?.parse().ok();
     let (count, size, offset) = (number()?, number()?, number()?);
-    words.next().is_none().then_some(LayoutRow { topic, field, kind, count, size, offset })
+    columns.next().is_none().then_some(LayoutRow { topic, field, kind, count, size, offset })
 }
 
 impl fmt::Display for Difference {

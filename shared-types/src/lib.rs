@@ -1,8 +1,8 @@
 //! The vocabulary of Scanloop: every sample that crosses a process border, with its layout pinned.
 //!
 //! A sample is a fixed-layout value (`#[repr(C)]`, no pointers, no implicit padding) that starts with a
-//! [`Header`]. The header carries the identity of the scan a sample answers and the time stamps of all stages
-//! it went through, so each actuation contains its own way from the scan.
+//! [`Header`]. The header carries the identity of the scan that a sample answers, and the time stamps of all stages on
+//! the way. So each actuation contains the timing of its whole chain.
 //!
 //! Units are SI, angles are radians counter-clockwise, the frame is x forward along the track, y to the left.
 

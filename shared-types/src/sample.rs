@@ -35,12 +35,12 @@ pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     /// The header, to fill it.
     fn header_mut(&mut self) -> &mut Header;
 
-    /// Whether this is due to an input of the scan in the header; false for what an actuator decides by itself.
+    /// Whether this answers an input of the scan in the header; false for what an actuator decides by itself.
     fn is_answer(&self) -> bool {
         true
     }
 
-    /// Whether the content may be used: all numbers finite and inside what the field can mean.
+    /// Whether the content may be used: all numbers are finite and within the range of their field.
     ///
     /// # Errors
     /// The first [`Fault`] found; the sample is then dropped and counted by the reader.
@@ -73,7 +73,7 @@ pub struct SampleType {
 }
 
 impl Header {
-    /// Passes when the header was filled by a producer built against the layout of `S`.
+    /// Passes when the publisher of the sample was built against the layout of `S`.
     ///
     /// # Errors
     /// [`Fault::Layout`] with both layout versions.

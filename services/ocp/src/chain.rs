@@ -7,7 +7,7 @@
 //! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
 //! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
-//! which, [`interior`] is called where that goes round in circles, and [`newton`] makes the step with the exact
+//! which, [`interior`] is called where that cycles, and [`newton`] makes the step with the exact
 //! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
@@ -73,7 +73,7 @@ pub(crate) struct Chain {
     rows: Vec<Row>,
     /// 2 d of the two controls.
     change: [f64; 2],
-    /// Whether the first control is tied to the one before.
+    /// Whether the change of the first control is weighted as well.
     tied: bool,
     damping: [f64; 2],
     slack_linear: f64,
@@ -81,7 +81,7 @@ pub(crate) struct Chain {
 
     riccati: Riccati,
     path: Path,
-    /// The point from which Newton's step walks.
+    /// The point from which Newton's step starts.
     point: Path,
     /// B and q with what the solver adds to them.
     blocks: Vec<Block>,
@@ -97,12 +97,12 @@ pub(crate) struct Chain {
     schur_factor: Vec<f64>,
     multipliers: Vec<f64>,
     sides: Vec<interior::Side>,
-    /// What the search makes of the interior point's answer.
+    /// The search's solution from the interior point's answer.
     exact: QpSolution,
 }
 
 impl Chain {
-    /// Fills everything but the blocks, which the caller hands to the solvers.
+    /// Fills the program except for the blocks, which the caller hands to the solvers.
     pub(crate) fn build(
         &mut self,
         problem: &Problem,
@@ -157,9 +157,9 @@ impl Chain {
         }
     }
 
-    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where nothing does.
+    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where no method does.
     pub(crate) fn solve(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
-        /// Usual are one to four; more are a sign of a circle.
+        /// One to four are usual; more indicate a cycle.
         const ROUNDS: u32 = 16;
         if self.search(shooting, blocks, solution, ROUNDS) {
             return true;

@@ -23,8 +23,8 @@ use crate::shooting::{Iterate, Shooting};
 
 /// Fills `qp` with the program in the changes of the controls at `iterate`.
 ///
-/// `damping` is added to the diagonal of the Hessian; it shortens steps and leaves the solution of the nonlinear
-/// program alone.
+/// `damping` is added to the diagonal of the Hessian; it shortens steps and does not change the solution of the
+/// nonlinear program.
 pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting, damping: f64, qp: &mut Qp) {
     let count = problem.intervals.len();
     let width = 2 * count;
@@ -86,7 +86,7 @@ pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting
     limits(problem, iterate, qp);
 }
 
-/// Adds to `hessian` what the Gauss-Newton Hessian lacks: second derivatives of the model and of the ellipses.
+/// Adds the second derivatives of the model and of the ellipses to the Gauss-Newton `hessian`.
 ///
 /// The result is the exact Hessian of the Lagrangian on the linearised model; it may be indefinite.
 pub(crate) fn add_second_order(

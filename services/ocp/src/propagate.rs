@@ -1,4 +1,4 @@
-//! Collocation to the end, from nothing but start and control: what a roll-out or a design analysis needs.
+//! Converged collocation from start and control alone, for roll-outs and design analyses.
 
 use vehicle::{Control, State};
 

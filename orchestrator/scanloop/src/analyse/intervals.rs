@@ -81,7 +81,7 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
         ..Definition::default()
     };
     definition.validate(arguments.tf, arguments.n.unwrap_or(1)).map_err(refuse)?;
-    let most = definition.most_intervals();
+    let most = definition.max_intervals();
     let limit = arguments.limit.unwrap_or(most.min(24));
     require("limit", limit as f64, 1.0..=most as f64).map_err(refuse)?;
 

@@ -134,7 +134,7 @@ impl Chain {
         true
     }
 
-    /// Corrects the states in `solution` wherever the path contradicts them; true where it did nowhere. Multipliers of
+    /// Corrects the states in `solution` where the path contradicts them; true where it never does. Multipliers of
     /// the present set are filled in.
     ///
     /// Where neighbouring nodes exceed the same limit only the worst of them joins: a path that is pushed out at one
@@ -163,7 +163,7 @@ impl Chain {
             }
         }
         self.report_rows(solution);
-        let most = self.slack_linear + TOLERANCE;
+        let largest = self.slack_linear + TOLERANCE;
         for (index, row) in self.rows.iter().enumerate() {
             let value = row.value(&self.path.states);
             let multiplier = solution.row_multipliers[index];
@@ -181,8 +181,8 @@ impl Chain {
                 }
                 RowState::AtUpper if multiplier < -TOLERANCE => RowState::Inside,
                 RowState::AtLower if multiplier > TOLERANCE => RowState::Inside,
-                RowState::AtUpper if multiplier > most => RowState::BeyondUpper,
-                RowState::AtLower if multiplier < -most => RowState::BeyondLower,
+                RowState::AtUpper if multiplier > largest => RowState::BeyondUpper,
+                RowState::AtLower if multiplier < -largest => RowState::BeyondLower,
                 RowState::BeyondUpper if value < row.upper - TOLERANCE => RowState::AtUpper,
                 RowState::BeyondLower if value > row.lower + TOLERANCE => RowState::AtLower,
                 same => same,
@@ -193,7 +193,7 @@ impl Chain {
         right
     }
 
-    /// How far rows inside their limits are in fact outside.
+    /// By how much rows with state `Inside` violate their limits.
     fn find_violations(&mut self, solution: &QpSolution) {
         let states = &self.path.states;
         fill(
