@@ -1,4 +1,4 @@
-//! The instrument: what measures and is no part of the product, behind the executable `scanloop-bench`.
+//! The benches that are no part of the product, with the executable `scanloop-bench`.
 //!
 //! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the
 //! benches that need more than the product is made of: other transports, an allocator that counts, stages that
@@ -25,7 +25,7 @@ pub use round_trips::{Echo, Peer, echo_until_told};
 
 use transport::TransportArguments;
 
-/// The part of `scanloop` that is in this executable.
+/// The commands of `scanloop` that this executable runs.
 #[derive(Debug, Parser)]
 #[command(name = "scanloop", bin_name = "scanloop", version, max_term_width = 100)]
 struct Cli {

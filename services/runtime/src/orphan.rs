@@ -94,10 +94,7 @@ fn end_others(domain: &Domain, word: Option<&StopWord>) {
         for (is_robot, other) in others.iter().filter(|_| then_kill) {
             // A robot that may still move must keep the process that can stop it.
             if *is_robot && word.is_none_or(|word| word.wheels(Role::Robot).0 != Wheels::Resting) {
-                tracing::error!(
-                    "robot {} does not end, and is not known to rest: it is left",
-                    other.pid()
-                );
+                tracing::error!("robot {} does not end, and is not known to rest: it is left", other.pid());
                 continue;
             }
             tracing::warn!("process {} does not end and is killed", other.pid());
