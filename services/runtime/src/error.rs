@@ -1,11 +1,10 @@
 //! What can go wrong between a process and the bus.
 
 use std::fmt::Display;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use shared_types::{Difference, Role, Topic};
 
-use crate::Domain;
 use crate::shared_memory::Shortage;
 
 /// An error of the bus, or of the files and settings around it.
@@ -114,8 +113,8 @@ impl RuntimeError {
         Self::File { path: path.into(), source: source.into() }
     }
 
-    pub(crate) fn settings(domain: &Domain, file: impl AsRef<Path>, reason: impl Display) -> Self {
-        Self::Settings { path: domain.directory().join(file), reason: reason.to_string() }
+    pub(crate) fn settings(path: PathBuf, reason: impl Display) -> Self {
+        Self::Settings { path, reason: reason.to_string() }
     }
 
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {

@@ -21,8 +21,9 @@ pub fn verify_layouts(role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
 
 pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
     let text = domain.folder().read_text(LAYOUTS_FILE)?;
-    let theirs: Layouts =
-        text.parse().map_err(|error: NotALayout| RuntimeError::settings(domain, LAYOUTS_FILE, error))?;
+    let theirs: Layouts = text
+        .parse()
+        .map_err(|error: NotALayout| RuntimeError::settings(domain.directory().join(LAYOUTS_FILE), error))?;
     difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
 }
 

@@ -54,7 +54,8 @@ pub struct RunSettings {
 pub(crate) fn read(domain: &Domain, role: Role) -> Result<toml::Table, RuntimeError> {
     let name = settings_file(role);
     let text = domain.folder().read_text(&name)?;
-    text.parse().map_err(|error: toml::de::Error| RuntimeError::settings(domain, name, error))
+    text.parse()
+        .map_err(|error: toml::de::Error| RuntimeError::settings(domain.directory().join(name), error))
 }
 
 /// One table of the file as settings of type `T`; a table that is absent reads as empty.
@@ -65,6 +66,7 @@ pub(crate) fn table<T: DeserializeOwned>(
     name: &str,
 ) -> Result<T, RuntimeError> {
     let value = all.get(name).cloned().unwrap_or_else(|| toml::Table::new().into());
-    T::deserialize(value)
-        .map_err(|error| RuntimeError::settings(domain, settings_file(role), format_args!("{name}: {error}")))
+    T::deserialize(value).map_err(|error| {
+        RuntimeError::settings(domain.directory().join(settings_file(role)), format_args!("{name}: {error}"))
+    })
 }
