@@ -1,6 +1,6 @@
 //! Round trips over the bus: two hops each, with both ends asleep between samples.
 //!
-//! The same program is also the other end of the second bench; an environment variable tells it so.
+//! The same program is also the other end of the second bench; an environment variable selects it.
 
 use std::process::Command;
 use std::time::{Duration, Instant};

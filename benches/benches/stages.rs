@@ -23,7 +23,7 @@ fn main() {
         .configure_from_args();
     let (corridor, free) = (Lap::record("corridor"), Lap::record("free"));
     let mut group = criterion.benchmark_group("per_scan");
-    // Laps differ in nothing but noise of the machine: no slope over growing numbers of laps is needed.
+    // Laps differ by noise of the machine only, so no slope over growing numbers of laps is needed.
     group.sampling_mode(SamplingMode::Flat);
     emulator_scan(&mut group, &corridor);
     estimator_step(&mut group, &corridor);
@@ -86,7 +86,7 @@ fn obstacles_step(group: &mut Group<'_>, lap: &Lap) {
     });
 }
 
-/// Search a guide, solve the program to convergence, verify the plan.
+/// Search a reference path, solve the program to convergence, verify the plan.
 fn controller_step(group: &mut Group<'_>, name: &str, lap: &Lap, counts: impl Fn(&Step) -> bool + Copy) {
     let config = lap.tuning().controller;
     let budget = Budget::Iterations(config.budget_iterations);
@@ -102,7 +102,7 @@ fn controller_step(group: &mut Group<'_>, name: &str, lap: &Lap, counts: impl Fn
     });
 }
 
-/// Once round the loop without a bus: what a scan costs when nobody pays for being a process.
+/// The whole loop once without a bus: the cost of a scan in one process.
 fn pipeline_step(group: &mut Group<'_>, lap: &Lap) {
     let fresh = || Pipeline::new(&lap.settings).expect("default settings are valid");
     group.bench_function("pipeline", |bencher| {

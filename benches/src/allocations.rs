@@ -1,9 +1,8 @@
 //! Counts heap allocations, so that a bench can state how many a solve makes.
 //!
-//! [`CountingAllocator`] is the system's allocator with a counter per thread in front of it: one addition to a variable
-//! of the thread, about a nanosecond. The counter is per thread because a bench asks
-//! what its own calls allocate; what another thread allocates meanwhile does not count. Freeing is not counted, growing
-//! a block is, because a buffer that has to grow in a step is what the count is to reveal.
+//! [`CountingAllocator`] is the system's allocator with a counter per thread, which costs about a nanosecond. The
+//! counter is per thread because a bench counts its own calls, not those of other threads. Freeing a block is not
+//! counted. Growing one is, because the count must show buffers that grow in a step.
 #![expect(unsafe_code, reason = "a global allocator is an unsafe trait")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -14,7 +13,7 @@ thread_local! {
     static COUNT: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system's allocator with a count of what it was asked for.
+/// The system's allocator with a count of its allocations.
 ///
 /// ```
 /// #[global_allocator]
@@ -34,7 +33,7 @@ pub fn allocations() -> u64 {
 }
 
 fn count() {
-    // A thread that is being torn down has no counter any more, and nobody asks for it.
+    // A thread that is ending has no counter any more.
     let _ = COUNT.try_with(|count| count.set(count.get().wrapping_add(1)));
 }
 
@@ -43,24 +42,24 @@ fn count() {
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller keeps the contract of this very method.
+        // SAFETY: the caller keeps the contract of this method.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller keeps the contract of this very method.
+        // SAFETY: the caller keeps the contract of this method.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
         count();
-        // SAFETY: the caller keeps the contract of this very method, and every block comes from `System`.
+        // SAFETY: the caller keeps the contract of this method, and every block comes from `System`.
         unsafe { System.realloc(block, layout, new_size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: the caller keeps the contract of this very method, and every block comes from `System`.
+        // SAFETY: the caller keeps the contract of this method, and every block comes from `System`.
         unsafe { System.dealloc(block, layout) }
     }
 }

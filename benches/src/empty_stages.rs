@@ -1,22 +1,22 @@
 //! The five processes of the pure transport chain: the topics and the topology of the pipeline, nothing computed.
 //!
-//! Each stage waits for the same inputs as the real one and answers at once with an empty sample, so what is left of
-//! the time from scan to actuation is the bus, the wake-ups and the scheduler. With a payload, as many bytes travel
-//! beside the samples of the four hops of the critical path: copied into shared memory by the sender, read in place
-//! by the receiver. Both then count as compute of the stage, and as part of scan to actuation.
-//! What the real stages do beside the critical path, checkpoints after each scan, is left out.
-
-use std::rc::Rc;
+//! Each stage waits for the same inputs as the real one and answers at once with an empty sample. So the time from
+//! scan to actuation consists of the bus, the wake-ups and the scheduler. With a payload, so many bytes travel with
+//! the samples of the four hops of the critical path: the sender copies them into shared memory, the receiver reads
+//! them in place. Both count as compute of the stage, and as part of scan to actuation. Work of the real stages
+//! outside of the critical path, checkpoints after each scan, is left out.
 
 use commands::bench::latency::echo::PREFIX;
 use emulator::service::next_due;
-use runtime::{BlobInput, BlobOutput, Process, join};
+use runtime::{Process, join};
 use shared_types::{
     Actuation, ActuationKind, Command, CommandKind, Obstacles, Odometry, Phase, Pose, Role, Scan, Topic,
     Truth,
 };
 
-/// Runs the echo that `name` asks for until it is told to end; `None` when it asks for none.
+use crate::payload::{Received, Sent};
+
+/// Runs the stage that `name` names until it is told to end; `None` when it names none.
 ///
 /// # Errors
 /// Errors of the bus, and of a process that was started by hand.
@@ -52,8 +52,9 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
     let mut scan_id = 1;
     let mut stopping = false;
     loop {
-        let goes_on = if stopping { process.wait(None)? } else { process.wait_for_time(due_ns(scan_id))? };
-        if !goes_on {
+        let continues =
+            if stopping { process.wait(None)? } else { process.wait_for_time(due_ns(scan_id))? };
+        if !continues {
             return Ok(());
         }
         while actuations.take().is_some() {}
@@ -70,7 +71,7 @@ fn robot(payload: Option<usize>) -> anyhow::Result<()> {
         let mut truth = Truth {
             time_s: acquired_ns as f64 * 1e-9,
             goal_distance_m: 1e3,
-            // It stands at any time, so that the end of a run waits for nothing.
+            // It rests at any time, so that the run ends without a wait.
             blocked: process.directive().stop,
             ..Truth::default()
         };
@@ -164,7 +165,7 @@ fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
-    // As the real one, which looks at its watch ten times a period.
+    // As the real one, which checks the time ten times a period.
     let poll_ns = process.period_ns() / 10;
     while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         while let Some(command) = commands.take() {
@@ -176,33 +177,6 @@ fn actuator(payload: Option<usize>) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// The payload that a stage sends, if there is one.
-struct Sent(Option<Rc<BlobOutput>>);
-
-/// The payload that a stage takes, if there is one.
-struct Received(Option<Rc<BlobInput>>);
-
-impl Sent {
-    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
-        Ok(Self(payload.map(|bytes| process.blob_output(topic, bytes)).transpose()?))
-    }
-
-    fn publish(&self, scan_id: u64) -> anyhow::Result<()> {
-        Ok(self.0.as_ref().map_or(Ok(()), |output| output.publish(scan_id))?)
-    }
-}
-
-impl Received {
-    fn open(process: &mut Process, topic: Topic, payload: Option<usize>) -> anyhow::Result<Self> {
-        Ok(Self(payload.map(|_| process.blob_input(topic)).transpose()?))
-    }
-
-    /// Whether the stage may answer: a scan whose payload is missing stays without an answer, and counts as lost.
-    fn take(&self, scan_id: u64) -> anyhow::Result<bool> {
-        Ok(self.0.as_ref().map_or(Ok(true), |input| input.take(scan_id))?)
-    }
 }
 
 #[cfg(test)]

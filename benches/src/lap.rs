@@ -1,8 +1,8 @@
 //! A lap recorded once, so that every stage is timed on inputs it meets in a drive.
 //!
 //! Stages keep state from scan to scan (filter, tracks, warm start), and cost different amounts at different places
-//! of a lap. So a stage is always driven through whole laps from its start, and the result is the mean over the
-//! scans of a lap. Fails as a measure of the worst scan: for that see the maxima in the report of a run.
+//! of a lap. So a stage always runs whole laps from their start, and the result is the mean over the scans of a lap.
+//! It is no measure of the worst scan: for that see the maxima in the report of a run.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use pipeline::{Settings, Step, Tuning, drive};
 
 /// All samples of one run in simulated time.
 pub struct Lap {
-    /// What was driven, with the default settings.
+    /// The scenario, with the default settings.
     pub settings: Settings,
     /// One element per scan.
     pub steps: Vec<Step>,
@@ -21,7 +21,7 @@ impl Lap {
     /// Drives a shipped scenario.
     ///
     /// # Panics
-    /// When the scenario is not shipped or not allowed: both are mistakes of the bench.
+    /// When the scenario is not shipped or not allowed: both are errors of the bench.
     pub fn record(scenario: &str) -> Self {
         let text = Scenario::shipped(scenario).expect("benches drive shipped scenarios");
         let settings = Settings::of(Scenario::parse(text, scenario).expect("shipped scenarios are valid"));

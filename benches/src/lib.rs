@@ -1,13 +1,14 @@
-//! The instrument: what measures and is no part of the product, behind the executable `scanloop-bench`.
+//! The benches that are no part of the product, with the executable `scanloop-bench`.
 //!
-//! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the benches that need
-//! more than the product is made of: other transports, an allocator that counts, stages that compute nothing, load. The
-//! benches of Criterion share recorded laps and a bus with two ends.
+//! `scanloop bench ...` finds it and hands its own arguments over, so it need not be called by hand. It has the
+//! benches that need more than the product is made of: other transports, an allocator that counts, stages that
+//! compute nothing, load. The benches of Criterion share recorded laps and a bus with two ends.
 
 mod allocations;
 mod empty_stages;
 mod lap;
 mod load;
+mod payload;
 mod round_trips;
 mod transport;
 
@@ -24,7 +25,7 @@ pub use round_trips::{Echo, Peer, echo_until_told};
 
 use transport::TransportArguments;
 
-/// The part of `scanloop` that is in this executable.
+/// The commands of `scanloop` that this executable runs.
 #[derive(Debug, Parser)]
 #[command(name = "scanloop", bin_name = "scanloop", version, max_term_width = 100)]
 struct Cli {
@@ -53,14 +54,15 @@ enum BenchCommand {
     Solver(SolverArguments),
     /// What four hops between five processes cost over other transports, as ratios to ours.
     ///
-    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold with
-    /// 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command that
-    /// builds them.
+    /// Every contender runs the same chain of processes, in turns: each round starts each chain once. Intervals hold
+    /// with 99 %; where one contains 1 no difference was seen. Peers that are not built are skipped with the command
+    /// that builds them.
     ///
-    /// JSON: one object for one `--rate`, a list of them for several. Keys: `profile`, `rate_hz`, `hops`, `payload_bytes` (a
-    /// number, or one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`, `confidence`, `transports`
-    /// with `name`, `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`, `ratio_p50_interval`, `verdict_p50`, the same for
-    /// p99; `polling`, the same for processes that poll when both policies are measured; `skipped` with `name`, `reason`.
+    /// JSON: one object for one `--rate`, a list of them for several. Keys: `profile`, `rate_hz`, `hops`,
+    /// `payload_bytes` (a number, or one per hop for `pipeline`), `scheduling`, `cpus`, `load`, `policy`, `rounds`,
+    /// `confidence`, `transports` with `name`, `policy`, `latency_us`, `sent`, `lost`, `ratio_p50`,
+    /// `ratio_p50_interval`, `verdict_p50`, the same for p99; `polling`, the same for processes that poll when both
+    /// policies are measured; `skipped` with `name`, `reason`.
     Transport(TransportArguments),
 }
 

@@ -1,8 +1,7 @@
 //! Other work on every processor, as long as the value lives.
 //!
-//! One thread for each processor of the machine that this process may use, pinned to it, counting without a system
-//! call and without touching memory: what it takes is time on the processor, as much as the scheduler gives it.
-//! Threads of this process end with it, whatever happens.
+//! One thread is pinned to each processor that this process may use. It loops without system calls and without memory
+//! accesses, so it takes only processor time. The threads end with the process.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +23,7 @@ impl Load {
     /// Starts one loop on each processor.
     ///
     /// # Errors
-    /// When the kernel does not tell the processors or refuses a thread.
+    /// When the processors can't be read or a thread can't be started.
     pub(crate) fn start() -> anyhow::Result<Self> {
         let allowed = sched_getaffinity(None)?;
         let mut load = Self { end: Arc::new(AtomicBool::new(false)), threads: Vec::new() };
@@ -33,7 +32,7 @@ impl Load {
             let thread = std::thread::Builder::new().name(format!("load-{cpu}")).spawn(move || {
                 let mut one = CpuSet::new();
                 one.set(cpu);
-                // Where it can't be pinned it is still load.
+                // Without pinning it is still load.
                 let _ = sched_setaffinity(None, &one);
                 while !end.load(Ordering::Relaxed) {
                     std::hint::spin_loop();
@@ -59,7 +58,7 @@ impl Drop for Load {
     }
 }
 
-/// The service: says how many loops there are, and runs them until its standard input ends.
+/// The service: prints the number of loops, and runs them until its standard input ends.
 ///
 /// # Errors
 /// As [`Load::start`].

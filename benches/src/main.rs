@@ -1,4 +1,4 @@
-//! The executable that measures what is no part of `scanloop`.
+//! The executable of the benches that are no part of `scanloop`.
 
 /// Counts what it hands out, for `scanloop bench solver`.
 #[global_allocator]

@@ -12,9 +12,9 @@ use shared_types::{Command, Pose, Sample};
 
 /// Tells the other end to end.
 const END: u64 = u64::MAX;
-/// A lost wake-up costs this much, and an answer that does not come is asked for again after it [ns].
+/// A lost wake-up costs this much; a missing answer is requested again after it [ns].
 const TIMEOUT_NS: u64 = 100_000_000;
-/// The other end gives up when it was asked nothing for so many time-outs: ten seconds.
+/// The other end ends after so many time-outs without a request: ten seconds.
 const LONELY: u32 = 100;
 
 /// Where the other end runs.
@@ -41,7 +41,7 @@ enum Other {
     Process(Child),
 }
 
-/// What a bus leaves in shared memory and in the directory of its system; removed when dropped.
+/// Files of a bus in shared memory and in the directory of its system; removed when dropped.
 struct Files(Domain);
 
 impl Echo {
@@ -104,7 +104,7 @@ impl Drop for Echo {
     fn drop(&mut self) {
         let mut end = Pose::default();
         end.header.scan_id = END;
-        // Where this fails the other end notices that it is lonely.
+        // Where this fails the other end ends after its time-outs.
         let _ = self.poses.publish(&mut end, true);
         match self.other.take() {
             Some(Other::Thread(thread)) => drop(thread.join()),

@@ -1,8 +1,8 @@
-//! `scanloop bench transport`: the same chain of processes over our bus, over the least there is, and over others.
+//! `scanloop bench transport`: the same chain of processes over this bus, over a floor, and over other transports.
 //!
-//! Contenders take turns in rounds, each round beginning with another one, and every block starts its processes anew: so
-//! what the machine does and what a start happens to lay out acts on all. Whoever can't be measured is left out with the
-//! reason. The chain itself is the crate `hops`.
+//! Contenders take turns in rounds, each round beginning with another one, and every block starts its processes anew.
+//! So the state of the machine and the memory layout of a start affect all alike. A contender that can't be measured
+//! is left out with the reason. The chain itself is the crate `hops`.
 
 mod arguments;
 mod ratio;
@@ -26,7 +26,7 @@ use crate::load::Load;
 /// Measures all contenders at all rates and prints the comparison.
 ///
 /// # Errors
-/// Options that this machine can't meet, and a chain of our own bus that does not run.
+/// Options that this machine can't meet, and a chain of this bus that does not run.
 pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> {
     let base = plan(arguments, &Scheduling::read(&arguments.scheduling)?)?;
     let shutdown = Shutdown::on_signals()?;
@@ -64,7 +64,7 @@ pub(crate) fn transport(arguments: &TransportArguments) -> anyhow::Result<Exit> 
     Ok(Exit::Done)
 }
 
-/// Who can be measured, and who can't and why.
+/// Contenders that can be measured, and those that can't, with the reason.
 fn contenders(arguments: &TransportArguments) -> (Vec<Contender>, Vec<Skipped>) {
     let mut skipped = Vec::new();
     let present = |contender: &Contender| match hops::missing(*contender) {

@@ -32,7 +32,7 @@
 #define SCANLOOP_TOPIC_CHECKPOINT "checkpoint"
 #define SCANLOOP_TOPIC_TRUTH "truth"
 
-/* What one process of the loop is there for. */
+/* The job of one process of the loop. */
 enum scanloop_role {
     SCANLOOP_ROLE_ROBOT = 0, /* Moves and measures: the emulated SUMMIT with its scanner, or a driver of a real robot. */
     SCANLOOP_ROLE_ESTIMATOR = 1, /* Corrects measured data and estimates the pose. */
@@ -44,12 +44,12 @@ enum scanloop_role {
 /* What the whole system is doing. */
 enum scanloop_phase {
     SCANLOOP_PHASE_STARTING = 0, /* Processes are starting and open their ports. */
-    SCANLOOP_PHASE_CONNECTING = 1, /* All ports exist: everyone connects both halves of its connections. */
+    SCANLOOP_PHASE_CONNECTING = 1, /* All ports exist: each process makes its ends of the connections. */
     SCANLOOP_PHASE_DRIVING = 2, /* The loop runs. */
     SCANLOOP_PHASE_STOPPING = 3, /* Wheels are blocked and processes end. */
 };
 
-/* What a process says of itself. */
+/* The state that a process reports. */
 enum scanloop_process_state {
     SCANLOOP_PROCESS_STATE_ATTACHED = 0, /* It has opened its ports. */
     SCANLOOP_PROCESS_STATE_CONNECTED = 1, /* Its connections are made, samples will arrive. */
@@ -60,9 +60,9 @@ enum scanloop_process_state {
 /* What the estimator suspects to be calibrated wrongly. */
 enum scanloop_suspect {
     SCANLOOP_SUSPECT_NONE = 0, /* Nothing. */
-    SCANLOOP_SUSPECT_VELOCITY_FACTOR = 1, /* The velocity factor kv: speed at the wheels is not what is desired. */
-    SCANLOOP_SUSPECT_STEERING = 2, /* The steering map: the robot turns otherwise than its wheels are told. */
-    SCANLOOP_SUSPECT_ODOMETRY_LONGITUDINAL = 3, /* The share of the way that odometry misses, df. */
+    SCANLOOP_SUSPECT_VELOCITY_FACTOR = 1, /* The velocity factor kv: the speed at the wheels is not the desired one. */
+    SCANLOOP_SUSPECT_STEERING = 2, /* The steering map: the robot turns otherwise than commanded. */
+    SCANLOOP_SUSPECT_ODOMETRY_LONGITUDINAL = 3, /* Odometry scale error, df: fraction of the travelled distance that is not reported. */
     SCANLOOP_SUSPECT_ODOMETRY_LATERAL_RATE = 4, /* The lateral drift of the odometry, dds. */
     SCANLOOP_SUSPECT_HEADING = 5, /* The reported heading jumped. */
     SCANLOOP_SUSPECT_POSITION = 6, /* The reported position jumped. */
@@ -132,10 +132,10 @@ enum scanloop_block_reason {
 
 /* The rule that a dropped or refused sample failed. */
 enum scanloop_rule {
-    SCANLOOP_RULE_NONE = 0, /* None was failed. */
+    SCANLOOP_RULE_NONE = 0, /* It failed none. */
     SCANLOOP_RULE_FOREIGN_LAYOUT = 1, /* Its layout is that of this system. */
     SCANLOOP_RULE_NOT_FINITE = 2, /* Its numbers are finite. */
-    SCANLOOP_RULE_OUT_OF_RANGE = 3, /* Its numbers are within what the fields can mean. */
+    SCANLOOP_RULE_OUT_OF_RANGE = 3, /* Its numbers are within the ranges of the fields. */
     SCANLOOP_RULE_UNKNOWN_VALUE = 4, /* Its enumerations hold known numbers. */
     SCANLOOP_RULE_NOT_VERIFIED = 5, /* A command to drive was verified. */
     SCANLOOP_RULE_OUTSIDE_BOUNDS = 6, /* A command to drive is within the hard limits of the actuator. */
@@ -488,7 +488,7 @@ _Static_assert(offsetof(scanloop_actuation, refused) == 240, "scanloop_actuation
 typedef struct scanloop_heartbeat {
     scanloop_header header; /* Identity; scan id is the last one worked on, the chain is unused */
     uint32_t role; /* Role of the process, `Role` */
-    uint32_t state; /* What the process says of itself, `ProcessState` */
+    uint32_t state; /* State that the process reports, `ProcessState` */
     uint64_t pid; /* Process id */
     uint32_t obeys_stop; /* 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself */
     uint32_t reserved; /* Unused, zero */
@@ -547,7 +547,7 @@ _Static_assert(offsetof(scanloop_heartbeat, refused) == 952, "scanloop_heartbeat
 typedef struct scanloop_directive {
     scanloop_header header; /* Identity; the chain is unused */
     uint32_t phase; /* What the system is doing, `Phase` */
-    uint32_t stop; /* 1 when the wheels are to be blocked now, whatever the controller says */
+    uint32_t stop; /* 1 when the wheels are to be blocked now, whatever the controller commands */
     uint64_t granted_scan; /* In lock-step: the last scan that the robot may publish */
     uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
     uint64_t orchestrator_pid; /* Process id of the orchestrator */
@@ -594,7 +594,7 @@ typedef struct scanloop_truth {
     double steering_rad; /* True steering angle at the wheels [rad] */
     double clearance_m; /* Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m] */
     double min_clearance_m; /* Smallest such distance since the start, in plant steps [m] */
-    double path_length_m; /* Way driven since the start [m] */
+    double path_length_m; /* Distance driven since the start [m] */
     double max_abs_lateral_m; /* Largest lateral offset from the line y = start since the start [m] */
     double goal_distance_m; /* Distance of the robot's centre to the goal [m] */
     double longest_blind_s; /* Longest time that the wheels turned without a new actuation, in plant steps [s] */
@@ -641,7 +641,7 @@ typedef struct scanloop_layout_row {
     const char *kind;
     uint32_t count;  /* elements of an array, else 1 */
     uint32_t size;   /* of one element [bytes] */
-    uint32_t offset; /* from the beginning of the sample [bytes] */
+    uint32_t offset; /* from the startup of the sample [bytes] */
 } scanloop_layout_row;
 
 #define SCANLOOP_AT(type, field) (((type *)0)->field)

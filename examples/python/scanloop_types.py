@@ -20,7 +20,7 @@ CHECKPOINT_BYTES = 8192  # How many bytes of state a checkpoint can hold
 
 
 class Role(enum.IntEnum):
-    """What one process of the loop is there for."""
+    """The job of one process of the loop."""
 
     ROBOT = 0  # Moves and measures: the emulated SUMMIT with its scanner, or a driver of a real robot.
     ESTIMATOR = 1  # Corrects measured data and estimates the pose.
@@ -33,13 +33,13 @@ class Phase(enum.IntEnum):
     """What the whole system is doing."""
 
     STARTING = 0  # Processes are starting and open their ports.
-    CONNECTING = 1  # All ports exist: everyone connects both halves of its connections.
+    CONNECTING = 1  # All ports exist: each process makes its ends of the connections.
     DRIVING = 2  # The loop runs.
     STOPPING = 3  # Wheels are blocked and processes end.
 
 
 class ProcessState(enum.IntEnum):
-    """What a process says of itself."""
+    """The state that a process reports."""
 
     ATTACHED = 0  # It has opened its ports.
     CONNECTED = 1  # Its connections are made, samples will arrive.
@@ -51,9 +51,9 @@ class Suspect(enum.IntEnum):
     """What the estimator suspects to be calibrated wrongly."""
 
     NONE = 0  # Nothing.
-    VELOCITY_FACTOR = 1  # The velocity factor kv: speed at the wheels is not what is desired.
-    STEERING = 2  # The steering map: the robot turns otherwise than its wheels are told.
-    ODOMETRY_LONGITUDINAL = 3  # The share of the way that odometry misses, df.
+    VELOCITY_FACTOR = 1  # The velocity factor kv: the speed at the wheels is not the desired one.
+    STEERING = 2  # The steering map: the robot turns otherwise than commanded.
+    ODOMETRY_LONGITUDINAL = 3  # Odometry scale error, df: fraction of the travelled distance that is not reported.
     ODOMETRY_LATERAL_RATE = 4  # The lateral drift of the odometry, dds.
     HEADING = 5  # The reported heading jumped.
     POSITION = 6  # The reported position jumped.
@@ -131,10 +131,10 @@ class BlockReason(enum.IntEnum):
 class Rule(enum.IntEnum):
     """The rule that a dropped or refused sample failed."""
 
-    NONE = 0  # None was failed.
+    NONE = 0  # It failed none.
     FOREIGN_LAYOUT = 1  # Its layout is that of this system.
     NOT_FINITE = 2  # Its numbers are finite.
-    OUT_OF_RANGE = 3  # Its numbers are within what the fields can mean.
+    OUT_OF_RANGE = 3  # Its numbers are within the ranges of the fields.
     UNKNOWN_VALUE = 4  # Its enumerations hold known numbers.
     NOT_VERIFIED = 5  # A command to drive was verified.
     OUTSIDE_BOUNDS = 6  # A command to drive is within the hard limits of the actuator.
@@ -420,7 +420,7 @@ class Heartbeat(ctypes.Structure):
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
-        ("state", ctypes.c_uint32),  # What the process says of itself, `ProcessState`
+        ("state", ctypes.c_uint32),  # State that the process reports, `ProcessState`
         ("pid", ctypes.c_uint64),  # Process id
         ("obeys_stop", ctypes.c_uint32),  # 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself
         ("reserved", ctypes.c_uint32),  # Unused, zero
@@ -460,7 +460,7 @@ class Directive(ctypes.Structure):
     _fields_ = [
         ("header", Header),  # Identity; the chain is unused
         ("phase", ctypes.c_uint32),  # What the system is doing, `Phase`
-        ("stop", ctypes.c_uint32),  # 1 when the wheels are to be blocked now, whatever the controller says
+        ("stop", ctypes.c_uint32),  # 1 when the wheels are to be blocked now, whatever the controller commands
         ("granted_scan", ctypes.c_uint64),  # In lock-step: the last scan that the robot may publish
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
         ("orchestrator_pid", ctypes.c_uint64),  # Process id of the orchestrator
@@ -509,7 +509,7 @@ class Truth(ctypes.Structure):
         ("steering_rad", ctypes.c_double),  # True steering angle at the wheels [rad]
         ("clearance_m", ctypes.c_double),  # Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m]
         ("min_clearance_m", ctypes.c_double),  # Smallest such distance since the start, in plant steps [m]
-        ("path_length_m", ctypes.c_double),  # Way driven since the start [m]
+        ("path_length_m", ctypes.c_double),  # Distance driven since the start [m]
         ("max_abs_lateral_m", ctypes.c_double),  # Largest lateral offset from the line y = start since the start [m]
         ("goal_distance_m", ctypes.c_double),  # Distance of the robot's centre to the goal [m]
         ("longest_blind_s", ctypes.c_double),  # Longest time that the wheels turned without a new actuation, in plant steps [s]

@@ -1,13 +1,13 @@
-//! What became of the samples of one input: the reader's side of the ledger.
+//! The counters of one input: the reader's part of the sample audit.
 //!
-//! A reader sees numbers without gaps from each writer, so it notices by itself what is missing, repeated or late.
-//! Everything that arrived gets exactly one fate; until then it is *open*, and must be waiting in the process.
-//! Numbers are added up beside their count, so a single sample without a fate is known by its number.
+//! Each publisher numbers its samples without gaps, so a reader detects missing, repeated and late ones. Every sample
+//! that arrived gets exactly one fate. Until then it is *open*, and must be waiting in the process. The numbers of
+//! open samples are summed as well as counted, so a single sample without a fate is known by its number.
 
 use crate::Header;
 use crate::describe::layout;
 
-/// Writers of one topic that an account keeps apart: as many as may write a topic at a time.
+/// Publishers of one topic that are counted separately: as many as may write a topic at a time.
 pub const WRITERS: usize = 4;
 
 layout! {
@@ -25,7 +25,7 @@ layout! {
 }
 
 layout! {
-    /// What became of the samples of one input since its process started.
+    /// What happened to the samples of one input since its process started.
     pub struct InputAccount(288) {
         /// Numbers that arrived, per writer
         pub writers: [Span; WRITERS],
@@ -104,14 +104,14 @@ impl Span {
 }
 
 impl InputAccount {
-    /// Notes that a sample came from the bus; the fate it must have, if its number alone decides that.
+    /// Counts a sample from the bus; returns its fate when its number alone decides it.
     pub fn arrive(&mut self, header: &Header) -> Option<Fate> {
         let Header { incarnation, sequence, .. } = *header;
         self.arrived += 1;
         self.open += 1;
         self.open_sum = self.open_sum.wrapping_add(sequence);
         let Some(index) = self.writers.iter().position(|span| span.incarnation == incarnation) else {
-            // Incarnations grow: the smallest is the one that has been gone for longest, or an unused entry.
+            // Incarnations grow: the smallest is the oldest publisher, or an unused entry.
             if let Some(oldest) = self.writers.iter_mut().min_by_key(|span| span.incarnation) {
                 *oldest = Span::of(incarnation, sequence, sequence);
             }
@@ -139,7 +139,7 @@ impl InputAccount {
         Some(Fate::Reordered)
     }
 
-    /// Notes what is done with a sample that arrived.
+    /// Counts the fate of a sample that arrived.
     pub fn settle(&mut self, fate: Fate, header: &Header) {
         self.open = self.open.saturating_sub(1);
         self.open_sum = self.open_sum.wrapping_sub(header.sequence);
@@ -155,9 +155,8 @@ impl InputAccount {
         *count += 1;
     }
 
-    /// Notes that as many samples came since `before` as the buffer of the reader holds, or more: those that were
-    /// overwritten are not missing. One is overwritten only when `capacity` newer ones wait, so a gap that fewer
-    /// have followed stays.
+    /// Counts overwritten samples, which are not missing, after at least as many came since `before` as the buffer of
+    /// the reader holds. A sample is overwritten only when `capacity` newer ones wait; a gap that fewer follow stays.
     pub fn overflowed_since(&mut self, before: &Self, capacity: u64) {
         let newest = self.from(self.hole.incarnation).map_or(0, |span| span.last);
         let stays = self.hole != before.hole && newest < self.hole.last.saturating_add(capacity);
@@ -169,12 +168,12 @@ impl InputAccount {
         }
     }
 
-    /// The numbers that arrived from a writer.
+    /// The numbers that arrived from a publisher.
     pub fn from(&self, incarnation: u32) -> Option<&Span> {
         self.writers.iter().find(|span| span.incarnation == incarnation && incarnation != 0)
     }
 
-    /// Samples that were dropped or replaced because a rule says so.
+    /// Samples that were dropped or replaced by a rule.
     pub fn by_policy(&self) -> u64 {
         self.replaced + self.overwritten + self.stale + self.foreign + self.invalid
     }
@@ -198,7 +197,7 @@ mod tests {
         Header { incarnation, sequence, ..Header::default() }
     }
 
-    /// An account after these numbers of writer 7 arrived, each used unless its number says otherwise.
+    /// Counters after these numbers of publisher 7 arrived, each used unless its number decides otherwise.
     fn account(sequences: &[u64]) -> InputAccount {
         let mut account = InputAccount::default();
         for &sequence in sequences {
@@ -266,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn writers_are_kept_apart_and_the_oldest_gives_way() {
+    fn writers_are_counted_separately_and_the_oldest_is_replaced() {
         let mut account = InputAccount::default();
         for incarnation in 1..=5 {
             for sequence in 1..=2 {

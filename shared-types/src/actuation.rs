@@ -1,4 +1,4 @@
-//! What is sent to the robot.
+//! What the actuator sends to the robot.
 
 use crate::fault::finite;
 use crate::named::wire_enum;

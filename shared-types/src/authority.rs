@@ -1,20 +1,20 @@
 //! Whose samples count: the authority filter of every reader.
 //!
-//! A reader asks four questions about a sample, in this order, and drops it at the first no:
+//! A reader checks a sample in this order, and drops it at the first failure:
 //!
 //! 1. Is its number new? [`crate::InputAccount::arrive`] finds duplicates, and samples that come after a later one.
 //! 2. Is its content valid? [`crate::Sample::check`].
-//! 3. Has its writer authority? [`AuthorityFilter`], below.
+//! 3. Has its publisher authority? [`AuthorityFilter`], below.
 //! 4. Is its scan young enough? Only a reader that acts on the sample asks this.
 //!
-//! Authority over a topic is that of one incarnation for all scans, except during a swap: then one incarnation counts
-//! before the handover scan and the other from it on. Readers learn the handover scan at different times, so during a swap
+//! One incarnation has authority over a topic for all scans, except during a swap. Then one incarnation counts before
+//! the handover scan and the other from it on. Readers learn the handover scan at different times, so during a swap
 //!
 //! * a sample of the incarnation that does not count for its scan is kept aside, because the handover scan may still
-//!   move: when the directive changes it is judged again;
-//! * a scan that one of the two has answered is not answered by the other: its sample is dropped.
+//!   move: it is checked again when the directive changes;
+//! * a scan that one of the two has answered is not answered by the other: the second sample is dropped.
 //!
-//! Outside of swaps a writer may repeat an older scan: an actuator that was restarted blocks the wheels under one.
+//! Outside of swaps a publisher may repeat an older scan: a restarted actuator blocks the wheels with one.
 
 use crate::Header;
 use crate::describe::layout;
@@ -38,7 +38,7 @@ impl Authority {
         counts != 0 && counts == incarnation
     }
 
-    /// Whether `incarnation` is the one of a swap that does not count for `scan_id`, but does for other scans.
+    /// Whether `incarnation` takes part in a swap and counts for other scans than `scan_id`.
     fn may_accept_later(&self, incarnation: u32, scan_id: u64) -> bool {
         self.is_shared()
             && [self.incarnation, self.previous].contains(&incarnation)
@@ -51,18 +51,18 @@ impl Authority {
     }
 }
 
-/// What a reader does with a sample by the authority of its writer.
+/// What a reader does with a sample by the authority of its publisher.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Admission {
     /// It is used.
     Counts,
-    /// It is kept aside, and judged again when the directive changes.
+    /// It is kept aside, and checked again when the directive changes.
     Aside,
     /// It is dropped.
     Foreign,
 }
 
-/// The authority filter of one reader of one topic: remembers which scans were answered, and by which incarnation.
+/// The authority filter of one reader of one topic: it keeps the newest scan answered, and by which incarnation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AuthorityFilter {
     /// Incarnation of the sample admitted last.
@@ -72,8 +72,8 @@ pub struct AuthorityFilter {
 }
 
 impl AuthorityFilter {
-    /// What to do with a sample; `authority` is that of the newest directive, `None` for a topic that several processes
-    /// write. `was_aside` says that the sample was kept aside before.
+    /// What to do with a sample. `authority` comes from the newest directive, `None` for a topic that several
+    /// processes write; `was_aside` is true for a sample that was kept aside before.
     pub fn admit(&mut self, authority: Option<&Authority>, header: &Header, was_aside: bool) -> Admission {
         let Header { incarnation, scan_id, .. } = *header;
         if let Some(authority) = authority {

@@ -10,7 +10,7 @@ use crate::{Fault, Header, Role};
 pub const CHECKPOINT_BYTES: usize = 8192;
 
 sample! {
-    /// The state of one stateful process after a scan, as plain bytes of a type that both ends know.
+    /// The state of one stateful process after a scan, as bytes of a type that both ends know.
     pub struct Checkpoint(8408, Checkpoint, 0x2dc3_5882, "scanloop.Checkpoint.v1", check) {
         /// Identity: the scan after which the state was taken
         pub header: Header,
@@ -64,7 +64,7 @@ impl std::fmt::Display for CheckpointError {
 impl std::error::Error for CheckpointError {}
 
 impl Checkpoint {
-    /// A checkpoint of a state that another language describes; `state_layout` is the number both ends know it by.
+    /// A checkpoint of a state of another language; `state_layout` is the number by which both ends know it.
     ///
     /// # Errors
     /// [`CheckpointError::Length`] when it does not fit.
@@ -106,14 +106,9 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`] when the type or its length differs.
     pub fn state<S: Pod + Described>(&self) -> Result<S, CheckpointError> {
-        let expected = const { fingerprint(&S::KIND, FNV_OFFSET) };
-        if self.state_layout != expected {
-            return Err(CheckpointError::UnknownState { found: self.state_layout, expected });
-        }
-        if self.length as usize != size_of::<S>() {
-            return Err(CheckpointError::Length { found: self.length as usize, expected: size_of::<S>() });
-        }
-        Ok(bytemuck::pod_read_unaligned(&self.bytes[..size_of::<S>()]))
+        let bytes = self.state_bytes(const { fingerprint(&S::KIND, FNV_OFFSET) })?;
+        bytemuck::try_pod_read_unaligned(bytes)
+            .map_err(|_| CheckpointError::Length { found: bytes.len(), expected: size_of::<S>() })
     }
 }
 

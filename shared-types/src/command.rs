@@ -1,4 +1,4 @@
-//! What the controller wants.
+//! What the controller commands.
 
 use crate::describe::layout;
 use crate::fault::finite;
@@ -96,7 +96,7 @@ layout! {
 }
 
 sample! {
-    /// One verified command per scan, with the plan it is the start of.
+    /// One verified command per scan, with the plan that it begins.
     pub struct Command(1704, Command, 0x2587_ca67, "scanloop.Command.v1", check) {
         /// Identity and stamps
         pub header: Header,

@@ -1,11 +1,11 @@
 //! A description of the layout of samples that other languages and the documentation are made from.
 
-/// What a field is made of.
+/// The type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// A plain number, by its Rust name: `u8`, `u16`, `u32`, `u64`, `i32`, `f64`.
     Scalar(&'static str),
-    /// That many values of one kind, one behind the other.
+    /// That many consecutive values of one kind.
     Array(&'static Kind, usize),
     /// A struct by name, with its fields.
     Struct(&'static str, &'static [Field]),
@@ -61,11 +61,11 @@ pub struct Field {
     pub doc: &'static str,
     /// Byte offset within its struct.
     pub offset: usize,
-    /// What it is made of.
+    /// Its type.
     pub kind: Kind,
 }
 
-/// A type that can stand in a sample.
+/// A type that samples can contain.
 pub trait Described {
     /// The description of the type.
     const KIND: Kind;
@@ -86,7 +86,7 @@ impl<T: Described, const N: usize> Described for [T; N] {
 pub struct Flag(u32);
 
 impl Flag {
-    /// Whether it says yes.
+    /// Whether it is yes.
     pub const fn is_set(self) -> bool {
         self.0 == 1
     }
@@ -102,8 +102,8 @@ impl Described for Flag {
     const KIND: Kind = u32::KIND;
 }
 
-/// Declares a plain `#[repr(C)]` struct of a sample or of the state in a checkpoint, with the description that it is
-/// recognised by.
+/// Declares a plain `#[repr(C)]` struct of a sample or of the state in a checkpoint, with the description that
+/// identifies it.
 ///
 /// The crate that uses it needs `bytemuck` with `derive`. Every field needs documentation; its first line is part of
 /// the description.

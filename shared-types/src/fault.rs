@@ -8,7 +8,7 @@ pub enum Fault {
         /// Name of the field.
         field: &'static str,
     },
-    /// A number is outside what the field can mean.
+    /// A number is outside the range of the field.
     OutOfRange {
         /// Name of the field.
         field: &'static str,
@@ -22,7 +22,7 @@ pub enum Fault {
         /// The number found.
         value: u32,
     },
-    /// The producer was built against another layout of the sample.
+    /// The publisher was built against another layout of the sample.
     Layout {
         /// The layout this program was built with.
         expected: u32,

@@ -1,9 +1,10 @@
-//! The header of all samples and the way of a scan through the stages.
+//! The header of all samples, with the stamps of a scan on its way through the stages.
 
 use crate::describe::layout;
 use crate::{ROLES, Role};
 
-/// Data of this age is young at any scan rate: a scan of the fastest scanners of their kind takes as long [ns].
+/// Data younger than this is never too old, whatever the scan rate: the fastest such scanners take as long per scan
+/// [ns].
 pub const YOUNG_NS: u64 = 25_000_000;
 
 layout! {
@@ -21,7 +22,7 @@ layout! {
 }
 
 layout! {
-    /// First field of every sample: identity, and the way from the scan.
+    /// First field of every sample: identity, and stamps from the scan on.
     ///
     /// All stamps are nanoseconds of CLOCK_MONOTONIC, or of the simulated clock in lock-step.
     pub struct Header(192) {
@@ -41,7 +42,7 @@ layout! {
 }
 
 impl Header {
-    /// The header of an answer to `self`: same scan, the chain of `self` carried on.
+    /// The header of an answer to `self`: same scan, with the chain of `self`.
     ///
     /// Layout, incarnation, sequence and stamps of the answering stage are filled when it publishes.
     #[must_use]
@@ -49,7 +50,7 @@ impl Header {
         Self { layout: 0, incarnation: 0, sequence: 0, ..*self }
     }
 
-    /// The header of an answer to two inputs of one scan: stamps of both ways.
+    /// The header of an answer to two inputs of one scan, with the stamps of both.
     #[must_use]
     pub fn answer_both(&self, other: &Self) -> Self {
         let mut header = self.answer();

@@ -1,11 +1,11 @@
 //! The layouts of all samples as a table that crosses process borders, and the first difference between two.
 //!
-//! The bus compares name, size and alignment of a type only, so two fields that have changed places would go
-//! unnoticed. Therefore the orchestrator writes its table beside the bus and each process compares its own, which its
-//! compiler made, before it joins.
+//! The bus compares only name, size and alignment of a type, so it would accept two exchanged fields. Therefore the
+//! orchestrator writes its table into the directory of the system. Each process compares it with the table of its own
+//! compiler before it joins.
 //!
-//! One row is one field; a struct comes before its fields, and of an array the first element stands for all. Where
-//! this fails: a field that has kept name, place and type but means something else is not found.
+//! One row is one field. A struct comes before its fields, and the first element of an array stands for all. A change
+//! of meaning alone, with the same name, place and type, is not detected.
 
 use std::fmt;
 use std::str::FromStr;
@@ -27,11 +27,11 @@ pub struct LayoutRow {
     pub field: String,
     /// `u8`, `u16`, `u32`, `u64`, `i32`, `f64`, or the name of a struct.
     pub kind: String,
-    /// Number of elements, 1 for what is no array.
+    /// Number of elements, 1 for no array.
     pub count: usize,
     /// Size of one element [bytes].
     pub size: usize,
-    /// Offset from the beginning of the sample [bytes].
+    /// Offset from the start of the sample [bytes].
     pub offset: usize,
 }
 
@@ -66,33 +66,22 @@ pub enum Deviation {
         mine: String,
     },
     /// It begins elsewhere [bytes].
-    Offset {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Offset(Both<usize>),
     /// It is of another type.
-    Type {
-        /// In the process.
-        mine: String,
-        /// In the system.
-        theirs: String,
-    },
+    Type(Both<String>),
     /// It has more or fewer elements.
-    Count {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Count(Both<usize>),
     /// An element has another size [bytes].
-    Size {
-        /// In the process.
-        mine: usize,
-        /// In the system.
-        theirs: usize,
-    },
+    Size(Both<usize>),
+}
+
+/// Two values that should be the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Both<T> {
+    /// In the process.
+    pub mine: T,
+    /// In the system.
+    pub theirs: T,
 }
 
 impl Layouts {
@@ -141,46 +130,46 @@ pub fn difference(
 }
 
 fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Deviation)> {
-    // What is wrong with a struct as a whole is said only where nothing is wrong with its fields.
+    // A struct as a whole is reported only where none of its fields differs.
     let mut whole: Option<(&str, Deviation)> = None;
-    let said = |(field, what): (&str, Deviation)| Some((field.to_owned(), what));
+    let found = |(field, what): (&str, Deviation)| Some((field.to_owned(), what));
     for index in 0..mine.len().max(theirs.len()) {
         let (my, their) = (mine.get(index), theirs.get(index));
         let inside = |field: &str| [my, their].into_iter().flatten().any(|row| within(&row.field, field));
-        if let Some(found) = whole.take_if(|(field, _)| !inside(field)) {
-            return said(found);
+        if let Some(earlier) = whole.take_if(|(field, _)| !inside(field)) {
+            return found(earlier);
         }
         let (my, their) = match (my, their) {
             (Some(my), Some(their)) => (my, their),
-            (None, Some(their)) => return said((&their.field, Deviation::Missing)),
-            (Some(my), None) => return said((&my.field, Deviation::Extra)),
+            (None, Some(their)) => return found((&their.field, Deviation::Missing)),
+            (Some(my), None) => return found((&my.field, Deviation::Extra)),
             (None, None) => break,
         };
         if my.field != their.field {
-            return said(misplaced(my, their, mine, theirs));
+            return found(misplaced(my, their, mine, theirs));
         }
         let field = my.field.as_str();
-        let kinds = Deviation::Type { mine: my.kind.clone(), theirs: their.kind.clone() };
+        let kinds = Deviation::Type(Both { mine: my.kind.clone(), theirs: their.kind.clone() });
         let is_struct = |row: &LayoutRow| !SCALARS.contains(&row.kind.as_str());
         let both = is_struct(my) && is_struct(their);
         if my.kind != their.kind && !both {
-            return said((field, kinds));
+            return found((field, kinds));
         }
         if my.count != their.count {
-            return said((field, Deviation::Count { mine: my.count, theirs: their.count }));
+            return found((field, Deviation::Count(Both { mine: my.count, theirs: their.count })));
         }
         if my.offset != their.offset {
-            return said((field, Deviation::Offset { mine: my.offset, theirs: their.offset }));
+            return found((field, Deviation::Offset(Both { mine: my.offset, theirs: their.offset })));
         }
-        let sizes = Deviation::Size { mine: my.size, theirs: their.size };
+        let sizes = Deviation::Size(Both { mine: my.size, theirs: their.size });
         match (my.kind != their.kind, my.size != their.size) {
             (true, _) => whole = Some((field, kinds)),
             (_, true) if both => whole = Some((field, sizes)),
-            (_, true) => return said((field, sizes)),
+            (_, true) => return found((field, sizes)),
             _ => {}
         }
     }
-    whole.and_then(said)
+    whole.and_then(found)
 }
 
 /// Why two rows in one place have different names.
@@ -194,8 +183,10 @@ fn misplaced<'a>(
         rows.iter().find(|other| other.field == row.field).map(|other| other.offset)
     };
     match (find(mine, their), find(theirs, my)) {
-        // Both are there: they have changed places.
-        (Some(offset), Some(_)) => (&their.field, Deviation::Offset { mine: offset, theirs: their.offset }),
+        // Both tables have both fields: the fields were exchanged.
+        (Some(offset), Some(_)) => {
+            (&their.field, Deviation::Offset(Both { mine: offset, theirs: their.offset }))
+        }
         (Some(_), None) => (&my.field, Deviation::Extra),
         (None, Some(_)) => (&their.field, Deviation::Missing),
         (None, None) => (&their.field, Deviation::Renamed { mine: my.field.clone() }),
@@ -249,7 +240,7 @@ impl fmt::Display for Layouts {
 pub struct NotALayout {
     /// Number of the line, from 1.
     pub line: usize,
-    /// What stands there.
+    /// Its content.
     pub text: String,
 }
 
@@ -279,12 +270,12 @@ impl FromStr for Layouts {
 }
 
 fn row(line: &str) -> Option<LayoutRow> {
-    let mut words = line.split(' ');
-    let mut text = || words.next().map(str::to_owned);
+    let mut columns = line.split(' ');
+    let mut text = || columns.next().map(str::to_owned);
     let (topic, field, kind) = (text()?, text()?, text()?);
     let mut number = || text()?.parse().ok();
     let (count, size, offset) = (number()?, number()?, number()?);
-    words.next().is_none().then_some(LayoutRow { topic, field, kind, count, size, offset })
+    columns.next().is_none().then_some(LayoutRow { topic, field, kind, count, size, offset })
 }
 
 impl fmt::Display for Difference {
@@ -298,16 +289,16 @@ impl fmt::Display for Difference {
             Deviation::Missing => write!(formatter, "is missing in this process"),
             Deviation::Extra => write!(formatter, "is not in the samples of the system"),
             Deviation::Renamed { mine } => write!(formatter, "is called {mine} in this process"),
-            Deviation::Offset { mine, theirs } => {
+            Deviation::Offset(Both { mine, theirs }) => {
                 write!(formatter, "begins at byte {mine} in this process, at {theirs} in the system")
             }
-            Deviation::Type { mine, theirs } => {
+            Deviation::Type(Both { mine, theirs }) => {
                 write!(formatter, "is of type {mine} in this process, {theirs} in the system")
             }
-            Deviation::Count { mine, theirs } => {
+            Deviation::Count(Both { mine, theirs }) => {
                 write!(formatter, "has {mine} elements in this process, {theirs} in the system")
             }
-            Deviation::Size { mine, theirs } => {
+            Deviation::Size(Both { mine, theirs }) => {
                 write!(formatter, "has {mine} bytes in this process, {theirs} in the system")
             }
         }

@@ -1,8 +1,8 @@
 //! The vocabulary of Scanloop: every sample that crosses a process border, with its layout pinned.
 //!
 //! A sample is a fixed-layout value (`#[repr(C)]`, no pointers, no implicit padding) that starts with a
-//! [`Header`]. The header carries the identity of the scan a sample answers and the time stamps of all stages
-//! it went through, so each actuation contains its own way from the scan.
+//! [`Header`]. The header carries the identity of the scan that a sample answers, and the time stamps of all stages on
+//! the way. So each actuation contains the timing of its whole chain.
 //!
 //! Units are SI, angles are radians counter-clockwise, the frame is x forward along the track, y to the left.
 
@@ -39,7 +39,7 @@ pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
-pub use layouts::{Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};
+pub use layouts::{Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};
 pub use named::UnknownName;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
@@ -47,7 +47,7 @@ pub use pose::{Alarm, Pose, Suspect};
 pub use refusal::{FIELD_NAME_BYTES, Refusal};
 pub use role::{PORTS, ROLES, Role};
 pub use rule::Rule;
-pub use sample::Sample;
+pub use sample::{Sample, SampleType};
 pub use scan::{BEAMS, FIRST_BEAM_YAW_RAD, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan, WINDOW};
 pub use supervision::{Directive, Heartbeat, Phase, ProcessState};
 pub use topic::{TOPICS, Topic};

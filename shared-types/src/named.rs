@@ -1,6 +1,6 @@
-//! Enums whose values have names, and those among them that travel in samples as a number.
+//! Enums whose values have names, and enums that travel in samples as a number.
 
-/// Declares an enum with the names that stand in files, reports and messages.
+/// Declares an enum with the names that files, reports and messages use.
 #[macro_export]
 macro_rules! named_enum {
     (
@@ -75,7 +75,7 @@ macro_rules! wire_enum {
 
 pub(crate) use {named_enum, wire_enum};
 
-/// A text that is no name of a kind of things.
+/// A text that names no value of an enum.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnknownName {
     kind: &'static str,
@@ -83,7 +83,7 @@ pub struct UnknownName {
     known: Vec<&'static str>,
 }
 
-/// The value of `all` with this name; `kind` says what it is in messages.
+/// The value of `all` with this name; messages call it a `kind`.
 pub(crate) fn by_name<T: Copy>(
     kind: &'static str,
     text: &str,

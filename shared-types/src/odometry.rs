@@ -1,4 +1,4 @@
-//! What the robot reports about its own motion.
+//! The motion that the robot reports.
 
 use crate::fault::finite;
 use crate::sample::sample;

@@ -10,11 +10,11 @@ wire_enum! {
     pub enum Suspect {
         /// Nothing.
         None = 0 "none",
-        /// The velocity factor kv: speed at the wheels is not what is desired.
+        /// The velocity factor kv: the speed at the wheels is not the desired one.
         VelocityFactor = 1 "velocity_factor",
-        /// The steering map: the robot turns otherwise than its wheels are told.
+        /// The steering map: the robot turns otherwise than commanded.
         Steering = 2 "steering",
-        /// The share of the way that odometry misses, df.
+        /// Odometry scale error, df: fraction of the travelled distance that is not reported.
         OdometryLongitudinal = 3 "odometry_longitudinal",
         /// The lateral drift of the odometry, dds.
         OdometryLateral = 4 "odometry_lateral_rate",

@@ -1,4 +1,4 @@
-//! What a reader says of the samples that it dropped or refused because of their content.
+//! The report of a reader about samples that it dropped or refused because of their content.
 
 use crate::describe::layout;
 use crate::{Fault, Header, Rule};
@@ -25,7 +25,7 @@ layout! {
 }
 
 impl Refusal {
-    /// Counts one more sample, and what is wrong with it.
+    /// Counts one more sample with its fault.
     pub fn note(&mut self, header: &Header, fault: &Fault) {
         let (field, value) = fault.finding();
         let mut name = [0; FIELD_NAME_BYTES];

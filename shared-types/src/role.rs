@@ -3,14 +3,14 @@
 use crate::Topic;
 use crate::named::{UnknownName, by_name, wire_enum};
 
-/// Most topics that a role reads, and most that it writes.
+/// Largest number of topics that a role reads, and that it writes.
 pub const PORTS: usize = 2;
 
 /// Number of roles.
 pub const ROLES: usize = 5;
 
 wire_enum! {
-    /// What one process of the loop is there for.
+    /// The job of one process of the loop.
     pub enum Role {
         /// Moves and measures: the emulated SUMMIT with its scanner, or a driver of a real robot.
         Robot = 0 "robot",
@@ -30,9 +30,7 @@ impl Role {
     pub const fn index(self) -> usize {
         self as usize
     }
-}
 
-impl Role {
     /// The topics the role reads.
     pub const fn reads(self) -> &'static [Topic] {
         match self {
@@ -44,7 +42,7 @@ impl Role {
         }
     }
 
-    /// The topic whose samples the role answers one by one: the input that comes last for a scan.
+    /// The topic whose samples the role answers one by one: its last input of a scan.
     pub const fn answers(self) -> Option<Topic> {
         match self {
             Self::Robot => None,

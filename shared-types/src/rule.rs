@@ -6,13 +6,13 @@ use crate::named::wire_enum;
 wire_enum! {
     /// The rule that a dropped or refused sample failed.
     pub enum Rule {
-        /// None was failed.
+        /// It failed none.
         None = 0 "none",
         /// Its layout is that of this system.
         Layout = 1 "foreign_layout",
         /// Its numbers are finite.
         NotFinite = 2 "not_finite",
-        /// Its numbers are within what the fields can mean.
+        /// Its numbers are within the ranges of the fields.
         OutOfRange = 3 "out_of_range",
         /// Its enumerations hold known numbers.
         UnknownValue = 4 "unknown_value",
@@ -38,7 +38,7 @@ impl Rule {
         )
     }
 
-    /// Whether the writer of the sample is the one at fault; age and number may also be due to what came before it.
+    /// Whether the publisher of the sample is at fault; age and number may also be due to earlier stages.
     pub const fn is_of_writer(self) -> bool {
         self.is_of_content() || matches!(self, Self::OutsideBounds)
     }

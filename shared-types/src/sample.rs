@@ -15,6 +15,19 @@ pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     const LAYOUT: u32;
     /// The fields in order of their offsets, the header first.
     const FIELDS: &'static [Field];
+    /// All of this as a value, for code that is compiled once for all types.
+    const TYPE: &'static SampleType = &SampleType {
+        topic: Self::TOPIC,
+        name: Self::TYPE_NAME,
+        size: size_of::<Self>(),
+        alignment: align_of::<Self>(),
+        layout: Self::LAYOUT,
+        fields: Self::FIELDS,
+        header: |bytes| bytemuck::from_bytes::<Self>(bytes).header(),
+        header_mut: |bytes| bytemuck::from_bytes_mut::<Self>(bytes).header_mut(),
+        is_answer: |bytes| bytemuck::from_bytes::<Self>(bytes).is_answer(),
+        check: |bytes| bytemuck::from_bytes::<Self>(bytes).check(),
+    };
 
     /// The header.
     fn header(&self) -> &Header;
@@ -22,20 +35,45 @@ pub trait Sample: Pod + Described + std::fmt::Debug + Send + Sync + 'static {
     /// The header, to fill it.
     fn header_mut(&mut self) -> &mut Header;
 
-    /// Whether this is due to an input of the scan in the header; false for what an actuator decides by itself.
+    /// Whether this answers an input of the scan in the header; false for what an actuator decides by itself.
     fn is_answer(&self) -> bool {
         true
     }
 
-    /// Whether the content may be used: all numbers finite and inside what the field can mean.
+    /// Whether the content may be used: all numbers are finite and within the range of their field.
     ///
     /// # Errors
     /// The first [`Fault`] found; the sample is then dropped and counted by the reader.
     fn check(&self) -> Result<(), Fault>;
 }
 
+/// A type of samples as a value. Its functions panic when length or alignment of the bytes are not those of the type.
+#[derive(Debug, Clone, Copy)]
+pub struct SampleType {
+    /// The topic that carries it.
+    pub topic: Topic,
+    /// Its name on the bus.
+    pub name: &'static str,
+    /// Its size [bytes].
+    pub size: usize,
+    /// Its alignment [bytes].
+    pub alignment: usize,
+    /// [`Sample::LAYOUT`].
+    pub layout: u32,
+    /// [`Sample::FIELDS`].
+    pub fields: &'static [Field],
+    /// [`Sample::header`].
+    pub header: fn(&[u8]) -> &Header,
+    /// [`Sample::header_mut`].
+    pub header_mut: fn(&mut [u8]) -> &mut Header,
+    /// [`Sample::is_answer`].
+    pub is_answer: fn(&[u8]) -> bool,
+    /// [`Sample::check`].
+    pub check: fn(&[u8]) -> Result<(), Fault>,
+}
+
 impl Header {
-    /// Passes when the header was filled by a producer built against the layout of `S`.
+    /// Passes when the publisher of the sample was built against the layout of `S`.
     ///
     /// # Errors
     /// [`Fault::Layout`] with both layout versions.

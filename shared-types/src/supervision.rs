@@ -1,4 +1,4 @@
-//! What processes tell the orchestrator, and what it tells them.
+//! Messages between processes and orchestrator: heartbeats and directives.
 
 use crate::named::wire_enum;
 use crate::sample::sample;
@@ -9,7 +9,7 @@ wire_enum! {
     pub enum Phase {
         /// Processes are starting and open their ports.
         Starting = 0 "starting",
-        /// All ports exist: everyone connects both halves of its connections.
+        /// All ports exist: each process makes its ends of the connections.
         Connecting = 1 "connecting",
         /// The loop runs.
         Driving = 2 "driving",
@@ -19,7 +19,7 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// What a process says of itself.
+    /// The state that a process reports.
     pub enum ProcessState {
         /// It has opened its ports.
         Attached = 0 "attached",
@@ -39,7 +39,7 @@ sample! {
         pub header: Header,
         /// What the system is doing, `Phase`
         pub phase: u32,
-        /// 1 when the wheels are to be blocked now, whatever the controller says
+        /// 1 when the wheels are to be blocked now, whatever the controller commands
         pub stop: u32,
         /// In lock-step: the last scan that the robot may publish
         pub granted_scan: u64,
@@ -58,12 +58,7 @@ impl Directive {
         topic.writer().map(|role| &self.authority[role.index()])
     }
 
-    /// Whether a sample of `role` for `scan_id` made by `incarnation` counts.
-    pub fn accepts(&self, role: Role, incarnation: u32, scan_id: u64) -> bool {
-        self.authority[role.index()].accepts(incarnation, scan_id)
-    }
-
-    /// Whether the writer of a sample of `topic` is the one that counts for its scan.
+    /// Whether a sample of `topic` counts for its scan.
     pub fn counts(&self, topic: Topic, header: &Header) -> bool {
         let authority = self.authority_over(topic);
         authority.is_none_or(|authority| authority.accepts(header.incarnation, header.scan_id))
@@ -77,7 +72,7 @@ sample! {
         pub header: Header,
         /// Role of the process, `Role`
         pub role: u32,
-        /// What the process says of itself, `ProcessState`
+        /// State that the process reports, `ProcessState`
         pub state: u32,
         /// Process id
         pub pid: u64,

@@ -2,47 +2,45 @@
 
 use crate::describe::Field;
 use crate::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, Scan, Topic,
-    Truth,
+    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, SampleType,
+    Scan, Topic, Truth,
 };
 
 impl Topic {
+    /// The type of its samples.
+    pub const fn sample_type(self) -> &'static SampleType {
+        match self {
+            Self::Scan => Scan::TYPE,
+            Self::Odometry => Odometry::TYPE,
+            Self::Pose => Pose::TYPE,
+            Self::Obstacles => Obstacles::TYPE,
+            Self::Command => Command::TYPE,
+            Self::Actuation => Actuation::TYPE,
+            Self::Heartbeat => Heartbeat::TYPE,
+            Self::Directive => Directive::TYPE,
+            Self::Checkpoint => Checkpoint::TYPE,
+            Self::Truth => Truth::TYPE,
+        }
+    }
+
     /// Name of the sample type on the bus.
     pub const fn type_name(self) -> &'static str {
-        self.description().0
+        self.sample_type().name
     }
 
     /// Size of a sample [bytes].
     pub const fn size(self) -> usize {
-        self.description().1
+        self.sample_type().size
     }
 
     /// Fields of a sample, the header first.
     pub const fn fields(self) -> &'static [Field] {
-        self.description().2
+        self.sample_type().fields
     }
 
     /// Layout version of a sample, [`Sample::LAYOUT`].
     pub const fn layout(self) -> u32 {
-        self.description().3
-    }
-
-    const fn description(self) -> (&'static str, usize, &'static [Field], u32) {
-        const fn of<S: Sample>() -> (&'static str, usize, &'static [Field], u32) {
-            (S::TYPE_NAME, size_of::<S>(), S::FIELDS, S::LAYOUT)
-        }
-        match self {
-            Self::Scan => of::<Scan>(),
-            Self::Odometry => of::<Odometry>(),
-            Self::Pose => of::<Pose>(),
-            Self::Obstacles => of::<Obstacles>(),
-            Self::Command => of::<Command>(),
-            Self::Actuation => of::<Actuation>(),
-            Self::Heartbeat => of::<Heartbeat>(),
-            Self::Directive => of::<Directive>(),
-            Self::Checkpoint => of::<Checkpoint>(),
-            Self::Truth => of::<Truth>(),
-        }
+        self.sample_type().layout
     }
 }
 

@@ -29,7 +29,7 @@ sample! {
         pub clearance_m: f64,
         /// Smallest such distance since the start, in plant steps [m]
         pub min_clearance_m: f64,
-        /// Way driven since the start [m]
+        /// Distance driven since the start [m]
         pub path_length_m: f64,
         /// Largest lateral offset from the line y = start since the start [m]
         pub max_abs_lateral_m: f64,

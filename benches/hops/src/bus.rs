@@ -30,7 +30,7 @@ const ORPHAN_TIMEOUT_NS: u64 = 3_600_000_000_000;
 /// Readers of a topic of the chain: the next process, and one for what comes unforeseen.
 const READERS: usize = 2;
 /// Readers of heartbeats and directives: the processes and the driver.
-const SPEAKERS: usize = PROCESSES + 1;
+const PARTICIPANTS: usize = PROCESSES + 1;
 
 /// A sample of a chosen size: `HOP` gives the topic, `REST` is the size without the header.
 #[derive(Debug, Clone, Copy)]
@@ -117,7 +117,7 @@ impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
             self.header.answer()
         } else {
             let mut header = Header { scan_id: stamp.sequence, ..Header::default() };
-            // A stage that no process of this chain has: the stamp rides where nobody overwrites it.
+            // A stage that no process of this chain has, so that no process overwrites the stamp.
             header.stage_mut(Role::Actuator).woken_ns = stamp.sent_ns;
             header
         };
@@ -144,32 +144,32 @@ impl<I: Sample, O: Sample> Stage for BusStage<I, O> {
 
     fn sleep_until(&mut self, time_ns: u64) {
         while runtime::monotonic_ns() < time_ns {
-            // It ends by the word of the driver, not by a signal: nothing to do when asked to.
+            // It ends by order of the driver, not by a signal.
             let _ = self.process.wait_for_time(time_ns);
         }
         self.process.begin();
     }
 
-    fn block(&mut self, longest_ns: Option<u64>) {
-        self.wait(longest_ns.unwrap_or(u64::MAX));
+    fn block(&mut self, timeout_ns: Option<u64>) {
+        self.wait(timeout_ns.unwrap_or(u64::MAX));
     }
 }
 
 impl<I: Sample, O: Sample> BusStage<I, O> {
-    fn wait(&mut self, longest_ns: u64) {
-        let deadline = (longest_ns < u64::MAX).then(|| runtime::monotonic_ns() + longest_ns);
-        // It ends by the word of the driver, not by a signal: nothing to do when asked to.
+    fn wait(&mut self, timeout_ns: u64) {
+        let deadline = (timeout_ns < u64::MAX).then(|| runtime::monotonic_ns() + timeout_ns);
+        // It ends by order of the driver, not by a signal.
         let _ = self.process.wait(deadline);
     }
 }
 
-/// A sample of zeros that never was on a stack: the largest has 4 MB.
+/// A sample of zeros that is never on the stack: the largest has 4 MB.
 fn zeroed_box<S: Sample>() -> Box<S> {
     // SAFETY: samples are plain data, for which zero is a value.
     unsafe { Box::new_zeroed().assume_init() }
 }
 
-/// Writes what belongs to a message into a sample of the bus: the header, and the number at the end of chosen sizes.
+/// Writes a message into a sample of the bus: the header, and the number at the end of chosen sizes.
 fn fill<S: Sample>(sample: &mut S, header: Header) {
     if S::FIELDS.is_empty() {
         let end = size_of::<S>() - 8;
@@ -230,7 +230,7 @@ pub(crate) fn open(setup: &Setup) -> Result<Box<dyn Stage>, HopError> {
     opened.map_err(|error| HopError::transport("open the ports", error))
 }
 
-/// What the orchestrator does for a system, as far as a chain needs it: topics, settings, directives.
+/// The part of an orchestrator that a chain needs: topics, settings, directives.
 pub(crate) struct System {
     // Fields are dropped in this order: ports before the bus, the bus before its files.
     directives: Publisher<Directive>,
@@ -273,7 +273,7 @@ impl System {
         })
     }
 
-    /// What the process `index` finds in its environment.
+    /// The environment variables of the process `index`.
     pub(crate) fn environment(&self, index: usize) -> [(&'static str, String); 4] {
         [
             (SYSTEM_ID_VARIABLE, self.domain.system_id().to_owned()),
@@ -283,7 +283,7 @@ impl System {
         ]
     }
 
-    /// Moves the start barrier on; to be called until all processes have said hello.
+    /// Advances the start barrier; call it until all processes have sent their hello.
     pub(crate) fn assist(&mut self) -> Result<(), HopError> {
         let error = |error: RuntimeError| HopError::transport("start the chain", error);
         self.heartbeats
@@ -321,9 +321,9 @@ fn incarnation(index: usize) -> u32 {
 
 fn create(domain: &Domain, payload: Payload) -> Result<Bus, RuntimeError> {
     let mut bus = Bus::create_empty(domain)?;
-    bus.create_topic_for::<Heartbeat>(SPEAKERS)?;
-    bus.create_topic_for::<Directive>(SPEAKERS)?;
-    bus.create_topic_for::<Checkpoint>(SPEAKERS)?;
+    bus.create_topic_for::<Heartbeat>(PARTICIPANTS)?;
+    bus.create_topic_for::<Directive>(PARTICIPANTS)?;
+    bus.create_topic_for::<Checkpoint>(PARTICIPANTS)?;
     let Payload::Block(bytes) = payload else {
         bus.create_topic_for::<Odometry>(READERS)?;
         bus.create_topic_for::<Pose>(READERS)?;

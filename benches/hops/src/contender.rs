@@ -1,4 +1,4 @@
-//! What a chain can go through.
+//! The transports that a chain can use.
 
 use crate::stage::Stage;
 use crate::{HopError, Policy, Setup, bus, floor, listener, unix_socket};
@@ -6,11 +6,11 @@ use crate::{HopError, Policy, Setup, bus, floor, listener, unix_socket};
 /// A transport under comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Contender {
-    /// The bus as the processes of the loop use it: what all others are compared with.
+    /// The bus as the processes of the loop use it: the reference of the comparison.
     Iceoryx2,
     /// iceoryx2 with its own listener, for information.
     Iceoryx2Listener,
-    /// A ring in shared memory and an eventfd: the least that a hop can cost when processes sleep.
+    /// A ring in shared memory and an eventfd: the lowest cost of a hop when processes sleep.
     Floor,
     /// The same ring and a futex.
     FloorFutex,
@@ -55,7 +55,7 @@ impl Contender {
         }
     }
 
-    /// Whether its processes can wait in this way. Libraries that wait in threads of their own can't be told how.
+    /// Whether its processes can wait in this way. Libraries that wait in threads of their own have no choice.
     pub const fn can(self, policy: Policy) -> bool {
         matches!(policy, Policy::Block)
             || matches!(self, Self::Iceoryx2 | Self::Floor | Self::FloorFutex | Self::UnixSocket)
@@ -73,7 +73,7 @@ impl std::str::FromStr for Contender {
     }
 }
 
-/// Opens the ports of one process of an in-tree contender, and says how the process is to wait.
+/// Opens the ports of one process of an in-tree contender, and sets how the process waits.
 pub(crate) fn stage(setup: &mut Setup) -> Result<Box<dyn Stage>, HopError> {
     Ok(match setup.contender.as_str() {
         "iceoryx2" => {

@@ -1,4 +1,4 @@
-//! The wire between a process of the chain and the driver: a Unix socket with a word a line.
+//! The connection between a process of the chain and the driver: a Unix socket with one message per line.
 //!
 //! It also ends the processes: when the driver closes it, or dies, they notice within a tenth of a second.
 
@@ -10,9 +10,9 @@ use rustix::net::{RecvFlags, recv};
 
 use crate::{HopError, Setup};
 
-/// What the driver says.
+/// An order of the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Word {
+pub enum Order {
     /// The chain is connected: measure.
     Go,
     /// Report what has come so far.
@@ -21,12 +21,12 @@ pub enum Word {
     Close,
 }
 
-/// A process's end of the wire.
+/// A process's end of the connection.
 #[derive(Debug)]
 pub struct Control(UnixStream);
 
 impl Control {
-    /// Connects to the driver; say [`Control::hello`] once all ports are open.
+    /// Connects to the driver; call [`Control::hello`] when all ports are open.
     ///
     /// # Errors
     /// [`HopError::System`].
@@ -40,14 +40,14 @@ impl Control {
     /// # Errors
     /// [`HopError::System`].
     pub fn hello(&mut self, setup: &Setup) -> Result<(), HopError> {
-        self.say(&format!("hello {}", setup.index))
+        self.send_line(&format!("hello {}", setup.index))
     }
 
-    /// Says a line.
+    /// Sends a line.
     ///
     /// # Errors
     /// [`HopError::System`].
-    pub fn say(&mut self, line: &str) -> Result<(), HopError> {
+    pub fn send_line(&mut self, line: &str) -> Result<(), HopError> {
         self.0.write_all(format!("{line}\n").as_bytes()).map_err(HopError::system("tell the driver"))
     }
 
@@ -56,13 +56,13 @@ impl Control {
     /// # Errors
     /// [`HopError::System`].
     pub fn report(&mut self, latencies_ns: &[u64]) -> Result<(), HopError> {
-        self.say(&format!("result {}", latencies_ns.len()))?;
+        self.send_line(&format!("result {}", latencies_ns.len()))?;
         let bytes: Vec<u8> = latencies_ns.iter().flat_map(|latency| latency.to_le_bytes()).collect();
         self.0.write_all(&bytes).map_err(HopError::system("report to the driver"))
     }
 
-    /// What the driver has said, waiting up to `timeout` for it.
-    pub fn word(&mut self, timeout: Duration) -> Option<Word> {
+    /// The next order of the driver; waits up to `timeout` for it.
+    pub fn order(&mut self, timeout: Duration) -> Option<Order> {
         let mut letter = [0];
         let read = if timeout.is_zero() {
             recv(&self.0, &mut letter, RecvFlags::DONTWAIT).map(|(count, _)| count).map_err(Into::into)
@@ -70,18 +70,18 @@ impl Control {
             self.0.set_read_timeout(Some(timeout)).and_then(|()| self.0.read(&mut letter))
         };
         match read {
-            Ok(1) if letter[0] == b'g' => Some(Word::Go),
-            Ok(1) if letter[0] == b'f' => Some(Word::Finish),
-            Ok(_) => Some(Word::Close),
+            Ok(1) if letter[0] == b'g' => Some(Order::Go),
+            Ok(1) if letter[0] == b'f' => Some(Order::Finish),
+            Ok(_) => Some(Order::Close),
             Err(error) => {
                 let nothing = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::Interrupted];
-                if nothing.contains(&error.kind()) { None } else { Some(Word::Close) }
+                if nothing.contains(&error.kind()) { None } else { Some(Order::Close) }
             }
         }
     }
 
-    /// Sleeps until the driver closes the chain: for a process whose library does the passing on.
-    pub fn linger(&mut self) {
-        while self.word(Duration::from_secs(1)) != Some(Word::Close) {}
+    /// Sleeps until the driver closes the chain: for a process whose library forwards the messages.
+    pub fn wait_for_close(&mut self) {
+        while self.order(Duration::from_secs(1)) != Some(Order::Close) {}
     }
 }

@@ -1,6 +1,6 @@
 //! Starts a chain, lets it measure once, and takes it down.
 //!
-//! While messages are on their way the driver sleeps; it looks five times a second whether all processes live.
+//! While messages are on their way the driver sleeps; five times a second it checks that all processes run.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -18,11 +18,11 @@ use crate::{Contender, HopError, Plan, Setup};
 
 /// How long a chain may take until its first message has come through.
 const START: Duration = Duration::from_secs(30);
-/// How long the last messages may be under way.
+/// How long the last messages may take.
 const LATE: Duration = Duration::from_secs(1);
 /// How long processes may take to end before they are killed.
 const END: Duration = Duration::from_secs(3);
-/// Time between two looks at processes that start or end.
+/// Time between two polls of processes that start or end.
 const POLL: Duration = Duration::from_millis(2);
 
 /// One chain's latencies, in the order of sending.
@@ -38,7 +38,7 @@ impl Block {
         self.latencies_ns.iter().filter(|latency| **latency == 0).count() as u64
     }
 
-    /// Latencies of those that did [ns].
+    /// Latencies of the messages that arrived [ns].
     pub fn arrived_ns(&self) -> impl Iterator<Item = u64> {
         self.latencies_ns.iter().copied().filter(|latency| *latency > 0)
     }
@@ -47,8 +47,8 @@ impl Block {
 /// Runs the chain of a plan once, from the start of its processes to their end.
 ///
 /// # Errors
-/// [`HopError::Chain`] when it does not come up or a process of it ends, [`HopError::Interrupted`] when `stop` says
-/// so, and what the operating system refuses.
+/// [`HopError::Chain`] when it does not come up or a process of it ends, [`HopError::Interrupted`] when `stop`
+/// returns true, and errors of the operating system.
 pub fn measure(plan: &Plan, stop: &dyn Fn() -> bool) -> Result<Block, HopError> {
     let mut chain = Chain::start(plan, stop)?;
     chain.connect()?;
@@ -67,10 +67,10 @@ struct Chain<'a> {
     files: Files,
 }
 
-/// The driver's end of the wire to one process.
+/// The driver's end of the connection to one process.
 struct End {
     stream: UnixStream,
-    heard: Vec<u8>,
+    received: Vec<u8>,
     index: Option<usize>,
 }
 
@@ -115,7 +115,7 @@ impl<'a> Chain<'a> {
             self.check(started, START, "the processes do not open their ports")?;
             self.wiring.assist()?;
             match self.listener.accept() {
-                Ok((stream, _)) => self.ends.push(End { stream, heard: Vec::new(), index: None }),
+                Ok((stream, _)) => self.ends.push(End { stream, received: Vec::new(), index: None }),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => std::thread::sleep(POLL),
                 Err(error) => return Err(HopError::system("listen to the processes")(error)),
             }
@@ -125,7 +125,7 @@ impl<'a> Chain<'a> {
                 greeted += usize::from(end.index.is_some());
             }
         }
-        while self.hear(PROCESSES - 1, Duration::from_millis(50))?.as_deref() != Some("seen") {
+        while self.receive(PROCESSES - 1, Duration::from_millis(50))?.as_deref() != Some("seen") {
             self.check(started, START, "no message comes through")?;
         }
         Ok(())
@@ -137,12 +137,12 @@ impl<'a> Chain<'a> {
             Duration::from_nanos(self.plan.period_ns()) * (self.plan.warm_up + self.plan.samples) as u32;
         self.tell(0, b"g")?;
         let started = Instant::now();
-        while self.hear(0, Duration::from_millis(200))?.as_deref() != Some("sent") {
+        while self.receive(0, Duration::from_millis(200))?.as_deref() != Some("sent") {
             self.check(started, 2 * lasts + START, "the messages are not sent")?;
         }
         let (sent, last, mut asked) = (Instant::now(), PROCESSES - 1, false);
         loop {
-            if let Some(line) = self.hear(last, Duration::from_millis(100))? {
+            if let Some(line) = self.receive(last, Duration::from_millis(100))? {
                 let count = line.strip_prefix("result ").and_then(|count| count.parse::<usize>().ok());
                 let Some(count) = count else { continue };
                 let bytes = self.end(last)?.bytes(8 * count)?;
@@ -175,8 +175,8 @@ impl<'a> Chain<'a> {
         let Some((index, reason)) = reason else { return Ok(()) };
         let log = std::fs::read(self.log(index)).unwrap_or_default();
         let log = String::from_utf8_lossy(&log);
-        let words = log.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing");
-        let reason = format!("{reason}: {}", words.trim());
+        let last_line = log.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it logged nothing");
+        let reason = format!("{reason}: {}", last_line.trim());
         Err(HopError::Chain { contender: self.plan.contender.name(), reason })
     }
 
@@ -189,7 +189,7 @@ impl<'a> Chain<'a> {
         end.ok_or_else(|| HopError::transport("find a process", index))
     }
 
-    fn hear(&mut self, index: usize, timeout: Duration) -> Result<Option<String>, HopError> {
+    fn receive(&mut self, index: usize, timeout: Duration) -> Result<Option<String>, HopError> {
         self.end(index)?.line(timeout)
     }
 
@@ -202,7 +202,7 @@ impl Drop for Chain<'_> {
     fn drop(&mut self) {
         self.ends.clear();
         for child in &self.children {
-            // What needs to leave a bus in order does so when the wire is closed; others need not be waited for.
+            // Processes that must leave their bus in order do so when the connection is closed; the others are ended.
             let orderly =
                 [Contender::Zenoh, Contender::ZenohShm, Contender::Dora].contains(&self.plan.contender);
             if let (false, Some(pid)) = (orderly, Pid::from_raw(child.id().cast_signed())) {
@@ -230,8 +230,8 @@ impl End {
     /// The next line, waiting up to `timeout` for it.
     fn line(&mut self, timeout: Duration) -> Result<Option<String>, HopError> {
         loop {
-            if let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
-                let line: Vec<u8> = self.heard.drain(..=end).collect();
+            if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = self.received.drain(..=end).collect();
                 return Ok(Some(String::from_utf8_lossy(&line[..end]).into_owned()));
             }
             if !self.read(timeout)? {
@@ -240,17 +240,17 @@ impl End {
         }
     }
 
-    /// That many bytes that follow a line.
+    /// So many bytes after a line.
     fn bytes(&mut self, count: usize) -> Result<Vec<u8>, HopError> {
-        while self.heard.len() < count {
+        while self.received.len() < count {
             if !self.read(START)? {
                 return Err(HopError::transport("read a report", "it does not end"));
             }
         }
-        Ok(self.heard.drain(..count).collect())
+        Ok(self.received.drain(..count).collect())
     }
 
-    /// Reads what is there; false when nothing has come in time, or nothing will.
+    /// Reads the waiting bytes; false when none came in time, or none will.
     fn read(&mut self, timeout: Duration) -> Result<bool, HopError> {
         let error = || HopError::system("listen to a process");
         self.stream.set_nonblocking(false).map_err(error())?;
@@ -258,12 +258,12 @@ impl End {
         let mut bytes = [0; 65_536];
         match self.stream.read(&mut bytes) {
             Ok(0) => {
-                // Its process ends, which the next check reports; no hurry until then.
+                // Its process ends, which the next check reports.
                 std::thread::sleep(POLL);
                 Ok(false)
             }
             Ok(count) => {
-                self.heard.extend_from_slice(&bytes[..count]);
+                self.received.extend_from_slice(&bytes[..count]);
                 Ok(true)
             }
             Err(error)

@@ -1,7 +1,7 @@
-//! The floor: what a hop costs at least when processes sleep. A ring in shared memory and one wake-up.
+//! The floor: the lowest cost of a hop when processes sleep. A ring in shared memory and one wake-up.
 //!
-//! Two system calls a hop, one that wakes and one that sleeps: write and read of an eventfd, or two of a futex. No
-//! header, no counters, no third process that could look, no way to join later: nobody could use it as a bus.
+//! A hop takes two system calls, one that wakes and one that sleeps: write and read of an eventfd, or two of a futex.
+//! There is no header, no counter, no observer, and no way to join later, so it is not usable as a bus.
 #![expect(unsafe_code, reason = "descriptors inherited from the driver arrive as bare numbers")]
 
 use std::os::fd::{AsFd, FromRawFd, OwnedFd, RawFd};
@@ -60,19 +60,19 @@ impl End {
         }
     }
 
-    fn sleep(&self, strokes: u32, longest_ns: Option<u64>) {
-        match (&self.event, longest_ns) {
+    fn sleep(&self, strokes: u32, timeout_ns: Option<u64>) {
+        match (&self.event, timeout_ns) {
             (Some(event), None) => {
                 let _ = rustix::io::read(event, &mut [0_u8; 8]);
             }
-            (Some(event), Some(longest_ns)) => {
+            (Some(event), Some(timeout_ns)) => {
                 let mut events = [PollFd::new(event, PollFlags::IN)];
-                if matches!(poll(&mut events, Some(&time(longest_ns))), Ok(1)) {
+                if matches!(poll(&mut events, Some(&time(timeout_ns))), Ok(1)) {
                     let _ = rustix::io::read(event, &mut [0_u8; 8]);
                 }
             }
-            (None, longest_ns) => {
-                let longest = time(longest_ns.unwrap_or(MAX_WAIT_NS));
+            (None, timeout_ns) => {
+                let longest = time(timeout_ns.unwrap_or(MAX_WAIT_NS));
                 let bell = &self.ring.bell().strokes;
                 let _ = futex::wait(bell, futex::Flags::empty(), strokes, Some(&longest));
             }
@@ -100,9 +100,9 @@ impl Stage for Floor {
         self.inlet.as_ref().is_some_and(|inlet| inlet.ring.has_message())
     }
 
-    fn block(&mut self, longest_ns: Option<u64>) {
+    fn block(&mut self, timeout_ns: Option<u64>) {
         if let Some(inlet) = &self.inlet {
-            inlet.ring.sleep_unless_rung(|strokes| inlet.sleep(strokes, longest_ns));
+            inlet.ring.sleep_unless_rung(|strokes| inlet.sleep(strokes, timeout_ns));
         }
     }
 }
@@ -122,6 +122,6 @@ fn borrow(number: RawFd) -> std::os::fd::BorrowedFd<'static> {
     unsafe { std::os::fd::BorrowedFd::borrow_raw(number.max(0)) }
 }
 
-fn time(longest_ns: u64) -> Timespec {
-    Timespec { tv_sec: (longest_ns / 1_000_000_000) as i64, tv_nsec: (longest_ns % 1_000_000_000) as i64 }
+fn time(timeout_ns: u64) -> Timespec {
+    Timespec { tv_sec: (timeout_ns / 1_000_000_000) as i64, tv_nsec: (timeout_ns % 1_000_000_000) as i64 }
 }

@@ -6,10 +6,10 @@
 //! [`measure`] starts the processes of one contender, waits until the first message has come through, lets the first
 //! process send at a fixed rate regardless of answers, and collects the latency of each message, or that it was lost.
 //!
-//! All processes and all of their threads run with the scheduling and on the processors that the driver gives them
-//! before they begin. What the figures are not: latencies of processes with work to do. Messages are written at both
-//! ends only; filling the rest is the same for everybody and left out, which favours transports that copy, because
-//! what they copy stays in the cache.
+//! All processes and their threads run with the scheduling and on the processors that the driver sets before they
+//! start. The figures are no latencies of processes with work to do. Messages are written at both ends only. Filling
+//! the rest would cost the same everywhere; leaving it out favours transports that copy, because their data stay in
+//! the cache.
 //!
 //! Without the feature `chains` this is only what the program of a peer needs: [`Setup`], [`Control`], [`Stage`].
 
@@ -42,7 +42,7 @@ mod unix_socket;
 #[cfg(feature = "chains")]
 mod wiring;
 
-pub use control::{Control, Word};
+pub use control::{Control, Order};
 pub use message::{Arrival, SMALLEST, Stamp, monotonic_ns};
 pub use policy::Policy;
 pub use setup::{HOPS, PROCESSES, SETUP_VARIABLE, Setup, TIDY};
@@ -88,7 +88,7 @@ pub enum HopError {
     Chain {
         /// The contender.
         contender: &'static str,
-        /// What happened, with the last words of the process.
+        /// What happened, with the last log line of the process.
         reason: String,
     },
     /// The caller asked to stop.

@@ -1,7 +1,7 @@
 //! iceoryx2 as its examples use it: publish and notify, `timed_wait` of the stock listener, receive.
 //!
-//! For information: what the bus costs without anything of ours, and what our wake-up changes. A listener can miss a
-//! notification for good in iceoryx2 0.10; the time-out is why that is a delay here and no end.
+//! For information: the cost of the bus without this project's runtime and its wake-up. In iceoryx2 0.10 a listener
+//! can miss a notification for good; because of the time-out this is only a delay here.
 #![expect(unsafe_code, reason = "messages are written in place, on top of older ones")]
 
 use std::time::Duration;
@@ -130,9 +130,9 @@ impl Stage for StockListener {
         self.inlet.as_ref().is_some_and(|(subscriber, _)| subscriber.has_samples().unwrap_or(false))
     }
 
-    fn block(&mut self, longest_ns: Option<u64>) {
+    fn block(&mut self, timeout_ns: Option<u64>) {
         if let Some((_, listener)) = &self.inlet {
-            let longest = Duration::from_nanos(longest_ns.unwrap_or(MAX_WAIT_NS));
+            let longest = Duration::from_nanos(timeout_ns.unwrap_or(MAX_WAIT_NS));
             // A signal ends the wait as a notification does.
             let _ = listener.timed_wait(|_| {}, longest);
         }

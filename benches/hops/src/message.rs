@@ -1,4 +1,4 @@
-//! What every message carries: its number, when it was sent, and the number again at its very end.
+//! The content of every message: its number, its time of sending, and the number again at its end.
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -14,10 +14,10 @@ pub struct Stamp {
     pub sent_ns: u64,
 }
 
-/// A message that has come.
+/// A message that has arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrival {
-    /// Of the message.
+    /// Stamp of the message.
     pub stamp: Stamp,
     /// When the receiving process had it [ns of CLOCK_MONOTONIC].
     pub received_ns: u64,
@@ -50,7 +50,7 @@ impl Stamp {
 }
 
 impl Arrival {
-    /// A message that has come just now.
+    /// A message that has just arrived.
     pub fn now(stamp: Stamp) -> Self {
         Self { stamp, received_ns: monotonic_ns() }
     }

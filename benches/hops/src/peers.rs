@@ -1,4 +1,4 @@
-//! Where the programs of the peers are, and what builds them.
+//! Where the programs of the peers are, and which command builds them.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -8,14 +8,14 @@ use crate::{Contender, TIDY};
 /// The folder of the peers in the source tree.
 const FOLDER: &str = "benches/peers";
 
-/// Why a contender can't be run on this machine, with the command that changes that.
+/// Why a contender can't run on this machine, with the command to fix that.
 pub fn missing(contender: Contender) -> Option<String> {
     let name = setup_name(contender)?;
     let built = program(contender).is_some() && (contender != Contender::Dora || dora().is_some());
     (!built).then(|| format!("not built: run {FOLDER}/setup.sh {name}"))
 }
 
-/// The program of a peer; `None` when it is not built, or when the contender is one of ours.
+/// The program of a peer; `None` when it is not built, or when the contender is in this tree.
 pub(crate) fn program(contender: Contender) -> Option<PathBuf> {
     let program = folder()?.join("target/release").join(format!("{}-hop", setup_name(contender)?));
     program.is_file().then_some(program)

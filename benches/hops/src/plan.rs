@@ -1,10 +1,10 @@
-//! What a chain is to do.
+//! The settings of one measurement of a chain.
 
 use std::path::PathBuf;
 
 use crate::{Contender, Payload, Policy, Scheduling};
 
-/// What is to be measured.
+/// One measurement.
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// The transport.

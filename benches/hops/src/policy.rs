@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Longest sleep: how late a process notices at most that the chain is closed. No multiple of a usual period, so that
-/// time-outs and messages do not meet.
+/// Longest sleep: the most that a process takes to notice that the chain is closed. No multiple of a usual period, so
+/// that time-outs and messages do not meet.
 pub(crate) const MAX_WAIT_NS: u64 = 230_000_000;
 /// How long a process polls before and after the time at which a message is due [us]. Twice what a timer and a
 /// wake-up are late by, and less than half a period at 1 kHz.
@@ -15,8 +15,8 @@ pub(crate) const POLL_US: u64 = 200;
 pub enum Policy {
     /// It sleeps until the message wakes it.
     Block,
-    /// It sleeps until shortly before the message is due, a period after the last one, then looks again and again,
-    /// giving the processor to others in between, and sleeps until it is woken when the message is late.
+    /// It sleeps until shortly before the message is due, a period after the last one. Then it polls, and yields the
+    /// processor in between. When the message is late it sleeps until it is woken.
     Poll,
 }
 

@@ -1,8 +1,8 @@
 //! Slots in shared memory between one writer and one reader, messages written and read in place, and a bell.
 //!
 //! The writer fills the next free slot and counts `written` up, the reader uses the oldest and counts `taken` up: a
-//! queue without locks for exactly one of each. Whoever breaks that rule, a second writer or reader, breaks the
-//! queue; the chain has one of each per hop. A full queue refuses the message.
+//! queue without locks for exactly one writer and one reader, as each hop of the chain has. A full queue refuses the
+//! message.
 #![expect(unsafe_code, reason = "memory shared between processes")]
 
 use std::os::fd::BorrowedFd;
@@ -12,7 +12,7 @@ use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 
 use crate::HopError;
 
-/// Messages that wait at most: as many as a reader of the bus has waiting.
+/// Largest number of waiting messages: that of a reader of the bus.
 const SLOTS: u64 = 16;
 /// Where the slots begin: a page for the counters.
 const SLOTS_AT: usize = 4096;
@@ -92,7 +92,7 @@ impl Ring {
         head.written.0.load(Ordering::Acquire) != head.taken.0.load(Ordering::Relaxed)
     }
 
-    /// After a message was written: counts the stroke and says whether the reader has to be woken.
+    /// After a message was written: counts the stroke and returns whether the reader must be woken.
     pub(crate) fn ring(&self) -> bool {
         let bell = self.bell();
         bell.strokes.fetch_add(1, Ordering::Release);

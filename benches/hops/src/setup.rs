@@ -1,4 +1,5 @@
-//! What the driver tells a process of the chain: one environment variable, so that it reaches a process whoever starts it.
+//! The setup of a process of the chain, in one environment variable, so that it also reaches processes that others
+//! start.
 
 use std::path::PathBuf;
 
@@ -12,10 +13,10 @@ pub const PROCESSES: usize = 5;
 pub const HOPS: usize = PROCESSES - 1;
 /// The environment variable with the [`Setup`] as JSON.
 pub const SETUP_VARIABLE: &str = "SCANLOOP_HOP";
-/// With this argument the program of a peer removes what belongs to no process any more, and is no part of a chain.
+/// With this argument the program of a peer only removes the remains of dead processes.
 pub const TIDY: &str = "tidy";
 
-/// Everything that one process of a chain has to know.
+/// Everything that one process of a chain must know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Setup {
@@ -35,7 +36,7 @@ pub struct Setup {
     pub samples: u64,
     /// How processes wait.
     pub policy: Policy,
-    /// What each hop goes through, in the contender's own terms: descriptors, sockets, ports.
+    /// Address of each hop, in the contender's own terms: descriptors, sockets, ports.
     pub addresses: Vec<String>,
 }
 

@@ -11,7 +11,7 @@ use std::process::Command;
 
 use crate::HopError;
 
-/// Priority of all processes under SCHED_FIFO: above all that is not of real time, below the kernel's own threads for interrupts.
+/// Priority of all processes under SCHED_FIFO: above all other processes, below the interrupt threads of the kernel.
 pub const PRIORITY: i32 = 40;
 
 /// How the kernel chooses among processes.

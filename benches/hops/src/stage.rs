@@ -1,10 +1,10 @@
-//! What every process of a chain does, whatever it goes through: send at a rate, pass on, or take latencies.
+//! The work of a process of a chain over any transport: it sends at a rate, forwards, or measures latencies.
 
 use std::time::Duration;
 
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
-use crate::control::{Control, Word};
+use crate::control::{Control, Order};
 use crate::message::{Arrival, Stamp, monotonic_ns};
 use crate::policy::{MAX_WAIT_NS, POLL_US};
 use crate::{HopError, Policy, Setup};
@@ -34,7 +34,7 @@ pub trait Stage {
     }
 
     /// Sleeps until a message comes or that many nanoseconds have passed; `None` leaves the time to the transport.
-    fn block(&mut self, longest_ns: Option<u64>);
+    fn block(&mut self, timeout_ns: Option<u64>);
 }
 
 /// Runs one process of the chain until the driver closes it.
@@ -53,14 +53,14 @@ pub fn run(stage: &mut dyn Stage, setup: &Setup) -> Result<(), HopError> {
     }
 }
 
-/// Sends at the rate of the setup, regardless of what becomes of the messages.
+/// Sends at the rate of the setup, whether messages arrive or not.
 fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(), HopError> {
     loop {
         stage.send(Stamp::now(0))?;
-        match control.word(CONNECTING) {
-            Some(Word::Go) => break,
-            Some(Word::Close) => return Ok(()),
-            Some(Word::Finish) | None => {}
+        match control.order(CONNECTING) {
+            Some(Order::Go) => break,
+            Some(Order::Close) => return Ok(()),
+            Some(Order::Finish) | None => {}
         }
     }
     let start = monotonic_ns() + setup.period_ns;
@@ -68,8 +68,8 @@ fn send(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Result<(
         stage.sleep_until(start + index * setup.period_ns);
         stage.send(Stamp::now((index + 1).saturating_sub(setup.warm_up)))?;
     }
-    control.say("sent")?;
-    control.linger();
+    control.send_line("sent")?;
+    control.wait_for_close();
     Ok(())
 }
 
@@ -81,7 +81,7 @@ fn pass_on(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
             due_ns = arrival.received_ns + setup.period_ns;
             quiet = false;
         } else if std::mem::take(&mut quiet) {
-            if control.word(Duration::ZERO) == Some(Word::Close) {
+            if control.order(Duration::ZERO) == Some(Order::Close) {
                 return Ok(());
             }
         } else {
@@ -99,7 +99,7 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
             due_ns = received_ns + setup.period_ns;
             quiet = false;
             if !std::mem::replace(&mut seen, true) {
-                control.say("seen")?;
+                control.send_line("seen")?;
             }
             let place = stamp.sequence.checked_sub(1).and_then(|index| latencies_ns.get_mut(index as usize));
             if let Some(latency) = place {
@@ -107,10 +107,10 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
             }
             finished = stamp.sequence == setup.samples;
         } else if std::mem::take(&mut quiet) {
-            match control.word(Duration::ZERO) {
-                Some(Word::Close) => return Ok(()),
-                Some(Word::Finish) => finished = true,
-                Some(Word::Go) | None => {}
+            match control.order(Duration::ZERO) {
+                Some(Order::Close) => return Ok(()),
+                Some(Order::Finish) => finished = true,
+                Some(Order::Go) | None => {}
             }
         } else {
             quiet = idle(stage, setup, due_ns);
@@ -121,14 +121,14 @@ fn receive(stage: &mut dyn Stage, setup: &Setup, control: &mut Control) -> Resul
     }
 }
 
-/// Waits as the setup says; true when that took so long that the driver may be listened to if nothing has come.
+/// Waits by the policy of the setup; true when there is time to check for orders of the driver.
 fn idle(stage: &mut dyn Stage, setup: &Setup, due_ns: u64) -> bool {
     let before = monotonic_ns();
     wait(stage, setup.policy, due_ns);
     monotonic_ns() - before > MAX_WAIT_NS / 3
 }
 
-/// Waits once, for a message that is due at `due_ns`; the caller looks whether there is one.
+/// Waits once, for a message that is due at `due_ns`; the caller checks whether there is one.
 fn wait(stage: &mut dyn Stage, policy: Policy, due_ns: u64) {
     let now = monotonic_ns();
     if policy == Policy::Block || due_ns == 0 || now > due_ns + 1000 * POLL_US {

@@ -88,14 +88,14 @@ impl Stage for UnixSocket {
         self.arrived.is_some()
     }
 
-    fn block(&mut self, longest_ns: Option<u64>) {
-        let Some(longest_ns) = longest_ns else {
+    fn block(&mut self, timeout_ns: Option<u64>) {
+        let Some(timeout_ns) = timeout_ns else {
             self.arrived = self.receive(RecvFlags::empty());
             return;
         };
         let longest = Timespec {
-            tv_sec: (longest_ns / 1_000_000_000) as i64,
-            tv_nsec: (longest_ns % 1_000_000_000) as i64,
+            tv_sec: (timeout_ns / 1_000_000_000) as i64,
+            tv_nsec: (timeout_ns % 1_000_000_000) as i64,
         };
         let Some(inlet) = &self.inlet else { return };
         if matches!(poll(&mut [PollFd::new(inlet, PollFlags::IN)], Some(&longest)), Ok(1)) {

@@ -1,4 +1,5 @@
-//! What a chain needs before its processes start: shared memory, sockets, ports, a bus; gone when dropped.
+//! The resources of a chain: shared memory, sockets, ports, a bus. They exist before its processes start and are
+//! removed when dropped.
 
 use std::net::{Ipv4Addr, TcpListener};
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
@@ -28,12 +29,12 @@ pub(crate) struct Wiring {
     system: Option<bus::System>,
     _services: Option<listener::Services>,
     descriptors: Vec<OwnedFd>,
-    /// What each hop goes through, see [`Setup::addresses`].
+    /// Address of each hop, see [`Setup::addresses`].
     pub(crate) addresses: Vec<String>,
 }
 
 impl Files {
-    /// A new domain; first removes what drivers have left that were killed.
+    /// A new domain; first removes the remains of killed drivers.
     pub(crate) fn create() -> Result<Self, HopError> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let id = format!("{ID}{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
@@ -126,7 +127,7 @@ impl Wiring {
             .collect()
     }
 
-    /// Does what the driver has to do while the chain starts; to be called again and again.
+    /// The part of the driver while the chain starts; call it repeatedly.
     pub(crate) fn assist(&mut self) -> Result<(), HopError> {
         self.system.as_mut().map_or(Ok(()), bus::System::assist)
     }
@@ -180,7 +181,7 @@ fn dataflow(files: &Files, setup: impl Fn(usize) -> Setup) -> Result<Command, Ho
     Ok(command)
 }
 
-/// Removes what chains have left whose driver is gone.
+/// Removes the remains of chains whose driver has ended.
 fn sweep() {
     for domain in Domain::all().unwrap_or_default() {
         let driver = domain.system_id().strip_prefix(ID).and_then(|rest| rest.split_once('-'));

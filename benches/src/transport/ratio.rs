@@ -1,11 +1,11 @@
 //! Ratios of percentiles with intervals, from chains that took turns.
 //!
-//! A round has one block of each contender, measured one after the other, so whatever the machine does for seconds acts
-//! on all of them. Rounds are therefore drawn with replacement, for both contenders the same ones, and the ratio of the
-//! percentiles of all drawn samples is computed again and again: its spread on the logarithmic scale is the standard
-//! error. The interval is that times the factor of Student's t for the few rounds there are. Within a block samples
-//! depend on each other as they like. Fails where all rounds are disturbed in the same way, and for percentiles beyond
-//! what the samples of a round can show: the interval is wide there, but its 99 % are not exact.
+//! A round has one block of each contender, measured one after the other, so a disturbance of seconds affects all of
+//! them. The intervals come from a bootstrap over rounds: rounds are drawn with replacement, the same for both
+//! contenders, and the ratio of the percentiles of all drawn samples is computed. Its spread on the logarithmic scale
+//! is the standard error, which Student's t for the number of rounds turns into the interval. Samples within a block
+//! may depend on each other. Limits: disturbances common to all rounds are not seen. For percentiles beyond the
+//! samples of a round the interval is wide, but its 99 % are not exact.
 
 use figures::{bootstrap, student};
 
@@ -18,7 +18,7 @@ pub(super) struct Rounds {
     rounds: usize,
 }
 
-/// A ratio of percentiles, other to ours, and where it lies with [`CONFIDENCE`].
+/// A ratio of percentiles, other to this bus, with its interval of [`CONFIDENCE`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Ratio {
     /// The ratio; zero when one side has no samples.
@@ -29,7 +29,7 @@ pub(super) struct Ratio {
     pub(super) high: f64,
 }
 
-/// What may be said about a ratio.
+/// The conclusion from a ratio.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// Below 1.
@@ -41,7 +41,7 @@ pub(super) enum Verdict {
 }
 
 impl Verdict {
-    /// In words.
+    /// As text.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Faster => "faster",
@@ -56,7 +56,7 @@ impl Ratio {
     pub(super) const ONE: Self = Self { value: 1.0, low: 1.0, high: 1.0 };
     const NONE: Self = Self { value: 0.0, low: 0.0, high: 0.0 };
 
-    /// What may be said.
+    /// The conclusion.
     pub(super) fn verdict(&self) -> Verdict {
         if self.high < 1.0 && self.value > 0.0 {
             Verdict::Faster

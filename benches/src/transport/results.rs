@@ -1,4 +1,4 @@
-//! What a comparison has found, as it goes into JSON.
+//! Results of a comparison, as JSON.
 
 use figures::{Distribution, Figures};
 use hops::{Block, Contender, HOPS, Payload, Plan, Policy};

@@ -1,4 +1,4 @@
-//! What a comparison has found, as text.
+//! Results of a comparison, as text.
 
 use std::fmt::Write;
 
@@ -53,7 +53,7 @@ pub(super) fn text(results: &Results) -> String {
     text
 }
 
-/// How far above the least that a hop can cost ours is, as far as it was seen.
+/// The cost of this bus relative to the floor, as far as a difference was seen.
 fn beside_floor(floor: &Row) -> String {
     let [low, high] = floor.ratio_p50_interval.map(f64::recip);
     match floor.verdict_p50 {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::{AUDITED_TOPICS, Fault, Kind, SampleAudit};
 use proptest::prelude::*;
-use runtime::{KEPT, buffer};
+use runtime::{QUEUE_DEPTH, buffer};
 use shared_types::{
     Actuation, Command, Fate, Header, Heartbeat, InputAccount, Obstacles, Odometry, Pose, ProcessState, Role,
     Sample, Scan, Topic, Truth,
@@ -118,7 +118,7 @@ impl Process {
                 if let Some(fate) = port.account.arrive(&header) {
                     port.account.settle(fate, &header);
                 } else {
-                    if port.kept.len() == KEPT {
+                    if port.kept.len() == QUEUE_DEPTH {
                         let oldest = port.kept.pop_front().unwrap();
                         port.account.settle(Fate::Replaced, &oldest);
                     }

@@ -153,14 +153,6 @@ impl Session {
         self.on_scan = Some(listener);
     }
 
-    /// Creates the services for payloads beside a topic, see [`runtime::BlobOutput`]: for a bench.
-    ///
-    /// # Errors
-    /// As [`Bus::create_blobs`].
-    pub fn create_blobs(&mut self, topic: shared_types::Topic) -> Result<(), runtime::RuntimeError> {
-        self.bus.create_blobs(topic)
-    }
-
     /// Drives until all processes have ended.
     ///
     /// # Errors

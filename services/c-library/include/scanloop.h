@@ -3,12 +3,12 @@
  *     cc -std=c11 my_process.c -Iexamples/c -Iservices/c-library/include -Ltarget/release -lscanloop -o my_process
  *
  * Link with libscanloop.so, or with libscanloop.a and -lpthread -ldl -lm. The samples are in scanloop_types.h, which
- * `scanloop types --c` prints. The library does what all processes share: it waits, drops samples that do not count
- * and counts them, carries stamps on, says that it is alive, keeps the start barrier, and ends on SIGTERM and SIGINT.
+ * `scanloop types --c` prints. The library does what all processes have in common: it waits, drops and counts samples
+ * that do not count, copies stamps, sends heartbeats, waits at the start barrier, and ends on SIGTERM and SIGINT.
  *
  * A process has one thread that calls these functions, from scanloop_open to scanloop_close. No function waits without
- * a time-out. Functions that return int return one of the results below; what a negative one means in words says
- * scanloop_last_error. A program should end when it gets one: the orchestrator starts it again.
+ * a time-out. Functions that return int return one of the results below; for a negative one, scanloop_last_error gives
+ * the message. A program should end on a negative result: the orchestrator starts it again.
  */
 #ifndef SCANLOOP_H
 #define SCANLOOP_H
@@ -25,7 +25,7 @@ enum scanloop_result {
     SCANLOOP_OTHER_LAYOUT = -3,   /* built against other samples than the system: the error names topic and field */
     SCANLOOP_NOT_IN_A_SYSTEM = -2, /* started by hand, not by `scanloop run` or `scanloop swap` */
     SCANLOOP_BAD_ARGUMENT = -1,   /* a null pointer, an unknown topic, a wrong size */
-    SCANLOOP_NO = 0,              /* nothing there, or the process is to end */
+    SCANLOOP_NO = 0,              /* no sample or value, or the process must end */
     SCANLOOP_YES = 1
 };
 
@@ -54,12 +54,12 @@ typedef struct scanloop_process scanloop_process;
  * SCANLOOP_LAYOUTS is the table of scanloop_types.h: a header or a library of another version is refused here. */
 int scanloop_open(uint32_t role, const scanloop_layout_row *layouts, size_t count, scanloop_process **process);
 
-/* Waits until all processes are there and connected. SCANLOOP_YES: drive; SCANLOOP_NO: the process is to end.
- * Nothing can be read before, but scanloop_resume and scanloop_setting work. */
+/* Waits until all processes are ready and connected. SCANLOOP_YES: drive; SCANLOOP_NO: the process must end.
+ * Before it, no sample can be read, but scanloop_resume and scanloop_setting work. */
 int scanloop_start(scanloop_process *process);
 
 /* Sleeps until a sample has come, the time `deadline_ns` (0: none) has passed, or a tenth of a second has.
- * SCANLOOP_YES: look what is there; SCANLOOP_NO: the process is to end. */
+ * SCANLOOP_YES: read the samples; SCANLOOP_NO: the process must end. */
 int scanloop_wait(scanloop_process *process, uint64_t deadline_ns);
 
 /* The oldest sample of `topic` not read yet, in shared memory; SCANLOOP_NO when there is none.
@@ -68,14 +68,14 @@ int scanloop_wait(scanloop_process *process, uint64_t deadline_ns);
  * points to must not be written. It has the type of the topic, is valid, and comes from the process in charge. */
 int scanloop_read(scanloop_process *process, const char *topic, const void **sample);
 
-/* A pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller. The oldest while
- * all that wait can be answered before they are old, else the newest; older samples are dropped then.
- * SCANLOOP_NO while none is complete; to be called until then, because scanloop_wait does not return for what has come
+/* A pair of samples of one scan: scan and pose for obstacles, pose and obstacles for the controller. It is the oldest
+ * pair while all that wait can be answered in time, else the newest; older samples are then dropped.
+ * SCANLOOP_NO while no pair is complete. Call it until then, because scanloop_wait does not return for samples that came
  * before. Pointers as in scanloop_read. */
 int scanloop_join(scanloop_process *process, const void **first, const void **second);
 
 /* The header of an answer to the sample with header `to`, and to the one with header `also` (or NULL): same scan,
- * stamps of both carried on. */
+ * stamps of both. */
 void scanloop_answer(const scanloop_header *to, const scanloop_header *also, scanloop_header *answer);
 
 /* Completes the header of `sample` and publishes a copy of it; `size` is sizeof of its struct. */
@@ -84,20 +84,20 @@ int scanloop_publish(scanloop_process *process, const char *topic, void *sample,
 /* The robot's process, before it publishes the samples of a scan: work begins without an input. */
 int scanloop_begin(scanloop_process *process);
 
-/* Publishes the state of this process after the scan of `header`, at most SCANLOOP_CHECKPOINT_BYTES, for the one that
- * may have to go on from it. `kind` is a number of your own for this layout of the state; change it with the layout. */
+/* Publishes the state of this process after the scan of `header`, at most SCANLOOP_CHECKPOINT_BYTES, for its successor.
+ * `kind` is a number of your own for this layout of the state; change it with the layout. */
 int scanloop_save(scanloop_process *process, const scanloop_header *header, uint32_t kind, const void *state,
                   size_t size);
 
-/* Fills `state` with what the process before this one saved last. Returns an enum scanloop_handover, or an error.
+/* Fills `state` with the last state that the process before this one saved. Returns an enum scanloop_handover, or an error.
  *
- * The process before may have hung, and the wheels may have been blocked since; the actuations that it did not see are
- * not offered here. An estimator that predicts from actuations should trust the measured speed after a gap. */
+ * That process may have hung, and the wheels may have been blocked since; the actuations that it did not receive are
+ * not available here. An estimator that predicts from actuations should trust the measured speed after a gap. */
 int scanloop_resume(scanloop_process *process, uint32_t kind, void *state, size_t size);
 
 /* A number of the settings of the role, docs/system-file.md: "safety_distance_m", "wall_y_m.0", "track.y_m.1"; true is 1.
- * Every documented key is there; the robot's settings are the scenario.
- * SCANLOOP_NO and no change of `value` when there is no such number. */
+ * Every documented key exists; the robot's settings are the scenario.
+ * SCANLOOP_NO, and `value` unchanged, when there is no such number. */
 int scanloop_setting(scanloop_process *process, const char *key, double *value);
 
 /* The time of the loop [ns]: CLOCK_MONOTONIC, or simulated time in lock-step. */
@@ -106,20 +106,20 @@ uint64_t scanloop_now_ns(scanloop_process *process);
 /* Time between two scans [ns]. */
 uint64_t scanloop_period_ns(scanloop_process *process);
 
-/* What the wheels do, for who stops the run; SCANLOOP_TURNING, SCANLOOP_BLOCKED or SCANLOOP_RESTING. A robot calls it each
- * time it is awake; what an actuator publishes is noted by itself. */
+/* Reports what the wheels do, so that a stop can be confirmed; SCANLOOP_TURNING, SCANLOOP_BLOCKED or SCANLOOP_RESTING. A
+ * robot calls it each time it wakes; for an actuator its output does. */
 enum scanloop_wheels { SCANLOOP_TURNING = 1, SCANLOOP_BLOCKED = 2, SCANLOOP_RESTING = 3 };
 int scanloop_report_wheels(scanloop_process *process, uint32_t wheels);
 
 /* The counters of this process and the newest directive; either may be NULL. `stop` of the directive is 1 also when the
- * run was stopped for good, or its orchestrator has been silent for orphan_stop_s: then no actuation that drives leaves
- * an actuator's port or comes out of a robot's. */
+ * run was stopped for good, or no directive came for orphan_stop_s. Then an actuator's port sends no actuation that
+ * drives, and a robot's port delivers none. */
 int scanloop_status(scanloop_process *process, scanloop_heartbeat *counters, scanloop_directive *orders);
 
-/* A line in the log of the process, logs/ROLE.log; the last lines of a process that ends are shown to the user. */
+/* Writes a line to the log of the process, logs/ROLE.log; the user sees the last lines of a process that ends. */
 void scanloop_log(int level, const char *text);
 
-/* What the last negative result of this thread means, in words; valid until the next one. */
+/* The message of the last negative result of this thread; valid until the next one. */
 const char *scanloop_last_error(void);
 
 /* Leaves the system and frees the process; NULL is allowed. */

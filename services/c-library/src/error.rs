@@ -1,4 +1,4 @@
-//! What can go wrong, as a number and in words.
+//! Errors of the library, as a number and as a message.
 
 use std::cell::RefCell;
 use std::ffi::{CString, c_char, c_int};
@@ -50,13 +50,13 @@ thread_local! {
     static LAST: RefCell<CString> = RefCell::default();
 }
 
-/// Keeps the words for [`last`].
+/// Keeps the message for [`last`].
 pub(crate) fn remember(refusal: &Refusal) {
     let text = refusal.to_string().replace('\0', " ");
     LAST.with(|last| *last.borrow_mut() = CString::new(text).unwrap_or_default());
 }
 
-/// The words of the last refusal in this thread.
+/// The message of the last refusal in this thread.
 pub(crate) fn last() -> *const c_char {
     LAST.with(|last| last.borrow().as_ptr())
 }

@@ -1,12 +1,12 @@
 //! The C library: a process of the loop in C, documented in `include/scanloop.h`.
 //!
-//! Each function checks what it is given, calls [`runtime::Process`], and turns an error into a number and words. So a
-//! process in C keeps the start barrier, the heartbeats, the filter of authority and the stop as all others do.
+//! Each function checks its arguments, calls [`runtime::Process`], and turns an error into a number and a message. So
+//! a process in C has the same start barrier, heartbeats, authority filter and stop as all others.
 //!
-//! What C has to keep: one thread, pointers that are null or valid, texts that end with a zero. A pointer to a sample
-//! is valid until the next read of its topic, because the port holds the sample for that long.
+//! C callers must use one thread, pass pointers that are null or valid, and end texts with a zero. A pointer to a
+//! sample is valid until the next read of its topic, because the port holds the sample for that long.
 #![expect(unsafe_code, reason = "functions that C can call take pointers")]
-#![expect(clippy::missing_safety_doc, reason = "the header says for all functions what C has to keep")]
+#![expect(clippy::missing_safety_doc, reason = "the header states the rules for all functions")]
 
 mod error;
 mod process;
@@ -244,13 +244,13 @@ pub unsafe extern "C" fn scanloop_status(
 
 /// See `scanloop.h`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn scanloop_log(level: c_int, words: *const c_char) {
-    let Ok(words) = text("text", words) else { return };
+pub unsafe extern "C" fn scanloop_log(level: c_int, message: *const c_char) {
+    let Ok(message) = text("text", message) else { return };
     match level {
-        0 => tracing::debug!("{words}"),
-        1 => tracing::info!("{words}"),
-        2 => tracing::warn!("{words}"),
-        _ => tracing::error!("{words}"),
+        0 => tracing::debug!("{message}"),
+        1 => tracing::info!("{message}"),
+        2 => tracing::warn!("{message}"),
+        _ => tracing::error!("{message}"),
     }
 }
 
@@ -270,7 +270,7 @@ pub unsafe extern "C" fn scanloop_close(process: *mut CProcess) {
     }
 }
 
-/// The result of `act` as C reads it. Nothing unwinds into C.
+/// The result of `act` as C reads it; a panic does not unwind into C.
 fn answer(act: impl FnOnce() -> Result<c_int, Refusal>) -> c_int {
     let result = catch_unwind(AssertUnwindSafe(act)).unwrap_or(Err(Refusal::Panic));
     result.unwrap_or_else(|refusal| {
@@ -285,7 +285,7 @@ fn with(process: *mut CProcess, act: impl FnOnce(&mut CProcess) -> Result<c_int,
     answer(|| act(process.ok_or(Refusal::Null("process"))?))
 }
 
-/// Stores a pointer where C wants it; null and `NO` when there is none.
+/// Stores a pointer at a place that C gives; null and `NO` when there is none.
 fn put(
     place: *mut *const c_void,
     name: &'static str,
@@ -297,12 +297,12 @@ fn put(
     Ok(if found.is_some() { YES } else { NO })
 }
 
-fn text<'a>(name: &'static str, words: *const c_char) -> Result<&'a str, Refusal> {
-    if words.is_null() {
+fn text<'a>(name: &'static str, start: *const c_char) -> Result<&'a str, Refusal> {
+    if start.is_null() {
         return Err(Refusal::Null(name));
     }
     // SAFETY: C passes a text that ends with a zero and stays during the call.
-    unsafe { CStr::from_ptr(words) }.to_str().map_err(|_| Refusal::NotText(name))
+    unsafe { CStr::from_ptr(start) }.to_str().map_err(|_| Refusal::NotText(name))
 }
 
 fn topic_of(name: *const c_char) -> Result<Topic, Refusal> {

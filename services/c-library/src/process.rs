@@ -1,5 +1,5 @@
-//! A process whose topics are chosen when it runs: the typed ports of its role behind names.
-#![expect(unsafe_code, reason = "samples come from and go to memory that C gives a type")]
+//! A process whose topics are chosen by name at run time, over the typed ports of its role.
+#![expect(unsafe_code, reason = "samples are read and written in memory of C")]
 
 use std::ffi::c_void;
 use std::rc::Rc;
@@ -26,7 +26,7 @@ enum Inputs {
     Actuator(Port<Command>),
 }
 
-/// `enum scanloop_handover`: what a process goes on from.
+/// `enum scanloop_handover`: the state that a process resumes from.
 #[derive(Clone, Copy)]
 pub(crate) enum Resumed {
     /// Nothing ran before.
@@ -41,7 +41,7 @@ pub(crate) enum Resumed {
 
 /// A process as C sees it.
 pub struct CProcess {
-    // Before the process, whose bus its samples are borrowed from.
+    // Dropped before the process, whose bus lends the samples.
     inputs: Inputs,
     outputs: Vec<(Topic, Box<dyn Sink>)>,
     pub(crate) process: Process,
@@ -108,7 +108,7 @@ impl CProcess {
         if size != topic.size() {
             return Err(Refusal::Size { topic, expected: topic.size(), found: size });
         }
-        // SAFETY: the caller's promise, for as many bytes as a sample of the topic has.
+        // SAFETY: the caller guarantees it, for as many bytes as a sample of the topic has.
         unsafe { output.publish(sample) }
     }
 
@@ -192,7 +192,7 @@ trait Sink {
 impl<S: Sample> Sink for Rc<Output<S>> {
     unsafe fn publish(&self, sample: *mut c_void) -> Result<(), Refusal> {
         let place = sample.cast::<S>();
-        // SAFETY: by the caller's promise there are as many bytes as `S` has. They need not be aligned, and each
+        // SAFETY: the caller guarantees as many bytes as `S` has. They need not be aligned, and each
         // pattern of bits is a value, because `S` is `Pod`.
         let mut copy = unsafe { place.read_unaligned() };
         copy.header_mut().layout = S::LAYOUT;

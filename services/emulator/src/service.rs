@@ -12,7 +12,7 @@
 
 use std::rc::Rc;
 
-use runtime::{Handover, Input, KEPT, Output, Process, Taken, Wheels, monotonic_ns};
+use runtime::{Handover, Input, Output, Process, QUEUE_DEPTH, Taken, Wheels, monotonic_ns};
 use shared_types::{Actuation, ActuationKind, Header, Odometry, Phase, Role, Scan, Truth, plain_state};
 
 use crate::{Emulator, EmulatorState, Scenario};
@@ -22,7 +22,7 @@ const REST_CHECK_NS: u64 = 10_000_000;
 /// A robot that was asked to end comes to rest within this time and two scan periods [ns].
 const REST_NS: u64 = 1_500_000_000;
 /// How many overdue scans are published before the newest one: as many as a subscriber's queue holds.
-const HANDED_OVER_LATE: u64 = KEPT as u64 - 1;
+const HANDED_OVER_LATE: u64 = QUEUE_DEPTH as u64 - 1;
 
 plain_state! {
     /// State that the process of a robot hands over to its successor.

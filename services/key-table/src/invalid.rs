@@ -1,4 +1,4 @@
-//! The one error of all settings: which key holds which value, and what is allowed.
+//! The error of all settings: key, value, and what is allowed.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -11,7 +11,7 @@ pub struct Invalid {
     pub key: String,
     /// The value found.
     pub value: String,
-    /// What is allowed, in words: `0 to 1 m`.
+    /// What is allowed, as text: `0 to 1 m`.
     pub allowed: String,
 }
 

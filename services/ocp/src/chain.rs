@@ -1,13 +1,14 @@
-//! The quadratic program of one iteration with its node states: a chain of stages, solved in time linear in their number.
+//! The quadratic program of one iteration with its node states: a chain of stages, solved in time linear in their
+//! number.
 //!
 //! It is the program of [`crate::qp`] before the states are eliminated:
 //!
-//! minimise sum over nodes of 1/2 (x, u)' B (x, u) + q' (x, u) + sum over intervals of d (u - u of the interval before)^2
-//! subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
+//! minimise sum over nodes of 1/2 (x, u)' B (x, u) + q' (x, u) + sum over intervals of d (u - u of the interval
+//! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
-//! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds which,
-//! [`interior`] is called where that goes round in circles, and [`newton`] makes the step with the exact Hessian. Rows and controls are numbered as in the condensed
-//! program, so that both write the same kind of solution.
+//! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
+//! which, [`interior`] is called where that cycles, and [`newton`] makes the step with the exact
+//! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
 mod interior;
@@ -53,9 +54,8 @@ impl Row {
         }
     }
 
-    /// Adds `weight` times the row.
-    fn add_to(&self, weight: f64, slopes: &mut [[f64; 7]]) {
-        let slope = &mut slopes[self.node];
+    /// Adds `weight` times the row to the slope of its node.
+    fn add_to(&self, weight: f64, slope: &mut [f64; 7]) {
         for (&place, factor) in self.places.iter().zip(self.factors) {
             slope[place] += weight * factor;
         }
@@ -73,7 +73,7 @@ pub(crate) struct Chain {
     rows: Vec<Row>,
     /// 2 d of the two controls.
     change: [f64; 2],
-    /// Whether the first control is tied to the one before.
+    /// Whether the change of the first control is weighted as well.
     tied: bool,
     damping: [f64; 2],
     slack_linear: f64,
@@ -81,7 +81,7 @@ pub(crate) struct Chain {
 
     riccati: Riccati,
     path: Path,
-    /// The point from which Newton's step walks.
+    /// The point from which Newton's step starts.
     point: Path,
     /// B and q with what the solver adds to them.
     blocks: Vec<Block>,
@@ -97,12 +97,12 @@ pub(crate) struct Chain {
     schur_factor: Vec<f64>,
     multipliers: Vec<f64>,
     sides: Vec<interior::Side>,
-    /// What the search makes of the interior point's answer.
+    /// The search's solution from the interior point's answer.
     exact: QpSolution,
 }
 
 impl Chain {
-    /// Fills everything but the blocks, which the caller hands to the solvers.
+    /// Fills the program except for the blocks, which the caller hands to the solvers.
     pub(crate) fn build(
         &mut self,
         problem: &Problem,
@@ -157,15 +157,16 @@ impl Chain {
         }
     }
 
-    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where nothing does.
+    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where no method does.
     pub(crate) fn solve(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
-        /// Usual are one to four; more are a sign of a circle.
+        /// One to four are usual; more indicate a cycle.
         const ROUNDS: u32 = 16;
         if self.search(shooting, blocks, solution, ROUNDS) {
             return true;
         }
         self.solve_interior(shooting, blocks, solution) && {
-            // The interior point is exact up to its tolerance; where its active set is right, so is the search's answer.
+            // The interior point is exact up to its tolerance; where its active set is right, so is the search's
+            // answer.
             let mut exact = std::mem::take(&mut self.exact);
             exact.copy_from(solution);
             if self.search(shooting, blocks, &mut exact, ROUNDS) {

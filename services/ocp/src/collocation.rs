@@ -1,9 +1,9 @@
 //! Collocation schemes on the unit interval: Radau and Gauss points with one to four stages.
 //!
 //! The state inside an interval is the polynomial that satisfies the model at the stage points. Radau has its
-//! last point at the end of the interval and is L-stable, so the fast modes of the model (up to 350 1/s, while
-//! an interval is 0.45 s) die out; this is the production choice. Gauss has the higher order 2s but lets fast
-//! modes ring with factor (-1)^s per interval; two points of it are the scheme of the source.
+//! last point at the end of the interval and is L-stable, so the fast modes of the model (up to 350 1/s, with an
+//! interval of 0.45 s) are damped; it is the default. Gauss has the higher order 2s, but fast modes oscillate with the
+//! factor (-1)^s per interval. The source uses two Gauss points.
 
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 

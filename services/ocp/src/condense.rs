@@ -9,7 +9,6 @@
 //! Work grows with N^3; that is as fast as a Riccati recursion ([`crate::chain`]) at N = 6 and half as fast at N = 24.
 
 use crate::collocation::Collocation;
-use crate::curvature::Curvature;
 use crate::dense::refill;
 use crate::hessian::{Block, Point, bend};
 use crate::interval::Linearisation;
@@ -24,8 +23,8 @@ use crate::shooting::{Iterate, Shooting};
 
 /// Fills `qp` with the program in the changes of the controls at `iterate`.
 ///
-/// `damping` is added to the diagonal of the Hessian; it shortens steps and leaves the solution of the nonlinear
-/// program alone.
+/// `damping` is added to the diagonal of the Hessian; it shortens steps and does not change the solution of the
+/// nonlinear program.
 pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting, damping: f64, qp: &mut Qp) {
     let count = problem.intervals.len();
     let width = 2 * count;
@@ -87,7 +86,7 @@ pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting
     limits(problem, iterate, qp);
 }
 
-/// Adds to `hessian` what the Gauss-Newton Hessian lacks: second derivatives of the model and of the ellipses.
+/// Adds the second derivatives of the model and of the ellipses to the Gauss-Newton `hessian`.
 ///
 /// The result is the exact Hessian of the Lagrangian on the linearised model; it may be indefinite.
 pub(crate) fn add_second_order(
@@ -104,7 +103,8 @@ pub(crate) fn add_second_order(
     let ellipses = problem.ellipses.len();
     for node in 1..=count {
         let bend = bend(problem, collocation, Point { iterate, shooting }, multipliers, node - 1);
-        add_curvature(&bend, width, node, rows, hessian);
+        // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
+        add_product(&bend, [0, 2, 1], width, node - 1, rows, hessian);
         let mut bend = [0.0; 2];
         for (which, ellipse) in problem.ellipses.iter().enumerate() {
             let multiplier = multipliers.rows[ellipse_row(count, ellipses, node, which)];
@@ -131,7 +131,7 @@ pub(crate) fn condense_blocks(
     let width = 2 * problem.intervals.len();
     refill(hessian, width * width, 0.0);
     for (node, block) in blocks.iter().enumerate() {
-        add_block(block, width, node, rows, hessian);
+        add_product(block, [0, 1, 2, 3, 4], width, node, rows, hessian);
     }
     add_changes(problem, damping, hessian);
     mirror(hessian, width);
@@ -176,17 +176,6 @@ fn predict(rows: &mut [f64], width: usize, node: usize, interval: &Linearisation
         row[used] = interval.by_control[component][0];
         row[used + 1] = interval.by_control[component][1];
     }
-}
-
-/// Adds the curvature of the interval before `node`, in the rows of G at its start and its own controls.
-fn add_curvature(bend: &Curvature, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
-    // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
-    add_product(bend, [0, 2, 1], width, node - 1, rows, hessian);
-}
-
-/// Adds a block of the Hessian, in the rows of G at its node and the controls of its interval, to the lower triangle.
-fn add_block(block: &Block, width: usize, node: usize, rows: &[f64], hessian: &mut [f64]) {
-    add_product(block, [0, 1, 2, 3, 4], width, node, rows, hessian);
 }
 
 /// Adds second derivatives by these components of the state at `node`, then by the controls after it.

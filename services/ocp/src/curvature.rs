@@ -1,8 +1,8 @@
 //! Second derivatives of an interval, contracted with the costate of its end.
 //!
-//! They are what the Gauss-Newton Hessian lacks of the model: the product of velocity and steering angle in the yaw
-//! rate, and the bending of the path. With large costates (an ellipse that presses) they are not small, and without
-//! them the iteration swings to and fro.
+//! They are the part of the model that the Gauss-Newton Hessian leaves out: the product of velocity and steering
+//! angle in the yaw rate, and the curvature of the path. With large costates (an active ellipse) they are not small,
+//! and without them the iteration oscillates.
 //!
 //! With Z the stage values, M = I - h A x J the matrix of the collocation equations and zeta the derivative of the
 //! contracted end state by Z, the implicit part is zeta' Z'' = sum over stages of nu(j)' f''(j), where

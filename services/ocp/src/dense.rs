@@ -6,7 +6,7 @@ pub(crate) fn refill<T: Clone>(values: &mut Vec<T>, length: usize, value: T) {
     values.resize(length, value);
 }
 
-/// Makes `values` a list of what comes out of an iterator, without allocating where that fits.
+/// Fills `values` from an iterator, without allocating where that fits.
 pub(crate) fn fill<T>(values: &mut Vec<T>, with: impl IntoIterator<Item = T>) {
     values.clear();
     values.extend(with);
@@ -15,8 +15,8 @@ pub(crate) fn fill<T>(values: &mut Vec<T>, with: impl IntoIterator<Item = T>) {
 /// Lower triangular factor of the symmetric `matrix` of `size`, both row by row; false where it is not safely
 /// positive definite.
 pub(crate) fn cholesky(matrix: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
-    /// Pivots below this share of the largest diagonal entry are rounding errors or too flat to trust.
-    const SMALLEST_PIVOT: f64 = 1e-10;
+    /// Pivots below this share of the largest diagonal entry may be rounding errors.
+    const MIN_PIVOT: f64 = 1e-10;
     fill(factor, matrix[..size * size].iter().copied());
     let largest = (0..size).map(|index| matrix[index * size + index]).fold(0.0, f64::max);
     for row in 0..size {
@@ -26,7 +26,7 @@ pub(crate) fn cholesky(matrix: &[f64], size: usize, factor: &mut Vec<f64>) -> bo
             let value = here[column] - dot(&here[..column], other);
             here[column] = if column < row {
                 value / before[column * size + column]
-            } else if value > SMALLEST_PIVOT * largest {
+            } else if value > MIN_PIVOT * largest {
                 value.sqrt()
             } else {
                 return false;

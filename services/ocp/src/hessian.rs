@@ -1,15 +1,15 @@
 //! The Hessian of the quadratic programs as one block per node, and its three kinds.
 //!
-//! Without the control differences, whose second derivatives are constant and always exact, the Lagrangian is a sum over
-//! the nodes: block k holds its second derivatives by (state at node k, control of interval k), the terminal block by the
-//! state alone. Gauss-Newton keeps the weights of the objective. Exact adds the curvature of the model and of the
-//! ellipses, contracted with the multipliers; it may be indefinite, and is made convex block by block where it is.
-//! BFGS starts from the weights and learns the rest of each block from the change of the gradient of the Lagrangian
-//! between iterates.
+//! Without the control differences, whose second derivatives are constant and always exact, the Lagrangian is a sum
+//! over the nodes: block k holds its second derivatives by (state at node k, control of interval k), the terminal
+//! block by the state alone. Gauss-Newton keeps the weights of the objective. Exact adds the curvature of the model
+//! and of the ellipses, contracted with the multipliers; it may be indefinite, and is made convex block by block
+//! where it is. BFGS starts from the weights and learns the rest of each block from the change of the gradient of the
+//! Lagrangian between iterates.
 //!
-//! Source note: the source updates one BFGS matrix of the controls, because they are not correlated. The blocks here are
-//! those of multiple shooting, which is the same idea before the states are eliminated: N small matrices learn from one
-//! step what one large matrix needs N steps for.
+//! Source note: the source updates one BFGS matrix of the controls, because they are not correlated. The blocks here
+//! are those of multiple shooting, before the states are eliminated: N small matrices learn in one step as much as
+//! one large matrix in N steps.
 
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 
@@ -117,7 +117,7 @@ pub(crate) fn bend(
 
 /// Cuts off the negative curvature of each block.
 pub(crate) fn convexify(blocks: &mut [Block]) {
-    /// Usual are twenty steps; the limit ends it for numbers that are not finite.
+    /// Twenty steps are usual; the limit ends it for numbers that are not finite.
     const STEPS: usize = 200;
     for block in blocks {
         let matrix = SMatrix::<f64, 7, 7>::from_fn(|row, column| block[row][column]);
@@ -143,14 +143,14 @@ pub(crate) struct Point<'a> {
     pub shooting: &'a Shooting,
 }
 
-/// The start of the BFGS blocks: Gauss-Newton's, with something where that has nothing.
+/// The start of the BFGS blocks: Gauss-Newton's, with a small curvature where that has none.
 pub(crate) fn start_bfgs(problem: &Problem, blocks: &mut Vec<Block>) {
-    /// Small beside the curvature of an objective of order one; the update needs it positive.
-    const LEAST: f64 = 1e-3;
+    /// Small compared to the curvature of an objective of order one; the update needs a positive one.
+    const MIN_CURVATURE: f64 = 1e-3;
     gauss_newton(problem, blocks);
     for block in blocks {
         for component in 0..7 {
-            block[component][component] = block[component][component].max(LEAST);
+            block[component][component] = block[component][component].max(MIN_CURVATURE);
         }
     }
 }
@@ -208,19 +208,19 @@ pub(crate) fn update_bfgs(
 
 /// One BFGS update with Powell's damping, which keeps the block positive definite.
 fn update(block: &mut Block, step: &[f64; 7], change: &[f64; 7]) {
-    /// Least curvature along the step, as a share of what the block has there (Powell's value).
+    /// Smallest curvature along the step, as a share of the block's own (Powell's value).
     const SHARE: f64 = 0.2;
-    /// Largest curvature that one update may bring in: that of an ellipse under the multiplier 500. Powell's damping alone
-    /// has no such bound, and a block that is indefinite in truth makes matrices that no solver can use.
-    const LARGEST: f64 = 1e3;
-    /// More leave next to nothing of the change.
+    /// Largest curvature of one update: that of an ellipse under the multiplier 500. Powell's damping alone has no
+    /// such bound, and where the exact block is indefinite it gives matrices that no solver can use.
+    const MAX_CURVATURE: f64 = 1e3;
+    /// After these, almost nothing of the change is left.
     const HALVINGS: u32 = 30;
-    /// Steps whose curvature is a rounding error of an objective of order one teach nothing.
-    const LEAST: f64 = 1e-20;
+    /// Smaller curvature along a step is a rounding error for an objective of order one; the block stays.
+    const MIN_STEP_CURVATURE: f64 = 1e-20;
     let product = block.map(|row| dot(&row, step));
     let present = dot(&product, step);
     let found = dot(change, step);
-    if !found.is_finite() || present.is_nan() || present <= LEAST {
+    if !found.is_finite() || present.is_nan() || present <= MIN_STEP_CURVATURE {
         return;
     }
     let mut keep = if found >= SHARE * present { 1.0 } else { (1.0 - SHARE) * present / (present - found) };
@@ -231,7 +231,7 @@ fn update(block: &mut Block, step: &[f64; 7], change: &[f64; 7]) {
             target[place] = keep * change[place] + (1.0 - keep) * product[place];
         }
         curvature = dot(&target, step);
-        if dot(&target, &target) <= LARGEST * curvature {
+        if dot(&target, &target) <= MAX_CURVATURE * curvature {
             break;
         }
         keep *= 0.5;
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn an_update_takes_up_the_curvature_along_the_step() {
+    fn an_update_adopts_the_curvature_along_the_step() {
         let mut block = [[0.0; 7]; 7];
         for place in 0..7 {
             block[place][place] = 1.0;

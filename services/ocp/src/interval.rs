@@ -4,8 +4,8 @@
 //! quadrature of the yaw rate, and the position the quadrature of the course, (7.28), (7.30), (7.31), so an
 //! interval costs one block elimination of 2s unknowns with five right-hand sides.
 //!
-//! The stage values are kept with the iterates of the optimisation ("lifted" collocation): [`linearise`] makes one Newton
-//! step of the collocation equations from them, which near the solution is all that is needed.
+//! The stage values are part of the iterates of the optimisation ("lifted" collocation). [`linearise`] makes one
+//! Newton step of the collocation equations from them, which is enough near the solution.
 //!
 //! States are ordered (sideslip, yaw, yaw rate, x, y), controls (velocity, steering).
 
@@ -17,7 +17,7 @@ use crate::model::{LateralModel, LateralSlope};
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
 pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
 
-/// What can be said about the end of an interval near the present values.
+/// The end of an interval, linearised at the present values.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Linearisation {
     /// End state from the present stage values.
@@ -34,7 +34,7 @@ pub(crate) struct Linearisation {
     pub stages: [[[f64; 5]; 2]; MAX_STAGES],
 }
 
-/// What an interval is computed from.
+/// Model, scheme and length of an interval.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Interval<'a> {
     pub model: &'a dyn LateralModel,

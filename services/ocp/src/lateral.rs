@@ -1,4 +1,4 @@
-//! The lateral motion of the robot, (7.27) and (7.29), as the solver asks for it.
+//! The lateral motion of the robot, (7.27) and (7.29), in the form that the solver needs.
 //!
 //! An interval evaluates it at several stages under one control, so the sine and cosine of the steering angle and
 //! the divisions by the velocity are shared. The formulas are those of [`vehicle::model`], which is the oracle of

@@ -2,15 +2,15 @@
 //! every scan of a sensor.
 //!
 //! # The problem
-//! The horizon has N intervals with a constant control (velocity, steering angle) in each. Wanted are the controls whose
-//! motion has the least weighted squares of the distance to a reference trajectory, of the controls about theirs and of
-//! their changes. The controls keep hard bounds. The state (sideslip, yaw, yaw rate, x, y) keeps soft bounds, and the
-//! position stays outside of ellipses that may move; a soft limit has an exact penalty, so it is kept wherever it can
-//! be. All this is one value, [`Problem`].
+//! The horizon has N intervals with a constant control (velocity, steering angle) in each. Wanted are the controls
+//! whose motion has the least weighted squares of the distance to a reference trajectory, of the controls about
+//! theirs and of their changes. The controls keep hard bounds. The state (sideslip, yaw, yaw rate, x, y) keeps soft
+//! bounds, and the position stays outside of ellipses that may move; a soft limit has an exact penalty, so it is kept
+//! wherever it can be. All this is one value, [`Problem`].
 //!
 //! # How to call it
-//! A [`Solver`] keeps buffers and nothing else: the solution depends on problem and guess alone, bit by bit, and from the
-//! second solve of a size on nothing is allocated.
+//! A [`Solver`] keeps buffers and nothing else: the solution depends on problem and guess alone, bit by bit, and from
+//! the second solve of a size on nothing is allocated.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -54,23 +54,24 @@
 //! ```
 //!
 //! # How it is solved
-//! Direct multiple shooting with collocation inside the intervals, sequential quadratic programming with a Newton step
-//! on the active set. `problem` says what is solved; `lateral`, `interval` and `shooting` are the model and its
-//! sensitivities; `objective` and `kkt` value an iterate; `condense` with `qp` solves the programs of short horizons and
-//! `chain`, by Riccati recursions, those of long ones; `sqp` is the iteration. [`analysis`] answers how many intervals a
-//! horizon needs.
+//! Direct multiple shooting with collocation inside the intervals, sequential quadratic programming with a Newton
+//! step on the active set. `problem` says what is solved; `lateral`, `interval` and `shooting` are the model and its
+//! sensitivities; `objective` and `kkt` value an iterate; `condense` with `qp` solves the programs of short horizons
+//! and `chain`, by Riccati recursions, those of long ones; `sqp` is the iteration. [`analysis`] answers how many
+//! intervals a horizon needs.
 //!
 //! # Limits
-//! * Another robot is another [`LateralModel`] with its `vehicle::Bounds`: any vehicle whose (sideslip, yaw rate) is a
-//!   closed system under (velocity, steering). The five states, the two controls and the kinematics of yaw and position
-//!   are fixed; the structure that makes an interval cheap is theirs. A robot that turns on the spot, or one with a
-//!   trailer, does not fit.
+//! * Another robot is another [`LateralModel`] with its `vehicle::Bounds`: any vehicle whose (sideslip, yaw rate) is
+//!   a closed system under (velocity, steering). The five states, the two controls and the kinematics of yaw and
+//!   position are fixed; the structure that makes an interval cheap is theirs. A robot that turns on the spot, or one
+//!   with a trailer, does not fit.
 //! * The velocity is a control and stays positive.
 //! * Obstacles are ellipses along the axes, checked at the nodes: not between them.
-//! * The solution is a local one. The guess decides on which side an obstacle is passed.
+//! * The solution is local. The guess decides on which side an obstacle is passed.
 //! * 200 intervals at most. A solution is not verified: what is driven should be checked by other means.
 //!
-//! Of this project it needs `vehicle` only: states, controls, bounds, and the single-track model of the robot.
+//! Within this project it depends on `vehicle` only: states, controls, bounds, and the single-track model of the
+//! robot.
 
 pub mod analysis;
 mod chain;

@@ -1,13 +1,14 @@
-//! What the solver asks of a vehicle: its lateral motion under a constant control.
+//! The model that the solver needs of a vehicle: its lateral motion under a constant control.
 //!
-//! (sideslip, yaw rate) has to be a closed system of its own under (velocity, steering). Yaw as the integral of the yaw
-//! rate, and the position as that of the course, are the solver's own part of the model.
+//! (sideslip, yaw rate) has to be a closed system of its own under (velocity, steering). Yaw as the integral of the
+//! yaw rate, and the position as that of the course, are the solver's own part of the model.
 
 use std::fmt::Debug;
 
-/// The lateral motion of a vehicle with its parameters. States are (sideslip, yaw rate), controls (velocity, steering).
+/// The lateral motion of a vehicle with its parameters. States are (sideslip, yaw rate), controls (velocity,
+/// steering).
 pub trait LateralModel: Debug + Send + Sync {
-    /// Whether all parameters have a meaning; a problem with others is not solved.
+    /// Whether all parameters are valid; otherwise a problem is not solved.
     fn is_sound(&self) -> bool;
 
     /// Fills `slopes` with the derivatives at `states` under one control.

@@ -1,10 +1,10 @@
 //! A Newton step of the nonlinear program on the constraints that its quadratic program found active.
 //!
-//! The quadratic program has the Gauss-Newton Hessian, which is always convex but wrong by the curvature of the model and
-//! of the ellipses: alone it converges linearly, or swings to and fro. It does find the active set. With controls at
-//! their bounds fixed, limits that are kept as equations and limits that are exceeded as their quadratic penalty, the
-//! exact Hessian gives quadratic convergence, where it is positive definite on what is left; elsewhere there is no step
-//! and the caller uses that of the quadratic program.
+//! The quadratic program finds the active set. Its Gauss-Newton Hessian is always convex but lacks the curvature of
+//! the model and of the ellipses, so alone it converges linearly, or oscillates. Here controls at their bounds are
+//! fixed, limits that are kept become equations, and limits that are exceeded become quadratic penalties. The exact
+//! Hessian then gives quadratic convergence where it is positive definite on the remaining space. Elsewhere there is
+//! no step, and the caller uses that of the quadratic program.
 
 use crate::dense::{backward, cholesky, dot, fill, forward, refill, solve_factored};
 use crate::qp::{BoundState, Qp, QpSolution, RowState};
@@ -31,10 +31,10 @@ pub(crate) struct Newton {
 impl Newton {
     /// The step on the active set of `answer`; false where the exact Hessian is not positive definite there.
     ///
-    /// With `shift` it is made so, for iterations that would otherwise creep along a direction of negative curvature.
-    /// A constraint that is met on the way from the step of the quadratic program joins the active set.
+    /// With `shift` it is made so, for iterations that would otherwise be slow along a direction of negative
+    /// curvature. A constraint that is met on the way from the step of the quadratic program joins the active set.
     pub(crate) fn solve(&mut self, qp: &Qp, answer: &QpSolution, shift: bool) -> bool {
-        /// How many constraints may join; with more the quadratic program has too little to do with the step.
+        /// How many constraints may join; with more, the quadratic program is too far from the step.
         const JOINING: usize = 4;
         self.solution.copy_from(answer);
         self.reserve(qp.variables());
@@ -44,7 +44,7 @@ impl Newton {
                 if round == 0 {
                     return false;
                 }
-                // What has been walked so far is a step of its own, which cannot be corrected.
+                // The part walked so far is a valid step, which cannot be corrected.
                 self.equations.clear();
                 break;
             }
@@ -190,7 +190,7 @@ impl Newton {
 
     /// Factorises the matrix, after adding as much of the Gauss-Newton diagonal as makes it positive definite.
     ///
-    /// Without that, iterations near a saddle point would creep.
+    /// Without that, iterations near a saddle point would be slow.
     fn factorise(&mut self, qp: &Qp, shift: bool) -> bool {
         /// Shares of the diagonal that are added one after the other.
         const SHARES: [f64; 4] = [0.0, 0.03, 0.3, 3.0];

@@ -1,4 +1,4 @@
-//! The optimal control problem of one scan, and what comes out of solving it.
+//! The optimal control problem of one scan, and its solution.
 
 use std::sync::Arc;
 
@@ -79,7 +79,7 @@ pub enum Status {
     MaxIterations,
     /// The time budget came first.
     OutOfTime,
-    /// The input means nothing, or no step could be computed.
+    /// The input is invalid, or no step could be computed.
     Failed,
 }
 
@@ -105,7 +105,7 @@ pub struct Solution {
 }
 
 impl Default for Solution {
-    /// Nothing, after a solve that failed.
+    /// Empty, as after a solve that failed.
     fn default() -> Self {
         Self {
             trajectory: Trajectory::default(),

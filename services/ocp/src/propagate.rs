@@ -1,4 +1,4 @@
-//! Collocation to the end, from nothing but start and control: what a roll-out or a design analysis needs.
+//! Converged collocation from start and control alone, for roll-outs and design analyses.
 
 use vehicle::{Control, State};
 
@@ -114,9 +114,9 @@ mod tests {
             }
             for column in 0..2 {
                 let shifted = |sign: f64| {
-                    let mut vector = control.to_vector();
-                    vector[column] += sign * step;
-                    run(&start, &Control::from_vector(&vector)).end.to_vector()
+                    let mut moved = [velocity, steering];
+                    moved[column] += sign * step;
+                    run(&start, &Control { velocity: moved[0], steering: moved[1] }).end.to_vector()
                 };
                 let difference = (shifted(1.0) - shifted(-1.0)) / (2.0 * step);
                 for row in 0..5 {

@@ -20,7 +20,7 @@ impl Iterate {
     /// Starts from `guess` with the measured state at node 0 and controls inside their bounds; a guess of another
     /// length is replaced by a roll-out of its controls, or of the reference control where there are none.
     ///
-    /// The result says whether the node states are the guess's, which satisfy the model or not.
+    /// Returns [`Sweep::Keep`] when the node states are those of the guess, which need not satisfy the model.
     pub(crate) fn start(&mut self, problem: &Problem, guess: &Trajectory) -> Sweep {
         let count = problem.intervals.len();
         fill(
@@ -88,7 +88,7 @@ pub(crate) struct Shooting {
     pub gaps: Vec<[f64; 5]>,
     /// The largest gap, or square of the last Newton step of a stage: what is left of the model's equations.
     pub defect: f64,
-    /// The largest change of a stage by the last Newton step, at which the sensitivities are behind.
+    /// The largest change of a stage by the last Newton step, which the sensitivities do not contain.
     pub last_step: f64,
 }
 

@@ -1,22 +1,22 @@
 //! Sequential quadratic programming on the multiple-shooting program of one scan.
 //!
 //! One iteration: linearise the intervals, condense, solve the convex quadratic program with the chosen Hessian
-//! (Gauss-Newton unless the settings say otherwise); then, unless `refine` is off, try Newton's step on the active set it
-//! found, and where that is refused the program's own step, searched along.
-//! A trial gets its node states by a forward sweep, so every iterate after the first satisfies the model and the exact
-//! penalty function `objective + penalties` alone decides. A guess whose node states leave gaps is linearised as it is
-//! (that is what multiple shooting is for), and its step competes with the roll-out of the guess's controls.
+//! (Gauss-Newton unless the settings say otherwise); then, unless `refine` is off, try Newton's step on the active
+//! set it found, and where that is refused the program's own step, searched along. A trial gets its node states by a
+//! forward sweep, so every iterate after the first satisfies the model and the exact penalty function `objective +
+//! penalties` alone decides. A guess whose node states leave gaps is linearised as it is (that is what multiple
+//! shooting is for), and its step competes with the roll-out of the guess's controls.
 //!
-//! What each part is for: the quadratic program finds the active set from any guess; Newton's step makes the convergence
-//! quadratic, where the Gauss-Newton step alone needs tens of iterations with an active ellipse or swings for ever; its
-//! second-order correction keeps it from being refused because of the large penalty (Maratos effect); the damping bounds
-//! steps where limits are so nearly dependent that the linearisation does not hold up to where they cross.
+//! The quadratic program finds the active set from any guess. Newton's step makes the convergence quadratic; with an
+//! active ellipse the Gauss-Newton step alone needs tens of iterations or never converges. Its second-order
+//! correction prevents refusals because of the large penalty (Maratos effect). The damping shortens steps where
+//! limits are nearly dependent and cross beyond the validity of the linearisation.
 //!
-//! Horizons of more than `condense_up_to` intervals are not condensed but solved stage by stage ([`crate::chain`]), by the
-//! same two steps and in time linear in their number.
+//! Horizons of more than `condense_up_to` intervals are not condensed but solved stage by stage ([`crate::chain`]),
+//! by the same two steps and in time linear in their number.
 //!
-//! Limits: the solution is a local one, and the guess decides the side on which an obstacle is passed. A guess in the
-//! very centre of an ellipse has no direction to leave it. A reference far beyond what the horizon can reach makes the
+//! Limits: the solution is local, and the guess decides on which side an obstacle is passed. A guess in the exact
+//! centre of an ellipse has no direction to leave it. A reference far beyond what the horizon can reach makes the
 //! problem badly scaled: clip it.
 //!
 //! [`Solver::solve`] is a function of its arguments: buffers are kept between calls, values are not. A solver that was
@@ -43,13 +43,14 @@ use crate::usable::is_usable;
 
 /// Share of the predicted decrease that is asked for (Armijo).
 const ARMIJO: f64 = 1e-4;
-/// Step lengths tried before the program is damped: 1, 1/2 and 1/4. Beyond that another direction is better.
+/// Step lengths tried before the program is damped: 1, 1/2 and 1/4. After these another direction is better.
 const ATTEMPTS: u32 = 3;
-/// First damping, in units of the objective per square of a control's range; the curvature of the objective is 1 to 100.
+/// First damping, in units of the objective per square of a control's range; the curvature of the objective is 1 to
+/// 100.
 const FIRST_DAMPING: f64 = 0.1;
-/// Damping at which a step is shorter than the tolerance, so that going on is pointless.
-const LARGEST_DAMPING: f64 = 1e10;
-/// Gaps up to this are closed by a sweep without asking: the guess is a roll-out up to rounding or Newton's tolerance.
+/// Damping at which a step is shorter than the tolerance, so that the solve ends.
+const MAX_DAMPING: f64 = 1e10;
+/// Gaps up to this are always closed by a sweep: the guess is a roll-out up to rounding or Newton's tolerance.
 const SMALL_GAP: f64 = 1e-6;
 
 /// A solver with its buffers.
@@ -64,7 +65,7 @@ pub struct Solver {
     trial_shooting: Shooting,
     qp: Qp,
     chain: Chain,
-    /// Whether the chain takes the place of the condensed program.
+    /// Whether the chain is solved instead of the condensed program.
     is_long: bool,
     active_set: ActiveSet,
     answer: QpSolution,
@@ -81,7 +82,7 @@ pub struct Solver {
     refusals: u32,
 }
 
-/// Which step is meant.
+/// The two kinds of step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
     /// That of the quadratic program.
@@ -101,17 +102,17 @@ impl Solver {
         &self.settings
     }
 
-    /// How many quadratic programs the active set has left to the interior-point method since the solver was made.
+    /// How many quadratic programs the active set could not solve, so that the interior-point method did.
     pub fn fallbacks(&self) -> u64 {
         self.fallbacks
     }
 
     /// Solves `problem` from `guess`, with the measured state in the place of the guess's first.
     ///
-    /// A guess without states, or with a wrong number of them, stands for the roll-out of its controls; missing controls
-    /// are filled with the last, or with the reference. Input that is not finite or contradicts itself gives
-    /// [`Status::Failed`] and the guess itself. A solve that ends early gives its best iterate, which satisfies
-    /// the model and the bounds of the controls as soon as one iteration was made.
+    /// A guess without states, or with a wrong number of them, stands for the roll-out of its controls; missing
+    /// controls are filled with the last, or with the reference. Input that is not finite or contradicts itself gives
+    /// [`Status::Failed`] and the guess itself. A solve that ends early gives its best iterate, which satisfies the
+    /// model and the bounds of the controls as soon as one iteration was made.
     pub fn solve(&mut self, problem: &Problem, guess: &Trajectory, budget: &Budget) -> Solution {
         let mut solution = Solution::default();
         self.solve_into(problem, guess, budget, &mut solution);
@@ -167,7 +168,7 @@ impl Solver {
             iterations += 1;
             if self.is_closed() {
                 if !self.advance(problem, &mut damping) {
-                    // The iterate satisfies the model; it is only that no step improves it any more.
+                    // The iterate satisfies the model, but no step improves it.
                     break (Status::MaxIterations, residual);
                 }
             } else if !self.close_gaps(problem) {
@@ -177,7 +178,7 @@ impl Solver {
         (status, iterations, kkt_residual)
     }
 
-    /// Takes over the guess; false where its collocation equations have no solution.
+    /// Starts from the guess; false where its collocation equations have no solution.
     fn start(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
         self.is_long = problem.intervals.len() > self.settings.condense_up_to
             && self.settings.qp == QpChoice::ActiveSet
@@ -256,7 +257,7 @@ impl Solver {
                     return true;
                 }
             }
-            if *damping > LARGEST_DAMPING {
+            if *damping > MAX_DAMPING {
                 return false;
             }
             *damping = raised(*damping);
@@ -267,7 +268,7 @@ impl Solver {
     ///
     /// Without refinement it is the step of the quadratic program, with its second-order correction.
     fn try_newton(&mut self, problem: &Problem, damping: f64, present: f64, relieved: f64) -> bool {
-        // Every other time, so that the steps with and without the shift take turns and neither creeps alone.
+        // Steps with and without the shift alternate, because either may be slow alone.
         let shift = self.refusals % 2 == 1;
         if !self.solve_newton(problem, damping, shift) {
             return false;
@@ -327,7 +328,7 @@ impl Solver {
     fn try_fraction(&mut self, problem: &Problem, fraction: f64) -> Option<f64> {
         self.trial.move_from(&self.iterate, &self.step, fraction);
         for control in &mut self.trial.controls {
-            // Removes what rounding has put outside the bounds.
+            // Removes rounding errors beyond the bounds.
             let inside = problem.bounds.clamp(Control { velocity: control[0], steering: control[1] });
             *control = [inside.velocity, inside.steering];
         }
@@ -388,7 +389,7 @@ fn merit(problem: &Problem, iterate: &Iterate) -> f64 {
     smooth(problem, iterate) + penalties(problem, iterate).0
 }
 
-/// The merit that a step with this predicted change has to reach.
+/// The largest merit that a step with this predicted change may have.
 fn wanted(present: f64, predicted: f64) -> f64 {
     // Near the solution differences of the merit are rounding errors.
     const ROUNDING: f64 = 1e-13;

@@ -1,4 +1,4 @@
-//! Which problems and guesses are solved at all: everything finite, of fitting length and in order.
+//! Validity of problems and guesses: everything finite, of fitting length and in order.
 
 use vehicle::{Control, State};
 

@@ -1,4 +1,4 @@
-//! Where a step first meets a constraint that is not in the active set.
+//! The first constraint outside the active set that a step meets.
 
 use crate::qp::{BoundState, RowState};
 

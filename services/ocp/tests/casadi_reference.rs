@@ -23,7 +23,8 @@ fn state(value: &Value) -> State {
 }
 
 fn control(value: &Value) -> Control {
-    Control::from_vector(&numbers::<2>(value).into())
+    let [velocity, steering] = numbers(value);
+    Control { velocity, steering }
 }
 
 fn list<T>(value: &Value, read: impl Fn(&Value) -> T) -> Vec<T> {

@@ -120,7 +120,8 @@ fn no_admissible_change_of_the_controls_lowers_the_objective_of_a_solution() {
                     })
                 })
                 .collect();
-            // 500 times six limits times the tolerance over the step is 0.3; slopes of other points reach some thousand.
+            // 500 times six limits times the tolerance over the step is 0.3; slopes of other points reach some
+            // thousand.
             let slope = (objective(&problem, &moved) - least) / step;
             assert!(slope > -0.3, "seed {seed}: {slope} of {least}");
         }
@@ -196,7 +197,7 @@ fn the_guess_decides_the_side() {
 }
 
 #[test]
-fn a_guess_whose_states_leave_gaps_is_taken_up() {
+fn a_guess_whose_states_leave_gaps_is_accepted() {
     let initial = State { x: 2.2, y: 0.02, ..State::default() };
     let problem = problem(initial, 10.0, bench_weights(), vec![ellipse(5.0, 0.1, 1.2, 0.8)]);
     // A path beside the ellipse that no control has made.

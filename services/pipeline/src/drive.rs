@@ -10,7 +10,7 @@ use crate::{Pipeline, Settings, Step};
 pub struct Drive {
     /// How it ended.
     pub outcome: Outcome,
-    /// Why, in words.
+    /// Why, as text.
     pub reason: String,
     /// Scans until then.
     pub scans: u64,

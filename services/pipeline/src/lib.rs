@@ -6,9 +6,9 @@
 //!      <------------------------------ actuation <--------------------------------------+
 //! ```
 //!
-//! [`Pipeline::step`] is one time round this loop in simulated time. The processes of a system in lock-step make
-//! the same calls with a bus between them and give the same bits; what they cost more than this is the price of
-//! being processes.
+//! [`Pipeline::step`] runs this loop once in simulated time. In lock-step, the processes of a system make the same
+//! calls with a bus between them and give bit-identical outputs. The difference in run time is the cost of separate
+//! processes.
 
 mod drive;
 mod settings;
@@ -26,7 +26,7 @@ use shared_types::{
 };
 use vehicle::Invalid;
 
-/// Everything that was said about one scan.
+/// All samples of one scan.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Step {
     /// The sweep.
@@ -35,7 +35,7 @@ pub struct Step {
     pub odometry: Odometry,
     /// The true state.
     pub truth: Truth,
-    /// The estimated pose; `None` where the estimator had nothing to say.
+    /// The estimated pose; `None` where the estimator gave none.
     pub pose: Option<Pose>,
     /// The described obstacles.
     pub obstacles: Option<Obstacles>,
@@ -58,7 +58,7 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// A robot at its start and four stages that have seen nothing.
+    /// A robot at its start, and four stages without any input yet.
     ///
     /// # Errors
     /// The first setting that is not allowed.
@@ -135,7 +135,7 @@ impl Publisher {
     }
 }
 
-/// The number that the supervisor gives the first process of a role: it starts from the actuator backwards.
+/// The incarnation of the first process of a role: the supervisor starts the roles from the actuator backwards.
 fn incarnation(role: Role) -> u32 {
     5 - role as u32
 }

@@ -32,7 +32,7 @@ impl Tuning {
 
     /// The same with what the stages know of the scenario: the goal, the track, its walls, the body.
     ///
-    /// Never the obstacles, and nothing of what is wrong with the robot.
+    /// Never the obstacles or the true parameters of the robot.
     #[must_use]
     pub fn for_scenario(mut self, scenario: &Scenario) -> Self {
         self.controller.goal = scenario.goal;

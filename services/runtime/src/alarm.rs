@@ -1,11 +1,11 @@
-//! A timer that is set before its time is slept for.
+//! A kernel timer that is set before a process sleeps, so that the sleep itself is cheap.
 //!
-//! Idea: who falls asleep until a time, earlier than any other that is waited for, has the kernel program the timer of
-//! the processor, which in a virtual machine takes longer than a hop. A robot falls asleep while its scan is on the way
-//! to the wheels, on the processor that the next process needs. So it sets this timer for the end of its sleep when its
-//! work begins; the sleep itself then finds the processor's timer programmed.
+//! A sleep that ends before all other timers of a processor makes the kernel program the hardware timer. In a virtual
+//! machine this takes longer than a hop. A robot falls asleep while its scan travels to the wheels, on a processor
+//! that the next process needs. So it sets this timer when its work begins; the later sleep finds the hardware timer
+//! programmed.
 //!
-//! Where this fails: without the timer the sleep ends as well, only the processor is programmed later.
+//! Where the timer is missing, the sleep still ends in time; only the cost comes later.
 
 use std::os::fd::OwnedFd;
 
@@ -15,7 +15,7 @@ use rustix::time::{
 
 use crate::clock::timespec;
 
-/// One timer of CLOCK_MONOTONIC. Nobody reads it.
+/// One timer of CLOCK_MONOTONIC that is never read.
 pub(crate) struct Alarm(Option<OwnedFd>);
 
 impl Alarm {
@@ -23,7 +23,7 @@ impl Alarm {
         Self(timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::CLOEXEC | TimerfdFlags::NONBLOCK).ok())
     }
 
-    /// Sets the timer to a time [ns]; the one before is forgotten.
+    /// Sets the timer to a time [ns] instead of the one before.
     pub(crate) fn set(&self, time_ns: u64) {
         let Some(timer) = &self.0 else { return };
         let value = Itimerspec { it_interval: timespec(0), it_value: timespec(time_ns) };

@@ -1,18 +1,17 @@
-//! Doorbells: one word of shared memory per reader, on which it sleeps.
+//! Doorbells: one futex in shared memory per reader, on which it sleeps until a sample comes.
 //!
-//! Idea: who publishes adds one to the word of each reader of the topic and, when somebody sleeps there, tells the
-//! kernel to wake it; sleepers say for which topics. A reader looks at the word *before* it empties its inputs and later
-//! sleeps only if the word is still the same; the kernel compares once more under its own lock. So a sample that comes
-//! after the inputs were emptied can't be slept through, and no notification has to be taken back: one system call to
-//! ring and one to sleep.
+//! A publisher increments the counter of each reader of its topic. When a process sleeps there, it asks the kernel to
+//! wake it; a sleeper registers the topics it waits for. A reader loads the counter *before* it empties its inputs. It
+//! sleeps later only if the counter is still the same, and the kernel compares once more under its own lock. So no
+//! sample is slept through, and no notification is left over. Ringing and sleeping cost one system call each.
 //!
-//! All processes of a role share a bell, also a shadow and a standby: everyone who sleeps there for the topic is woken.
-//! Each topic has one more, for observers, and for readers that were woken and ask which of their topics have something.
-//! There is no lock and no owner. A process that is killed in its sleep stays counted as a sleeper until the system ends,
-//! which costs a needless system call per sample and never a wake-up.
+//! All processes of a role share a bell, also a shadow and a standby: all that sleep there for the topic are woken.
+//! Each topic has another bell, for observers, and for readers that ask which of their topics have new samples. There
+//! is no lock and no owner. A process that is killed in its sleep stays counted as a sleeper until the system ends.
+//! This costs a needless system call per sample, and never a wake-up.
 //!
-//! Where this fails: processes of other languages do not ring. They use the bus's own events; see [`crate::ear`].
-#![expect(unsafe_code, reason = "a page of shared memory is a promise about a file")]
+//! Limit: processes in other languages may not ring. They use the events of the bus, see [`crate::waiter`].
+#![expect(unsafe_code, reason = "shared memory is mapped from a file")]
 
 use std::fs::File;
 use std::num::NonZeroU32;
@@ -28,19 +27,19 @@ use crate::reserve::allocate;
 use crate::shared_memory::Mapped;
 use crate::{Domain, RuntimeError};
 
-/// Name of the file in the directory of the bus. The layout has a number: processes of another one would sleep on other
-/// words.
+/// Name of the file in the directory of the bus. It carries the version of the layout: processes with another layout
+/// would sleep at other addresses.
 const FILE: &str = "doorbells.v2";
 /// Processors read memory in lines of this many bytes; two bells never share one.
 pub(crate) const LINE: usize = 64;
 
-/// One word to sleep on.
+/// One futex to sleep on.
 #[repr(C, align(64))]
 pub(crate) struct Bell {
     rung: AtomicU32,
-    /// By topic: how many sleep here until it is rung for.
+    /// By topic: how many processes sleep here until a sample of it comes.
     sleepers: [AtomicU16; TOPICS.len()],
-    /// Of a topic: readers of ours that sleep on its events instead.
+    /// Bells of topics only: readers of this library that sleep on the events of the topic instead.
     listeners: AtomicU32,
 }
 
@@ -58,18 +57,18 @@ const _: () = assert!(size_of::<Bell>() == LINE && size_of::<Page>() <= 4096);
 pub(crate) struct Bells(Mapped<Page>);
 
 impl Bell {
-    /// What a reader compares later: to be read before its inputs are emptied.
+    /// The counter that a reader compares later. Load it before the inputs are emptied.
     pub(crate) fn poll(&self) -> u32 {
         self.rung.load(Ordering::SeqCst)
     }
 
-    /// Wakes all who sleep here, whatever they wait for. Safe to call from a signal handler.
+    /// Wakes all sleepers, whatever they wait for. Safe to call from a signal handler.
     pub(crate) fn ring_all(&self) {
         self.count();
         let _ = futex::wake(&self.rung, Flags::empty(), i32::MAX.cast_unsigned());
     }
 
-    /// Wakes those who sleep here and wait for a topic.
+    /// Wakes the sleepers that wait for a topic.
     fn ring(&self, topic: Topic) {
         self.count();
         self.wake(topic);
@@ -88,14 +87,14 @@ impl Bell {
         }
     }
 
-    /// What is left of a process that is killed in its sleep.
+    /// Leaves the count that a process leaves when it is killed in its sleep.
     #[cfg(test)]
-    pub(crate) fn forget_a_sleeper(&self, topic: Topic) {
+    pub(crate) fn leak_a_sleeper(&self, topic: Topic) {
         self.sleepers[topic as usize].fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Sleeps unless the bell was rung since `seen`, until it is rung for one of `topics`, which are bits, a signal comes,
-    /// or `until_ns` of CLOCK_MONOTONIC; returns whether it ended before that time.
+    /// Sleeps until the bell is rung for one of `topics` (bits), a signal comes, or `until_ns` of CLOCK_MONOTONIC.
+    /// Does not sleep when the bell was rung since `seen`. Returns whether it ended before that time.
     pub(crate) fn sleep(&self, seen: u32, until_ns: u64, topics: u32) -> bool {
         let Some(bits) = NonZeroU32::new(topics) else { return true };
         if self.poll() != seen {
@@ -117,7 +116,7 @@ impl Bell {
 }
 
 impl Bells {
-    /// Makes the page of a system, or opens the one that is there: its processes may be asleep on it.
+    /// Creates the page of a system, or opens an existing one, on which its processes may sleep.
     pub(crate) fn create(domain: &Domain) -> Result<Arc<Self>, RuntimeError> {
         let folder = domain.bus_folder()?;
         let error = |source| RuntimeError::file(folder.path().join(FILE), source);
@@ -143,14 +142,14 @@ impl Bells {
         &self.0.roles[role.index()]
     }
 
-    /// The bell of those who look on at a topic.
+    /// The bell of the observers of a topic.
     pub(crate) fn topic(&self, topic: Topic) -> &Bell {
         &self.0.topics[topic as usize]
     }
 
     /// Rings for all readers of a topic.
     pub(crate) fn ring(&self, topic: Topic) {
-        // First of all: who is woken asks this one which topics have something.
+        // First: a woken reader asks this bell which topics have new samples.
         self.topic(topic).count();
         for role in Role::ALL {
             if topic == Topic::Directive || role.reads().contains(&topic) {
@@ -160,8 +159,8 @@ impl Bells {
         self.topic(topic).wake(topic);
     }
 
-    /// Counts a reader that sleeps on the events of a topic from now on, or does not any more. One that is killed stays
-    /// counted: needless notifications until the system ends.
+    /// Counts a reader that starts or stops to sleep on the events of a topic. One that is killed stays counted, which
+    /// costs needless notifications until the system ends.
     pub(crate) fn listens(&self, topic: Topic, on: bool) {
         let listeners = &self.topic(topic).listeners;
         if on {
@@ -171,18 +170,18 @@ impl Bells {
         }
     }
 
-    /// Whether a reader of ours sleeps on the events of a topic.
+    /// Whether a reader of this library sleeps on the events of a topic.
     pub(crate) fn has_listeners(&self, topic: Topic) -> bool {
         self.topic(topic).listeners.load(Ordering::SeqCst) > 0
     }
 
     fn map(file: &File) -> std::io::Result<Arc<Self>> {
-        // SAFETY: atomics only; the file is as large as the page, which callers made sure of, and never made smaller.
+        // SAFETY: atomics only; callers ensure that the file is as large as the page, and it is never made smaller.
         Ok(Arc::new(Self(unsafe { Mapped::new(file) }?)))
     }
 }
 
-/// The bit by which a sleeper says that it waits for a topic.
+/// The bit by which a sleeper registers a topic.
 pub(crate) const fn bit(topic: Topic) -> u32 {
     1 << topic as u32
 }

@@ -1,45 +1,26 @@
 //! The services of one system on iceoryx2: created in one place, opened everywhere else.
 //!
-//! Only the orchestrator creates, so a process that starts first can't create a topic with other sizes, and
-//! the order of starts is irrelevant. A service lives as long as anyone has it open, so it outlives the
-//! orchestrator that created it.
+//! Only the orchestrator creates topics. So no process can create one with other sizes, and the order of starts does
+//! not matter. A service lives as long as any process has it open, so it outlives the orchestrator that created it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::{Node, ServiceName, ipc};
 use iceoryx2::service::port_factory::event;
-use shared_types::{
-    Actuation, Checkpoint, Command, Directive, Heartbeat, Obstacles, Odometry, Pose, Sample, Scan, TOPICS,
-    Topic, Truth,
-};
+use shared_types::{Sample, SampleType, TOPICS, Topic};
 
 use crate::bell::Bells;
 use crate::enclosed::Enclosed;
 use crate::port::{self, BytePublisher, ByteSubscriber, Samples};
 use crate::qos::{EVENT_PORTS, NODES, Qos, qos};
 use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
-use crate::sample_type::SampleType;
 use crate::{Domain, RuntimeError, layouts, node};
 
 pub(crate) type Events = event::PortFactory<ipc::Service>;
 
-/// How long to retry opening a service that another process is just cleaning up.
+/// How long to retry opening a service that another process is cleaning up.
 const OPEN_RETRY: Duration = Duration::from_secs(5);
-
-/// Samples of all topics.
-const ALL_SAMPLES: [&SampleType; TOPICS.len()] = [
-    SampleType::of::<Scan>(),
-    SampleType::of::<Odometry>(),
-    SampleType::of::<Pose>(),
-    SampleType::of::<Obstacles>(),
-    SampleType::of::<Command>(),
-    SampleType::of::<Actuation>(),
-    SampleType::of::<Heartbeat>(),
-    SampleType::of::<Directive>(),
-    SampleType::of::<Checkpoint>(),
-    SampleType::of::<Truth>(),
-];
 
 /// One process's access to the services of its system.
 #[derive(Debug)]
@@ -47,46 +28,41 @@ pub struct Bus {
     domain: Domain,
     node: Enclosed<Node<ipc::Service>>,
     bells: Arc<Bells>,
-    /// Services that exist for as long as this value does.
+    /// Services that exist as long as this value.
     held: Vec<Enclosed<(Samples, Option<Events>)>>,
 }
 
 impl Bus {
-    /// Creates all services of the system and keeps them for as long as the value lives: the orchestrator.
+    /// Creates all services of the system and keeps them as long as the value lives: for the orchestrator.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when a system does not fit, [`RuntimeError::Bus`] when iceoryx2 refuses, and
     /// [`RuntimeError::File`] when the layouts of the samples can't be written.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
-        // Freed at once: what follows takes it piece by piece.
+        // Checked as a whole and freed at once; the services then take it piece by piece.
         Reserve::take(Reserve::of_a_system())?;
-        Self::with_topics(domain, false)
+        Self::create_empty(domain)?.with_topics(false)
     }
 
-    /// Opens the services of a system that lost its orchestrator, and creates those that nobody keeps any more.
+    /// Opens the services of an orphaned system, and creates those that no process keeps open.
     ///
     /// # Errors
-    /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when iceoryx2
-    /// refuses.
+    /// [`RuntimeError::Layout`] when the system was built against other samples, and [`RuntimeError::Bus`] when
+    /// iceoryx2 refuses.
     pub fn take_over(domain: &Domain) -> Result<Self, RuntimeError> {
-        Self::with_topics(domain, true)
+        let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
+        layouts::verify_all(domain)?;
+        // The orchestrator that died still holds ports, of which there are few for directives.
+        bus.clean_up_dead_processes();
+        bus.with_topics(true)
     }
 
-    fn with_topics(domain: &Domain, take_over: bool) -> Result<Self, RuntimeError> {
-        let mut bus = if take_over {
-            let bus = Self::join(domain, "orchestrator", Bells::create(domain)?)?;
-            layouts::verify_all(domain)?;
-            // The orchestrator that died still holds ports, of which there are few for directives.
-            bus.clean_up_dead_processes();
-            bus
-        } else {
-            Self::create_empty(domain)?
-        };
-        for of in ALL_SAMPLES {
-            bus.create_topic(of, qos(of.topic), take_over)?;
+    fn with_topics(mut self, take_over: bool) -> Result<Self, RuntimeError> {
+        for topic in TOPICS {
+            self.create_topic(topic.sample_type(), qos(topic), take_over)?;
         }
-        allocate_files(domain)?;
-        Ok(bus)
+        self.allocate()?;
+        Ok(self)
     }
 
     /// A system without topics, for tools that create their own with [`Bus::create_topic_for`].
@@ -103,20 +79,21 @@ impl Bus {
     /// Joins the system as `name`; services are opened, never created.
     ///
     /// # Errors
-    /// [`RuntimeError::SharedMemory`] when there is no room for its ports, and [`RuntimeError::Bus`] when iceoryx2 refuses.
+    /// [`RuntimeError::SharedMemory`] when there is no room for its ports, and [`RuntimeError::Bus`] when iceoryx2
+    /// refuses.
     pub fn open(domain: &Domain, name: &str) -> Result<Self, RuntimeError> {
         Self::join(domain, name, Bells::open(domain)?)
     }
 
     fn join(domain: &Domain, name: &str, bells: Arc<Bells>) -> Result<Self, RuntimeError> {
-        // The processes that run make their ends of its connections: without room they would be ended by SIGBUS.
+        // Running processes make their ends of its connections: without room SIGBUS would end them.
         require_room(None)?;
         let node = Enclosed::new(node::join(domain, name)?);
         Ok(Self { domain: domain.clone(), node, bells, held: Vec::new() })
     }
 
-    /// Allocates what the ports that were opened until now have in shared memory, so that none of them runs out of it
-    /// later. To be called once the ports of a process are open.
+    /// Allocates the shared memory of all ports opened until now, so that none of them runs out of it later. Call it
+    /// when the ports of a process are open.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when there is no room.
@@ -124,50 +101,19 @@ impl Bus {
         allocate_files(&self.domain)
     }
 
-    /// Frees what processes that died have left on the bus; returns how many were cleaned up.
+    /// Frees what dead processes have left on the bus; returns how many were cleaned up.
     pub fn clean_up_dead_processes(&self) -> u64 {
         remove_empty_files(&self.domain);
         self.node.try_cleanup_dead_nodes().cleanups
     }
 
-    /// Creates the service for payloads beside a topic, see [`crate::BlobOutput`]: the orchestrator of a bench.
-    ///
-    /// # Errors
-    /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    pub fn create_blobs(&mut self, topic: Topic) -> Result<(), RuntimeError> {
-        let created = port::samples(&self.node, &blob_name(topic)?, &port::of_bytes())
-            .max_publishers(2)
-            .max_subscribers(4)
-            .subscriber_max_buffer_size(4)
-            .subscriber_max_borrowed_samples(2)
-            .history_size(0)
-            .enable_safe_overflow(true)
-            .max_nodes(NODES)
-            .create()
-            .map_err(|reason| RuntimeError::bus(format!("create payloads of topic {topic}"), reason))?;
-        self.held.push(Enclosed::new((created, None)));
-        Ok(())
-    }
-
-    /// A port for payloads beside a topic, of at most so many bytes.
-    pub(crate) fn blob_publisher(&self, topic: Topic, longest: usize) -> Result<BytePublisher, RuntimeError> {
-        let created = BytePublisher::new(self.open_blobs(topic)?, longest);
-        created.map_err(|reason| RuntimeError::bus(format!("write payloads of topic {topic}"), reason))
-    }
-
-    pub(crate) fn blob_subscriber(&self, topic: Topic) -> Result<ByteSubscriber, RuntimeError> {
-        let created = ByteSubscriber::new(&self.open_blobs(topic)?, 0, topic, None);
-        created.map_err(|reason| RuntimeError::bus(format!("read payloads of topic {topic}"), reason))
-    }
-
     pub(crate) fn publisher(&self, of: &SampleType) -> Result<BytePublisher, RuntimeError> {
-        let created = BytePublisher::new(self.open_samples(of)?, 1);
+        let created = BytePublisher::new(self.open_samples(of)?);
         created.map_err(|reason| RuntimeError::bus(format!("write topic {}", of.topic), reason))
     }
 
     pub(crate) fn subscriber(&self, of: &SampleType) -> Result<ByteSubscriber, RuntimeError> {
-        let history = qos(of.topic).history;
-        let created = ByteSubscriber::new(&self.open_samples(of)?, history, of.topic, Some(of.size));
+        let created = ByteSubscriber::new(&self.open_samples(of)?, of);
         created.map_err(|reason| RuntimeError::bus(format!("read topic {}", of.topic), reason))
     }
 
@@ -183,14 +129,14 @@ impl Bus {
         retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
     }
 
-    /// Creates the topic of `S` with room for `readers` instead of the usual number, because large samples times many
-    /// readers are much memory; keeps it for as long as the value lives.
+    /// Creates the topic of `S` with room for `readers` instead of the usual number, which saves memory where samples
+    /// are large; keeps it as long as the value lives.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
         let qos = Qos { subscribers: readers, ..qos(S::TOPIC) };
-        self.create_topic(SampleType::of::<S>(), qos, false)
+        self.create_topic(S::TYPE, qos, false)
     }
 
     fn create_topic(&mut self, of: &SampleType, qos: Qos, take_over: bool) -> Result<(), RuntimeError> {
@@ -238,14 +184,7 @@ impl Bus {
         retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", of.topic), reason))
     }
 
-    fn open_blobs(&self, topic: Topic) -> Result<Samples, RuntimeError> {
-        let (name, detail) = (blob_name(topic)?, port::of_bytes());
-        let open = || port::samples(&self.node, &name, &detail).open();
-        retry(open).map_err(|reason| RuntimeError::bus(format!("open payloads of topic {topic}"), reason))
-    }
-
-    /// The node of this process, for tests that open services otherwise.
-    #[cfg(test)]
+    /// The node of this process, for services of other types.
     pub(crate) fn node(&self) -> &Node<ipc::Service> {
         &self.node
     }
@@ -255,12 +194,7 @@ fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
     ServiceName::new(topic.name()).map_err(|reason| RuntimeError::bus("name a topic", reason))
 }
 
-fn blob_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
-    let name = format!("{}-payload", topic.name());
-    ServiceName::new(&name).map_err(|reason| RuntimeError::bus("name a payload", reason))
-}
-
-/// Opening can collide with a clean-up by another process; that passes.
+/// Retries, because opening can collide with a clean-up by another process.
 fn retry<T, E>(mut open: impl FnMut() -> Result<T, E>) -> Result<T, E> {
     let started = Instant::now();
     loop {

@@ -10,7 +10,7 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Nanoseconds as the kernel takes them.
+/// A time in nanoseconds as the kernel takes it.
 pub(crate) fn timespec(time_ns: u64) -> Timespec {
     let (seconds, rest) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     Timespec { tv_sec: seconds.cast_signed(), tv_nsec: rest.cast_signed() }
@@ -18,8 +18,8 @@ pub(crate) fn timespec(time_ns: u64) -> Timespec {
 
 /// Time as the loop sees it.
 ///
-/// In lock-step no process reads the machine's time: the time is when the newest sample's scan was published,
-/// so a run is the same on every machine.
+/// In lock-step no process reads the machine's clock. The time is the publication time of the newest scan, so a run is
+/// the same on every machine.
 #[derive(Debug)]
 pub enum Clock {
     /// CLOCK_MONOTONIC.
@@ -47,7 +47,7 @@ impl Clock {
         }
     }
 
-    /// Moves simulated time on to `time_ns`; never back, and without effect on the monotonic clock.
+    /// Moves simulated time forward to `time_ns`, never back. Has no effect on the monotonic clock.
     pub fn advance_to(&self, time_ns: u64) {
         if let Self::Simulated(now) = self {
             now.set(now.get().max(time_ns));

@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use shared_types::{Header, Heartbeat, InputAccount, PORTS, Role, Topic};
 
-/// Counters of one process, shared by its inputs and outputs; what became of inputs stands in their accounts.
+/// Counters of one process, shared by its inputs and outputs. Each input counts its own samples, see [`InputAccount`].
 #[derive(Debug, Default)]
 pub(crate) struct Counters {
     pub(crate) activations: Cell<u64>,
@@ -12,9 +12,9 @@ pub(crate) struct Counters {
     pub(crate) undelivered: Cell<u64>,
     pub(crate) timeouts: Cell<u64>,
     pub(crate) last_scan: Cell<u64>,
-    /// Something in an account is worth to be told before the next heartbeat is due.
-    pub(crate) news: Cell<bool>,
-    /// Something that `role` answers was taken since the process woke.
+    /// An input counted something that the orchestrator should know before the next heartbeat is due.
+    pub(crate) is_urgent: Cell<bool>,
+    /// A sample that the role answers was taken since the process woke.
     took: Cell<bool>,
     written: [Cell<u64>; PORTS],
     taken: Cell<u64>,
@@ -23,7 +23,7 @@ pub(crate) struct Counters {
     answered_scans: Cell<u64>,
 }
 
-/// Adds to one counter.
+/// Adds `more` to one counter.
 pub(crate) fn count(counter: &Cell<u64>, more: u64) {
     counter.set(counter.get().wrapping_add(more));
 }
@@ -44,13 +44,15 @@ impl Counters {
         }
     }
 
-    /// Notes that `role` has numbered a sample of its own. It is an answer when a sample taken has none yet. What an
-    /// actuator decides by itself (`is_answer` is false) is one only when it has taken something since it woke: that it
-    /// refuses; otherwise it has noticed a silence, and what it owes it still owes.
+    /// Notes that `role` has numbered a sample of its own. It counts as an answer while a sample taken has none.
+    ///
+    /// What an actuator decides by itself (`is_answer` is false) counts only when it took a command since it woke:
+    /// then it refuses that command. Otherwise it reacts to a missing command, and an earlier one may still await its
+    /// answer.
     pub(crate) fn write(&self, role: Role, topic: Topic, header: &Header, is_answer: bool) {
         let Some(port) = role.writes().iter().position(|written| *written == topic) else { return };
         self.written[port].set(header.sequence);
-        // A role with several topics publishes one sample of each per scan; the first stands for all.
+        // A role with several topics publishes one sample of each per scan; only the first is counted.
         if port > 0 {
             return;
         }
@@ -78,8 +80,8 @@ impl Counters {
     }
 }
 
-/// Puts the account of the `port`th input into a heartbeat, and adds it to the totals.
-pub(crate) fn add_account(heartbeat: &mut Heartbeat, port: usize, account: InputAccount) {
+/// Puts the counters of the `port`th input into a heartbeat, and adds them to the totals.
+pub(crate) fn add_input(heartbeat: &mut Heartbeat, port: usize, account: InputAccount) {
     heartbeat.used += account.used;
     heartbeat.replaced += account.replaced + account.overwritten;
     heartbeat.invalid += account.invalid + account.unreadable;
@@ -110,7 +112,7 @@ mod tests {
         counters.take(Role::Actuator, Topic::Command, &command);
         counters.wake();
         counters.take(Role::Actuator, Topic::Directive, &Header::default());
-        assert_eq!(publish(40, 0), 0, "a silence that it noticed, or a stop that it was told");
+        assert_eq!(publish(40, 0), 0, "it noticed a missing command, or was told to stop");
         assert_eq!(publish(40, 1), 1, "its answer");
         counters.take(Role::Actuator, Topic::Command, &command);
         assert_eq!(publish(39, 0), 2, "a refusal");

@@ -1,11 +1,12 @@
-//! What a process says and does before a fault of its own ends it.
+//! What a process logs and does before a crash ends it.
 //!
-//! The kernel reports a page that it can't provide by SIGBUS, and a bad address by SIGSEGV, whose defaults end a process
-//! without a word. The handler writes one line to standard error, which is the log of a process. In an orchestrator it
-//! latches the stop word first, and so does a panic. It runs on a stack of its own, so that a stack overflow does not keep
-//! it from running; then it gives the signal back to the handler that was there before, and lets it happen again.
+//! The kernel reports a page that it can't provide by SIGBUS, and a bad address by SIGSEGV. By default both end a
+//! process without a message. The handler here writes one line to standard error, which is the log of a process. In
+//! an orchestrator it latches the stop word first, and so does a panic. It runs on a stack of its own, so that it
+//! also handles a stack overflow. Then it restores the earlier handler and lets the fault happen again.
 //!
-//! Where this fails: KILL, an abort, and a machine without memory leave no time. Then the processes notice the silence.
+//! Limits: KILL, an abort, and a machine without memory leave no time. Then the processes notice the missing
+//! directives.
 #![expect(unsafe_code, reason = "signal handlers are installed for signals that no safe interface allows")]
 
 use std::cell::UnsafeCell;
@@ -21,13 +22,13 @@ use crate::terminal::flush_terminal;
 const SIGNALS: [libc::c_int; 3] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGILL];
 /// Memory for the handler, on which the handler before it runs as well [bytes].
 const STACK: usize = 64 << 10;
-/// The words of a panic are waited for so long at most.
+/// The message of a panic is waited for at most this long.
 const FLUSH: Duration = Duration::from_millis(300);
 
 /// The stop word of the run that this process orchestrates.
-static WORD: OnceLock<StopWord> = OnceLock::new();
+static STOP_WORD: OnceLock<StopWord> = OnceLock::new();
 static INSTALLED: Once = Once::new();
-/// What the signals did before.
+/// The earlier actions of the signals.
 static BEFORE: Before = Before([const { UnsafeCell::new(MaybeUninit::zeroed()) }; SIGNALS.len()]);
 
 struct Before([UnsafeCell<MaybeUninit<libc::sigaction>>; SIGNALS.len()]);
@@ -35,8 +36,8 @@ struct Before([UnsafeCell<MaybeUninit<libc::sigaction>>; SIGNALS.len()]);
 // SAFETY: each cell is written once, before its handler can run, and only read afterwards.
 unsafe impl Sync for Before {}
 
-/// From now on a crash of this process writes a line to standard error. Once per process; a kernel that refuses leaves
-/// everything as it is.
+/// From now on a crash of this process writes a line to standard error. Acts once per process; where the kernel
+/// refuses, nothing changes.
 pub fn report_crashes() {
     INSTALLED.call_once(|| {
         // The main thread has a stack for stack overflows already, but a small one.
@@ -60,14 +61,14 @@ pub fn report_crashes() {
     });
 }
 
-/// From now on a panic or a crash of this process, an orchestrator, latches `word` before anything else. Once per process.
+/// From now on a panic or a crash of this process, an orchestrator, first latches `word`. Acts once per process.
 pub fn latch_on_crash(word: &StopWord) {
-    if WORD.set(word.clone()).is_err() {
+    if STOP_WORD.set(word.clone()).is_err() {
         return;
     }
     std::panic::set_hook(Box::new(|panic| {
         latch();
-        // Not by the default hook, which would wait for a terminal that is not read.
+        // Not with the default hook, which would wait for a terminal that is not read.
         print(Priority::Error, &format!("internal error: {panic}; wheels are blocked"));
         flush_terminal(FLUSH);
     }));
@@ -75,14 +76,14 @@ pub fn latch_on_crash(word: &StopWord) {
 }
 
 fn latch() {
-    if let Some(word) = WORD.get() {
+    if let Some(word) = STOP_WORD.get() {
         word.latch();
     }
 }
 
 /// The line for a signal.
 fn line(signal: libc::c_int) -> &'static [u8] {
-    match (signal, WORD.get().is_some()) {
+    match (signal, STOP_WORD.get().is_some()) {
         (libc::SIGBUS, false) => b"shared memory ran out or was cut off (SIGBUS): see `df /dev/shm`\n",
         (libc::SIGBUS, true) => {
             b"scanloop: shared memory ran out or was cut off (SIGBUS): the orchestrator ends, wheels are blocked\n"
@@ -94,12 +95,12 @@ fn line(signal: libc::c_int) -> &'static [u8] {
     }
 }
 
-/// A fault happens again by itself when this returns; a signal that a process has sent is sent once more.
+/// A fault happens again by itself when this returns; a signal that a process sent is raised again.
 extern "C" fn handle(signal: libc::c_int, information: *mut libc::siginfo_t, _: *mut libc::c_void) {
     latch();
     let text = line(signal);
-    // SAFETY: plain system calls on valid memory; the old action was stored before this handler could run, and the kernel
-    // hands over a valid `information`.
+    // SAFETY: plain system calls on valid memory; the old action was stored before this handler could run, and the
+    // kernel hands over a valid `information`.
     unsafe {
         // A terminal that is not read must not hold this up.
         let mut ready = libc::pollfd { fd: libc::STDERR_FILENO, events: libc::POLLOUT, revents: 0 };

@@ -1,8 +1,8 @@
 //! Where one system lives on the machine: its directory and its names in shared memory.
 //!
-//! The directory lies in the first usable place of [`crate::place`] and carries the id of the system. The names in shared
-//! memory carry a random run id instead, so that they cannot be taken beforehand; the orchestrator writes it down in the
-//! directory and hands it to its processes.
+//! The directory lies in the first usable place of [`crate::place`] and carries the id of the system. The names in
+//! shared memory carry a random run id instead, so that no other user can take them beforehand. The orchestrator
+//! writes the id into the directory and hands it to its processes.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -15,12 +15,12 @@ use crate::{
 
 /// Name of the file that holds the run id.
 const RUN_ID_FILE: &str = "run-id";
-/// Name of the file in the directory of the bus that tells whose it is.
+/// Name of the file in the directory of the bus that holds the system id.
 const SYSTEM_ID_FILE: &str = "system-id";
 /// Letters of a run id: 50 random bits.
 const RUN_ID_LETTERS: usize = 10;
 
-/// One system on this machine, apart from all others by its directory and its run id.
+/// One system on this machine, told from all others by its directory and its run id.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     system_id: String,
@@ -33,14 +33,14 @@ impl Domain {
     /// Makes the directory of a new system, the directory of its bus and its run id.
     ///
     /// # Errors
-    /// [`RuntimeError::SystemId`] when the id is not 1 to 16 letters, digits or `-`, [`RuntimeError::NotPrivate`] when the
-    /// place is not this user's alone, [`RuntimeError::File`], of kind `AlreadyExists` when there is such a system.
+    /// [`RuntimeError::SystemId`] when the id is not 1 to 16 letters, digits or `-`; [`RuntimeError::NotPrivate`] when
+    /// others can enter the place; [`RuntimeError::File`], of kind `AlreadyExists` when there is such a system.
     pub fn create(system_id: &str) -> Result<Self, RuntimeError> {
         check_id(system_id)?;
         let folder = make_folder(system_id)?;
         let run_id = random_id();
         let domain = Self::assemble(system_id, run_id, folder);
-        // The id is for people who look there; where shared memory is full it is left out.
+        // The file is for people; where shared memory is full it is left out.
         let made = Folder::make(&domain.bus_directory())
             .map(|bus| _ = bus.write(SYSTEM_ID_FILE, system_id.as_bytes()))
             .and_then(|()| domain.folder.write(RUN_ID_FILE, domain.run_id.as_bytes()));
@@ -54,7 +54,7 @@ impl Domain {
     /// The system of that id, if it has a directory in one of the places; its processes may all have ended.
     ///
     /// # Errors
-    /// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that is not this user's alone.
+    /// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that others can enter.
     pub fn find(system_id: &str) -> Result<Option<Self>, RuntimeError> {
         check_id(system_id)?;
         for place in place::all()? {
@@ -65,7 +65,7 @@ impl Domain {
         Ok(None)
     }
 
-    /// [`Domain::find`] for who needs one.
+    /// [`Domain::find`] where the system must exist.
     ///
     /// # Errors
     /// [`RuntimeError::NotRunning`] when there is none, and as [`Domain::find`].
@@ -73,22 +73,23 @@ impl Domain {
         Self::find(system_id)?.ok_or_else(|| RuntimeError::NotRunning(system_id.to_owned()))
     }
 
-    /// Leaves a mark that a system was stopped, for a service manager's next start of it.
+    /// Leaves a mark that a system was stopped, for its next start by a service manager.
     ///
     /// # Errors
     /// As [`Domain::create`].
     pub fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
-        check_id(system_id)?;
-        place::mark_stopped(system_id)
+        place::make()?.write(&mark(system_id)?, b"")
     }
 
-    /// Takes the mark of [`Domain::mark_stopped`] away; whether there was one.
+    /// Removes the mark of [`Domain::mark_stopped`]; returns whether there was one.
     ///
     /// # Errors
     /// [`RuntimeError::SystemId`], and [`RuntimeError::File`].
     pub fn take_stopped_mark(system_id: &str) -> Result<bool, RuntimeError> {
-        check_id(system_id)?;
-        place::take_mark(system_id)
+        let name = mark(system_id)?;
+        let marked: Vec<Folder> = place::all()?.into_iter().filter(|place| place.contains(&name)).collect();
+        marked.iter().try_for_each(|place| place.remove(&name))?;
+        Ok(!marked.is_empty())
     }
 
     /// All systems of this user that have a directory.
@@ -161,14 +162,14 @@ impl Domain {
         self.folder.path().exists()
     }
 
-    /// Startup of the names of all files that the system has in shared memory.
+    /// Prefix of the names of all files that the system has in shared memory.
     pub fn shared_memory_prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// Directory in which the bus keeps its nodes, services and sockets. In shared memory, because the bus syncs each of
-    /// these files: on a disk that is busy, who opens a port would wait for it, seconds long. Its name is short, because
-    /// sockets lie in it, and does not begin with the prefix, because the bus takes what does for files of its own.
+    /// Directory in which the bus keeps its nodes, services and sockets. It lies in shared memory, because the bus
+    /// syncs each of these files: on a busy disk, opening a port would take seconds. Its name is short, because
+    /// sockets lie in it. It does not begin with the prefix, because the bus takes such files for its own.
     pub fn bus_directory(&self) -> PathBuf {
         PathBuf::from(format!("{SHARED_MEMORY}/{}", self.prefix.trim_end_matches('_')))
     }
@@ -191,8 +192,8 @@ impl Domain {
         remove_bus_files_of(&self.run_id)
     }
 
-    /// Removes all files of the system: those of the bus and its directory. The directory stays while a file of the bus
-    /// does, because it tells of them to who comes next.
+    /// Removes all files of the system: those of the bus, then its directory. The directory stays while a file of the
+    /// bus cannot be removed, because it names the run for the next attempt.
     ///
     /// # Errors
     /// [`RuntimeError::File`] for a file that could not be removed.
@@ -206,7 +207,7 @@ impl Domain {
         Ok(())
     }
 
-    /// A place that the user named is not removed with the last system.
+    /// Whether the place is not one that the user named: that is not removed with the last system.
     fn is_in_a_default_place(&self) -> bool {
         let named = std::env::var_os(crate::RUNTIME_DIR_VARIABLE).map(PathBuf::from);
         self.folder.path().parent() != named.as_deref()
@@ -236,7 +237,7 @@ fn variable(name: &'static str) -> Result<String, RuntimeError> {
     std::env::var(name).map_err(|_| RuntimeError::NotInASystem(name))
 }
 
-/// Makes the directory of a system in the first usable place, which another system that ends may just remove.
+/// Makes the directory of a system in the first usable place. Retries, because another system that ends may remove it.
 fn make_folder(system_id: &str) -> Result<Folder, RuntimeError> {
     let mut tries = 100;
     loop {
@@ -273,9 +274,14 @@ pub fn remove_bus_files_of(run_id: &str) -> Result<(), RuntimeError> {
     result
 }
 
-/// `_` ends the run id in file names, so that no prefix is the beginning of another.
+/// `_` ends the run id in file names, so that no prefix is a prefix of another.
 fn prefix(run_id: &str) -> String {
     format!("scanloop-{run_id}_")
+}
+
+/// Name of the mark of a system that was stopped and whose orchestrator had to be killed; no id has a dot.
+fn mark(system_id: &str) -> Result<String, RuntimeError> {
+    check_id(system_id).map(|()| format!("{system_id}.stopped"))
 }
 
 /// The limit keeps lists readable; the letters keep an id one component of a path.
@@ -295,7 +301,7 @@ fn is_run_id(text: &str) -> bool {
 pub(crate) fn random_id() -> String {
     let mut bytes = [0; RUN_ID_LETTERS];
     let flags = rustix::rand::GetRandomFlags::empty();
-    // So few bytes come at once, or the kernel has no random numbers at all.
+    // So few bytes are filled in one call, or the kernel has no random numbers at all.
     let filled = rustix::rand::getrandom(&mut bytes, flags).unwrap_or(0);
     assert_eq!(filled, bytes.len(), "the kernel gives no random numbers");
     bytes.iter().map(|byte| char::from(b"abcdefghijklmnopqrstuvwxyz234567"[usize::from(byte % 32)])).collect()

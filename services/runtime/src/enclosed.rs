@@ -1,21 +1,21 @@
 //! Values whose destructors are compiled in this crate only.
 //!
-//! A crate that owns a port compiles the destructor of everything inside of it, which is most of iceoryx2. Behind a
-//! function that this crate names, the destructor is compiled once, and dropping costs one indirect call.
+//! A crate that owns a port compiles the destructors of everything inside, which is most of iceoryx2. Behind a
+//! function pointer the destructor is compiled once, in this crate, and dropping costs one indirect call.
 #![expect(unsafe_code, reason = "the destructor is called by hand")]
 
 use std::fmt::{Debug, Formatter};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 
-/// A value that other crates own and drop without knowing how.
+/// A value that other crates own without compiling its destructor.
 pub(crate) struct Enclosed<T> {
     value: ManuallyDrop<T>,
     destructor: unsafe fn(&mut ManuallyDrop<T>),
 }
 
 impl<T> Enclosed<T> {
-    /// To be called by functions without type parameters: their crate compiles the destructor.
+    /// Call it from functions without type parameters: the crate of the caller compiles the destructor.
     pub(crate) fn new(value: T) -> Self {
         Self { value: ManuallyDrop::new(value), destructor: ManuallyDrop::drop }
     }

@@ -15,18 +15,18 @@ pub const STOP_FD_VARIABLE: &str = "SCANLOOP_STOP_FD";
 /// Chooses the directory in which the directories of systems are; for users.
 pub const RUNTIME_DIR_VARIABLE: &str = "SCANLOOP_RUNTIME_DIR";
 
-/// Is `1` for a process that takes the place of another: one that died, or one that it is exchanged for.
+/// Is `1` for a process that replaces another: after a crash, or in a swap.
 pub const RESTART_VARIABLE: &str = "SCANLOOP_RESTART";
 
-/// Gives the incarnation of the running process of the role to one that is started beside it.
+/// Gives a candidate the incarnation of the running process of its role.
 pub const CANDIDATE_VARIABLE: &str = "SCANLOOP_BESIDE";
 
-/// The incarnation of the process that this one was started beside.
-pub(crate) fn beside() -> Option<u32> {
+/// The incarnation of the running process that this one is a candidate to replace.
+pub(crate) fn incumbent() -> Option<u32> {
     std::env::var(CANDIDATE_VARIABLE).ok()?.parse().ok().filter(|incarnation| *incarnation > 0)
 }
 
-/// Whether this process takes the place of another.
+/// Whether this process replaces another.
 pub(crate) fn is_restart() -> bool {
     std::env::var(RESTART_VARIABLE).is_ok_and(|value| value == "1")
 }

@@ -1,12 +1,13 @@
 //! What can go wrong between a process and the bus.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use shared_types::{Difference, Role, Topic};
 
 use crate::shared_memory::Shortage;
 
-/// An error of the bus or of its surroundings.
+/// An error of the bus, or of the files and settings around it.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
     /// The process was started by hand, not by an orchestrator.
@@ -23,7 +24,7 @@ pub enum RuntimeError {
         /// Its value.
         value: String,
     },
-    /// A choice of log lines that can't be read.
+    /// A log filter that can't be read.
     #[error(
         "SCANLOOP_LOG = `{0}` is not allowed: off, error, warn, info, debug or trace, also for single targets \
          (`warn,nmpc=debug`)"
@@ -43,7 +44,7 @@ pub enum RuntimeError {
     /// The run was stopped, and a stop is never taken back.
     #[error("system `{0}` was stopped: `scanloop run` starts it anew once it has ended")]
     Stopped(String),
-    /// A directory that has to be this user's alone is not.
+    /// A directory that must be private to this user is not.
     #[error(
         "{} {reason}; it has to be a directory of this user with mode 0700: remove it, or name another with {}",
         path.display(),
@@ -55,7 +56,7 @@ pub enum RuntimeError {
         /// What is wrong with it, with its owner.
         reason: String,
     },
-    /// A role reads or writes a topic that is not its own.
+    /// A role opens a topic that it does not read or write.
     #[error("role {role} does not {verb} topic {topic}")]
     NotYourTopic {
         /// The role.
@@ -83,7 +84,7 @@ pub enum RuntimeError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The bus refused something.
@@ -91,7 +92,7 @@ pub enum RuntimeError {
     Bus {
         /// What was tried.
         action: String,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
     /// There is not enough shared memory.
@@ -102,7 +103,7 @@ pub enum RuntimeError {
     System {
         /// What was tried.
         action: &'static str,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
 }
@@ -110,6 +111,10 @@ pub enum RuntimeError {
 impl RuntimeError {
     pub(crate) fn file(path: impl Into<PathBuf>, source: impl Into<std::io::Error>) -> Self {
         Self::File { path: path.into(), source: source.into() }
+    }
+
+    pub(crate) fn settings(path: PathBuf, reason: impl Display) -> Self {
+        Self::Settings { path, reason: reason.to_string() }
     }
 
     pub(crate) fn bus(action: impl Into<String>, reason: impl std::fmt::Debug) -> Self {

@@ -1,10 +1,9 @@
 //! A directory that only its owner can enter: verified when it is opened, and used by descriptor from then on.
 //!
-//! Idea: what lies in such a directory can't be planted, replaced or read by another user, and neither a link nor a
-//! renamed parent leads anywhere else, because every access starts at the open descriptor. Files are made with mode
-//! 0600 whatever the umask.
+//! No other user can plant, replace or read a file in it. Every access starts at the open descriptor, so neither a
+//! link nor a renamed parent leads elsewhere. Files are made with mode 0600 whatever the umask.
 //!
-//! Where this fails: processes of the same user, and root, can do all of it.
+//! Limit: there is no protection from processes of the same user and from root.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -46,8 +45,8 @@ impl Folder {
         Self::open_at(CWD, path, path.to_path_buf())
     }
 
-    /// [`Folder::open`] of a directory that may be readable for others and is closed to them now. In one that others could
-    /// write to anything may have been planted: that is refused.
+    /// [`Folder::open`] of a directory that others may read; its mode is set to 0700. One that others can write to is
+    /// refused, because they may have planted files.
     ///
     /// # Errors
     /// As [`Folder::open`].
@@ -66,7 +65,7 @@ impl Folder {
     /// Makes a directory that must not exist yet.
     ///
     /// # Errors
-    /// [`RuntimeError::File`], of kind `AlreadyExists` when there is something of that name.
+    /// [`RuntimeError::File`], of kind `AlreadyExists` when the name is taken.
     pub fn make(path: &Path) -> Result<Self, RuntimeError> {
         Self::make_at(CWD, path, path.to_path_buf())
     }
@@ -87,17 +86,17 @@ impl Folder {
         Self::make_at(self.descriptor.as_fd(), Path::new(name), self.path.join(name))
     }
 
-    /// Where it is, for messages and for processes that open it anew.
+    /// Its path, for messages and for processes that open it again.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// A path to something in it that starts at the descriptor: for sockets, which are reached by path only.
+    /// A path to an entry that starts at the descriptor: for sockets, which are reached by path only.
     pub fn by_descriptor(&self, name: &str) -> PathBuf {
         PathBuf::from(format!("/proc/self/fd/{}/{name}", self.descriptor.as_raw_fd()))
     }
 
-    /// Whether there is something of that name.
+    /// Whether it has an entry of that name.
     pub fn contains(&self, name: &str) -> bool {
         rustix::fs::statat(&self.descriptor, name, AtFlags::SYMLINK_NOFOLLOW).is_ok()
     }
@@ -121,7 +120,7 @@ impl Folder {
         text.map_err(|error| self.error(name, io::Error::new(io::ErrorKind::InvalidData, error)))
     }
 
-    /// Writes a file, whole or not at all: a reader finds the old content or the new.
+    /// Writes a file atomically: a reader finds the old content or the new.
     ///
     /// # Errors
     /// [`RuntimeError::File`].
@@ -145,13 +144,13 @@ impl Folder {
         let flags = flags | OFlags::NOFOLLOW | OFlags::CLOEXEC | OFlags::NONBLOCK;
         let file = rustix::fs::openat(&self.descriptor, name, flags, FILE_MODE)?;
         if flags.contains(OFlags::CREATE) {
-            // A umask may have taken away the owner's rights as well.
+            // A umask may have removed the owner's rights as well.
             rustix::fs::fchmod(&file, FILE_MODE)?;
         }
         Ok(File::from(file))
     }
 
-    /// Removes a file; one that is not there is removed.
+    /// Removes a file; a missing one is no error.
     ///
     /// # Errors
     /// [`RuntimeError::File`].
@@ -162,7 +161,7 @@ impl Folder {
         }
     }
 
-    /// The names in it.
+    /// The names of its entries.
     pub fn names(&self) -> Vec<String> {
         let entries = std::fs::read_dir(self.by_descriptor("."));
         let entries = entries.into_iter().flatten().flatten();
@@ -212,7 +211,7 @@ impl Folder {
         rustix::fs::mkdirat(at, name, PRIVATE).map_err(error)?;
         let flags = OFlags::PATH | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
         let made = rustix::fs::openat(at, name, flags, Mode::empty()).map_err(error)?;
-        // A umask may have taken away the owner's rights as well; a bare path descriptor needs the way through /proc.
+        // A umask may have removed the owner's rights as well; a bare path descriptor needs the way through /proc.
         let link = format!("/proc/self/fd/{}", made.as_raw_fd());
         rustix::fs::chmodat(CWD, link, PRIVATE, AtFlags::empty()).map_err(error)?;
         let missing = || error(Errno::NOENT);
@@ -240,7 +239,7 @@ impl Folder {
     }
 }
 
-/// What keeps something from being a private directory of this user.
+/// Why a file is not a private directory of this user; `None` when it is.
 fn fault_of(found: &Stat) -> Option<String> {
     let owner = found.st_uid;
     let mode = found.st_mode & 0o777;

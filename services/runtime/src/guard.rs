@@ -1,8 +1,8 @@
-//! Whether the wheels of this run may turn, and the ports that hold back what would turn them when they may not.
+//! Whether the wheels of this run may turn, and the filter of actuations at the ports when they may not.
 //!
-//! Two things forbid it: the stop word, for good, and a silence of the orchestrator of `orphan_stop_s`, until a directive
-//! comes. A process that reads its directive sees both as `stop`. Whatever it does then, no actuation that drives leaves
-//! the port of an actuator or comes out of the port of a robot.
+//! Two things forbid it: the stop word, for good, and missing directives for `orphan_stop_s`, until one comes. A
+//! process that reads its directive sees both as `stop`. Whatever the process does then, an actuator's port sends no
+//! actuation that drives, and a robot's port delivers none.
 
 use std::cell::Cell;
 
@@ -10,12 +10,12 @@ use shared_types::{Actuation, ActuationKind, BlockReason, Role};
 
 use crate::stop::{StopWord, Wheels};
 
-/// What one process knows of stop and wheels.
+/// Stop and wheels as one process knows them.
 #[derive(Debug)]
 pub(crate) struct Guard {
     role: Role,
     word: Option<StopWord>,
-    /// The orchestrator has been silent for too long.
+    /// No directive came for too long.
     silent: Cell<bool>,
     wheels: Cell<Wheels>,
 }
@@ -40,22 +40,21 @@ impl Guard {
         self.word.as_ref().is_some_and(|word| !word.is_armed())
     }
 
-    /// Notes whether the orchestrator has been silent for too long.
+    /// Notes whether no directive came for too long.
     pub(crate) fn set_silent(&self, silent: bool) {
         if self.silent.replace(silent) != silent && matches!(self.role, Role::Robot | Role::Actuator) {
-            let what =
-                if silent { "no directive any more: wheels are blocked" } else { "directives come again" };
+            let what = if silent { "no directives: wheels are blocked" } else { "directives arrive again" };
             tracing::warn!("{what}");
         }
     }
 
-    /// Notes what the wheels do; [`Guard::tell`] writes it into the page.
+    /// Notes what the wheels do; [`Guard::publish_wheels`] writes it into the page of the stop word.
     pub(crate) fn set_wheels(&self, wheels: Wheels) {
         self.wheels.set(wheels);
     }
 
-    /// Writes into the page of the stop word what the wheels do; for the process in charge only.
-    pub(crate) fn tell(&self) {
+    /// Writes into the page of the stop word what the wheels do: only the process in charge may.
+    pub(crate) fn publish_wheels(&self) {
         if let Some(word) = &self.word
             && self.wheels.get() != Wheels::Unknown
         {
@@ -63,7 +62,7 @@ impl Guard {
         }
     }
 
-    /// Makes a block of an actuation that would drive although wheels must not turn.
+    /// Turns an actuation that would drive into a block while wheels must not turn.
     pub(crate) fn hold_back(&self, actuation: &mut Actuation) {
         if drives(actuation) && self.must_stop() {
             actuation.kind = ActuationKind::Block.wire();
@@ -73,7 +72,7 @@ impl Guard {
         self.set_wheels(if drives(actuation) { Wheels::Turning } else { Wheels::Blocked });
     }
 
-    /// Whether a robot must not see an actuation: it would drive, and wheels must not turn.
+    /// Whether a robot must not receive an actuation: it would drive, and wheels must not turn.
     pub(crate) fn refuses(&self, actuation: &Actuation) -> bool {
         self.role == Role::Robot && drives(actuation) && self.must_stop()
     }
@@ -110,7 +109,7 @@ mod tests {
         assert_eq!(actuation.reason, BlockReason::StopRequested.wire());
         assert_eq!((actuation.sent_velocity_mps, actuation.desired_velocity_mps), (0.0, 0.0));
         assert_eq!(actuation.sent_steering_rad, 0.05);
-        guard.tell();
+        guard.publish_wheels();
         assert_eq!(word.wheels(Role::Actuator).0, Wheels::Blocked);
     }
 

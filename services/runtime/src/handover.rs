@@ -1,14 +1,14 @@
-//! State handed to a process that takes the place of another: a file, written before it is started.
+//! State handed to a process that replaces another: a file, written before the process is started.
 //!
-//! The checkpoints themselves travel on the bus. Their publisher's memory dies with it, so the orchestrator
-//! keeps the newest of each role and hands it over here, with the actuations that were sent since: a process that hung
-//! has not seen the wheels being blocked.
+//! Checkpoints travel on the bus, and are lost with their publisher's memory. So the orchestrator keeps the newest of
+//! each role and hands it over here. With it go the actuations sent since: a process that hung has not seen that the
+//! wheels were blocked.
 
 use shared_types::{Actuation, Checkpoint, Role, Sample};
 
 use crate::{Domain, RuntimeError};
 
-/// What a starting process finds.
+/// The state that a starting process finds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Handover<T> {
     /// Nothing ran before it.
@@ -17,19 +17,19 @@ pub enum Handover<T> {
     State(T),
     /// A process ran before it, and its state is too old, of another type, or was never published.
     ///
-    /// Going on would mean driving on a guess: the process must not produce output, so the wheels get blocked.
+    /// The process must not produce output, because it would drive on a guess. Then the wheels are blocked.
     Lost,
 }
 
-/// What is written down for the process that takes the place of another.
+/// The content of the file for the process that replaces another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HandoverData {
     /// The newest state of the process before it.
     pub checkpoint: Checkpoint,
     /// When the process before it was last known to work [ns]; 0 while it still does.
     ///
-    /// Until then that process kept its state up to date; what came later it did not see. So the state does not age
-    /// while a hung process is found out, and while its successor starts.
+    /// The age of the state counts up to this time. So it does not age while a hung process is detected and while its
+    /// successor starts.
     pub ended_ns: u64,
     /// The newest actuations, oldest first and without repetitions, for a role that reads them; the state contains
     /// some of them.
@@ -37,7 +37,7 @@ pub struct HandoverData {
 }
 
 impl HandoverData {
-    /// Age of the state when the process that left it ended, or now while that process lives [ns].
+    /// Age of the state when its process ended, or now while that process runs [ns].
     pub(crate) fn age_ns(&self, now_ns: u64) -> u64 {
         let until_ns = if self.ended_ns == 0 { now_ns } else { self.ended_ns.min(now_ns) };
         until_ns.saturating_sub(self.checkpoint.issued_ns)
@@ -53,7 +53,7 @@ impl HandoverData {
         parts.concat()
     }
 
-    /// Nothing where the file is damaged; actuations that are damaged are left out.
+    /// `None` where the file is damaged; damaged actuations are left out.
     fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (checkpoint, rest) = bytes.split_at_checked(size_of::<Checkpoint>())?;
         let (ended_ns, rest) = rest.split_first_chunk::<8>()?;
@@ -66,7 +66,7 @@ impl HandoverData {
     }
 }
 
-/// Writes down what the process that is about to be started resumes from; without it, that there is nothing.
+/// Writes the file for the process that is about to be started; without data, removes it.
 ///
 /// # Errors
 /// [`RuntimeError::File`].
@@ -77,7 +77,7 @@ pub fn write(domain: &Domain, role: Role, data: Option<&HandoverData>) -> Result
     }
 }
 
-/// What was handed to a role, if it is there and whole.
+/// The data handed to a role, if the file exists and is whole.
 pub(crate) fn read(domain: &Domain, role: Role) -> Result<Option<HandoverData>, RuntimeError> {
     match domain.folder().read(&file(role)) {
         Ok(bytes) => Ok(HandoverData::from_bytes(&bytes)
@@ -99,7 +99,7 @@ mod tests {
     fn a_state_ages_until_the_process_that_left_it_ended() {
         let checkpoint = Checkpoint { issued_ns: 1_000, ..Checkpoint::default() };
         let data = |ended_ns| HandoverData { checkpoint, ended_ns, actuations: Vec::new() };
-        assert_eq!(data(0).age_ns(5_000), 4_000, "it lives");
+        assert_eq!(data(0).age_ns(5_000), 4_000, "it still runs");
         assert_eq!(data(1_200).age_ns(5_000), 200);
         assert_eq!(data(900).age_ns(5_000), 0, "the state is newer than the last heartbeat");
     }

@@ -1,12 +1,12 @@
-//! Which process is one of ours: never a stranger that was given the number of a process that died.
+//! Which process belongs to a run: never one that was given the process id of a dead process of the run.
 //!
-//! A process is written down with all that names it: its id, its start time, its user, the boot and the pid namespace in
-//! which the id holds, the run and its incarnation. Before a signal it is opened by its id first ([`identify`]) and then
-//! compared. When the opened process still lives after that, everything that was read was its own, and what is
-//! sent through its descriptor reaches it or no process at all.
+//! The record of a process holds its id, start time and user, the boot and pid namespace in which the id holds, the
+//! run and the incarnation. Before a signal, the process is first opened by its id ([`identify`]) and then compared.
+//! When it still runs after that, all that was read belongs to it. A signal through its descriptor reaches it or no
+//! process.
 //!
-//! Where this fails: the environment is the one at the start of the program; a process that overwrites the memory
-//! of its environment is taken for a stranger, which is the safe side.
+//! Limit: the environment is the one at the start of the program. A process that overwrites the memory of its
+//! environment is taken for a stranger, which is the safe side.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::fs::MetadataExt;
@@ -19,7 +19,7 @@ use crate::{Domain, INCARNATION_VARIABLE, RUN_ID_VARIABLE, wait_for};
 /// Name of the file in the directory of the system that lists its processes.
 pub const PROCESSES_FILE: &str = "processes.toml";
 
-/// A process as it is written down.
+/// The record of a process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Process id, also the id of its process group.
@@ -38,14 +38,14 @@ pub struct Identity {
     pub pid_namespace: u64,
 }
 
-/// A process that was opened and is the one that was written down.
+/// An open process that matches its record.
 #[derive(Debug)]
 pub struct Identified {
     identity: Identity,
     pidfd: OwnedFd,
 }
 
-/// Why there is no process of ours under a number.
+/// Why a process id does not lead to the recorded process.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotOurs {
     /// It has ended.
@@ -56,11 +56,11 @@ pub enum NotOurs {
     Stranger {
         /// The process id.
         pid: u32,
-        /// What tells it from ours.
+        /// The property that differs.
         what: &'static str,
-        /// What it has there.
+        /// Its value.
         found: String,
-        /// What ours has there.
+        /// The recorded value.
         expected: String,
     },
 }
@@ -72,7 +72,7 @@ impl Identity {
         Some(Self { start_ticks, incarnation, run_id: domain.run_id().to_owned(), ..Self::here(pid) })
     }
 
-    /// What all processes of this user, boot and namespace have in common.
+    /// A record with what all processes of this user, boot and namespace have in common.
     fn here(pid: u32) -> Self {
         Self {
             pid,
@@ -86,7 +86,7 @@ impl Identity {
     }
 }
 
-/// Opens a process that was written down, and makes sure that it is the one.
+/// Opens a recorded process, and verifies that it is the same.
 ///
 /// # Errors
 /// [`NotOurs`] with the difference.
@@ -106,7 +106,7 @@ pub fn identify(identity: &Identity) -> Result<Identified, NotOurs> {
     let found_uid = uid_of(pid).ok_or_else(ended)?;
     let environment = environment(pid);
     let process = Identified { identity: identity.clone(), pidfd };
-    // Only now is it certain that what was read belongs to the process behind the descriptor.
+    // It still runs, so what was read belongs to the process behind the descriptor.
     if process.has_ended() {
         return Err(ended());
     }
@@ -121,7 +121,7 @@ pub fn identify(identity: &Identity) -> Result<Identified, NotOurs> {
 }
 
 impl Identified {
-    /// What was written down of it.
+    /// Its record.
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
@@ -136,7 +136,7 @@ impl Identified {
         wait_for(&[self.pidfd.as_fd()], 0)
     }
 
-    /// Sends it a signal; one that has ended gets none, nor does any other process.
+    /// Sends it a signal; when it has ended, no process gets one.
     pub fn signal(&self, signal: Signal) {
         let _ = pidfd_send_signal(&self.pidfd, signal);
     }
@@ -153,10 +153,10 @@ impl AsFd for Identified {
     }
 }
 
-/// A living process as the kernel shows it.
+/// A running process as the kernel shows it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Seen {
-    /// How to tell it from a stranger.
+    /// Its record.
     pub identity: Identity,
     /// Id of its process group.
     pub group: u32,
@@ -171,20 +171,20 @@ impl Seen {
     }
 }
 
-/// All living processes of user `uid` whose environment names a run and an incarnation: started by an orchestrator, or by
-/// one of its processes.
+/// All running processes of user `uid` whose environment names a run and an incarnation: started by an orchestrator,
+/// or by one of its processes.
 pub fn started_processes(uid: u32) -> Vec<Seen> {
     processes(uid).filter_map(seen).filter(|process| process.identity.uid == uid).collect()
 }
 
-/// The living processes of one run of this user.
+/// The running processes of one run of this user.
 pub fn processes_of(run_id: &str) -> Vec<Seen> {
     let mut found = started_processes(rustix::process::geteuid().as_raw());
     found.retain(|process| process.identity.run_id == run_id);
     found
 }
 
-/// Ids of all living processes of a user.
+/// Ids of all running processes of a user.
 pub fn processes(uid: u32) -> impl Iterator<Item = u32> {
     let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
@@ -201,7 +201,7 @@ fn seen(pid: u32) -> Option<Seen> {
     Some(Seen { identity, group: u32::try_from(group).ok()?, environment })
 }
 
-/// When a process was started, in clock ticks since boot; `None` when there is no such process, or only its remains.
+/// Start time of a process in clock ticks since boot; `None` when it has ended, reaped or not.
 pub fn start_ticks(pid: u32) -> Option<u64> {
     let fields = stat_fields(pid).filter(|fields| !is_zombie(fields))?;
     stat_number(&fields, 22)
@@ -237,7 +237,7 @@ fn pid_namespace() -> u64 {
     std::fs::metadata("/proc/self/ns/pid").map_or(0, |found| found.ino())
 }
 
-/// Empty when it is not ours to read, or the process has ended.
+/// Empty when it is not readable, or the process has ended.
 fn environment(pid: u32) -> Vec<u8> {
     std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default()
 }

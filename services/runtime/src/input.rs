@@ -1,4 +1,4 @@
-//! The reading end of a topic: only valid samples of the producer in charge come out of it.
+//! The reading end of a topic: it delivers only valid samples of the process in charge.
 
 mod reader;
 
@@ -10,18 +10,18 @@ use shared_types::{Fault, Sample};
 
 use crate::enclosed::Enclosed;
 use crate::port::Received;
-use crate::sample_type::{SampleType, view};
 use crate::shared::Shared;
+use crate::view::view;
 use crate::{Bus, RuntimeError};
 
-pub use self::reader::KEPT;
+pub use self::reader::QUEUE_DEPTH;
 pub(crate) use self::reader::Reader;
 
 /// A sample in shared memory, read in place and returned to its producer when dropped.
 pub struct Taken<S: Sample>(Enclosed<Received>, PhantomData<S>);
 
 impl<S: Sample> Taken<S> {
-    /// A sample that a reader of `S` has given.
+    /// A sample from a reader of `S`.
     fn of(sample: Enclosed<Received>) -> Self {
         Self(sample, PhantomData)
     }
@@ -38,13 +38,13 @@ impl<S: Sample> Deref for Taken<S> {
 
 /// Reads samples of one type.
 ///
-/// What never comes out: a sample of another layout or with bad content, of a producer without authority, a
-/// duplicate, a reordered one, one that is too old (actuations are never too old for other roles than the robot). Each is counted by its kind in the account of the input,
-/// which travels in the heartbeat.
+/// Dropped are samples of another layout, with bad content, from a process without authority, repeated, reordered or
+/// too old (actuations are too old for the robot only). Each kind is counted, and the counters travel in the
+/// heartbeat.
 ///
-/// While one process takes over from another, the newest samples of the one that does not count are kept aside.
-/// When the directive gives their scans back to it they come out as if they had just arrived; and no scan that
-/// was answered by one of the two is answered by the other again.
+/// During a swap, the newest samples of the process that does not count are kept aside. When the directive gives it
+/// their scans again, they are delivered as if they had just arrived. A scan answered by one of the two processes is
+/// not answered by the other.
 pub struct Input<S: Sample>(Enclosed<Rc<Reader>>, PhantomData<S>);
 
 impl<S: Sample> Input<S> {
@@ -55,7 +55,7 @@ impl<S: Sample> Input<S> {
 
     /// The input of a process, or of a test of one.
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
-        Ok(Self::of(Enclosed::new(Rc::new(Reader::new(bus, shared, SampleType::of::<S>())?))))
+        Ok(Self::of(Enclosed::new(Rc::new(Reader::new(bus, shared, S::TYPE)?))))
     }
 
     /// The reader of this input.
@@ -74,12 +74,12 @@ impl<S: Sample> Input<S> {
         self.0.next_scan()
     }
 
-    /// Drops what is kept of scans up to `scan_id`, counted as replaced: a state that was taken up contains them.
+    /// Drops waiting samples of scans up to `scan_id`, counted as replaced: a restored state contains them.
     pub fn skip_to(&self, scan_id: u64) {
         self.0.skip_to(scan_id);
     }
 
-    /// Drops what is kept and `is_old`, counted as replaced.
+    /// Drops waiting samples that `is_old` accepts, counted as replaced.
     pub fn skip(&self, is_old: impl Fn(&S) -> bool) {
         self.0.skip(&|sample| is_old(view(sample)));
     }
@@ -89,12 +89,12 @@ impl<S: Sample> Input<S> {
         self.0.take_newest().map(Taken::of)
     }
 
-    /// Notes that the process refuses a sample that it has taken: in its log, and in its next heartbeat.
+    /// Reports that the process refuses a sample that it has taken, in its log and its next heartbeat.
     pub fn refuse(&self, sample: &S, fault: &Fault) {
         self.0.refuse(sample.header(), fault);
     }
 
-    /// How many samples of the writer in charge were dropped for their content.
+    /// How many samples of the process in charge were dropped because of their content.
     pub fn dropped(&self) -> u64 {
         self.0.dropped()
     }
@@ -102,11 +102,12 @@ impl<S: Sample> Input<S> {
 
 /// Takes a pair of samples that belong to one scan; older ones are dropped and counted as replaced.
 ///
-/// A process that was held up has several pairs. As long as it answers faster than scans come, and all that wait in a
-/// third of the age at which inputs are refused, it is given the oldest that is not too old by the time it is answered,
-/// and no scan stays without an answer; otherwise the newest. Its last two answers tell: the quicker how fast it is, the
-/// slower how long an answer may take. To be called until there is none: [`crate::Process::wait`] does not return for
-/// what has come before.
+/// After a delay several pairs may wait. It gives the oldest pair that can be answered in time if the process can
+/// catch up: it answers faster than scans come, and all that wait within a third of the age at which inputs are
+/// refused. Then no scan stays without an answer. Otherwise it gives the newest pair. The last two answers decide:
+/// the quicker gives the speed of the process, the slower the time that an answer may take.
+///
+/// Call it until it returns `None`: [`crate::Process::wait`] does not return for samples that came before.
 pub fn join<A: Sample, B: Sample>(one: &Input<A>, other: &Input<B>) -> Option<(Taken<A>, Taken<B>)> {
     let (first, second) = reader::join(&one.0, &other.0)?;
     Some((Taken::of(first), Taken::of(second)))

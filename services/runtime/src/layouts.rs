@@ -1,6 +1,6 @@
-//! The layouts of a system beside its bus, so that a process built against others is refused before it joins.
+//! The layouts of a system in a file, so that a process built against others is refused before it joins.
 
-use shared_types::{Layouts, Role, difference, topics_of};
+use shared_types::{Layouts, NotALayout, Role, difference, topics_of};
 
 use crate::{Domain, RuntimeError};
 
@@ -9,7 +9,7 @@ pub const LAYOUTS_FILE: &str = "layouts.txt";
 
 /// Compares the layouts that a process of `role` was built with to those of the system that started it.
 ///
-/// [`crate::Process::attach`] does this with the layouts of this crate; a library for another language does it also
+/// [`crate::Process::attach`] does this with the layouts of this crate. A library for another language also does it
 /// with those of the program that uses it.
 ///
 /// # Errors
@@ -21,10 +21,9 @@ pub fn verify_layouts(role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
 
 pub(crate) fn verify(domain: &Domain, role: Role, mine: &Layouts) -> Result<(), RuntimeError> {
     let text = domain.folder().read_text(LAYOUTS_FILE)?;
-    let theirs: Layouts = text.parse().map_err(|error| RuntimeError::Settings {
-        path: domain.directory().join(LAYOUTS_FILE),
-        reason: format!("{error}"),
-    })?;
+    let theirs: Layouts = text
+        .parse()
+        .map_err(|error: NotALayout| RuntimeError::settings(domain.directory().join(LAYOUTS_FILE), error))?;
     difference(mine, &theirs, topics_of(role)).map_or(Ok(()), |found| Err(RuntimeError::Layout(found)))
 }
 
@@ -56,8 +55,8 @@ mod tests {
             panic!("not refused")
         };
         assert_eq!((found.topic.as_str(), found.field.as_str()), ("pose", "nis"));
-        assert!(matches!(found.what, Deviation::Offset { .. }));
-        assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot has no part in it");
+        assert!(matches!(found.what, Deviation::Offset(_)));
+        assert!(verify(&domain, Role::Robot, &mine).is_ok(), "the robot does not use it");
         domain.folder().write(LAYOUTS_FILE, b"nonsense").unwrap();
         assert!(matches!(verify(&domain, Role::Robot, &mine), Err(RuntimeError::Settings { .. })));
         domain.remove().unwrap();

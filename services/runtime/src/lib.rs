@@ -1,6 +1,6 @@
-//! Everything a process of the loop shares with the others: bus, clock, wake-up, start barrier, heartbeat.
+//! What all processes of the loop have in common: bus, clock, wake-up, start barrier, heartbeat.
 //!
-//! This is the only crate that knows iceoryx2. A process of one's own is this much:
+//! This is the only product crate that uses iceoryx2. A complete process of your own:
 //!
 //! ```no_run
 //! use runtime::Process;
@@ -21,12 +21,11 @@
 //! }
 //! ```
 //!
-//! What the process never has to do: wait without a time-out, check layouts, drop samples of a producer that
-//! has no authority, count what it dropped, carry stamps on, or answer signals. [`Process`] does.
+//! [`Process`] does the rest: it waits with a time-out, checks layouts, drops and counts samples of processes that are
+//! not in charge, copies stamps, and handles signals.
 
 mod alarm;
 mod bell;
-mod blob;
 mod bus;
 mod clock;
 mod counters;
@@ -54,7 +53,6 @@ mod qos;
 mod realtime;
 mod refusals;
 mod reserve;
-mod sample_type;
 mod settings;
 mod shared;
 mod shared_memory;
@@ -63,10 +61,10 @@ mod stop;
 mod terminal;
 #[cfg(test)]
 mod tests;
+mod view;
 mod waiter;
 mod wake;
 
-pub use blob::{BlobInput, BlobOutput, SMALLEST_BLOB};
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};
@@ -82,7 +80,7 @@ pub use identity::{
     Identified, Identity, NotOurs, PROCESSES_FILE, Seen, identify, processes, processes_of, start_ticks,
     started_processes, uid_of,
 };
-pub use input::{Input, KEPT, Taken, join};
+pub use input::{Input, QUEUE_DEPTH, Taken, join};
 pub use layouts::{LAYOUTS_FILE, verify_layouts};
 pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_journal};
 pub use observer::{Checked, Observer, Publisher};

@@ -1,7 +1,7 @@
 //! Log lines of all processes: to standard error, the level by `SCANLOOP_LOG`.
 //!
-//! Under systemd standard error may be the journal, which keeps time and priority itself: lines then begin with
-//! their priority (`<4>` for a warning) and hold neither times nor colours.
+//! Under systemd standard error may be the journal, which stores time and priority itself. Lines then begin with their
+//! priority (`<4>` for a warning) and hold neither times nor colours.
 
 use std::io;
 
@@ -18,18 +18,18 @@ use crate::terminal::{self, LogLine, is_terminal, printable};
 /// Names the stream of the journal that systemd gave to a service, as `DEVICE:INODE`.
 const JOURNAL_VARIABLE: &str = "JOURNAL_STREAM";
 
-/// How much a line matters, as the journal counts.
+/// Importance of a line, with the numbers of the journal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Priority {
-    /// Nothing works any more.
+    /// No output.
     Error = 3,
-    /// Degraded, but going on.
+    /// Degraded, but driving.
     Warning = 4,
-    /// Worth to be seen.
+    /// Normal, but significant.
     Notice = 5,
-    /// Life goes on as planned.
+    /// Lifecycle of the system.
     Info = 6,
-    /// For those who look for something.
+    /// Details for debugging.
     Debug = 7,
 }
 
@@ -57,8 +57,7 @@ fn filter() -> Result<Targets, RuntimeError> {
     filter.flatten().ok_or_else(|| RuntimeError::LogFilter(text.into_owned()))
 }
 
-/// A level, or a target with a level. A name without a level would be a target of which everything is logged: it is a
-/// level that is misspelt.
+/// Accepts a level, or a target with a level. A single name is taken for a misspelt level, not for a target.
 fn is_allowed(directive: &str) -> bool {
     let is_level = |text: &str| !text.is_empty() && text.parse::<LevelFilter>().is_ok();
     let is_part = |letter: char| letter.is_alphanumeric() || matches!(letter, '_' | ':' | '-');
@@ -78,7 +77,7 @@ pub fn start_logging() {
     let is_journal = writes_to_journal();
     let lines = tracing_subscriber::fmt::layer()
         .with_ansi(is_terminal())
-        // A log that can't be written is no reason to panic.
+        // A failed log write must not panic.
         .log_internal_errors(false)
         .without_time()
         .with_level(!is_journal)
@@ -95,7 +94,7 @@ pub fn writes_to_journal() -> bool {
     fstat(io::stderr()).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
 }
 
-/// Writes lines for people to standard error, without control characters; what can't be written is dropped.
+/// Writes messages to standard error, without control characters; what can't be written is dropped.
 pub fn print(priority: Priority, text: &str) {
     let text = printable(text.strip_suffix('\n').unwrap_or(text));
     let lines = if writes_to_journal() {

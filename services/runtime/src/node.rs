@@ -1,12 +1,13 @@
 //! Nodes: what a process joins the bus of a system with.
 //!
-//! One file of the bus iceoryx2 0.10 makes writable for everyone; it is made here for its owner alone. Nodes of the bus count themselves in a small segment whose name ends with `.global_mgmt`; iceoryx2 gives it mode 0666
-//! whatever the umask. It is made once under another random name, which no process of the run ever uses and which no other
-//! user can take beforehand (the bus waits for ever for a file that is never finished), and its content
-//! is put under the right name with mode 0600; the bus opens what it finds there.
+//! The nodes of a bus share a small segment whose name ends with `.global_mgmt`. iceoryx2 0.10 makes it writable for
+//! everyone, with mode 0666 whatever the umask; here only the owner gets access. The segment is first made under
+//! another random name, which no process of the run uses and no other user can take beforehand. (The bus waits for
+//! ever for a file that is never finished.) Its content is then copied to the right name with mode 0600, where the
+//! bus opens it.
 //!
-//! Where this fails: in the milliseconds before the copy another user may change the counter in the first one, which
-//! makes the run fail at its start.
+//! Limit: in the milliseconds before the copy another user may change the counter in the first segment, which makes
+//! the start fail.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -32,7 +33,7 @@ pub(crate) fn join(domain: &Domain, name: &str) -> Result<Node<ipc::Service>, Ru
     join_as(domain, domain.shared_memory_prefix(), name)
 }
 
-/// [`join`] with another beginning of the names of its files.
+/// [`join`] with another prefix of the names of its files.
 fn join_as(domain: &Domain, prefix: &str, name: &str) -> Result<Node<ipc::Service>, RuntimeError> {
     set_log_level_from_env_or(LogLevel::Fatal);
     let name = NodeName::new(name).map_err(|reason| RuntimeError::bus("name a node", reason))?;
@@ -56,14 +57,14 @@ fn config(domain: &Domain, prefix: &str) -> Result<Config, RuntimeError> {
     Ok(config)
 }
 
-/// Makes the management segment of a new domain, readable and writable by its owner alone.
+/// Makes the management segment of a new domain, accessible to its owner alone.
 ///
 /// # Errors
 /// [`RuntimeError::Bus`] when iceoryx2 refuses, and [`RuntimeError::File`].
 pub(crate) fn create_management(domain: &Domain) -> Result<(), RuntimeError> {
     let original = format!("{}seed{}_", domain.shared_memory_prefix(), random_id());
     let made = join_as(domain, &original, "seed").and_then(|node| {
-        // While the node lives its segment certainly does.
+        // The segment exists as long as the node.
         let copied = copy(&original, domain.shared_memory_prefix());
         drop(node);
         copied

@@ -1,50 +1,51 @@
-//! Looking at topics, and speaking as the orchestrator, without being a process of the loop.
+//! Reading topics as an observer, and publishing as the orchestrator, without being a process of the loop.
 
 use std::cell::{Cell, RefCell};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
 use bytemuck::{bytes_of, bytes_of_mut};
-use shared_types::{Fault, Sample};
+use shared_types::{Fault, Sample, SampleType};
 
 use crate::bell::{Bells, bit};
 use crate::enclosed::Enclosed;
 use crate::port::{BytePublisher, ByteSubscriber, Received};
 use crate::qos::qos;
-use crate::sample_type::{SampleType, view};
+use crate::view::view;
 use crate::waiter::{Ringer, Waiter};
 use crate::{Bus, RuntimeError, monotonic_ns, wait_for};
 
-/// Most goes at all producers in one look; more than the longest queue of a topic needs.
-const GOES: usize = 32;
+/// Rounds over all publishers in one poll, at most; more than the longest queue of a topic needs.
+const MAX_ROUNDS: usize = 32;
 
 /// A sample, and whether its content may be used.
 pub type Checked<S> = (S, Result<(), Fault>);
 
-/// Copies samples of one topic; never slows the loop, because the oldest waiting sample is replaced.
+/// Copies samples of one topic. It never slows the loop, because a full queue replaces its oldest sample.
 pub struct Observer<S: Sample>(Enclosed<Source>, PhantomData<S>);
 
 impl<S: Sample> Observer<S> {
-    /// Looks at the topic from now on; call [`Observer::poll`] often enough.
+    /// Observes the topic from now on; call [`Observer::poll`] before the queue is full.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Source::open(bus, SampleType::of::<S>(), false).map(|source| Self(source, PhantomData))
+        Source::open(bus, S::TYPE, false).map(|source| Self(source, PhantomData))
     }
 
-    /// Looks at the topic and can be slept on, see [`Observer::wait`].
+    /// An observer that samples wake, see [`Observer::wait`].
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn waking(bus: &Bus) -> Result<Self, RuntimeError> {
-        Source::open(bus, SampleType::of::<S>(), true).map(|source| Self(source, PhantomData))
+        Source::open(bus, S::TYPE, true).map(|source| Self(source, PhantomData))
     }
 
     /// Sleeps until a sample may have come, or `timeout_ns` has passed; returns whether it ended before that. Without
-    /// [`Observer::waking`] it always sleeps to the end.
+    /// [`Observer::waking`] it always sleeps for `timeout_ns`.
     ///
-    /// What came after the last [`Observer::poll`] or [`Observer::poll_checked`] had begun ends the sleep at once.
+    /// A sample that came since the start of the last [`Observer::poll`] or [`Observer::poll_checked`] ends it at
+    /// once.
     pub fn wait(&self, timeout_ns: u64) -> bool {
         self.0.wait(timeout_ns)
     }
@@ -54,8 +55,8 @@ impl<S: Sample> Observer<S> {
         self.0.subscriber.connect();
     }
 
-    /// The next sample, whatever its content; `None` when there is none now. Where a producer may flood the topic,
-    /// [`Observer::poll_checked`] ends and this does not have to.
+    /// The next sample, whatever its content; `None` when there is none now. A loop over it may never end where a
+    /// publisher floods the topic; [`Observer::poll_checked`] always ends.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
@@ -64,7 +65,7 @@ impl<S: Sample> Observer<S> {
         Ok(sample.map(|sample| (*view::<S>(&sample), view::<S>(&sample).check())))
     }
 
-    /// Hands all valid samples that are there to `each`; returns how many were invalid.
+    /// Hands all waiting valid samples to `each`; returns how many were invalid.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
@@ -77,10 +78,10 @@ impl<S: Sample> Observer<S> {
         Ok(invalid)
     }
 
-    /// Hands all samples that are there to `each`, with what is wrong with them.
+    /// Hands all waiting samples to `each`, with the result of their check.
     ///
-    /// A producer that publishes without a pause holds up neither this call nor the samples of others: of each,
-    /// what is borrowed in one go is followed by the next one's, and so many goes must do.
+    /// A publisher that floods the topic delays neither this call nor the samples of others: each round takes a
+    /// limited number of samples per publisher, and the number of rounds is limited.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when receiving fails.
@@ -112,7 +113,7 @@ impl Source {
         let waiter = if waking { Some(Waiter::new(bus, of.topic)?) } else { None };
         let waking =
             waiter.map(|waiter| Waking { bells: Arc::clone(bus.bells()), waiter, seen: Cell::new(0) });
-        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic).most_borrowed()));
+        let borrowed = RefCell::new(Vec::with_capacity(qos(of.topic).max_borrowed()));
         let subscriber = bus.subscriber(of)?;
         bus.allocate()?;
         Ok(Enclosed::new(Self { of, subscriber, waking, borrowed }))
@@ -123,7 +124,7 @@ impl Source {
         let bell = waking.bells.topic(self.of.topic);
         let on = waking.waiter.is_needed(false);
         if on && waking.waiter.descriptor().is_none() {
-            // What was notified before this is not heard: look first.
+            // Earlier notifications do not reach the new listener: poll first.
             waking.waiter.listen(true);
             return true;
         }
@@ -147,7 +148,7 @@ impl Source {
     fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
         self.mark_seen();
         let mut borrowed = self.borrowed.borrow_mut();
-        for _ in 0..GOES {
+        for _ in 0..MAX_ROUNDS {
             let is_all = self.subscriber.receive_all(|sample| {
                 each(&sample);
                 borrowed.push(sample);
@@ -160,7 +161,7 @@ impl Source {
         Ok(())
     }
 
-    /// What is rung or notified from here on was not seen yet.
+    /// From here on, a ring or a notification means new samples.
     fn mark_seen(&self) {
         if let Some(waking) = &self.waking {
             waking.seen.set(waking.bells.topic(self.of.topic).poll());
@@ -178,7 +179,7 @@ impl<S: Sample> Publisher<S> {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn new(bus: &Bus) -> Result<Self, RuntimeError> {
-        Sender::open(bus, SampleType::of::<S>()).map(|sender| Self(sender, PhantomData))
+        Sender::open(bus, S::TYPE).map(|sender| Self(sender, PhantomData))
     }
 
     /// Publishes, and wakes the readers when `wake`. Layout and sequence are filled here.
@@ -191,10 +192,10 @@ impl<S: Sample> Publisher<S> {
         self.publish_unchanged(sample, wake)
     }
 
-    /// Publishes a sample whose header is complete, right or wrong: for tests of those who read it.
+    /// Publishes a sample with its header as it is, right or wrong: for tests of readers.
     ///
     /// # Errors
-    /// As [`Publisher::say`].
+    /// As [`Publisher::publish`].
     pub fn publish_unchanged(&mut self, sample: &S, wake: bool) -> Result<(), RuntimeError> {
         self.0.send(bytes_of(sample), wake)
     }
@@ -225,7 +226,7 @@ impl Sender {
         let error = |reason: &dyn std::fmt::Debug| {
             RuntimeError::bus(format!("publish topic {}", self.of.topic), reason)
         };
-        let mut place = self.publisher.loan(1).map_err(|reason| error(&reason))?;
+        let mut place = self.publisher.loan().map_err(|reason| error(&reason))?;
         place.bytes().copy_from_slice(sample);
         place.send().map_err(|reason| error(&reason))?;
         if wake {

@@ -1,10 +1,10 @@
-//! What becomes of a system that nobody speaks to any more: its processes end, and the last one cleans up.
+//! The end of an orphaned system: its processes end, and one of them cleans up.
 //!
-//! Each process counts for itself how long it has heard no directive. Controller, obstacles, estimator and actuator
-//! end after the time set, the actuator with a block as its last word. The robot ends a second later, at rest.
+//! Each process measures how long it has received no directive. Controller, obstacles, estimator and actuator end
+//! after the time set; the last actuation blocks the wheels. The robot ends a second later, at rest.
 //!
-//! The first of them that gets the lock of the system waits until the others are gone, kills who does not go, and
-//! removes all files. When an orchestrator holds the lock, it is alive or has just come: then nothing is touched.
+//! The first of them that gets the lock of the system waits until the others have ended, kills those that do not end,
+//! and removes all files. When an orchestrator holds the lock, nothing is touched.
 
 use std::fs::File;
 use std::io::{Seek, Write};
@@ -19,42 +19,42 @@ use crate::{Domain, ROLE_VARIABLE, monotonic_ns};
 
 /// Name of the file in the directory of the system that an orchestrator holds locked.
 pub const LOCK_FILE: &str = "lock";
-/// Stands behind the process id in that file while the last process of a system cleans up.
+/// Follows the process id in that file while the last process of a system cleans up.
 pub const LEAVING: &str = "leaving";
 
-/// The robot outlives the others by this: wheels that turn at 2 m/s come to rest in a fifth of it [ns].
+/// The robot ends this much later than the others: a robot at 2 m/s comes to rest in a fifth of it [ns].
 const ROBOT_LONGER_NS: u64 = 1_000_000_000;
 /// Others have this long to end by themselves [ns].
 const END_TIMEOUT_NS: u64 = 3_000_000_000;
-/// A killed process is waited for this long [ns].
+/// How long to wait for a killed process [ns].
 const KILL_TIMEOUT_NS: u64 = 1_000_000_000;
 /// Time between two checks of them.
 const POLL: std::time::Duration = std::time::Duration::from_millis(10);
 
-/// How long a process of that role goes on without a word of an orchestrator [ns].
+/// How long a process of that role runs without a directive [ns].
 pub(crate) fn limit_ns(role: Role, orphan_timeout_ns: u64) -> u64 {
     orphan_timeout_ns.saturating_add(if role == Role::Robot { ROBOT_LONGER_NS } else { 0 })
 }
 
-/// Cleans up after the system when it is dropped, if the process ends as an orphan.
+/// Cleans up after the system when dropped, if the process ends as an orphan.
 #[derive(Debug)]
-pub(crate) struct Janitor {
+pub(crate) struct OrphanCleanup {
     domain: Domain,
     word: Option<StopWord>,
     orphaned: bool,
 }
 
-impl Janitor {
+impl OrphanCleanup {
     pub(crate) fn new(domain: &Domain, word: Option<StopWord>) -> Self {
         Self { domain: domain.clone(), word, orphaned: false }
     }
 
-    pub(crate) fn is_orphaned(&mut self) {
+    pub(crate) fn mark_orphaned(&mut self) {
         self.orphaned = true;
     }
 }
 
-impl Drop for Janitor {
+impl Drop for OrphanCleanup {
     fn drop(&mut self) {
         if self.orphaned
             && let Some(_lock) = lock(&self.domain)
@@ -70,8 +70,8 @@ impl Drop for Janitor {
 fn lock(domain: &Domain) -> Option<File> {
     let mut file = domain.folder().open_file(LOCK_FILE, OFlags::WRONLY).ok()?;
     flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
-    let said = file.set_len(0).and_then(|()| file.rewind());
-    said.and_then(|()| writeln!(file, "{} {LEAVING}", std::process::id())).ok()?;
+    let emptied = file.set_len(0).and_then(|()| file.rewind());
+    emptied.and_then(|()| writeln!(file, "{} {LEAVING}", std::process::id())).ok()?;
     Some(file)
 }
 
@@ -92,7 +92,7 @@ fn end_others(domain: &Domain, word: Option<&StopWord>) {
             std::thread::sleep(POLL);
         }
         for (is_robot, other) in others.iter().filter(|_| then_kill) {
-            // A robot that may still move is the last that could stop itself.
+            // A robot that may still move must keep the process that can stop it.
             if *is_robot && word.is_none_or(|word| word.wheels(Role::Robot).0 != Wheels::Resting) {
                 tracing::error!("robot {} does not end, and is not known to rest: it is left", other.pid());
                 continue;

@@ -9,8 +9,8 @@ use bytemuck::bytes_of_mut;
 use shared_types::Sample;
 
 use crate::enclosed::Enclosed;
-use crate::sample_type::{SampleType, view_mut};
 use crate::shared::Shared;
+use crate::view::view_mut;
 use crate::{Bus, RuntimeError};
 
 pub(crate) use self::writer::{Connect, Writer, may_write};
@@ -26,7 +26,7 @@ impl<S: Sample> Output<S> {
 
     /// The output of a process, or of a test of one.
     pub(crate) fn new(bus: &Bus, shared: Rc<Shared>) -> Result<Self, RuntimeError> {
-        Ok(Self::of(Enclosed::new(Rc::new(Writer::new(bus, shared, SampleType::of::<S>())?))))
+        Ok(Self::of(Enclosed::new(Rc::new(Writer::new(bus, shared, S::TYPE)?))))
     }
 
     /// The writer of this output.
@@ -36,7 +36,7 @@ impl<S: Sample> Output<S> {
 
     /// Completes the header of `sample` and publishes it to all readers, then wakes them.
     ///
-    /// Filled here: layout, incarnation, sequence, and the stamps of this stage. The sample keeps what was filled.
+    /// It fills layout, incarnation, sequence, and the stamps of this stage, in `sample` too.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses; a reader that was not reached is counted, not an error.
@@ -45,7 +45,7 @@ impl<S: Sample> Output<S> {
         self.0.publish(bytes_of_mut(sample))
     }
 
-    /// [`Output::publish`] without waking anyone: for samples that are looked at from time to time.
+    /// [`Output::publish`] without waking a reader: for samples whose readers poll.
     ///
     /// # Errors
     /// As [`Output::publish`].
@@ -54,9 +54,9 @@ impl<S: Sample> Output<S> {
         self.0.publish_silently(bytes_of_mut(sample))
     }
 
-    /// [`Output::publish`] of a sample that `fill` writes where it will be read: for samples too large to be copied.
+    /// [`Output::publish`] of a sample that `fill` writes in place: for samples too large to be copied.
     ///
-    /// What `fill` leaves as it is holds the bytes of an older sample.
+    /// Fields that `fill` leaves alone hold the bytes of an older sample.
     ///
     /// # Errors
     /// As [`Output::publish`].
@@ -70,8 +70,8 @@ impl<S: Sample> Output<S> {
         })
     }
 
-    /// The first step of [`Output::publish`]: the result is there. Everything of the header but its last stamp is
-    /// filled; from here on the number of the sample is used up.
+    /// The first step of [`Output::publish`]: fills the header, except for its last stamp. The sequence number of the
+    /// sample is then used.
     #[inline(always)]
     pub fn complete(&self, sample: &mut S) {
         self.0.complete(bytes_of_mut(sample));
@@ -86,8 +86,8 @@ impl<S: Sample> Output<S> {
         self.0.send(bytes_of_mut(sample))
     }
 
-    /// The last step of [`Output::publish`]: wakes the readers. Then nobody waits for this process, and it looks for the
-    /// place of the next sample.
+    /// The last step of [`Output::publish`]: wakes the readers, then takes the place of the next sample while no
+    /// process waits for this one.
     #[inline(always)]
     pub fn wake(&self) {
         self.0.wake();

@@ -21,7 +21,7 @@ const NAME: &str = "scanloop";
 enum Place {
     /// This directory itself.
     Own(PathBuf),
-    /// A directory of ours within one that the machine gives to the user.
+    /// The directory `scanloop` within one that the machine gives to the user.
     Within(PathBuf),
 }
 
@@ -37,7 +37,7 @@ impl Place {
         }
     }
 
-    /// The directory that holds the systems, made if need be; `None` when the machine has no such place.
+    /// The directory that holds the systems, made when missing; `None` when the machine has no such place.
     fn make(&self) -> Result<Option<Folder>, RuntimeError> {
         loop {
             if let Some(there) = self.open()? {
@@ -59,7 +59,7 @@ impl Place {
         }
     }
 
-    /// Whether a refusal is the user's to mend: he named the place, or there is no other.
+    /// Whether a refusal is an error: the user named the place, or there is no other.
     fn is_required(&self) -> bool {
         matches!(self, Self::Own(_))
     }
@@ -93,7 +93,8 @@ fn places() -> Result<Vec<Place>, RuntimeError> {
 /// The place for a new system.
 ///
 /// # Errors
-/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR`, or the last place, can't be used, and errors of the file system.
+/// [`RuntimeError::NotPrivate`] when `SCANLOOP_RUNTIME_DIR`, or the last place, can't be used, and errors of the file
+/// system.
 pub(crate) fn make() -> Result<Folder, RuntimeError> {
     let mut refused = None;
     for place in places()? {
@@ -108,24 +109,6 @@ pub(crate) fn make() -> Result<Folder, RuntimeError> {
         path: "/tmp".into(),
         reason: "does not exist".to_owned(),
     }))
-}
-
-/// Name of the mark of a system that was stopped and whose orchestrator had to be killed; no id has a dot.
-fn mark(system_id: &str) -> String {
-    format!("{system_id}.stopped")
-}
-
-/// Leaves a mark that a system was stopped.
-pub(crate) fn mark_stopped(system_id: &str) -> Result<(), RuntimeError> {
-    make()?.write(&mark(system_id), b"")
-}
-
-/// Takes the mark away; whether there was one.
-pub(crate) fn take_mark(system_id: &str) -> Result<bool, RuntimeError> {
-    let name = mark(system_id);
-    let marked: Vec<Folder> = all()?.into_iter().filter(|place| place.contains(&name)).collect();
-    marked.iter().try_for_each(|place| place.remove(&name))?;
-    Ok(!marked.is_empty())
 }
 
 /// All places in which systems may be, those that are not private left out.

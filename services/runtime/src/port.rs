@@ -1,9 +1,10 @@
 //! Ports of iceoryx2 for samples of any type.
 //!
-//! A service describes the type of its samples by name, size, alignment and variant, and iceoryx2 compares nothing else.
-//! Its own bindings for C and Python give that description as a value and move bytes; so do these ports. All generic code
-//! of iceoryx2 is compiled here, for one type, and other processes see the services that typed ports would make.
-#![expect(unsafe_code, reason = "samples lie in shared memory, and the type of their bytes is a promise")]
+//! A service describes the type of its samples by name, size, alignment and variant; iceoryx2 compares nothing else.
+//! The bindings of iceoryx2 for C and Python pass that description as a value and move bytes, and so do these ports.
+//! So its generic code is compiled here, for one type, and other processes see the same services as typed ports would
+//! make.
+#![expect(unsafe_code, reason = "samples in shared memory are typed by hand")]
 
 use std::mem::MaybeUninit;
 use std::ops::Deref;
@@ -20,29 +21,24 @@ use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::publish_subscribe;
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
-use shared_types::Topic;
+use shared_types::{SampleType, Topic};
 
 use crate::RuntimeError;
-use crate::sample_type::SampleType;
+use crate::qos::qos;
 
 /// A service for samples.
 pub(crate) type Samples =
     publish_subscribe::PortFactory<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>;
-/// What makes or opens one.
+/// The builder that creates or opens one.
 pub(crate) type SamplesBuilder = Builder<[CustomPayloadMarker], CustomHeaderMarker, ipc::Service>;
 
-/// How a service describes samples of a type: as a port of that type does.
+/// The description of a sample type for a service, as a port of that type gives it.
 pub(crate) fn of_samples(of: &SampleType) -> Result<TypeDetail, RuntimeError> {
     TypeDetail::__internal_new_from_parts(TypeVariant::FixedSize, of.name, of.size, of.alignment)
         .map_err(|reason| RuntimeError::bus(format!("describe samples of topic {}", of.topic), reason))
 }
 
-/// How a service describes any number of bytes.
-pub(crate) fn of_bytes() -> TypeDetail {
-    TypeDetail::new::<u8>(TypeVariant::Dynamic)
-}
-
-/// What makes or opens the service of a name, for samples without a header of the user.
+/// The builder of the service `name`, for samples without a user header.
 pub(crate) fn samples(node: &Node<ipc::Service>, name: &ServiceName, detail: &TypeDetail) -> SamplesBuilder {
     let builder = node
         .service_builder(name)
@@ -65,41 +61,40 @@ pub(crate) struct BytePublisher {
 }
 
 impl BytePublisher {
-    /// A port that lends one place at a time, of at most `longest` elements.
-    pub(crate) fn new(service: Samples, longest: usize) -> Result<Self, PublisherCreateError> {
+    /// A port that lends one place at a time.
+    pub(crate) fn new(service: Samples) -> Result<Self, PublisherCreateError> {
         let port = service
             .publisher_builder()
-            .initial_max_slice_len(longest)
             .max_loaned_samples(1)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()?;
         Ok(Self { port, service })
     }
 
-    /// The place of the next sample, which has `elements`: one, or so many bytes.
-    pub(crate) fn loan(&self, elements: usize) -> Result<Loan, LoanError> {
-        // SAFETY: services of samples have one element each; more are asked for where the service carries bytes.
-        unsafe { self.port.loan_custom_payload(elements) }.map(Loan)
+    /// The place of the next sample.
+    pub(crate) fn loan(&self) -> Result<Loan, LoanError> {
+        // SAFETY: samples have one element each.
+        unsafe { self.port.loan_custom_payload(1) }.map(Loan)
     }
 
-    /// Makes this end of all connections; one that fails is tried again at the next send.
+    /// Makes this end of all connections; a failed one is retried at the next send.
     pub(crate) fn connect(&self) {
         let _ = self.port.update_connections();
     }
 
-    /// How many send on this service.
+    /// How many publishers the service has.
     #[cfg(test)]
     pub(crate) fn publishers(&self) -> usize {
         self.service.dynamic_config().number_of_publishers()
     }
 
-    /// How many read what is sent.
+    /// How many subscribers the service has.
     pub(crate) fn subscribers(&self) -> usize {
         self.service.dynamic_config().number_of_subscribers()
     }
 }
 
-/// A place in shared memory for one sample; it holds the bytes of an older one.
+/// Shared memory for one sample; it holds the bytes of an older one.
 pub(crate) struct Loan(SampleMutUninit<ipc::Service, [MaybeUninit<CustomPayloadMarker>], CustomHeaderMarker>);
 
 impl Loan {
@@ -111,7 +106,7 @@ impl Loan {
         unsafe { std::slice::from_raw_parts_mut(place.as_mut_ptr().cast(), place.len()) }
     }
 
-    /// Sends what is there; returns how many subscribers got it.
+    /// Sends the sample; returns how many subscribers got it.
     pub(crate) fn send(self) -> Result<usize, SendError> {
         // SAFETY: as in `bytes`; any bytes are a valid payload.
         unsafe { self.0.assume_init() }.send()
@@ -123,28 +118,24 @@ impl Loan {
 pub(crate) struct ByteSubscriber {
     port: subscriber::Subscriber<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
     topic: Topic,
-    /// Of each sample, where all have the same [bytes].
-    size: Option<usize>,
+    /// Size of each sample [bytes].
+    size: usize,
 }
 
 impl ByteSubscriber {
-    /// A port that asks for `history` samples of the past.
-    pub(crate) fn new(
-        service: &Samples,
-        history: usize,
-        topic: Topic,
-        size: Option<usize>,
-    ) -> Result<Self, SubscriberCreateError> {
+    /// A port that also receives as many earlier samples as the topic keeps.
+    pub(crate) fn new(service: &Samples, of: &SampleType) -> Result<Self, SubscriberCreateError> {
+        let history = qos(of.topic).history;
         let port = service.subscriber_builder().history_request(history).create()?;
-        Ok(Self { port, topic, size })
+        Ok(Self { port, topic: of.topic, size: of.size })
     }
 
-    /// The next sample. One that says of itself that it has another size is none: its publisher is damaged.
+    /// The next sample. Samples of another size are skipped: their publisher is damaged.
     pub(crate) fn receive(&self) -> Result<Option<Received>, RuntimeError> {
         self.next().map_err(|reason| self.error(reason))
     }
 
-    /// Hands over the samples that are there; false when it ended because no more of them may be borrowed.
+    /// Hands over the waiting samples; false when it ended because no more may be borrowed.
     pub(crate) fn receive_all(&self, mut each: impl FnMut(Received)) -> Result<bool, RuntimeError> {
         loop {
             match self.next() {
@@ -156,7 +147,7 @@ impl ByteSubscriber {
         }
     }
 
-    /// Makes this end of all connections; one that fails is tried again when receiving.
+    /// Makes this end of all connections; a failed one is retried when receiving.
     pub(crate) fn connect(&self) {
         let _ = self.port.update_connections();
     }
@@ -164,7 +155,7 @@ impl ByteSubscriber {
     fn next(&self) -> Result<Option<Received>, ReceiveError> {
         while let Some(sample) = self.port.receive()? {
             let sample = Received::new(sample);
-            if self.size.is_none_or(|size| sample.len() == size) {
+            if sample.len() == self.size {
                 return Ok(Some(sample));
             }
         }
@@ -179,7 +170,7 @@ impl ByteSubscriber {
 /// The bytes of a sample, read in place and returned to their publisher when dropped.
 pub(crate) struct Received {
     bytes: NonNull<[u8]>,
-    /// Keeps them.
+    /// Keeps the bytes borrowed.
     _sample: BusSample<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
 }
 

@@ -7,24 +7,24 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
+use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, StageStamps,
-    Topic,
+    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
+    StageStamps, Topic,
 };
 
 use self::waiting::Need;
 use crate::alarm::Alarm;
 use crate::bell::{Bells, bit};
-use crate::counters::{Counters, add_account};
+use crate::counters::{Counters, add_input};
 use crate::crash::report_crashes;
 use crate::enclosed::Enclosed;
 use crate::guard::Guard;
 use crate::input::{Input, Reader};
-use crate::orphan::Janitor;
+use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::reserve::require_room;
-use crate::sample_type::SampleType;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
@@ -33,13 +33,13 @@ use crate::{
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
 const HEARTBEAT_NS: u64 = 95_000_000;
-/// Longest sleep: what a lost wake-up costs at most when there is no other deadline.
+/// Longest sleep [ns]: the most that a lost wake-up costs when there is no other deadline.
 pub(crate) const MAX_WAIT_NS: u64 = 100_000_000;
-/// The state of a running process is waited for this long, besides two and a half periods [ns].
+/// How long a candidate waits for the state of the running process, on top of two and a half periods [ns].
 const JOIN_NS: u64 = 20_000_000;
-/// A checkpoint that was older than this when its process ended describes another situation [ns].
+/// A checkpoint that was older than this when its process ended is not used [ns].
 const CHECKPOINT_AGE_NS: u64 = 500_000_000;
-/// So does one that has waited for longer than this for a process: twice the longest pause before a restart [ns].
+/// Nor is one that has waited longer than this for a successor: twice the longest pause before a restart [ns].
 const HANDOVER_AGE_NS: u64 = 10_000_000_000;
 
 /// A process of the loop.
@@ -48,7 +48,7 @@ pub struct Process {
     settings: toml::Table,
     run: RunSettings,
     realtime: Realtime,
-    /// Until when polling would only wait for others on a busy processor [ns].
+    /// Until when this process does not poll, because it shares its processor [ns].
     crowded_until_ns: Cell<u64>,
     bus: Bus,
     bells: Arc<Bells>,
@@ -64,16 +64,16 @@ pub struct Process {
     state: ProcessState,
     next_heartbeat_ns: u64,
     directive_seen_ns: u64,
-    looked_ns: u64,
+    polled_ns: u64,
     rung: u32,
-    /// When the work begins that this process waits for with [`Process::wait_for_time`].
+    /// Start of the work that [`Process::wait_for_time`] waits for.
     due_ns: u64,
     alarm: Alarm,
     /// Bits of all topics that wake this process.
     topics: u32,
     listens: bool,
-    // Dropped last, when nothing of this process is on the bus any more.
-    janitor: Janitor,
+    // Dropped last, when this process has left the bus.
+    cleanup: OrphanCleanup,
 }
 
 impl Process {
@@ -87,11 +87,11 @@ impl Process {
         let (_, incarnation) = domain::identity()?;
         let domain = Domain::of_this_process()?;
         layouts::verify(&domain, role, &Layouts::built_in())?;
-        Self::enrol(role, domain, incarnation)
+        Self::attach_as(role, domain, incarnation)
     }
 
-    /// Joins a system as one incarnation of a role.
-    pub(crate) fn enrol(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
+    /// [`Process::attach`] to a given system as a given incarnation.
+    pub(crate) fn attach_as(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
         let shutdown = Shutdown::on_signals()?;
         let settings = settings::read(&domain, role)?;
         let run: RunSettings = settings::table(&domain, role, &settings, "run")?;
@@ -133,8 +133,8 @@ impl Process {
             state: ProcessState::Attached,
             next_heartbeat_ns: 0,
             directive_seen_ns: monotonic_ns(),
-            looked_ns: 0,
-            // Whatever was rung before is found by the first look.
+            polled_ns: 0,
+            // The first poll finds whatever was published before.
             rung: bells.role(role).poll().wrapping_sub(1),
             due_ns: 0,
             alarm: Alarm::new(),
@@ -143,7 +143,7 @@ impl Process {
             realtime,
             crowded_until_ns: Cell::new(0),
             bells,
-            janitor: Janitor::new(&domain, shared.guard.word()),
+            cleanup: OrphanCleanup::new(&domain, shared.guard.word()),
             domain,
             settings,
             run,
@@ -153,7 +153,7 @@ impl Process {
         })
     }
 
-    /// The settings of this role, the table [`crate::settings_table`]; all others are empty here.
+    /// One table of the settings of this role, usually [`crate::settings_table`]; empty when it is absent.
     ///
     /// # Errors
     /// [`RuntimeError::Settings`] with the key that does not fit.
@@ -166,7 +166,7 @@ impl Process {
         self.run.period_ns
     }
 
-    /// Age above which an input is not used any more when it arrives: three scan periods, but never less than [`YOUNG_NS`] [ns].
+    /// Age above which an arriving input is dropped: three scan periods, at least [`shared_types::YOUNG_NS`] [ns].
     pub fn max_age_ns(&self) -> u64 {
         self.shared.max_age_ns()
     }
@@ -182,26 +182,26 @@ impl Process {
         Directive { stop: if self.must_stop() { 1 } else { directive.stop }, ..directive }
     }
 
-    /// Whether wheels must be blocked whatever any process commands: the run was stopped for good, or the orchestrator
-    /// has been silent for `orphan_stop_s`.
+    /// Whether the wheels must be blocked whatever any process commands: the run was stopped for good, or no directive
+    /// came for `orphan_stop_s`.
     pub fn must_stop(&self) -> bool {
         self.shared.guard.must_stop()
     }
 
-    /// Notes what the wheels do, for who stops the run: a robot calls it each time it is awake. What an actuator
-    /// publishes is noted by its output.
+    /// Reports what the wheels do, so that a stop can be confirmed. A robot calls it each time it wakes; for an
+    /// actuator its output does.
     pub fn report_wheels(&self, wheels: Wheels) {
         self.shared.guard.set_wheels(wheels);
-        self.tell_wheels();
+        self.publish_wheels();
     }
 
-    pub(crate) fn tell_wheels(&self) {
+    pub(crate) fn publish_wheels(&self) {
         if self.is_in_charge() {
-            self.shared.guard.tell();
+            self.shared.guard.publish_wheels();
         }
     }
 
-    /// Whether the outputs of this process count, now or from a scan on that was told; known from [`Process::start`] on.
+    /// Whether the outputs of this process count, now or from an announced scan on; known after [`Process::start`].
     pub fn is_in_charge(&self) -> bool {
         self.shared.is_in_charge()
     }
@@ -211,7 +211,7 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when the role does not read it, and errors of the bus.
     pub fn input<S: Sample>(&mut self) -> Result<Input<S>, RuntimeError> {
-        self.open_input(SampleType::of::<S>()).map(Input::of)
+        self.open_input(S::TYPE).map(Input::of)
     }
 
     fn open_input(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Reader>>, RuntimeError> {
@@ -230,7 +230,7 @@ impl Process {
     /// # Errors
     /// [`RuntimeError::NotYourTopic`] when another role writes it, and errors of the bus.
     pub fn output<S: Sample>(&mut self) -> Result<Rc<Output<S>>, RuntimeError> {
-        self.open_output(SampleType::of::<S>()).map(|writer| Rc::new(Output::of(writer)))
+        self.open_output(S::TYPE).map(|writer| Rc::new(Output::of(writer)))
     }
 
     fn open_output(&mut self, of: &'static SampleType) -> Result<Enclosed<Rc<Writer>>, RuntimeError> {
@@ -243,20 +243,21 @@ impl Process {
         Ok(Enclosed::new(writer))
     }
 
-    /// The bus of this process.
-    pub(crate) fn bus(&self) -> &Bus {
-        &self.bus
+    /// The node of this process on the bus, for services beside the topics: a bench has some.
+    pub fn node(&self) -> &Node<ipc::Service> {
+        self.bus.node()
     }
 
-    /// Makes one more end of connections when the start barrier says so.
-    pub(crate) fn connects(&mut self, end: Rc<dyn Connect>) {
-        self.outputs.push(end);
+    /// Calls `connect` where [`Process::start`] connects the ports, and before inputs are due: for ports of other
+    /// services.
+    pub fn on_connect(&mut self, connect: impl Fn() + 'static) {
+        self.outputs.push(Rc::new(connect));
     }
 
     /// Waits until all processes have opened their ports and all connections are made; false when asked to end.
     ///
-    /// Without this barrier the first samples would be lost silently, because a publisher can't fill a
-    /// connection whose reader has not made its half.
+    /// Without this barrier the first samples would be lost silently, because a publisher can't fill a connection
+    /// before its reader has made the other end.
     ///
     /// # Errors
     /// [`RuntimeError::SharedMemory`] when there is no room for what the ports need, and errors of the bus.
@@ -283,7 +284,7 @@ impl Process {
         }
     }
 
-    /// Notes that work begins without an input: for the robot, whose scans start the chain.
+    /// Stamps the start of work that has no input: for the robot, whose scans start the chain.
     pub fn begin(&self) {
         self.set_alarm();
         let now = self.shared.clock.now_ns();
@@ -295,7 +296,7 @@ impl Process {
         self.beat()
     }
 
-    /// What the next heartbeat will say: state and counters of this process.
+    /// The next heartbeat: state and counters of this process.
     pub fn heartbeat(&self) -> Heartbeat {
         let mut heartbeat = Heartbeat {
             role: self.shared.role.wire(),
@@ -303,13 +304,13 @@ impl Process {
             pid: u64::from(std::process::id()),
             obeys_stop: u32::from(self.shared.guard.word().is_some()),
             issued_ns: monotonic_ns(),
-            looked_ns: self.looked_ns,
+            looked_ns: self.polled_ns,
             ..Heartbeat::default()
         };
         self.shared.counters.fill(&mut heartbeat);
         for input in &self.inputs {
             if let Some(port) = self.shared.role.reads().iter().position(|topic| *topic == input.topic()) {
-                add_account(&mut heartbeat, port, input.account());
+                add_input(&mut heartbeat, port, input.account());
                 heartbeat.refused[port] = input.refusal();
             }
         }
@@ -319,13 +320,13 @@ impl Process {
     fn beat(&mut self) -> Result<(), RuntimeError> {
         let mut heartbeat = self.heartbeat();
         self.next_heartbeat_ns = heartbeat.issued_ns + HEARTBEAT_NS;
-        self.shared.counters.news.set(false);
+        self.shared.counters.is_urgent.set(false);
         self.heartbeat.publish_silently(&mut heartbeat)
     }
 }
 
 impl Drop for Process {
-    /// The last word says what became of the last samples; a process that is killed can't say it.
+    /// Publishes the last heartbeat, with the counters of the last samples. A killed process can't.
     fn drop(&mut self) {
         let _ = self.enter(ProcessState::Ending);
     }

@@ -1,11 +1,11 @@
-//! Sizes of the services on the bus, in one place: who creates a service decides them for all.
+//! Sizes of the services on the bus, in one place: the process that creates a service decides them for all.
 
 use shared_types::Topic;
 
 /// Sizes of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Qos {
-    /// Publishers: the process in charge, its standby, a shadow, and one that is about to leave.
+    /// Publishers: the process in charge, its standby, a shadow, and one that is ending.
     pub(crate) publishers: usize,
     /// Readers of the loop, their standbys, the orchestrator and observers.
     pub(crate) subscribers: usize,
@@ -13,22 +13,22 @@ pub(crate) struct Qos {
     pub(crate) buffer: usize,
     /// Samples that one reader holds at a time.
     pub(crate) borrowed: usize,
-    /// Samples that a reader who comes late may ask for.
+    /// Earlier samples that a new reader gets.
     pub(crate) history: usize,
 }
 
 impl Qos {
     /// Samples that one reader holds at a time, of all producers together.
-    pub(crate) fn most_borrowed(self) -> usize {
+    pub(crate) fn max_borrowed(self) -> usize {
         self.publishers * self.borrowed
     }
 
-    /// Samples in the memory of one publisher: each reader may hold and keep its share, and one is being written.
+    /// Samples in the memory of one publisher: each reader queues and holds its share, and one is being written.
     fn samples(self) -> usize {
         self.subscribers * (self.buffer + self.borrowed) + self.history + 1
     }
 
-    /// Memory that one publisher of samples of `size` has for them, at most [bytes].
+    /// Memory for the samples of one publisher, of `size` each, at most [bytes].
     pub(crate) fn samples_bytes(self, size: usize) -> u64 {
         whole_pages(self.samples() * (size + SAMPLE_EXTRA))
     }
@@ -56,7 +56,7 @@ pub(crate) const NODES: usize = 32;
 /// Processes that may notify or listen on one topic.
 pub(crate) const EVENT_PORTS: usize = 16;
 
-/// How many samples of one writer can wait at one reader of a topic: who finds fewer has missed none.
+/// How many samples of one publisher can wait at one reader of a topic. A reader that finds fewer has missed none.
 pub fn buffer(topic: Topic) -> usize {
     qos(topic).buffer
 }
@@ -66,7 +66,7 @@ pub(crate) fn qos(topic: Topic) -> Qos {
     let stream = Qos { publishers: 4, subscribers: 12, buffer: 16, borrowed: 20, history: 0 };
     match topic {
         Topic::Scan | Topic::Odometry | Topic::Pose | Topic::Obstacles | Topic::Command => stream,
-        // The account of all scans is made from these two: 256 samples last a quarter of a second at 1 kHz.
+        // The ledger is made from these two: 256 samples last a quarter of a second at 1 kHz.
         Topic::Actuation | Topic::Truth => Qos { buffer: 256, ..stream },
         Topic::Heartbeat => Qos { publishers: 16, subscribers: 6, ..stream },
         Topic::Directive => Qos { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },

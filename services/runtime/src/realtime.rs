@@ -1,7 +1,7 @@
-//! What a process asks of the machine to be quick: settings, and the system calls behind them.
+//! Real-time settings of a process, and the system calls behind them.
 //!
-//! By default only what every process may ask for is asked for, and nothing is ever required: what the machine refuses is
-//! a warning that says what to change, because a robot that reacts a little later is better than one that does not start.
+//! The defaults need no privileges. A setting that the machine refuses is a warning that says what to change, because
+//! a robot that reacts a little later is better than one that does not start.
 #![expect(
     unsafe_code,
     reason = "the scheduler of a process is set by a system call that no crate of ours wraps"
@@ -57,10 +57,8 @@ settings! {
 }
 
 impl Realtime {
-    /// Processors, scheduler and slice of another process, in whatever language it is written; returns one warning for
-    /// each thing that the machine refused.
-    ///
-    /// Threads that the process starts later inherit them.
+    /// Sets processors, scheduler and slice of another process; returns a warning for each setting that the machine
+    /// refused. Threads that the process starts later inherit them.
     pub fn apply_to(&self, pid: u32) -> Vec<String> {
         let mut refused = Vec::new();
         let Some(process) = Pid::from_raw(pid.cast_signed()) else { return refused };
@@ -92,8 +90,8 @@ impl Realtime {
         refused
     }
 
-    /// These settings with the processors and the scheduler that another process really has; no processors for all that
-    /// this one has.
+    /// These settings with the processors and the scheduler that another process really has. No processors stands for
+    /// all that this process may use.
     pub fn granted(&self, pid: u32) -> Self {
         let used = |pid| {
             let set = sched_getaffinity(pid).unwrap_or_default();
@@ -108,21 +106,21 @@ impl Realtime {
         }
     }
 
-    /// The timer slack of this process.
+    /// Sets the timer slack of this process.
     pub(crate) fn apply_timer_slack(&self) {
         if let Err(error) = set_current_timer_slack(NonZeroU64::new(self.timer_slack_ns)) {
             tracing::warn!(%error, "realtime.timer_slack_ns has no effect");
         }
     }
 
-    /// This process goes back to fair shares: leaving the bus takes time, which shall not be that of those who stay.
-    pub(crate) fn give_way(&self) {
+    /// Returns this process to fair shares, because leaving the bus takes time that other processes need.
+    pub(crate) fn leave_real_time(&self) {
         if self.scheduler == Scheduler::Fifo {
             let _ = set_scheduler(0, libc::SCHED_OTHER, 0);
         }
     }
 
-    /// Maps and locks all memory of this process, if asked for: to be called when all ports and connections exist.
+    /// Maps and locks all memory of this process, if set. Call it when all ports and connections exist.
     pub(crate) fn apply_memory(&self) {
         if self.lock_memory
             && let Err(error) = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)
@@ -158,7 +156,7 @@ fn set_slice(pid: u32, slice_ns: u64) -> std::io::Result<()> {
 /// How the kernel runs a process now.
 fn attributes(pid: u32) -> std::io::Result<libc::sched_attr> {
     let size = size_of::<libc::sched_attr>() as u32;
-    // SAFETY: plain numbers, for which zero is a value.
+    // SAFETY: all fields are numbers, for which zero is valid.
     let mut attributes: libc::sched_attr = unsafe { std::mem::zeroed() };
     // SAFETY: the kernel writes at most `size` bytes into the value, which is as large.
     let result = unsafe { libc::syscall(libc::SYS_sched_getattr, pid, &raw mut attributes, size, 0) };

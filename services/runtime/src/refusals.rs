@@ -1,4 +1,4 @@
-//! What a process tells of samples that it drops because of their content: a line in its log, and a row in its heartbeat.
+//! Reports of samples that a process drops because of their content: a line in its log, and a row in its heartbeat.
 
 use std::cell::RefCell;
 
@@ -6,30 +6,30 @@ use shared_types::{Fault, Header, Refusal, Topic};
 
 use crate::monotonic_ns;
 
-/// After the first sample that fails a rule, one line tells of all that follow within this time [ns].
+/// After the first sample that fails a rule, one line counts all that follow within this time [ns].
 const SUMMARY_NS: u64 = 5_000_000_000;
 
 /// The samples of one input that were dropped or refused.
 #[derive(Debug, Default)]
-pub(crate) struct Refusals(RefCell<Told>);
+pub(crate) struct Refusals(RefCell<Log>);
 
 #[derive(Debug, Default)]
-struct Told {
+struct Log {
     newest: Refusal,
     of_content: u64,
-    /// Writer of the newest, and a bit for each rule that a line has told of since it came.
+    /// Incarnation of the newest one's publisher, and a bit for each rule that was logged for it.
     writer: u32,
     rules: u32,
-    /// How many the lines so far have told of, and when the last one did [ns].
+    /// How many samples the lines so far counted, and the time of the last line [ns].
     count: u64,
     at_ns: u64,
 }
 
 impl Refusals {
-    /// Counts a sample that fails a rule; true when the log has told of it, because its rule or its writer is new.
+    /// Counts a sample that fails a rule; true when it was logged because its rule or its publisher is new.
     pub(crate) fn note(&self, topic: Topic, header: &Header, fault: &Fault) -> bool {
-        let mut told = self.0.borrow_mut();
-        let (is_new, line) = told.note(header, fault, monotonic_ns());
+        let mut log = self.0.borrow_mut();
+        let (is_new, line) = log.note(header, fault, monotonic_ns());
         if let Some(count) = line {
             let writer = topic.writer().map_or("orchestrator", |role| role.name());
             let (incarnation, scan) = (header.incarnation, header.scan_id);
@@ -38,7 +38,7 @@ impl Refusals {
         is_new
     }
 
-    /// How many samples were dropped because every reader has to.
+    /// How many samples failed a rule that holds for every reader.
     pub(crate) fn of_content(&self) -> u64 {
         self.0.borrow().of_content
     }
@@ -49,8 +49,8 @@ impl Refusals {
     }
 }
 
-impl Told {
-    /// Counts a sample; whether its rule is new for its writer, and how many samples a line is to tell of now.
+impl Log {
+    /// Counts a sample; whether its rule is new for its publisher, and how many samples to log in a line now.
     fn note(&mut self, header: &Header, fault: &Fault, now_ns: u64) -> (bool, Option<u64>) {
         self.newest.note(header, fault);
         self.of_content += u64::from(fault.rule().is_of_content());
@@ -74,10 +74,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_of_each_rule_and_writer_is_told_then_one_line_tells_of_all() {
-        let mut told = Told::default();
+    fn the_first_of_each_rule_and_writer_is_logged_then_one_line_counts_all() {
+        let mut log = Log::default();
         let mut note = |incarnation, fault: Fault, now_ns| {
-            told.note(&Header { incarnation, ..Header::default() }, &fault, now_ns)
+            log.note(&Header { incarnation, ..Header::default() }, &fault, now_ns)
         };
         let (unverified, infinite) = (Fault::NotVerified { value: 0 }, Fault::NotFinite { field: "x" });
         assert_eq!(note(3, unverified, 1), (true, Some(1)));
@@ -86,6 +86,6 @@ mod tests {
         assert_eq!(note(3, unverified, 4), (false, None));
         assert_eq!(note(3, unverified, 3 + SUMMARY_NS), (false, Some(2)));
         assert_eq!(note(4, unverified, 4 + SUMMARY_NS), (true, Some(1)), "another writer");
-        assert_eq!(told.newest.count, 6);
+        assert_eq!(log.newest.count, 6);
     }
 }

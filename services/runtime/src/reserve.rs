@@ -1,13 +1,13 @@
 //! Shared memory is checked and allocated before it is used, so that a full `/dev/shm` is an error and not a signal.
 //!
-//! Idea: the bus makes its files sparse. The first write to a page that the file system can't provide ends a process by
-//! SIGBUS, which may be the robot when a new process joins. So three things are done. Before anything is made, the room
-//! for it is checked ([`Reserve::take`]). What was made is allocated to its length at once ([`allocate_files`]). And the
+//! The bus makes its files sparse. The first write to a page that the file system can't provide ends a process by
+//! SIGBUS; when a new process joins, this may be the robot. Three measures prevent it. The room is checked before any
+//! file is made ([`Reserve::take`]). New files are allocated to their length at once ([`allocate_files`]). And the
 //! orchestrator holds a [`Reserve`] for one more process, which it frees right before it starts one.
 //!
-//! Where this fails: between check and allocation other programs may take the room; then the process that joins may be
-//! ended by SIGBUS, and says so, see [`crate::report_crashes`]. A limit of memory that is set by a control group is not
-//! the size of the file system: the kernel kills the process that exceeds it.
+//! Limits: between check and allocation other programs may take the room; then SIGBUS may end the process that joins,
+//! which logs it, see [`crate::report_crashes`]. A memory limit of a control group is not the size of the file system:
+//! the kernel kills the process that exceeds it.
 
 use std::fs::OpenOptions;
 use std::os::fd::{AsFd, OwnedFd};
@@ -27,17 +27,17 @@ use crate::{Domain, RuntimeError};
 const NODE_BYTES: u64 = 128 << 10;
 /// Files of the two services of a topic, for samples and for events [bytes].
 const SERVICE_BYTES: u64 = 64 << 10;
-/// Of one block of `st_blocks` [bytes].
+/// Size of one block of `st_blocks` [bytes].
 const BLOCK: u64 = 512;
-/// A process that lives gives a file that it makes its length within this time.
+/// A running process gives a new file its length within this time.
 const FILE_MADE: Duration = Duration::from_millis(20);
 
 /// Shared memory that is kept for a process that may have to be started; freed when dropped.
 ///
-/// A file without a name: nothing is left of it, however its process ends.
+/// It is a file without a name, so that nothing is left however its process ends.
 #[derive(Debug)]
 pub struct Reserve {
-    /// `None` where a file system has no files without a name: there the room is only checked.
+    /// `None` where the file system has no files without a name: there the room is only checked.
     _file: Option<OwnedFd>,
 }
 
@@ -45,7 +45,7 @@ impl Reserve {
     /// Allocates so many bytes.
     ///
     /// # Errors
-    /// [`RuntimeError::SharedMemory`] when they are not there; then nothing was allocated, not even for a moment.
+    /// [`RuntimeError::SharedMemory`] when they are not free; then nothing was allocated, not even for a moment.
     pub fn take(bytes: u64) -> Result<Self, RuntimeError> {
         require(&directory()?, bytes)?;
         let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
@@ -56,12 +56,12 @@ impl Reserve {
         }
     }
 
-    /// Memory of one more process, of whatever role [bytes].
+    /// Memory of one more process, of the role that needs most [bytes].
     pub fn of_a_process() -> u64 {
         Role::ALL.iter().map(|role| process_bytes(*role)).max().unwrap_or_default()
     }
 
-    /// Memory of a system: all services, all processes, the orchestrator, and one process more [bytes].
+    /// Memory of a system: all services, all processes, the orchestrator, and one more process [bytes].
     pub fn of_a_system() -> u64 {
         let services = SERVICE_BYTES * TOPICS.len() as u64;
         let processes: u64 = Role::ALL.iter().map(|role| process_bytes(*role)).sum();
@@ -82,7 +82,7 @@ fn directory() -> Result<OwnedFd, RuntimeError> {
     open(SHARED_MEMORY, OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty()).map_err(error)
 }
 
-/// Allocates all files that a system has in shared memory to their length. One that is allocated already costs a look.
+/// Allocates all files that a system has in shared memory to their length. Those allocated before are skipped.
 ///
 /// # Errors
 /// [`RuntimeError::SharedMemory`] when there is no room; then some files are allocated and others are not.
@@ -90,8 +90,8 @@ pub(crate) fn allocate_files(domain: &Domain) -> Result<(), RuntimeError> {
     files(domain, is_sparse)?.iter().try_for_each(|path| allocate_file(path))
 }
 
-/// Removes what has no content of the files that a system has in shared memory: a process has died while it made one, or
-/// it was cut off. iceoryx2 0.10 waits for the content of such a file without end, also in a clean-up.
+/// Removes empty files of a system in shared memory: their process died while it made them, or they were truncated.
+/// iceoryx2 0.10 waits for ever for the content of such a file, also in a clean-up.
 pub(crate) fn remove_empty_files(domain: &Domain) {
     let is_empty = |file: &std::fs::Metadata| file.len() == 0;
     let before = files(domain, is_empty).unwrap_or_default();
@@ -106,7 +106,7 @@ pub(crate) fn remove_empty_files(domain: &Domain) {
     }
 }
 
-/// Files of a system in shared memory of one kind.
+/// Files of a system in shared memory that `is_wanted` accepts.
 fn files(domain: &Domain, is_wanted: fn(&std::fs::Metadata) -> bool) -> Result<Vec<PathBuf>, RuntimeError> {
     let ours = shared_memory::files(domain.shared_memory_prefix())
         .map_err(|source| RuntimeError::file(SHARED_MEMORY, source))?;
@@ -118,7 +118,7 @@ fn is_sparse(file: &std::fs::Metadata) -> bool {
     file.blocks() * BLOCK < file.len()
 }
 
-/// A file that its process has removed meanwhile needs nothing.
+/// Allocates one file; one that its process has removed meanwhile is skipped.
 fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
     let error = |source| RuntimeError::file(path, source);
     let flags = (OFlags::NOFOLLOW | OFlags::CLOEXEC).bits().cast_signed();
@@ -135,7 +135,7 @@ fn allocate_file(path: &Path) -> Result<(), RuntimeError> {
     allocate(&file, status.len(), missing)
 }
 
-/// Allocates a file to `length`, for which `missing` bytes are needed, where the file system can; what is in it stays.
+/// Allocates a file to `length`, for which `missing` bytes are needed, where the file system can; its content stays.
 pub(crate) fn allocate(file: impl AsFd, length: u64, missing: u64) -> Result<(), RuntimeError> {
     match fallocate(&file, FallocateFlags::empty(), 0, length) {
         Ok(()) | Err(Errno::OPNOTSUPP) => Ok(()),
@@ -144,7 +144,7 @@ pub(crate) fn allocate(file: impl AsFd, length: u64, missing: u64) -> Result<(),
     }
 }
 
-/// Asks before it allocates: an allocation that fails takes all that is free for a moment.
+/// Checks the free room first, because an allocation that fails takes all of it for a moment.
 fn require(file: impl AsFd, needed: u64) -> Result<(), RuntimeError> {
     match free(file)? {
         Some(free) if free < needed => Err(Shortage { needed, free }.into()),
@@ -162,7 +162,7 @@ fn error(reason: Errno) -> RuntimeError {
     RuntimeError::file(SHARED_MEMORY, reason)
 }
 
-/// What a process of a role has in shared memory at most, and the orchestrator to watch its output [bytes].
+/// Shared memory of a process of a role, and of the orchestrator to watch its outputs, at most [bytes].
 pub(crate) fn process_bytes(role: Role) -> u64 {
     let written = TOPICS.iter().filter(|topic| topic.writer() == Some(role));
     let common = output_bytes(Topic::Heartbeat)
@@ -174,18 +174,18 @@ pub(crate) fn process_bytes(role: Role) -> u64 {
     NODE_BYTES + common + outputs + inputs
 }
 
-/// What one that reads all topics has in shared memory at most [bytes].
+/// Shared memory of an observer of all topics, at most [bytes].
 fn observer_bytes() -> u64 {
     NODE_BYTES + TOPICS.iter().map(|topic| input_bytes(*topic)).sum::<u64>()
 }
 
-/// Samples of one publisher, and its connections to as many readers as there may be [bytes].
+/// Samples of one publisher, and its connections to all readers that there may be [bytes].
 fn output_bytes(topic: Topic) -> u64 {
     let qos = qos(topic);
     qos.samples_bytes(topic.size()) + qos.subscribers as u64 * qos.connection_bytes()
 }
 
-/// Connections of one reader to as many publishers as there may be [bytes].
+/// Connections of one reader to all publishers that there may be [bytes].
 fn input_bytes(topic: Topic) -> u64 {
     let qos = qos(topic);
     qos.publishers as u64 * qos.connection_bytes()

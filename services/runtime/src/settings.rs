@@ -16,13 +16,13 @@ pub fn settings_table(role: Role) -> &'static str {
     if role == Role::Robot { "scenario" } else { role.name() }
 }
 
-/// Which time the loop lives in.
+/// The time of the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockKind {
     /// CLOCK_MONOTONIC: driving in real time.
     Monotonic,
-    /// Time moves with the samples: lock-step.
+    /// Time moves with the samples, in lock-step.
     Simulated,
 }
 
@@ -54,10 +54,8 @@ pub struct RunSettings {
 pub(crate) fn read(domain: &Domain, role: Role) -> Result<toml::Table, RuntimeError> {
     let name = settings_file(role);
     let text = domain.folder().read_text(&name)?;
-    text.parse().map_err(|error: toml::de::Error| RuntimeError::Settings {
-        path: domain.directory().join(name),
-        reason: error.to_string(),
-    })
+    text.parse()
+        .map_err(|error: toml::de::Error| RuntimeError::settings(domain.directory().join(name), error))
 }
 
 /// One table of the file as settings of type `T`; a table that is absent reads as empty.
@@ -67,16 +65,8 @@ pub(crate) fn table<T: DeserializeOwned>(
     all: &toml::Table,
     name: &str,
 ) -> Result<T, RuntimeError> {
-    T::deserialize(value(all, name)).map_err(|error| misfit(domain, role, name, &error))
-}
-
-fn value(all: &toml::Table, name: &str) -> toml::Value {
-    all.get(name).cloned().unwrap_or_else(|| toml::Value::Table(toml::Table::new()))
-}
-
-fn misfit(domain: &Domain, role: Role, name: &str, error: &toml::de::Error) -> RuntimeError {
-    RuntimeError::Settings {
-        path: domain.directory().join(settings_file(role)),
-        reason: format!("{name}: {error}"),
-    }
+    let value = all.get(name).cloned().unwrap_or_else(|| toml::Table::new().into());
+    T::deserialize(value).map_err(|error| {
+        RuntimeError::settings(domain.directory().join(settings_file(role)), format_args!("{name}: {error}"))
+    })
 }

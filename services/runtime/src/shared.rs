@@ -8,7 +8,7 @@ use crate::Clock;
 use crate::counters::Counters;
 use crate::guard::Guard;
 
-/// Inputs older than this many scan periods when they arrive are not used any more, unless they are young at any rate.
+/// Inputs older than this many scan periods are dropped when they arrive, unless they are younger than [`YOUNG_NS`].
 const MAX_AGE_PERIODS: u64 = 3;
 
 /// What ports of one process share.
@@ -20,10 +20,10 @@ pub(crate) struct Shared {
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
     pub(crate) guard: Guard,
-    /// Of the scans [ns].
+    /// Scan period [ns].
     pub(crate) period_ns: u64,
     pub(crate) produced: Cell<bool>,
-    /// Something was published since the last sleep.
+    /// An output was published since the last sleep.
     pub(crate) worked: Cell<bool>,
     pub(crate) taken_ns: Cell<u64>,
     /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
@@ -31,7 +31,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// Whether the outputs of this process count, now or from a scan on that was told.
+    /// Whether the outputs of this process count, now or from an announced scan on.
     pub(crate) fn is_in_charge(&self) -> bool {
         self.directive.borrow().authority[self.role.index()].incarnation == self.incarnation
     }
@@ -40,7 +40,7 @@ impl Shared {
     pub(crate) fn taken(&self, topic: Topic, header: &Header) {
         self.clock.advance_to(header.scan_published_ns());
         let now = self.clock.now_ns();
-        // Directives come when they do: nothing follows a period after one.
+        // Directives are not periodic.
         if topic.writer().is_some() {
             self.taken_ns.set(now);
         }
@@ -49,7 +49,7 @@ impl Shared {
         self.counters.take(self.role, topic, header);
     }
 
-    /// Notes that the process publishes its answer now, and returns when that is.
+    /// Notes that the process publishes its answer, and returns the time.
     pub(crate) fn answered(&self) -> u64 {
         let now = self.clock.now_ns();
         let taken_ns = self.stamps.get().taken_ns;
@@ -62,20 +62,20 @@ impl Shared {
         now
     }
 
-    /// Age above which inputs are not used any more when they arrive [ns].
+    /// Age above which arriving inputs are dropped [ns].
     pub(crate) fn max_age_ns(&self) -> u64 {
         (MAX_AGE_PERIODS * self.period_ns).max(YOUNG_NS)
     }
 
-    /// Whether so many scans can be answered before the newest is old, and none must wait for ever. The quicker of
-    /// the last two answers tells: who was stopped in the middle of one is not slow.
+    /// Whether so many scans can be answered before the newest is too old. The quicker of the last two answers counts,
+    /// because a process that was suspended during one answer is not slow.
     pub(crate) fn catches_up(&self, scans: u64) -> bool {
         let [before_ns, last_ns] = self.answered_in_ns.get();
         let answer_ns = before_ns.min(last_ns);
         answer_ns < self.period_ns && MAX_AGE_PERIODS * scans * answer_ns < self.max_age_ns()
     }
 
-    /// Whether a scan will not be too old when it is answered, by the time that the slower of the last two answers took.
+    /// Whether a scan is still young enough after the time that the slower of the last two answers took.
     pub(crate) fn can_answer(&self, header: &Header) -> bool {
         let [before_ns, last_ns] = self.answered_in_ns.get();
         let age_ns = self.clock.now_ns().saturating_sub(header.acquired_ns);

@@ -18,7 +18,7 @@ pub(crate) fn files(prefix: &str) -> io::Result<impl Iterator<Item = DirEntry>> 
     Ok(entries.filter(move |entry| entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes())))
 }
 
-/// Shared memory that is not there.
+/// A lack of shared memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "shared memory is full: {} has {} KiB free, {} KiB are needed: {} KiB are missing",
@@ -28,14 +28,14 @@ pub(crate) fn files(prefix: &str) -> io::Result<impl Iterator<Item = DirEntry>> 
     self.missing().div_ceil(1024)
 )]
 pub struct Shortage {
-    /// What is needed [bytes].
+    /// Bytes needed.
     pub needed: u64,
-    /// What is free [bytes].
+    /// Bytes free.
     pub free: u64,
 }
 
 impl Shortage {
-    /// What has to be freed [bytes]; at least one byte, as a full file system may have room for what it can't give.
+    /// Bytes to free; at least one, because a file system may refuse although it reports enough free bytes.
     pub fn missing(&self) -> u64 {
         self.needed.saturating_sub(self.free).max(1)
     }
@@ -53,7 +53,7 @@ impl<P> Mapped<P> {
     /// Maps the beginning of a file.
     ///
     /// # Safety
-    /// `P` consists of atomics only, which any bytes are valid values of. Its alignment is at most that of a page of the
+    /// `P` consists of atomics only, for which any bytes are valid. Its alignment is at most that of a page of the
     /// machine. The file is at least as large as `P`, and never made smaller.
     pub(crate) unsafe fn new(file: impl AsFd) -> io::Result<Self> {
         let protection = ProtFlags::READ | ProtFlags::WRITE;
@@ -74,7 +74,7 @@ impl<P> Deref for Mapped<P> {
     type Target = P;
 
     fn deref(&self) -> &P {
-        // SAFETY: mapped in `new`, whose caller promised the rest, and unmapped only on drop.
+        // SAFETY: mapped in `new`, whose caller guarantees the rest, and unmapped only on drop.
         unsafe { self.0.as_ref() }
     }
 }

@@ -22,7 +22,7 @@ pub struct Shutdown {
 }
 
 impl Shutdown {
-    /// Starts listening to SIGTERM and SIGINT.
+    /// Installs handlers for SIGTERM and SIGINT.
     ///
     /// # Errors
     /// [`RuntimeError::System`] when the handlers can't be installed.
@@ -30,8 +30,8 @@ impl Shutdown {
         Self::on(&[SIGTERM, SIGINT])
     }
 
-    /// Starts listening to all signals by which an operator or a terminal ends an orchestrator: SIGTERM, SIGINT, SIGQUIT,
-    /// and SIGHUP unless it is ignored, as under `nohup`.
+    /// Installs handlers for all signals by which an operator or a terminal ends an orchestrator: SIGTERM, SIGINT,
+    /// SIGQUIT, and SIGHUP unless it is ignored, as under `nohup`.
     ///
     /// # Errors
     /// As [`Shutdown::on_signals`].
@@ -40,25 +40,22 @@ impl Shutdown {
         Self::on(if is_ignored(SIGHUP) { &all[..3] } else { all })
     }
 
-    /// Lets the signals stop the run at once, before the loop has heard of them.
+    /// Lets the signals stop the run at once, before the loop handles them.
     ///
     /// # Errors
     /// As [`Shutdown::on_signals`].
     pub fn latch_also(&self, word: &StopWord) -> Result<(), RuntimeError> {
-        for &signal in self.signals {
-            let word = word.clone();
-            // SAFETY: latching reads a clock and stores two words of mapped memory; it takes no lock, allocates nothing and
-            // does not unwind. The closure keeps the memory mapped.
-            let registered = unsafe { signal_hook::low_level::register(signal, move || word.latch()) };
-            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
-        }
+        let latched = word.clone();
+        // SAFETY: latching reads a clock and stores two words of mapped memory; it takes no lock, allocates nothing
+        // and does not unwind. The closure keeps the memory mapped.
+        unsafe { self.call_also(move || latched.latch()) }?;
         if self.requested() {
             word.latch();
         }
         Ok(())
     }
 
-    /// Starts listening to other signals.
+    /// Installs handlers for other signals.
     pub(crate) fn on(signals: &'static [i32]) -> Result<Self, RuntimeError> {
         let system = |action| move |source| RuntimeError::System { action, source };
         let (wake, end) = UnixStream::pair().map_err(system("make a wake-up socket"))?;
@@ -73,18 +70,30 @@ impl Shutdown {
         Ok(Self { signals, requested, wake })
     }
 
-    /// Lets the signals ring the bell of a role as well, after the flag is set: whoever looks at the bell and then at
-    /// the flag can't sleep through a signal, whenever it comes.
+    /// Lets the signals also ring the bell of a role, after the flag is set: a process that reads the bell and then
+    /// the flag can't sleep through a signal.
     pub(crate) fn ring_also(&self, bells: &Arc<Bells>, role: Role) -> Result<(), RuntimeError> {
-        for &signal in self.signals {
-            let bells = Arc::clone(bells);
-            // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
-            // allocates nothing and does not unwind. The closure keeps the memory mapped.
-            let registered =
-                unsafe { signal_hook::low_level::register(signal, move || bells.role(role).ring_all()) };
-            registered.map_err(|source| RuntimeError::System { action: "listen to signals", source })?;
-        }
-        Ok(())
+        let bells = Arc::clone(bells);
+        // SAFETY: ringing is an addition to a word of mapped memory and at most one system call; it takes no lock,
+        // allocates nothing and does not unwind. The closure keeps the memory mapped.
+        unsafe { self.call_also(move || bells.role(role).ring_all()) }
+    }
+
+    /// Calls `action` from the handlers of the signals as well.
+    ///
+    /// # Safety
+    /// `action` must do only what a signal handler may do.
+    unsafe fn call_also(
+        &self,
+        action: impl Fn() + Clone + Send + Sync + 'static,
+    ) -> Result<(), RuntimeError> {
+        self.signals.iter().try_for_each(|signal| {
+            // SAFETY: the caller guarantees it.
+            let registered = unsafe { signal_hook::low_level::register(*signal, action.clone()) };
+            registered
+                .map(|_| ())
+                .map_err(|source| RuntimeError::System { action: "listen to signals", source })
+        })
     }
 
     /// Whether a signal has come.

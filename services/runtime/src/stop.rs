@@ -1,17 +1,17 @@
-//! The stop word: one page of memory through which anyone of the same user stops a run, whatever else has failed.
+//! The stop word: one page of memory through which any process of the same user stops a run, whatever else has failed.
 //!
-//! Driving needs the exact value [`ARMED`] in the page; any other value is a stop. Actuator and robot look at it with each
-//! sample and at least ten times a second, so a stop needs no bus, no directory, no lock and no orchestrator. It is
-//! never taken back: the next run has a page of its own.
+//! Driving needs the exact value [`ARMED`] in the page; any other value is a stop. Actuator and robot check it with
+//! each sample and at least ten times a second, so a stop needs no bus, no directory, no lock and no orchestrator. A
+//! stop is final: the next run has a page of its own.
 //!
 //! The page is an anonymous file (memfd) whose memory is allocated when it is made and which is sealed against
-//! shrinking, so that no access can fault. The orchestrator's processes inherit its descriptor; others of the same user
-//! reach it as `/proc/PID/fd/N` of any process of the run. Actuator and robot write into it what their wheels do, so that
-//! who stops a run also learns that it has worked.
+//! shrinking, so that no access can fault. The orchestrator's processes inherit its descriptor; others of the same
+//! user reach it as `/proc/PID/fd/N` of any process of the run. Actuator and robot write into it what the wheels do,
+//! so that a stop can be confirmed.
 //!
-//! Where this fails: a process of the same user can write anything into the page; a robot that neither obeys it nor hears
-//! the actuator is stopped by its own dead man at best.
-#![expect(unsafe_code, reason = "a page of shared memory is a promise about a file")]
+//! Limits: a process of the same user can write anything into the page. A robot that neither obeys it nor receives
+//! actuations is stopped by its own dead man at best.
+#![expect(unsafe_code, reason = "shared memory is mapped from a file")]
 
 use std::fs::OpenOptions;
 use std::io;
@@ -32,12 +32,12 @@ const ARMED: u64 = 0x5ca1_ab1e_d01e_d0e5;
 const STOPPED: u64 = 0;
 /// Number of the layout of the page.
 const VERSION: u64 = 1;
-/// Startup of the name of the page in `/proc/PID/fd`.
+/// Start of the name of the page in `/proc/PID/fd`.
 const NAME: &str = "scanloop-stop-";
 /// Size of the page [bytes].
 const LENGTH: usize = 4096;
 
-/// What a role's wheels do, as far as it knows.
+/// What the wheels do, as a role reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u64)]
 pub enum Wheels {
@@ -62,7 +62,7 @@ impl From<u64> for Wheels {
     }
 }
 
-/// What is in the memory: one line of a processor's cache, then one per role.
+/// Content of the memory: one cache line, then one per role.
 #[repr(C)]
 struct Page {
     head: Head,
@@ -79,7 +79,7 @@ struct Head {
     orchestrator_ticks: AtomicU64,
 }
 
-/// Of the process that is in charge of a role.
+/// Written by the process in charge of a role.
 #[repr(C, align(64))]
 struct Row {
     pid: AtomicU64,
@@ -132,7 +132,7 @@ impl StopWord {
         let number: RawFd = text
             .parse()
             .map_err(|_| RuntimeError::Environment { variable: STOP_FD_VARIABLE, value: text.clone() })?;
-        // Opened anew: the inherited descriptor stays open for those who come through /proc.
+        // Opened again: the inherited descriptor stays open for access through /proc.
         Self::open(Path::new(&format!("/proc/self/fd/{number}"))).map(Some)
     }
 
@@ -157,7 +157,7 @@ impl StopWord {
         opened().map_err(|source| RuntimeError::System { action: "open the stop word", source })
     }
 
-    /// Whether a link in `/proc/PID/fd` leads to a stop word; its run id.
+    /// The run id, if a link in `/proc/PID/fd` leads to a stop word.
     pub fn run_id_of_link(link: &Path) -> Option<&str> {
         let name = link.to_str()?.strip_prefix("/memfd:")?.strip_prefix(NAME)?;
         Some(name.strip_suffix(" (deleted)").unwrap_or(name))
@@ -199,7 +199,7 @@ impl StopWord {
         self.head().period_ns.load(Ordering::SeqCst)
     }
 
-    /// Notes what the wheels do, by the process in charge of `role`.
+    /// Reports what the wheels do; for the process in charge of `role`.
     pub fn report(&self, role: Role, wheels: Wheels) {
         let row = self.row(role);
         row.pid.store(u64::from(std::process::id()), Ordering::SeqCst);
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_reaches_all_who_have_the_page_and_stays() {
+    fn a_stop_reaches_all_that_have_the_page_and_stays() {
         let word = StopWord::create("testrunaaa", 100).unwrap();
         let other = StopWord::open(&link(&word)).unwrap();
         assert!(word.is_armed() && other.is_armed() && other.stopped_ns() == 0);
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn who_stops_a_run_learns_what_the_wheels_do_since() {
+    fn a_stop_is_confirmed_by_what_the_wheels_do_since() {
         let word = StopWord::create("testrunddd", 1).unwrap();
         assert_eq!((word.wheels(Role::Robot).0, word.obeyed_by(Role::Robot)), (Wheels::Unknown, 0));
         word.report(Role::Robot, Wheels::Resting);

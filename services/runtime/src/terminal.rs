@@ -1,11 +1,12 @@
-//! Standard error of a process that must never wait for the reader of its terminal.
+//! Standard error of a process that must never wait for its terminal.
 //!
-//! Without [`start_terminal`] each text is written at once. After it, texts go into a bounded queue, and a thread of its
-//! own writes them: a terminal that is not read, a pipe without a reader and a full disk lose texts, but hold up no
-//! caller. The thread writes to the descriptor, not through `std::io::stderr`, so that it never holds the lock of
-//! that stream. When the queue is full its oldest texts are dropped; the next text that is written says how many.
+//! Without [`start_terminal`] each text is written at once. After it, texts go into a bounded queue, and a separate
+//! thread writes them. So a terminal that is not read, a pipe without a reader and a full disk lose texts, but delay
+//! no caller. The thread writes to the descriptor, not through `std::io::stderr`, so that it never holds the lock of
+//! that stream. When the queue is full its oldest texts are dropped; the next text that is written gives their
+//! number.
 //!
-//! The live line is one line at the bottom of a terminal that is drawn again and again. Only the newest one is kept.
+//! The live line is one line at the bottom of a terminal that is redrawn. Only the newest one is kept.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal, Write};
@@ -16,20 +17,20 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::termios::tcgetwinsize;
 
-/// Most texts in the queue: minutes of what a run has to tell, and nothing to the memory.
+/// Maximum of texts in the queue: minutes of output of a run.
 const MAX_TEXTS: usize = 256;
-/// Most bytes in the queue.
+/// Maximum of bytes in the queue.
 const MAX_BYTES: usize = 1 << 20;
-/// Columns of a terminal that does not tell its size.
+/// Columns of a terminal whose size is unknown.
 const DEFAULT_COLUMNS: usize = 80;
-/// Goes to the first column and clears the line.
+/// Moves to the first column and clears the line.
 const CLEAR_LINE: &[u8] = b"\r\x1b[K";
-/// A descriptor in non-blocking mode that takes nothing for this long loses the text.
+/// A descriptor in non-blocking mode that accepts nothing for this long loses the text.
 const BUSY_LIMIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
 
 static TERMINAL: OnceLock<Arc<Terminal>> = OnceLock::new();
 
-/// What is to be written, and the thread that writes it.
+/// The pending texts, shared with the thread that writes them.
 struct Terminal {
     state: Mutex<State>,
     changed: Condvar,
@@ -40,9 +41,9 @@ struct State {
     queue: Queue,
     /// The live line, while there is one.
     live: Option<String>,
-    /// The live line on the terminal is not this one.
+    /// The terminal does not show this live line yet.
     redraw: bool,
-    /// The thread is in a call to the system, which may last for ever.
+    /// The thread is in a system call, which may block for ever.
     writing: bool,
 }
 
@@ -92,7 +93,7 @@ impl Terminal {
         self.changed.notify_all();
     }
 
-    /// Writes whatever comes, for as long as the process lives.
+    /// Writes all texts and live lines, as long as the process runs.
     fn serve(&self) {
         let mut drawn = false;
         loop {
@@ -127,7 +128,7 @@ impl Terminal {
         let deadline = Instant::now() + limit;
         let mut state = self.lock();
         if !state.queue.is_empty() {
-            // What was lost is told with the next text, so let there be one.
+            // Lost texts are reported with the next text, so add an empty one.
             state.queue.push(Vec::new());
             self.changed.notify_all();
         }
@@ -144,7 +145,7 @@ impl Terminal {
 
 /// From now on no call waits for the reader of standard error.
 ///
-/// When no thread can be started, texts are written at once as before.
+/// When the thread can't be started, texts are still written at once.
 pub fn start_terminal() {
     if TERMINAL.get().is_some() {
         return;
@@ -157,9 +158,9 @@ pub fn start_terminal() {
     }
 }
 
-/// Takes the live line away and waits until all texts are written, but not longer than `limit`.
+/// Removes the live line and waits until all texts are written, but not longer than `limit`.
 ///
-/// For the end of a process: what is not written then is lost.
+/// For the end of a process: texts not written by then are lost.
 pub fn flush_terminal(limit: Duration) {
     show_live_line(None);
     if let Some(terminal) = TERMINAL.get() {
@@ -172,7 +173,7 @@ pub fn is_terminal() -> bool {
     io::stderr().is_terminal()
 }
 
-/// Shows a line at the bottom of the terminal, or takes it away; nothing happens before [`start_terminal`].
+/// Shows a line at the bottom of the terminal, or removes it; has no effect before [`start_terminal`].
 pub fn show_live_line(line: Option<&str>) {
     if let Some(terminal) = TERMINAL.get() {
         let line = line.map(printable);
@@ -192,7 +193,7 @@ pub(crate) fn write(bytes: Vec<u8>) {
     }
 }
 
-/// A text without what could move the cursor, colour the terminal or ask it for something: names come from files.
+/// A text without control characters, which could move the cursor or colour the terminal: names come from files.
 pub fn printable(text: &str) -> String {
     text.chars().filter(|letter| !letter.is_control() || matches!(letter, '\n' | '\t')).collect()
 }
@@ -219,7 +220,7 @@ fn write_now(mut bytes: &[u8]) -> bool {
 
 /// A line of a log; the subscriber hands over one whole event at a time.
 pub(crate) struct LogLine {
-    /// What stands before it.
+    /// Text before the line.
     pub(crate) prefix: String,
 }
 
@@ -239,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_queue_drops_its_oldest_texts_and_says_how_many() {
+    fn a_full_queue_drops_its_oldest_texts_and_counts_them() {
         let mut queue = Queue::default();
         (0..MAX_TEXTS + 3).for_each(|number| queue.push(format!("{number}\n").into_bytes()));
         let (bytes, count) = queue.take();

@@ -15,7 +15,6 @@ use shared_types::{
 use crate::counters::Counters;
 use crate::input::{Input, join};
 use crate::output::Output;
-use crate::sample_type::SampleType;
 use crate::shared::Shared;
 use crate::{Bus, Clock, Domain, Observer, Process, Publisher};
 
@@ -106,8 +105,8 @@ fn a_published_sample_wakes_its_reader_and_carries_the_stamps_of_its_stage() {
 fn a_process_can_publish_checkpoints_from_the_moment_it_attaches() {
     let lab = Lab::new();
     lab.write_settings();
-    let process = Process::enrol(Role::Estimator, lab.domain.clone(), 7).unwrap();
-    let publisher = lab.bus().publisher(SampleType::of::<Checkpoint>()).unwrap();
+    let process = Process::attach_as(Role::Estimator, lab.domain.clone(), 7).unwrap();
+    let publisher = lab.bus().publisher(Checkpoint::TYPE).unwrap();
     assert_eq!(publisher.publishers(), 2, "its own and this test's");
     drop(process);
 }

@@ -1,10 +1,12 @@
-//! Hearing processes that do not ring doorbells: those that use the bus's own events, in any language.
+//! Wake-up between this library and processes that use the events of the bus instead of doorbells, in any language.
 //!
-//! Writers of ours ring, and notify the topic's event as well while somebody listens there. Readers of ours listen only
-//! while a process that can't ring writes one of their topics, and say so beside the doorbells. They tell by the names of
-//! the notifiers: ours are called `doorbell`. Who else listens or notifies is looked up with every heartbeat, with every
-//! directive and after every time-out, because those lists lie in memory that nothing else needs; one that comes is
-//! announced by a directive, so it is known before its samples count, and no sample is lost in any case.
+//! Publishers of this library ring, and also notify the event of the topic while a process listens to it. Its readers
+//! listen only while a process that can't ring writes one of their topics, and register this at the doorbells. They
+//! recognise such a process by the name of its notifier, which is not `doorbell`.
+//!
+//! The lists of listeners and notifiers lie in memory that nothing else needs. So they are read only with every
+//! heartbeat, with every directive and after every time-out. A new process is announced by a directive, so it is
+//! known before its samples count, and no sample is lost in any case.
 
 use std::cell::{Cell, RefCell};
 use std::os::fd::BorrowedFd;
@@ -30,7 +32,7 @@ pub(crate) struct Ringer {
     bells: Arc<Bells>,
     events: Events,
     notifier: Notifier<ipc::Service>,
-    received: Cell<bool>,
+    has_listeners: Cell<bool>,
 }
 
 impl Ringer {
@@ -39,25 +41,25 @@ impl Ringer {
         let created = events.notifier_builder().name(&rings()?).create();
         let notifier =
             created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
-        Ok(Self { topic, bells: Arc::clone(bus.bells()), events, notifier, received: Cell::new(true) })
+        Ok(Self { topic, bells: Arc::clone(bus.bells()), events, notifier, has_listeners: Cell::new(true) })
     }
 
-    /// Wakes everyone who reads the topic.
+    /// Wakes all readers of the topic.
     pub(crate) fn ring(&self) {
         self.bells.ring(self.topic);
-        if self.received.get() || self.bells.has_listeners(self.topic) {
-            // One that can't be notified finds the sample at its next time-out.
+        if self.has_listeners.get() || self.bells.has_listeners(self.topic) {
+            // A reader that can't be notified finds the sample at its next time-out.
             let _ = self.notifier.notify();
         }
     }
 
-    /// Notes whether anybody listens to the events of the topic.
+    /// Checks whether a process listens to the events of the topic.
     pub(crate) fn poll_listeners(&self) {
-        self.received.set(self.events.dynamic_config().number_of_listeners() > 0);
+        self.has_listeners.set(self.events.dynamic_config().number_of_listeners() > 0);
     }
 }
 
-/// The event of a topic, listened to only while somebody needs it.
+/// The event of a topic, listened to only while a publisher needs it.
 pub(crate) struct Waiter {
     topic: Topic,
     bells: Arc<Bells>,
@@ -81,8 +83,8 @@ impl Waiter {
         })
     }
 
-    /// Whether a process that does not ring writes the topic. The list of writers is read again when their number has
-    /// changed, and with `again`, because one may have taken the place of another; reading it allocates.
+    /// Whether a process that does not ring writes the topic. The list of publishers is read again when their number
+    /// has changed, and with `again`, because one may have replaced another; reading it allocates.
     pub(crate) fn is_needed(&self, again: bool) -> bool {
         let notifiers = self.events.dynamic_config().number_of_notifiers();
         if again || notifiers != self.notifiers.get() {
@@ -99,7 +101,7 @@ impl Waiter {
         self.needed.get()
     }
 
-    /// Listens from now on, or not any more.
+    /// Starts or stops listening.
     pub(crate) fn listen(&self, on: bool) {
         let mut listener = self.listener.borrow_mut();
         match (on, listener.is_some()) {
@@ -110,7 +112,7 @@ impl Waiter {
                 }
                 // The time-outs remain.
                 Err(reason) => {
-                    tracing::warn!(topic = %self.topic, ?reason, "the events of a topic can't be heard");
+                    tracing::warn!(topic = %self.topic, ?reason, "can't listen to the events of a topic");
                 }
             },
             (false, true) => {
@@ -126,7 +128,7 @@ impl Waiter {
         self.listener.borrow().as_ref().map(|listener| borrow(descriptor(listener)))
     }
 
-    /// Takes all notifications, so that the next one wakes again; to be called before the topic is emptied.
+    /// Takes all notifications, so that the next one wakes again. Call it before the topic is emptied.
     pub(crate) fn clear(&self) {
         if let Some(listener) = &*self.listener.borrow() {
             clear(listener);

@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use crate::clock::timespec;
 
 /// More descriptors than any process of the loop waits on.
-const MOST: usize = 24;
+const MAX_DESCRIPTORS: usize = 24;
 
 /// Sleeps until one of the descriptors is readable or `timeout_ns` has passed; returns whether one is readable.
 ///
@@ -21,10 +21,10 @@ pub fn wait_for(descriptors: &[BorrowedFd<'_>], timeout_ns: u64) -> bool {
     let Some(first) = descriptors.first() else {
         return matches!(poll(&mut [], Some(&timeout)), Ok(ready) if ready > 0);
     };
-    let mut set: [PollFd<'_>; MOST] = std::array::from_fn(|index| {
+    let mut set: [PollFd<'_>; MAX_DESCRIPTORS] = std::array::from_fn(|index| {
         PollFd::from_borrowed_fd(*descriptors.get(index).unwrap_or(first), PollFlags::IN)
     });
-    let used = descriptors.len().min(MOST);
+    let used = descriptors.len().min(MAX_DESCRIPTORS);
     matches!(poll(&mut set[..used], Some(&timeout)), Ok(ready) if ready > 0)
 }
 

@@ -1,11 +1,11 @@
-//! Corrections of steering angle and velocity: what has to be sent so that the robot does what is desired.
+//! Corrections of steering angle and velocity: the values to send so that the robot does what is desired.
 //!
-//! Pre-commissioning found that the robot drives slower than it is told by a constant factor, and steers by an
-//! angle that is a curve of the angle sent. Sent values undo both. Play between shaft and wheels is undone by its right
-//! inverse: the shaft goes as far beyond the desired angle as the play is wide, to the side that it moves to, so that
-//! it arrives with the wheels in contact. That needs to know where the wheels stand ([`Linkage`]), which follows from
-//! what was sent before; only at the very start they may be anywhere within the play, until the first movement that is
-//! larger. A play that is assumed too wide or too narrow leaves the difference as an error.
+//! Pre-commissioning found that the robot drives slower than commanded by a constant factor, and that its steering
+//! angle is a curve of the angle sent. The corrections invert both. They also invert the play between shaft and
+//! wheels: the shaft turns beyond the desired angle by the width of the play, in its direction of motion, so that it
+//! ends in contact with the wheels. This needs the present position of the wheels ([`Linkage`]), which follows from
+//! earlier sent values. Only at the start it is unknown within the play, until the first larger movement. A wrong
+//! width of the play leaves the difference as an error.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +21,7 @@ pub const SENT_STEERING_MAX_RAD: f64 = 0.12;
 /// Velocity sent per velocity desired, kv, from timed straight runs.
 const VELOCITY_FACTOR: f64 = 1.4;
 
-/// What undoes the robot's imperfections in velocity and steering.
+/// The inverse of the robot's imperfections in velocity and steering.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandCorrection {
@@ -54,8 +54,8 @@ pub struct Correction {
     pub linkage: Linkage,
 }
 
-/// Wheels within this of the desired angle are left where they are [rad]: the shaft would have to cross the whole play
-/// for it, forth and back for every bit of noise in the command. At full lock 1 mrad is 5 cm of the turning radius.
+/// Wheels within this of the desired angle are not moved [rad]. Otherwise noise in the command would make the shaft
+/// cross the whole play to and fro. At full lock 1 mrad is 5 cm of the turning radius.
 const PLAY_TOLERANCE_RAD: f64 = 0.0005;
 
 /// Steering angle sent for the angle desired.

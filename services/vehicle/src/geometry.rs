@@ -1,4 +1,4 @@
-//! Distances between the robot's body and what stands around it.
+//! Distances between the robot's body, obstacles and walls.
 
 use nalgebra::Vector2;
 
@@ -71,7 +71,8 @@ impl Rectangle {
         nearest
     }
 
-    /// Distance to the line y = `wall`, negative when the rectangle reaches beyond it on the far side of `inside_y` [m].
+    /// Distance to the line y = `wall`, negative when the rectangle reaches beyond it on the far side of `inside_y`
+    /// [m].
     pub fn distance_to_wall(&self, wall: f64, inside_y: f64) -> f64 {
         let sign = if inside_y <= wall { 1.0 } else { -1.0 };
         self.corners().iter().map(|corner| sign * (wall - corner.y)).fold(f64::INFINITY, f64::min)

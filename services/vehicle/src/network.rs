@@ -1,8 +1,8 @@
 //! A network with one hidden layer of six neurons that maps a desired steering angle to the angle to send.
 //!
-//! The robot does not steer by the angle it is sent: the linkage bends the relation. Steady circle runs give pairs
-//! of realised and sent angles, and a network of one input, six hyperbolic tangents and one output is fitted to
-//! them with the realised angle as input. Fed with a desired angle it returns the angle that realises it.
+//! The linkage makes the steering angle a nonlinear function of the angle sent. Steady circle runs give pairs of
+//! realised and sent angles. A network of one input, six hyperbolic tangents and one output is fitted to them, with
+//! the realised angle as input. For a desired angle it returns the angle to send.
 //!
 //! Assumptions: the relation is smooth and monotone, and samples cover the angles asked for later; outside of
 //! them the network saturates, it does not extrapolate. Hysteresis (backlash) is not a function of the angle and
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Neurons in the hidden layer.
 pub const NEURONS: usize = 6;
 
-/// Fewest samples that 19 weights are fitted to: two thirds of them train, one third judges.
+/// Smallest number of samples for 19 weights: two thirds of them train, one third validates.
 pub const MIN_SAMPLES: usize = 30;
 
 /// All weights of a network, as one vector: hidden weights, hidden biases, output weights, output bias.

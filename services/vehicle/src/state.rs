@@ -1,6 +1,6 @@
 //! State and control of the model as named values.
 
-use nalgebra::{SVector, Vector2};
+use nalgebra::SVector;
 
 /// State of (7.27)-(7.31).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -44,16 +44,6 @@ impl State {
 }
 
 impl Control {
-    /// The control as (u1, u2).
-    pub fn to_vector(self) -> Vector2<f64> {
-        Vector2::new(self.velocity, self.steering)
-    }
-
-    /// The control from (u1, u2).
-    pub fn from_vector(vector: &Vector2<f64>) -> Self {
-        Self { velocity: vector[0], steering: vector[1] }
-    }
-
     /// Whether both components are finite.
     pub fn is_finite(&self) -> bool {
         self.velocity.is_finite() && self.steering.is_finite()

@@ -3,8 +3,8 @@
 //! Set for low latency as Zenoh's documentation and its own latency examples do:
 //!
 //! * peers that connect to each other directly over TCP on the loopback; no scouting, no gossip, no router;
-//! * `lowlatency` transport without priorities, where messages fit into it (it can't split messages), else the usual one
-//!   without batching;
+//! * `lowlatency` transport without priorities, where messages fit into it (it can't split messages), else the usual
+//!   one without batching;
 //! * a message is passed on inside of the subscriber's callback, on Zenoh's own thread, without waking another one;
 //! * express messages, which are not held back for others;
 //! * with shared memory: messages are allocated there and only their description is sent; the memory is set up at the
@@ -60,7 +60,7 @@ fn main() -> Result<(), Failure> {
     let _subscriber = subscriber.wait()?;
     let mut control = Control::connect(&setup)?;
     control.hello(&setup)?;
-    control.linger();
+    control.wait_for_close();
     Ok(())
 }
 
@@ -181,8 +181,8 @@ impl Stage for Last {
         self.noticed.is_some()
     }
 
-    fn block(&mut self, longest_ns: Option<u64>) {
-        let longest = Duration::from_nanos(longest_ns.unwrap_or(230_000_000));
+    fn block(&mut self, timeout_ns: Option<u64>) {
+        let longest = Duration::from_nanos(timeout_ns.unwrap_or(230_000_000));
         self.noticed = self.arrivals.recv_timeout(longest).ok();
     }
 }

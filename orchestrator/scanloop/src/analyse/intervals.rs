@@ -74,7 +74,7 @@ pub(super) fn analyse(arguments: &IntervalsArguments) -> anyhow::Result<Exit> {
         ..Definition::default()
     };
     definition.validate(arguments.tf, arguments.n.unwrap_or(1)).map_err(refuse)?;
-    let max = definition.most_intervals();
+    let max = definition.max_intervals();
     let limit = arguments.limit.unwrap_or(max.min(24));
     require("limit", limit as f64, 1.0..=max as f64).map_err(refuse)?;
 

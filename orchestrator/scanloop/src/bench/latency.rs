@@ -70,11 +70,6 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         out: logs,
     };
     let mut session = start(&domain, &plan, options, lock, shutdown)?;
-    if arguments.payload.is_some() {
-        for topic in echo::PAYLOAD_TOPICS {
-            session.create_blobs(topic)?;
-        }
-    }
     let stamps_us_per_stage = noise::stamp_cost_us();
     let (noise, granted) =
         noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;

@@ -1,13 +1,13 @@
 //! Control-variable correlation: the angle between the directions in which velocity and steering move the state.
 //!
-//! The columns of the sensitivity of an end state to (velocity, steering) are two vectors in the space of the
-//! five states, in their SI units. Near 0 or 180 degrees the two controls do the same, the Hessian is close to
-//! singular in them and an approximation by BFGS learns it slowly; near 90 degrees they are independent.
+//! The columns of the sensitivity of an end state to (velocity, steering) are two vectors in the space of the five
+//! states, in their SI units. Near 0 or 180 degrees both controls have the same effect: the Hessian is close to
+//! singular in them, and BFGS learns it slowly. Near 90 degrees they are independent.
 //!
-//! Two sensitivities are of interest: of the end of an interval to the control of that interval, and of the end
-//! of the horizon so far to a control that is held from its start. Both are those of the model itself, on elements
-//! that resolve the transient of 3 to 30 ms; one collocation interval passes over it, and what it believes is told
-//! beside. The robot starts in the zero state.
+//! Two sensitivities are analysed: of the end of an interval to its control, and of the end of the horizon so far to
+//! a control that is held from its start. Both are those of the exact motion, on elements that resolve the transient
+//! of 3 to 30 ms. One collocation interval does not resolve it; its own angle is reported as well. The robot starts
+//! in the zero state.
 //!
 //! Source note: the source prints one angle, 95.46 degrees, without the operating point. It is that of one interval
 //! at a steering angle of about -0.0074 rad, or of the horizon at about -0.015 rad; straight ahead the angle is 90.
@@ -19,17 +19,17 @@ use super::search;
 use crate::collocation::{Collocation, Scheme};
 use crate::propagate::propagate;
 
-/// Below this angle a warning is due [deg].
+/// A smaller angle gives a warning [deg].
 pub const CORRELATED_BELOW_DEG: f64 = 10.0;
 
-/// What is analysed.
+/// Input of the analysis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// The robot.
     pub parameters: Parameters,
     /// The box of controls.
     pub bounds: Bounds,
-    /// The scheme whose own angles are told beside.
+    /// The scheme whose own angles are reported as well.
     pub scheme: Scheme,
     /// Length of the horizon [s].
     pub horizon_s: f64,
@@ -50,7 +50,7 @@ pub struct Angles {
     pub held_deg: f64,
 }
 
-/// What was found at an operating point and over the box.
+/// Result at an operating point and over the box of controls.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Correlation {
     /// One row per interval.
@@ -59,7 +59,7 @@ pub struct Correlation {
     pub min_angle_deg: f64,
     /// Smallest of the same over the box of controls [deg].
     pub box_min_angle_deg: f64,
-    /// Where that is.
+    /// The controls with that angle.
     pub box_worst: Control,
 }
 

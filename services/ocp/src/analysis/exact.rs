@@ -1,4 +1,4 @@
-//! The motion under a constant control, so exact that errors of 1e-4 can be measured against it.
+//! The motion under a constant control, exact enough to measure errors of 1e-4 against it.
 //!
 //! Radau-4 on elements that grow from the start: after a jump of the control the fast modes die out within 3 ms at
 //! 0.1 m/s and 30 ms at 1 m/s, and the elements resolve them; what remains is smooth. RK4 in steps of 50 us is
@@ -9,9 +9,9 @@ use vehicle::{Control, Parameters, State};
 use crate::collocation::{Collocation, Scheme};
 use crate::propagate::{Propagation, propagate};
 
-/// First element after a jump of the control, in time constants of the fast modes.
+/// First element after a change of the control, in time constants of the fast modes.
 const FIRST: f64 = 0.25;
-/// Growth of the elements: share of the time since the jump.
+/// Growth of the elements: share of the time since that change.
 const GROWTH: f64 = 0.35;
 /// Longest element [s].
 const MAX_S: f64 = 0.15;
@@ -78,7 +78,7 @@ impl Exact {
         let mut time = 0.0;
         while time < length {
             let element = (first + GROWTH * (since + time)).min(MAX_S);
-            // Two halves instead of a whole and a crumb.
+            // Two halves instead of one element and a very short one.
             let rest = length - time;
             let element = if rest <= element {
                 rest

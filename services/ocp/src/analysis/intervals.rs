@@ -1,16 +1,15 @@
-//! Bilevel analyses: how many intervals a horizon needs, and how long a horizon a number of intervals carries.
+//! Bilevel analyses: how many intervals a horizon needs, and how long a horizon may be for a number of intervals.
 //!
-//! The outer problem is over the number of intervals (bilevel-I) or the length of the horizon (bilevel-II), the
-//! inner one over the controls: the largest error of collocation against the exact motion, from the zero state, as
-//! in [`Definition::worst`]. With [`Grid::Free`] the lengths of the intervals are chosen too, so that the largest
-//! error becomes small. All three are searches, so that the figures are what was found: the inner maximum may be
-//! larger, the best grid better.
+//! The outer problem is over the number of intervals (bilevel-I) or the length of the horizon (bilevel-II), the inner
+//! one over the controls: the largest error of collocation against the exact motion, from the zero state, as in
+//! [`Definition::worst`]. With [`Grid::Free`] the lengths of the intervals are also chosen, so that the largest error
+//! becomes small. All three are searches: the true maximum may be larger than found, and the best grid better.
 //!
 //! Source note: the source prints N = 6 and the error 2.3308e-4 for 2.72 s and the tolerance 2.5e-4, but neither the
-//! scheme nor what the error is of. Two Gauss points, the larger of the two position errors at interval ends and
-//! a control that is held over the horizon give N = 6 and 2.418e-4, and are called the definition of the source. It
-//! passes over what happens inside intervals, over the other states, and over control jumps, each of which starts a
-//! transient of 3 to 30 ms that no scheme resolves with intervals of 0.45 s: [`Definition::others`] tells.
+//! scheme nor what the error is of. Two Gauss points, the larger of the two position errors at interval ends and a
+//! control that is held over the horizon give N = 6 and 2.418e-4, and are called the definition of the source. It
+//! leaves out the motion inside intervals, the other states, and changes of the control. Each change starts a
+//! transient of 3 to 30 ms that no scheme resolves with intervals of 0.45 s, see [`Definition::others`].
 
 use vehicle::{Bounds, Control, Invalid, Parameters, require};
 
@@ -43,7 +42,7 @@ pub enum Grid {
     Free,
 }
 
-/// What is admissible, what an error is, and how large it may be.
+/// The admissible controls, the measure of the error, and its tolerance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Definition {
     /// The robot.
@@ -52,7 +51,7 @@ pub struct Definition {
     pub bounds: Bounds,
     /// Scheme of collocation.
     pub scheme: Scheme,
-    /// What the error is of.
+    /// The measure of the error.
     pub error: ErrorMeasure,
     /// The admissible controls.
     pub controls: Family,
@@ -112,7 +111,7 @@ pub struct Horizons {
 /// The error of the same controls and intervals by another definition.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Other {
-    /// What the error is of.
+    /// The measure of the error.
     pub error: ErrorMeasure,
     /// The admissible controls.
     pub controls: Family,
@@ -122,9 +121,9 @@ pub struct Other {
 
 /// Longest horizon that is analysed [s].
 const MAX_HORIZON_S: f64 = 60.0;
-/// Most equal intervals that are analysed with a held control.
+/// Largest number of equal intervals that are analysed with a held control.
 const MAX_HELD: usize = 40;
-/// Most intervals that are analysed where each takes part in a search of its own.
+/// Largest number of intervals where controls or lengths are searched one by one.
 const MAX_SEARCHED: usize = 10;
 
 impl Definition {
@@ -135,11 +134,11 @@ impl Definition {
     pub fn validate(&self, horizon_s: f64, count: usize) -> Result<(), Invalid> {
         require("tol", self.tolerance, 1e-9..=1.0)?;
         require("tf", horizon_s, 0.05..=MAX_HORIZON_S)?;
-        require("n", count as f64, 1.0..=self.most_intervals() as f64)
+        require("n", count as f64, 1.0..=self.max_intervals() as f64)
     }
 
-    /// Most intervals that are analysed by this definition.
-    pub fn most_intervals(&self) -> usize {
+    /// Largest number of intervals that are analysed by this definition.
+    pub fn max_intervals(&self) -> usize {
         let searched = self.controls == Family::Piecewise || self.grid == Grid::Free;
         if searched { MAX_SEARCHED } else { MAX_HELD }
     }
@@ -153,7 +152,7 @@ impl Definition {
         }
     }
 
-    /// Bilevel-I: the smallest number of intervals within the tolerance, up to `limit`; one more is told.
+    /// Bilevel-I: the smallest number of intervals within the tolerance, up to `limit`, and the error for one more.
     pub fn smallest_count(&self, horizon_s: f64, limit: usize) -> Counts {
         let mut counts = Counts { smallest: None, worst: Vec::new() };
         for count in 1..=limit {
@@ -168,21 +167,22 @@ impl Definition {
         counts
     }
 
-    /// Bilevel-II: the longest horizon such that it and all shorter ones tried keep the tolerance with `count` intervals.
+    /// Bilevel-II: the longest horizon such that it and all shorter ones tried keep the tolerance with `count`
+    /// intervals.
     pub fn longest_horizon(&self, count: usize) -> Horizons {
         /// Ratio of horizons tried one after the other.
         const RATIO: f64 = 1.25;
-        /// The end is found to this share of it; a free grid takes a search for each try.
+        /// Relative precision of the result; coarser on a free grid, which needs a search for each horizon.
         const PRECISION: f64 = 2e-4;
         const PRECISION_FREE: f64 = 2e-3;
-        /// Shorter horizons are none [s].
-        const SHORTEST_S: f64 = 1e-6;
+        /// Shorter horizons are not tried [s].
+        const MIN_HORIZON_S: f64 = 1e-6;
         /// The first try: intervals of 10 ms.
         const FIRST_S: f64 = 0.01;
         let uniform = Self { grid: Grid::Uniform, ..*self };
         let precision = if self.grid == Grid::Free { PRECISION_FREE } else { PRECISION };
         let mut found = Horizons { longest_s: None, worst: None, at_limit: false, tried: Vec::new() };
-        // A free grid keeps what equal intervals keep: its search begins where theirs ends.
+        // A free grid is never worse than equal intervals, so its search begins where theirs ends.
         let mut shape = vec![1.0 / count as f64; count];
         let mut low = 0.0;
         let mut next = FIRST_S * count as f64;
@@ -198,11 +198,11 @@ impl Definition {
         while !found.at_limit {
             let horizon_s = match high {
                 None => next.min(MAX_HORIZON_S),
-                Some(high) if high - low > precision * high && high > SHORTEST_S => 0.5 * (low + high),
+                Some(high) if high - low > precision * high && high > MIN_HORIZON_S => 0.5 * (low + high),
                 Some(_) => break,
             };
             let lengths_s: Vec<f64> = shape.iter().map(|share| share * horizon_s).collect();
-            // On equal intervals, controls that were the worst for another horizon often settle the matter.
+            // On equal intervals, the worst controls of another horizon often exceed the tolerance already.
             let error = known.as_ref().map_or(0.0, |controls| runner.error(&lengths_s, controls));
             if self.grid == Grid::Uniform && error > self.tolerance {
                 found.tried.push((horizon_s, error));
@@ -256,10 +256,10 @@ impl Definition {
 
     /// Lengths of the same sum with a small largest error, found from `lengths_s`.
     ///
-    /// The lengths are improved against the worst controls known so far; then the worst controls for the new
-    /// lengths are added, until they are no news. Equal intervals are never better than the result.
+    /// The lengths are improved against the worst controls known so far. Then the worst controls for the new lengths
+    /// are added, until they are no worse than the known ones. Equal intervals are never better than the result.
     fn best_lengths(&self, lengths_s: Vec<f64>) -> Worst {
-        /// Rounds of exchange at most.
+        /// Maximum of such rounds.
         const ROUNDS: usize = 4;
         let count = lengths_s.len();
         let equal = vec![lengths_s.iter().sum::<f64>() / count as f64; count];
@@ -278,13 +278,13 @@ impl Definition {
             };
             let (lengths, error) = search::improve(best.lengths_s.clone(), largest);
             let worst = self.worst_on(lengths);
-            let news = worst.error > error * (1.0 + 1e-3);
-            if news {
+            let is_worse = worst.error > error * (1.0 + 1e-3);
+            if is_worse {
                 known.push(worst.controls.clone());
             }
             if worst.error < best.error {
                 best = worst;
-            } else if !news {
+            } else if !is_worse {
                 break;
             }
         }

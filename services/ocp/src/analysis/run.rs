@@ -1,7 +1,7 @@
 //! The error of collocation along a horizon under given controls.
 //!
-//! Collocation and the exact motion both start at the zero state; each goes on from its own end, so the error
-//! at an interval end holds what all intervals before have left behind.
+//! Collocation and the exact motion both start at the zero state and continue from their own ends. So the error at the
+//! end of an interval includes those of all intervals before.
 
 use vehicle::{Control, Parameters, State};
 
@@ -10,10 +10,10 @@ use crate::collocation::{Collocation, MAX_STAGES, Scheme};
 use crate::interval::Interval;
 use crate::propagate::converge;
 
-/// Points inside an interval at which the dense measure looks, its end included.
+/// Points of an interval at which the dense measure compares, its end included.
 const DENSE: usize = 10;
 
-/// What the error of collocation is taken of. States are in SI units.
+/// How the error of collocation is measured. States are in SI units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ErrorMeasure {
     /// The larger error of x and y at the ends of intervals [m].
@@ -29,7 +29,7 @@ impl ErrorMeasure {
     pub const ALL: [Self; 3] = [Self::PositionEnds, Self::AllStatesEnds, Self::PositionDense];
 }
 
-/// Where both motions are at a node, and the largest error up to it.
+/// Both motions at a node, and the largest error up to it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Node {
     approximate: State,

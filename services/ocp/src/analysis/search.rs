@@ -19,7 +19,7 @@ const FIRST_STEP: f64 = 0.125;
 pub(crate) const LAST_STEP: f64 = 0.001;
 /// The same where many controls are searched together.
 const LAST_STEP_OF_MANY: f64 = 0.01;
-/// Walks over all intervals at most.
+/// Maximum of walks over all intervals.
 const WALKS: usize = 12;
 /// A walk that gains no more than this share is the last.
 const SETTLED: f64 = 1e-3;
@@ -116,7 +116,7 @@ pub(crate) fn maximise(
     (control, largest)
 }
 
-/// The first of those with the largest error.
+/// The first candidate with the largest error.
 fn best_of(candidates: impl Iterator<Item = Control>, error: impl Fn(Control) -> f64) -> (Control, f64) {
     let mut best = (Control::default(), f64::NEG_INFINITY);
     for candidate in candidates {
@@ -143,7 +143,7 @@ pub(crate) fn grid(bounds: &Bounds, velocities: usize, angles: usize) -> Vec<Con
         .collect()
 }
 
-/// Starts of the walk: left and right in turn, and a single change of side, fast and slow.
+/// Starts of the walk: alternating sides, one change of side, and alternating speeds.
 fn starts(bounds: &Bounds, count: usize) -> Vec<Vec<Control>> {
     let fast = |left: bool| Control {
         velocity: bounds.velocity_max_mps,
@@ -163,7 +163,7 @@ pub(crate) fn improve(mut lengths: Vec<f64>, error: impl Fn(&[f64]) -> f64) -> (
     /// First and last time moved, as a share of the mean length.
     const STEPS: (f64, f64) = (0.4, 0.006);
     /// No interval becomes shorter than this share of the mean length.
-    const SHORTEST: f64 = 0.02;
+    const MIN_SHARE: f64 = 0.02;
     let count = lengths.len();
     let mean = lengths.iter().sum::<f64>() / count as f64;
     let mut smallest = error(&lengths);
@@ -172,7 +172,7 @@ pub(crate) fn improve(mut lengths: Vec<f64>, error: impl Fn(&[f64]) -> f64) -> (
         let before = smallest;
         for from in 0..count {
             for to in (0..count).filter(|to| *to != from) {
-                if lengths[from] - step * mean < SHORTEST * mean {
+                if lengths[from] - step * mean < MIN_SHARE * mean {
                     continue;
                 }
                 let mut moved = lengths.clone();

@@ -1,9 +1,10 @@
-//! The active set of the chain by a primal-dual search: solve with the present set, then correct it everywhere at once.
+//! The active set of the chain by a primal-dual search: solve with the present set, then correct it everywhere at
+//! once.
 //!
-//! Controls in the set are held at their bounds, rows beyond a limit are penalties, rows at a limit are equations. The
-//! first two cost nothing in the recursion; the equations are solved for by their Schur complement, one linear solve each,
-//! and there are few: a path touches an ellipse at some nodes only. From a good start one to three rounds are enough, and
-//! the answer is exact. There is no proof that the rounds end; the caller limits them.
+//! Controls in the set are held at their bounds, rows beyond a limit are penalties, rows at a limit are equations.
+//! The first two cost nothing in the recursion; the equations are solved for by their Schur complement, one linear
+//! solve each, and there are few: a path touches an ellipse at some nodes only. From a good start one to three rounds
+//! are enough, and the answer is exact. There is no proof that the rounds end; the caller limits them.
 
 use super::Chain;
 use crate::dense::{cholesky, fill, solve_factored};
@@ -65,7 +66,8 @@ impl Chain {
                 return false;
             }
             for (&row, &multiplier) in self.equations.iter().zip(&self.multipliers) {
-                self.rows[row].add_to(multiplier, &mut self.sums);
+                let row = &self.rows[row];
+                row.add_to(multiplier, &mut self.sums[row.node]);
             }
             self.riccati.solve(intervals, &self.sums, &self.held, Some(&shooting.gaps), &mut self.path);
         }
@@ -91,7 +93,7 @@ impl Chain {
         for (index, (row, state)) in self.rows.iter().zip(&solution.row_states).enumerate() {
             if let Some((sign, limit)) = state.beyond([row.lower, row.upper]) {
                 row.add_square(bend, &mut self.blocks);
-                row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums);
+                row.add_to(sign * self.slack_linear - bend * limit, &mut self.sums[row.node]);
             } else if *state != RowState::Inside {
                 self.equations.push(index);
                 let block = &self.blocks[row.node];
@@ -100,7 +102,7 @@ impl Chain {
                 let weight = square_weight * size / square.max(1e-6);
                 let limit = if *state == RowState::AtLower { row.lower } else { row.upper };
                 row.add_square(weight, &mut self.blocks);
-                row.add_to(-weight * limit, &mut self.sums);
+                row.add_to(-weight * limit, &mut self.sums[row.node]);
             }
         }
     }
@@ -114,9 +116,7 @@ impl Chain {
         for (response, &row) in self.responses.iter_mut().zip(&self.equations) {
             let row = &self.rows[row];
             let mut slope = [0.0; 7];
-            for (&place, factor) in row.places.iter().zip(row.factors) {
-                slope[place] += factor;
-            }
+            row.add_to(1.0, &mut slope);
             self.riccati.respond(&shooting.intervals, row.node, &slope, response);
         }
         self.schur.clear();
@@ -134,11 +134,11 @@ impl Chain {
         true
     }
 
-    /// Corrects the states in `solution` wherever the path contradicts them; true where it did nowhere. Multipliers of
+    /// Corrects the states in `solution` where the path contradicts them; true where it never does. Multipliers of
     /// the present set are filled in.
     ///
-    /// Where neighbouring nodes exceed the same limit only the worst of them joins: a path that is pushed out at one node
-    /// is out at the next, and equations at all of them would leave it no freedom.
+    /// Where neighbouring nodes exceed the same limit only the worst of them joins: a path that is pushed out at one
+    /// node is out at the next, and equations at all of them would leave it no freedom.
     fn correct_set(&mut self, solution: &mut QpSolution) -> bool {
         let mut right = true;
         self.find_violations(solution);
@@ -163,7 +163,7 @@ impl Chain {
             }
         }
         self.report_rows(solution);
-        let most = self.slack_linear + TOLERANCE;
+        let largest = self.slack_linear + TOLERANCE;
         for (index, row) in self.rows.iter().enumerate() {
             let value = row.value(&self.path.states);
             let multiplier = solution.row_multipliers[index];
@@ -181,8 +181,8 @@ impl Chain {
                 }
                 RowState::AtUpper if multiplier < -TOLERANCE => RowState::Inside,
                 RowState::AtLower if multiplier > TOLERANCE => RowState::Inside,
-                RowState::AtUpper if multiplier > most => RowState::BeyondUpper,
-                RowState::AtLower if multiplier < -most => RowState::BeyondLower,
+                RowState::AtUpper if multiplier > largest => RowState::BeyondUpper,
+                RowState::AtLower if multiplier < -largest => RowState::BeyondLower,
                 RowState::BeyondUpper if value < row.upper - TOLERANCE => RowState::AtUpper,
                 RowState::BeyondLower if value > row.lower + TOLERANCE => RowState::AtLower,
                 same => same,
@@ -193,7 +193,7 @@ impl Chain {
         right
     }
 
-    /// How far rows inside their limits are in fact outside.
+    /// By how much rows with state `Inside` violate their limits.
     fn find_violations(&mut self, solution: &QpSolution) {
         let states = &self.path.states;
         fill(

@@ -1,4 +1,4 @@
-//! The chain by a primal-dual interior-point method, where the search for the active set goes round in circles.
+//! The chain by a primal-dual interior-point method, used where the search for the active set cycles.
 //!
 //! Every finite bound and limit is a side with its distance and multiplier; a soft side also has its slack and the
 //! multiplier of `slack >= 0`, which are eliminated, so that each iteration is one Riccati factorisation with two
@@ -11,7 +11,7 @@ use crate::hessian::Block;
 use crate::qp::{BoundState, QpSolution, RowState};
 use crate::shooting::Shooting;
 
-/// What a side belongs to.
+/// The constraint of a side.
 #[derive(Debug, Clone, Copy)]
 enum Owner {
     Control(usize),
@@ -55,8 +55,8 @@ impl Side {
         self.multiplier * self.outer
     }
 
-    /// Linear term of the change of the value in the eliminated system; keeps what the slack and the multiplier would
-    /// change by if the value stayed.
+    /// Linear term of the change of the value in the eliminated system; keeps the changes of slack and multiplier at a
+    /// constant value.
     fn slope(&mut self) -> f64 {
         let slack = (self.targets[1] - self.slack * self.relief) * self.inner;
         let short = self.targets[0] - self.distance * self.multiplier;
@@ -111,7 +111,7 @@ impl Chain {
             && (self.keeps_all(solution) || self.approach(shooting, blocks, f64::INFINITY, solution))
     }
 
-    /// Whether no row that is inside its limits by its state is outside of them in fact.
+    /// Whether all rows with state `Inside` are within their limits.
     fn keeps_all(&self, solution: &QpSolution) -> bool {
         /// More than the interior point leaves of any row that it knows.
         const TOLERANCE: f64 = 1e-4;
@@ -151,7 +151,7 @@ impl Chain {
             let intervals = &shooting.intervals;
             let states = &solution.bound_states;
             if !self.riccati.factorise(intervals, &self.blocks, &self.change, self.tied, states) {
-                // Rounding errors of the large weights; what has been reached is judged below.
+                // Rounding errors of the large weights; the point reached is checked below.
                 break;
             }
             for side in &mut self.sides {
@@ -243,9 +243,9 @@ impl Chain {
                 }
                 let slack = excess.max(0.0) + PRODUCT / self.slack_linear.max(1.0);
                 let distance = slack - excess;
-                let most = self.slack_linear + 2.0 * self.slack_quadratic * slack;
-                let multiplier = (PRODUCT / distance).min(0.5 * most);
-                let relief = most - multiplier;
+                let largest = self.slack_linear + 2.0 * self.slack_quadratic * slack;
+                let multiplier = (PRODUCT / distance).min(0.5 * largest);
+                let relief = largest - multiplier;
                 let owner = Owner::Row(index);
                 self.sides.push(Side { owner, sign, distance, multiplier, slack, relief, ..blank });
             }
@@ -270,14 +270,15 @@ impl Chain {
 
     /// Solves for the step, into the path, and fills the changes of the sides.
     ///
-    /// The step and not the new point is solved for, because weights of 1e10 times a value would drown the rest.
+    /// It solves for the step, not for the new point, because weights of 1e10 times a value would lose all other
+    /// digits.
     fn direct(&mut self, shooting: &Shooting, bend: f64) {
         self.sums.clone_from(&self.base);
         for side in &mut self.sides {
             let slope = side.slope();
             match side.owner {
                 Owner::Control(place) => self.sums[place / 2][5 + place % 2] += slope,
-                Owner::Row(row) => self.rows[row].add_to(slope, &mut self.sums),
+                Owner::Row(row) => self.rows[row].add_to(slope, &mut self.sums[self.rows[row].node]),
             }
         }
         self.riccati.solve(&shooting.intervals, &self.sums, &self.held, None, &mut self.path);
@@ -334,7 +335,8 @@ impl Chain {
         sum / f64::max(count, 1.0)
     }
 
-    /// Reads solution and active set off the last point: a constraint is active when its multiplier exceeds its distance.
+    /// Reads solution and active set off the last point: a constraint is active when its multiplier exceeds its
+    /// distance.
     fn finish_interior(&mut self, solution: &mut QpSolution) {
         self.write(&self.point, solution);
         for side in &self.sides {

@@ -8,8 +8,8 @@ use crate::shooting::Shooting;
 use crate::walk::{Met, Walk};
 
 impl Chain {
-    /// Newton's step with `blocks`, which may be indefinite, from the step and active set in `solution`, into it; false
-    /// where they are not positive definite on that set.
+    /// Newton's step with `blocks`, which may be indefinite, from the step and active set in `solution`, into it;
+    /// false where they are not positive definite on that set.
     ///
     /// A constraint that is met on the way from the step of the program joins the active set.
     pub(crate) fn refine(
@@ -18,8 +18,8 @@ impl Chain {
         blocks: &[Block],
         solution: &mut QpSolution,
     ) -> bool {
-        /// How many constraints may join, at least and per stage. With more the program has too little to do with the
-        /// step; what has been walked by then is a step as well.
+        /// How many constraints may join, at least and per stage. With more, the program is too far from the step.
+        /// The part walked by then is used as the step.
         const JOINING: usize = 4;
         const STAGES_PER_JOIN: usize = 12;
         self.start_walk(shooting, solution);
@@ -28,7 +28,7 @@ impl Chain {
                 if round == 0 {
                     return false;
                 }
-                // What has been walked so far is a step of its own, which cannot be corrected.
+                // The part walked so far is a valid step, which cannot be corrected.
                 self.equations.clear();
                 break;
             }

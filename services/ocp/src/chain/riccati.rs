@@ -1,8 +1,8 @@
 //! The Riccati recursion: the program without inequalities, with some controls held.
 //!
-//! The state of the recursion is (x, w), where w is the control of the interval before, to which the control differences
-//! tie. From the end to the start, the cost to go is 1/2 z' P z + p' z; the matrices are factorised once and then serve
-//! for any number of right-hand sides. Work is linear in the number of intervals.
+//! The state of the recursion is (x, w), where w is the control of the interval before, to which the control
+//! differences tie. From the end to the start, the cost to go is 1/2 z' P z + p' z; the matrices are factorised once
+//! and then serve for any number of right-hand sides. Work is linear in the number of intervals.
 
 #![expect(clippy::needless_range_loop, reason = "small matrices read best by their indices")]
 
@@ -54,8 +54,8 @@ impl Riccati {
         tied: bool,
         states: &[BoundState],
     ) -> bool {
-        /// Curvature below this, for an objective of order one, is rounding or too flat to trust.
-        const LEAST: f64 = 1e-9;
+        /// Curvature below this, for an objective of order one, may be a rounding error.
+        const MIN_CURVATURE: f64 = 1e-9;
         let count = intervals.len();
         self.stages.clear();
         refill(&mut self.costs, count + 1, [[0.0; 7]; 7]);
@@ -105,7 +105,7 @@ impl Riccati {
                 stage.hessian[row][row] += change[row];
             }
             let free = [0, 1].map(|component: usize| states[2 * index + component] == BoundState::Free);
-            let Some(inverse) = invert(&stage.hessian, free, LEAST) else { return false };
+            let Some(inverse) = invert(&stage.hessian, free, MIN_CURVATURE) else { return false };
             stage.inverse = inverse;
             for row in 0..2 {
                 for place in 0..7 {
@@ -114,7 +114,7 @@ impl Riccati {
                 }
             }
 
-            // A' P A + B, less what the control wins.
+            // A' P A + B, less the decrease by the control.
             let mut next = [[0.0; 7]; 7];
             for column in 0..5 {
                 let mut sums = [0.0; 2];
@@ -178,10 +178,10 @@ impl Riccati {
             let held = [held[2 * index], held[2 * index + 1]];
             next = self.retreat(index, &intervals[index], &next, &slopes[index], held, path);
         }
-        self.advance(intervals, gaps, count, path);
+        self.advance(intervals, gaps, path);
     }
 
-    /// The solution for a single linear term at `node`, as far as the node `last`; no gaps, nothing held off zero.
+    /// The solution for a single linear term at `node`, without gaps and with all held controls at zero.
     pub(crate) fn respond(
         &self,
         intervals: &[Linearisation],
@@ -196,7 +196,7 @@ impl Riccati {
         for index in (0..node).rev() {
             next = self.retreat(index, &intervals[index], &next, &[0.0; 7], [0.0; 2], path);
         }
-        self.advance(intervals, None, count, path);
+        self.advance(intervals, None, path);
     }
 
     /// Derivative of the Lagrangian by the controls of an interval at the solution, without the bounds' multipliers.
@@ -216,7 +216,7 @@ impl Riccati {
         })
     }
 
-    /// One interval of the backward sweep; p before it.
+    /// One interval of the backward sweep; returns p before it.
     #[inline]
     fn retreat(
         &self,
@@ -254,11 +254,11 @@ impl Riccati {
     }
 
     /// The forward sweep.
-    fn advance(&self, intervals: &[Linearisation], gaps: Option<&[[f64; 5]]>, count: usize, path: &mut Path) {
+    fn advance(&self, intervals: &[Linearisation], gaps: Option<&[[f64; 5]]>, path: &mut Path) {
         let mut state = [0.0; 5];
         let mut control = [0.0; 2];
         path.states[0] = state;
-        for index in 0..count {
+        for index in 0..intervals.len() {
             let gain = &self.stages[index].gain;
             let mut next = path.open[index];
             for row in 0..2 {

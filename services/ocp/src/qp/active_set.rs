@@ -1,11 +1,11 @@
 //! The quadratic program by a dual active-set method that starts from the multipliers of the program before.
 //!
-//! The dual is maximised over the multipliers. A soft row has a multiplier between 0 and L1 while it is held at a limit,
-//! and L1 + 2 L2 s beyond it; so the dual is piecewise quadratic, and a working constraint reads
-//! `a' v - d * multiplier = b` with (d, b) = (0, limit) at a limit and (1 / (2 L2), limit - L1 / (2 L2)) beyond it.
-//! With H = L L', y = L' v and m = L^-1 a, the multipliers of a working set solve `(M M' + D) multipliers = -(b + M f)`.
-//! From dual feasible multipliers the method walks towards that solution; a multiplier that meets the end of its range
-//! on the way changes its state (it leaves, or goes beyond its limit, or returns to it), else the most violated
+//! The dual is maximised over the multipliers. A soft row has a multiplier between 0 and L1 while it is held at a
+//! limit, and L1 + 2 L2 s beyond it; so the dual is piecewise quadratic, and a working constraint reads `a' v - d *
+//! multiplier = b` with (d, b) = (0, limit) at a limit and (1 / (2 L2), limit - L1 / (2 L2)) beyond it. With H = L
+//! L', y = L' v and m = L^-1 a, the multipliers of a working set solve `(M M' + D) multipliers = -(b + M f)`. From
+//! dual feasible multipliers the method walks towards that solution; a multiplier that meets the end of its range on
+//! the way changes its state (it leaves, or goes beyond its limit, or returns to it), else the most violated
 //! constraint joins. Each step raises the dual, so sets do not repeat. Any multipliers of the right sign are a start:
 //! where the active set has not changed, one solve is enough.
 //!
@@ -78,7 +78,7 @@ impl ActiveSet {
         fill(&mut self.offset, qp.gradient.iter().copied());
         forward(&self.factor, count, &mut self.offset);
         self.start(qp, solution);
-        // Usual are as many steps as constraints change; ten times all constraints is a sign of rounding trouble.
+        // One step per changed constraint is usual; ten times all constraints indicates rounding errors.
         let limit = 10 * (count + qp.row_count()) as u32;
         self.iterations = 0;
         while self.iterations < limit {
@@ -96,7 +96,7 @@ impl ActiveSet {
         false
     }
 
-    /// The working set is what has a multiplier in `solution`, or a state other than free.
+    /// Starts the working set with the constraints that are active in `solution`.
     fn start(&mut self, qp: &Qp, solution: &QpSolution) {
         let count = qp.variables();
         self.working.clear();
@@ -239,8 +239,8 @@ impl ActiveSet {
 
     /// Brings the factor of M M' + D up to date.
     fn factorise(&mut self, qp: &Qp) -> Factored {
-        /// Pivots below this share of the diagonal entry are dependence.
-        const SMALLEST_PIVOT: f64 = 1e-11;
+        /// A pivot below this share of the diagonal entry means dependence.
+        const MIN_PIVOT: f64 = 1e-11;
         let count = qp.variables();
         let size = self.working.len();
         if size > self.stride {
@@ -262,7 +262,7 @@ impl ActiveSet {
                 } else {
                     let entry = entry + softness(qp, &self.working[row]);
                     let pivot = entry - dot(&here[..column], &here[..column]);
-                    if pivot <= SMALLEST_PIVOT * entry {
+                    if pivot <= MIN_PIVOT * entry {
                         self.fresh = row;
                         return Factored::Dependent(row);
                     }
@@ -343,7 +343,7 @@ impl ActiveSet {
             }
         }
         backward(&self.factor, count, &mut solution.step);
-        // Rounding is not to put a variable off the bound it is held at.
+        // Removes rounding errors of variables that are held at a bound.
         for working in &self.working {
             if let Constraint::Bound(index) = working.what {
                 solution.step[index] = if working.sign > 0.0 { qp.upper[index] } else { qp.lower[index] };

@@ -1,7 +1,7 @@
 //! The quadratic program by Clarabel's interior-point method.
 //!
 //! It has no warm start and allocates, but it failed in none of thousands of degenerate programs. Rows that no
-//! admissible step can bring to their limits are left out: that is exact, and most bounds of the state are such.
+//! admissible step can bring to their limits are left out, which is exact; most bounds of the state are such rows.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -71,7 +71,7 @@ pub(crate) fn solve(qp: &Qp, solution: &mut QpSolution) -> bool {
     true
 }
 
-/// Reads the active set off an interior solution: a constraint is active when its multiplier exceeds its distance.
+/// Derives the active set from an interior solution: a constraint is active when its multiplier exceeds its distance.
 fn classify(qp: &Qp, solution: &mut QpSolution) {
     solution.bound_states.clear();
     for (index, (&value, &multiplier)) in solution.step.iter().zip(&solution.bound_multipliers).enumerate() {
@@ -130,7 +130,7 @@ fn reachable(qp: &Qp, row: usize) -> bool {
 
 /// Primal and dual values, or nothing where the status is not Solved.
 fn attempt(data: &Data, refine: bool) -> Option<(Vec<f64>, Vec<f64>)> {
-    /// The SQP is to reach 1e-6; 1e-4 here is not enough for it, and below 1e-9 rounding makes failures.
+    /// The SQP must reach 1e-6: 1e-4 here is not enough for it, and below 1e-9 rounding errors cause failures.
     const TOLERANCE: f64 = 1e-9;
     let settings: DefaultSettings<f64> = DefaultSettingsBuilder::default()
         .verbose(false)
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_soft_row_gives_way_where_its_penalty_is_the_smaller_evil() {
+    fn a_soft_row_is_exceeded_where_its_penalty_is_cheaper() {
         // minimise 1/2 v^2 - 10 v with v <= 1 soft: 10 - v = L1 + 2 L2 (v - 1) beyond the limit.
         let mut qp = Qp {
             hessian: vec![1.0],

@@ -1,9 +1,9 @@
-//! The real-time iteration: what does not need the measured state is done before the state comes.
+//! The real-time iteration: all work that does not need the measured state is done before it arrives.
 //!
-//! [`Solver::prepare`] linearises the problem at a predicted state; [`Solver::feedback`] moves the linearised model to
-//! the measured one, condenses and solves one quadratic program. The answer is exact to first order in what the
-//! prediction was off, so it suits small errors of prediction; nothing is searched, iterated or verified. Initial value
-//! embedding: DOI 10.1137/S0363012902400713.
+//! [`Solver::prepare`] linearises the problem at a predicted state; [`Solver::feedback`] moves the linearised model
+//! to the measured one, condenses and solves one quadratic program. The answer is exact to first order in the error
+//! of the prediction, so it suits small errors; nothing is searched, iterated or verified. Initial value embedding:
+//! DOI 10.1137/S0363012902400713.
 
 use vehicle::{Control, State};
 
@@ -12,7 +12,7 @@ use crate::problem::{Problem, Trajectory};
 use crate::usable::is_usable;
 
 impl Solver {
-    /// Linearises `problem` around `guess` at its predicted initial state; false for input that means nothing.
+    /// Linearises `problem` around `guess` at its predicted initial state; false for invalid input.
     pub fn prepare(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
         is_usable(problem, guess) && self.start(problem, guess)
     }

@@ -1,4 +1,5 @@
-//! The quadratic program of one iteration and Newton's step on its active set: condensed, or as a chain where it is long.
+//! The quadratic program of one iteration and Newton's step on its active set: condensed, or as a chain where it is
+//! long.
 
 use super::Solver;
 use crate::condense::{add_second_order, condense, condense_blocks};
@@ -77,7 +78,8 @@ impl Solver {
         }
     }
 
-    /// Newton's step on the active set of the quadratic program, into the solution of `newton`; false where there is none.
+    /// Newton's step on the active set of the quadratic program, into the solution of `newton`; false where there is
+    /// none.
     pub(super) fn solve_newton(&mut self, problem: &Problem, damping: f64, shift: bool) -> bool {
         if self.is_long {
             self.refine_chain(problem, shift)
@@ -163,7 +165,7 @@ impl Solver {
         );
     }
 
-    /// Replaces the interior point's answer by the exact solution on its active set, where that is the better one.
+    /// Replaces the interior point's answer by the exact solution on its active set, where that is better.
     fn polish(&mut self) {
         self.newton.hessian.clone_from(&self.qp.hessian);
         if self.newton.solve(&self.qp, &self.answer, false) {

@@ -6,7 +6,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use shared_types::{
-    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, Topic,
+    Actuation, Admission, AuthorityFilter, Fate, Fault, Header, InputAccount, Refusal, Role, SampleType,
+    Topic,
 };
 
 use crate::bell::Bells;
@@ -14,15 +15,15 @@ use crate::enclosed::Enclosed;
 use crate::port::{ByteSubscriber, Received};
 use crate::qos::{Qos, qos};
 use crate::refusals::Refusals;
-use crate::sample_type::SampleType;
 use crate::shared::Shared;
 use crate::waiter::Waiter;
 use crate::{Bus, RuntimeError};
 
-/// Samples that an input keeps until the process takes them, the newest of them; below the number that may be borrowed.
-pub const KEPT: usize = 12;
-/// Samples of the other process of an exchange that are kept in case it has to answer after all: one scan is open
-/// when it takes over at 1.2 periods; two more for an orchestrator that is held up.
+/// Samples that wait in an input until the process takes them; the oldest is dropped for a newer one. Less than may be
+/// borrowed.
+pub const QUEUE_DEPTH: usize = 12;
+/// Samples of the other process of a swap that are kept in case it answers after all: one scan is open when it takes
+/// over at 1.2 periods; two more for an orchestrator that is delayed.
 const ASIDE: usize = 3;
 
 /// Reads samples of one type, as bytes.
@@ -51,13 +52,13 @@ impl Reader {
             qos,
             subscriber: bus.subscriber(of)?,
             waiter: Waiter::new(bus, of.topic)?,
-            // Whatever was rung before is found by the first look.
+            // The first poll finds whatever was published before.
             rung: Cell::new(bus.bells().topic(of.topic).poll().wrapping_sub(1)),
             bells: Arc::clone(bus.bells()),
             shared,
-            kept: RefCell::new(VecDeque::with_capacity(KEPT)),
+            kept: RefCell::new(VecDeque::with_capacity(QUEUE_DEPTH)),
             aside: RefCell::new(VecDeque::with_capacity(ASIDE)),
-            dropped: RefCell::new(Vec::with_capacity(qos.most_borrowed())),
+            dropped: RefCell::new(Vec::with_capacity(qos.max_borrowed())),
             filter: Cell::default(),
             account: RefCell::default(),
             refusals: Refusals::default(),
@@ -105,11 +106,11 @@ impl Reader {
         });
     }
 
-    /// Tells of a sample whose content may not be used. Samples that would not count are no news: nothing follows from them.
+    /// Reports a sample whose content may not be used. One from a process that is not in charge is not reported.
     pub(super) fn refuse(&self, header: &Header, fault: &Fault) {
         let counts = self.shared.directive.borrow().counts(self.of.topic, header);
         if counts && self.refusals.note(self.of.topic, header, fault) {
-            self.shared.counters.news.set(true);
+            self.shared.counters.is_urgent.set(true);
         }
     }
 
@@ -122,33 +123,33 @@ impl Reader {
         self.of.topic
     }
 
-    /// The event of the topic, for writers that do not ring.
+    /// The event of the topic, for publishers that do not ring.
     pub(crate) fn waiter(&self) -> &Waiter {
         &self.waiter
     }
 
-    /// Whether nothing waits to be taken.
+    /// Whether no sample waits to be taken.
     pub(crate) fn is_empty(&self) -> bool {
         self.kept.borrow().is_empty()
     }
 
-    /// Whether the topic was rung for since it was emptied.
+    /// Whether the bell of the topic was rung since the input was emptied.
     pub(crate) fn is_rung(&self) -> bool {
         self.bells.topic(self.of.topic).poll() != self.rung.get()
     }
 
-    /// Clears notifications, takes all samples from the bus and keeps the good ones.
+    /// Clears notifications, takes all samples from the bus and keeps the valid ones.
     pub(crate) fn drain(&self) -> Result<(), RuntimeError> {
-        // Before anything is taken: what comes later rings again.
+        // Before any sample is taken: one that comes later rings again.
         self.rung.set(self.bells.topic(self.of.topic).poll());
         self.waiter.clear();
         // Samples are overwritten only when as many newer ones have come as the buffer holds.
         let capacity = self.qos.buffer;
         let (before, mut received) = (*self.account.borrow(), 0);
-        // What is dropped goes back to its producer at the end of a go only. A producer has so many samples that can be
-        // borrowed and no more, so one that publishes faster than this can hold neither this loop nor, because the bus
-        // asks the connections in a fixed order, the samples of another. So many goes empty the longest queue.
-        for _ in 0..capacity.div_ceil(self.qos.borrowed.saturating_sub(KEPT + ASIDE).max(1)) {
+        // Dropped samples return to their publisher at the end of each round only. A publisher has a limited number of
+        // samples to borrow, so one that floods the topic can neither keep this loop busy nor, as the bus polls the
+        // connections in a fixed order, hold up another's samples. So many rounds empty the longest queue.
+        for _ in 0..capacity.div_ceil(self.qos.borrowed.saturating_sub(QUEUE_DEPTH + ASIDE).max(1)) {
             let is_all = self.subscriber.receive_all(|sample| {
                 received += 1;
                 self.arrive(sample);
@@ -164,14 +165,14 @@ impl Reader {
         Ok(())
     }
 
-    /// Looks again at what was kept aside, now that the directive has changed.
+    /// Filters the samples kept aside again, after the directive has changed.
     pub(crate) fn review(&self) {
         let waiting = std::mem::take(&mut *self.aside.borrow_mut());
         waiting.into_iter().for_each(|sample| self.offer(sample, true));
         self.dropped.borrow_mut().clear();
     }
 
-    /// What became of all samples so far.
+    /// The counters of all samples so far.
     pub(crate) fn account(&self) -> InputAccount {
         let mut account = *self.account.borrow();
         for sample in self.kept.borrow().iter().chain(self.aside.borrow().iter()) {
@@ -217,7 +218,7 @@ impl Reader {
         self.kept.borrow().iter().any(|sample| self.header(sample).scan_id == scan_id)
     }
 
-    /// Notes that a sample came from the bus, and drops it when its number or its content is wrong.
+    /// Counts a sample from the bus, and drops it when its number or its content is wrong.
     fn arrive(&self, sample: Received) {
         let header = self.header(&sample);
         let check = (self.of.check)(&sample);
@@ -227,15 +228,15 @@ impl Reader {
             self.dropped.borrow_mut().push(sample);
             return;
         }
-        let (fate, news) = {
+        let (fate, is_urgent) = {
             let account = &mut *self.account.borrow_mut();
             let missing = account.missing;
             let is_new = account.from(header.incarnation).is_none();
             let fate = account.arrive(header);
             (fate, is_new || fate.is_some() || account.missing > missing)
         };
-        if news && self.of.topic.writer().is_some() {
-            self.shared.counters.news.set(true);
+        if is_urgent && self.of.topic.writer().is_some() {
+            self.shared.counters.is_urgent.set(true);
         }
         if let Some(fate) = fate {
             self.discard(fate, sample);
@@ -265,12 +266,12 @@ impl Reader {
             self.refuse(header, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
             return self.discard(Fate::Stale, sample);
         }
-        self.push(&self.kept, sample, KEPT, Fate::Replaced);
+        self.push(&self.kept, sample, QUEUE_DEPTH, Fate::Replaced);
     }
 
     /// The age of a sample that is too old [ns].
     fn age_of_stale(&self, header: &Header) -> Option<u64> {
-        // An actuation asks something of the robot only. Others read in it what the wheels did, which stays true.
+        // An actuation is a request to the robot only. Others read from it what the wheels did, which stays true.
         let (topic, shared) = (self.of.topic, &self.shared);
         let is_record = topic == Topic::Actuation && shared.role != Role::Robot;
         if shared.clock.is_simulated() || topic.writer().is_none() || is_record || header.acquired_ns == 0 {
@@ -289,16 +290,16 @@ impl Reader {
         self.account.borrow_mut().settle(fate, self.header(sample));
     }
 
-    /// Drops a sample, at the end of this look.
+    /// Drops a sample at the end of this poll.
     fn discard(&self, fate: Fate, sample: Received) {
         self.settle(fate, &sample);
         self.dropped.borrow_mut().push(sample);
     }
 
-    /// Puts a sample at the end; when there are `most` already, the oldest is dropped.
-    fn push(&self, queue: &RefCell<VecDeque<Received>>, sample: Received, most: usize, fate: Fate) {
+    /// Appends a sample; from a queue that holds `depth`, the oldest is dropped.
+    fn push(&self, queue: &RefCell<VecDeque<Received>>, sample: Received, depth: usize, fate: Fate) {
         let mut queue = queue.borrow_mut();
-        let oldest = (queue.len() == most).then(|| queue.pop_front()).flatten();
+        let oldest = (queue.len() == depth).then(|| queue.pop_front()).flatten();
         if let Some(oldest) = oldest {
             self.discard(fate, oldest);
         }
@@ -319,7 +320,7 @@ pub(super) fn join(one: &Reader, other: &Reader) -> Option<(Enclosed<Received>, 
     };
     let first = one.take_scan(scan_id)?;
     let Some(second) = other.take_scan(scan_id) else {
-        // Its writer does not number scans in order.
+        // Its publisher does not number scans in order.
         one.settle(Fate::Replaced, &first);
         return None;
     };

@@ -1,20 +1,19 @@
 //! The writing end of a topic for samples of any type.
-#![expect(unsafe_code, reason = "places in shared memory are touched without changing them")]
+#![expect(unsafe_code, reason = "shared memory is touched without changing it")]
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Actuation, Role, Topic};
+use shared_types::{Actuation, Role, SampleType, Topic};
 
 use crate::bell::LINE;
 use crate::counters::count;
 use crate::port::{BytePublisher, Loan};
-use crate::sample_type::SampleType;
 use crate::shared::Shared;
 use crate::waiter::Ringer;
 use crate::{Bus, RuntimeError};
 
-/// Of a large sample only the beginning is kept in the caches [bytes].
+/// Of a large sample only this much is warmed up [bytes].
 const WARMED: usize = 16_384;
 
 /// Publishes samples of one type, which it is given as bytes.
@@ -26,7 +25,7 @@ pub(crate) struct Writer {
     ringer: Ringer,
     shared: Rc<Shared>,
     sequence: Cell<u64>,
-    /// How many readers there were when it was looked up last.
+    /// How many readers there were when last counted.
     readers: Cell<usize>,
 }
 
@@ -97,7 +96,7 @@ impl Writer {
         self.ringer.ring();
         let mut next = self.next.borrow_mut();
         if next.is_none() {
-            *next = self.publisher.loan(1).ok();
+            *next = self.publisher.loan().ok();
         }
     }
 
@@ -111,17 +110,17 @@ impl Writer {
     fn loan(&self) -> Result<Loan, RuntimeError> {
         match self.next.borrow_mut().take() {
             Some(place) => Ok(place),
-            None => self.publisher.loan(1).map_err(|reason| self.error("loan", reason)),
+            None => self.publisher.loan().map_err(|reason| self.error("loan", reason)),
         }
     }
 
     fn send_place(&self, place: Loan) -> Result<(), RuntimeError> {
         let delivered = place.send().map_err(|reason| self.error("send", reason))?;
         if self.of.topic == Topic::Actuation && self.shared.is_in_charge() {
-            self.shared.guard.tell();
+            self.shared.guard.publish_wheels();
         }
         if delivered != self.readers.get() {
-            // Looked up now only: the list of readers lies in memory that nothing else needs.
+            // Counted only now: the list of readers lies in memory that nothing else needs.
             self.readers.set(self.publisher.subscribers());
             count(&self.shared.counters.undelivered, u64::from(delivered < self.readers.get()));
         }
@@ -137,11 +136,17 @@ impl Writer {
 pub(crate) trait Connect {
     /// Makes this end of all connections.
     fn connect(&self);
-    /// Notes how many read the topic, and whether anybody listens to its events.
+    /// Counts the readers of the topic, and those that listen to its events.
     fn poll_listeners(&self) {}
-    /// Touches what the next sample will need.
-    fn rehearse(&self) {
+    /// Loads what the next sample will need into the caches.
+    fn warm_up(&self) {
         self.connect();
+    }
+}
+
+impl<F: Fn()> Connect for F {
+    fn connect(&self) {
+        self();
     }
 }
 
@@ -155,18 +160,18 @@ impl Connect for Writer {
         self.ringer.poll_listeners();
     }
 
-    fn rehearse(&self) {
+    fn warm_up(&self) {
         self.connect();
         let mut next = self.next.borrow_mut();
         *next = None;
-        if let Ok(mut place) = self.publisher.loan(1) {
+        if let Ok(mut place) = self.publisher.loan() {
             warm(place.bytes());
             *next = Some(place);
         }
     }
 }
 
-/// Writes one byte of each cache line, the one that is there, so that the processor has the line and may write it.
+/// Rewrites one byte of each cache line with its own value, so that the processor holds the line for writing.
 fn warm(place: &mut [u8]) {
     for byte in place.iter_mut().take(WARMED).step_by(LINE) {
         // SAFETY: a reference to a byte may be read and written.
@@ -177,7 +182,7 @@ fn warm(place: &mut [u8]) {
     }
 }
 
-/// Whether a topic belongs to the writes of a role, or is one that every process writes.
+/// Whether a role writes a topic, or every process does.
 pub(crate) fn may_write(role: Role, topic: Topic) -> bool {
     topic.writer().is_none() || topic.writer() == Some(role)
 }

@@ -1,6 +1,6 @@
-//! The state that a process leaves for the one that goes on from it.
+//! The state that a process saves for its successor.
 
-use shared_types::{Actuation, Checkpoint, Described};
+use shared_types::{Actuation, Checkpoint, Described, Header};
 
 use super::waiting::Need;
 use super::{CHECKPOINT_AGE_NS, HANDOVER_AGE_NS, JOIN_NS, Process};
@@ -8,33 +8,25 @@ use crate::handover::{self, Handover};
 use crate::{Observer, RuntimeError, environment, monotonic_ns};
 
 impl Process {
-    /// Publishes the state of this process after a scan, for the one that may have to go on from it.
+    /// Publishes the state of this process after a scan, for its successor.
     ///
     /// # Errors
     /// Errors of the bus.
-    pub fn save<T: bytemuck::Pod + Described>(
-        &self,
-        header: &shared_types::Header,
-        state: &T,
-    ) -> Result<(), RuntimeError> {
+    pub fn save<T: bytemuck::Pod + Described>(&self, header: &Header, state: &T) -> Result<(), RuntimeError> {
         self.save_checkpoint(header, Checkpoint::of(self.shared.role, state))
     }
 
-    /// [`Process::save`] of a state that is bytes already.
+    /// [`Process::save`] of a state in bytes.
     ///
     /// # Errors
     /// Errors of the bus.
-    pub fn save_checkpoint(
-        &self,
-        header: &shared_types::Header,
-        mut checkpoint: Checkpoint,
-    ) -> Result<(), RuntimeError> {
+    pub fn save_checkpoint(&self, header: &Header, mut checkpoint: Checkpoint) -> Result<(), RuntimeError> {
         checkpoint.header = header.answer();
         checkpoint.issued_ns = monotonic_ns();
         self.checkpoint.publish_silently(&mut checkpoint)
     }
 
-    /// The state that the process before this one left less than half a second before its end.
+    /// The state of the process before this one, if it was saved less than half a second before that process ended.
     ///
     /// # Errors
     /// [`RuntimeError::File`] when the hand-over can't be read.
@@ -49,7 +41,7 @@ impl Process {
         })
     }
 
-    /// [`Process::resume`] without a look at what the state is.
+    /// [`Process::resume`] without a check of the type of the state.
     ///
     /// # Errors
     /// [`RuntimeError::File`] when the hand-over can't be read.
@@ -61,7 +53,7 @@ impl Process {
             tracing::warn!("the process before this one left no state");
             return Ok(Handover::Lost);
         };
-        // In lock-step the loop rests while a process starts: its state does not age, and contains all actuations.
+        // In lock-step the loop waits while a process starts: its state does not age, and contains all actuations.
         if !self.shared.clock.is_simulated() {
             let now_ns = monotonic_ns();
             let (age_ns, waited_ns) = (data.age_ns(now_ns), now_ns.saturating_sub(data.checkpoint.issued_ns));
@@ -76,22 +68,22 @@ impl Process {
         Ok(Handover::State(data.checkpoint))
     }
 
-    /// The newest actuations that were sent before this process was started, oldest first: for a role that reads them
-    /// and has found a state with [`Process::resume`]. The process before this one may not have seen the last of them.
+    /// The newest actuations sent before this process was started, oldest first: for a role that reads them and got a
+    /// state from [`Process::resume`]. The process before this one may not have received the last of them.
     pub fn handed_actuations(&self) -> Vec<Actuation> {
         self.handed_actuations.take()
     }
 
-    /// The scan after which the state was taken that [`Process::resume`] has found; 0 without one.
+    /// The scan after which the state from [`Process::resume`] was saved; 0 without one.
     pub fn handed_scan(&self) -> u64 {
         self.handed_scan.get()
     }
 
-    /// The newest state of the running process that this one was started beside, and the scan after which it was
-    /// taken: to be called after [`Process::start`], because what was handed over at the start has aged since.
+    /// For a candidate: the newest state of the running process, and the scan after which it was saved. Call it after
+    /// [`Process::start`], because the state handed over before has aged since.
     ///
-    /// `None` when this process was not started beside another, when that one publishes no state of this type
-    /// for two and a half periods, and in lock-step, where the loop rests while a process starts.
+    /// `None` when this process is no candidate, when the running process publishes no state of this type for two and
+    /// a half periods, and in lock-step, where the loop waits while a process starts.
     ///
     /// # Errors
     /// Errors of the bus.
@@ -104,10 +96,10 @@ impl Process {
         Ok(newest)
     }
 
-    /// Hands fresh checkpoints of the running process to `accept`, until the newest of one poll was accepted or the time is
-    /// over.
+    /// Hands fresh checkpoints of the running process to `accept`, until it accepts the newest of a poll or the time
+    /// has passed.
     fn join_checkpoint(&mut self, accept: &mut dyn FnMut(&Checkpoint) -> bool) -> Result<(), RuntimeError> {
-        let Some(beside) = environment::beside() else { return Ok(()) };
+        let Some(incumbent) = environment::incumbent() else { return Ok(()) };
         if self.shared.clock.is_simulated() {
             return Ok(());
         }
@@ -117,7 +109,7 @@ impl Process {
         let mut is_accepted = false;
         while !is_accepted && monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
             states.poll(|checkpoint| {
-                let is_fresh = checkpoint.header.incarnation == beside && checkpoint.issued_ns >= begun_ns;
+                let is_fresh = checkpoint.header.incarnation == incumbent && checkpoint.issued_ns >= begun_ns;
                 if is_fresh && checkpoint.role == self.shared.role.wire() {
                     is_accepted = accept(checkpoint);
                 }

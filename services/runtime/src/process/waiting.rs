@@ -1,7 +1,7 @@
 //! How a process sleeps, and what it does when it wakes.
 //!
-//! One way for all: sleep on the doorbell or, while a writer that does not ring is there, on the events of the bus, never without a
-//! time-out; look at the bell; take the directive; then take all inputs.
+//! It sleeps on the doorbell, or on the events of the bus while a publisher that does not ring writes one of its
+//! topics, never without a time-out. When it wakes it reads the bell, takes the directive, then all inputs.
 
 use std::os::fd::BorrowedFd;
 
@@ -14,33 +14,33 @@ use crate::waiter::Waiter;
 use crate::wake::wait_for;
 use crate::{RuntimeError, monotonic_ns, orphan};
 
-/// A heartbeat that is due waits for this long at most for a moment in which nobody is kept from running by it.
+/// How long a heartbeat that is due may wait, so that it delays no process of the loop [ns].
 const HEARTBEAT_TIMEOUT_NS: u64 = 30_000_000;
 /// Sleeps that are longer than this leave caches cold [ns].
 const COLD_NS: u64 = 5_000_000;
-/// Who gave its processor away while it polled and got it back later than this shares it with others [ns].
+/// A polling process that yields and gets its processor back later than this shares it with others [ns].
 const AWAY_NS: u64 = 500_000;
 /// How long a process that shares its processor does not poll [ns].
 const CROWDED_NS: u64 = 10_000_000_000;
-/// How long nothing must have happened for that [ns].
+/// How long no input must have come for a late heartbeat [ns].
 const QUIET_NS: u64 = 2_000_000;
 
 /// What a process sleeps for.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Need {
-    /// An input, whichever.
+    /// Any input.
     Any,
-    /// All inputs: one that does not complete them need not wake.
+    /// All inputs: an input that does not complete them need not wake.
     All,
     /// A time, as exactly as the settings allow, or an input before it.
     Time,
 }
 
 impl Process {
-    /// Sleeps until an input has something, the deadline of the clock has passed, or a tenth of a second has;
-    /// then takes what has come. False when the process is to end.
+    /// Sleeps until an input has a sample, the deadline has passed, or a tenth of a second has; then takes all samples
+    /// from the bus. False when the process must end.
     ///
-    /// Simulated time has no deadlines: it only moves with samples.
+    /// The deadline has no effect in simulated time, which moves with the samples.
     ///
     /// # Errors
     /// Errors of the bus.
@@ -48,8 +48,8 @@ impl Process {
         self.wait_until(deadline_ns, Need::Any)
     }
 
-    /// [`Process::wait`] for a process that [`crate::join`]s its inputs: while several are missing, only the one declared last
-    /// wakes it, and then the next that is missing.
+    /// [`Process::wait`] for a process that [`crate::join`]s its inputs: while several are missing, only the one
+    /// opened last wakes it, and then the next that is missing.
     ///
     /// # Errors
     /// Errors of the bus.
@@ -57,8 +57,8 @@ impl Process {
         self.wait_until(None, Need::All)
     }
 
-    /// [`Process::wait`] for a process whose work begins at a time, not with an input: with `realtime.poll_us` it is
-    /// awake before that time, so that it need not be woken.
+    /// [`Process::wait`] for a process whose work begins at a time, not with an input. With `realtime.poll_us` it is
+    /// awake before that time.
     ///
     /// # Errors
     /// Errors of the bus.
@@ -77,37 +77,39 @@ impl Process {
             }
             _ => MAX_WAIT_NS,
         };
-        // Only the time itself is met exactly, not the end of a sleep before it.
+        // Only the deadline itself is met exactly, not the end of an earlier sleep.
         let need = if need == Need::Time && remaining == MAX_WAIT_NS { Need::Any } else { need };
         self.sleep(remaining, need)
     }
 
-    pub(super) fn sleep(&mut self, longest_ns: u64, need: Need) -> Result<bool, RuntimeError> {
+    pub(super) fn sleep(&mut self, timeout_ns: u64, need: Need) -> Result<bool, RuntimeError> {
         let now = monotonic_ns();
-        let beats = self.shared.counters.news.get() || now >= self.next_heartbeat_ns;
-        // Who was just woken by an output may be waiting for this processor: words can wait until it is quiet.
-        let rests = beats && self.shared.worked.take() && now < self.next_heartbeat_ns + HEARTBEAT_TIMEOUT_NS;
-        let (longest_ns, need) =
-            if rests { (longest_ns.min(QUIET_NS), Need::Any) } else { (longest_ns, need) };
-        let beats = beats && !rests;
+        let is_due = self.shared.counters.is_urgent.get() || now >= self.next_heartbeat_ns;
+        // A reader of the last output may be waiting for this processor: the heartbeat can wait.
+        let waits =
+            is_due && self.shared.worked.take() && now < self.next_heartbeat_ns + HEARTBEAT_TIMEOUT_NS;
+        let (timeout_ns, need) =
+            if waits { (timeout_ns.min(QUIET_NS), Need::Any) } else { (timeout_ns, need) };
+        let beats = is_due && !waits;
         if beats {
             self.beat()?;
         }
-        let until_ns = now + longest_ns;
+        let until_ns = now + timeout_ns;
         let timed_out = if self.listens {
-            !self.sleep_on_events(longest_ns)
+            !self.sleep_on_events(timeout_ns)
         } else {
             while let Some(early_ns) = self.early_ns(monotonic_ns(), until_ns, need) {
                 let is_rung = self.bells.role(self.shared.role).sleep(self.rung, early_ns, self.topics);
-                let goes_on = self.poll(beats, !is_rung)?;
-                // A writer that does not ring may have come: the next sleep is on its events.
-                if is_rung || !goes_on || self.listens || self.inputs.iter().any(|input| !input.is_empty()) {
-                    return Ok(goes_on);
+                let continues = self.poll(beats, !is_rung)?;
+                // A publisher that does not ring may have joined: the next sleep is on its events.
+                if is_rung || !continues || self.listens || self.inputs.iter().any(|input| !input.is_empty())
+                {
+                    return Ok(continues);
                 }
                 if monotonic_ns() >= self.next_heartbeat_ns {
                     self.beat()?;
                 }
-                self.outputs.iter().for_each(|output| output.rehearse());
+                self.outputs.iter().for_each(|output| output.warm_up());
             }
             !self.sleep_on_bell(now, until_ns, need)
         };
@@ -115,10 +117,10 @@ impl Process {
         self.poll(beats, timed_out)
     }
 
-    /// When to wake next although nothing is expected: shortly before something is, to warm up.
+    /// When to wake to warm up the caches: shortly before the next input is expected; `None` when that is not needed.
     ///
-    /// After some milliseconds of sleep most of the time that a hop takes is spent on waiting for memory. So a process
-    /// looks at its inputs and takes its next place in shared memory when that keeps nobody waiting.
+    /// After some milliseconds of sleep a hop spends most of its time on waiting for memory. So a process polls its
+    /// inputs and takes its next place in shared memory while no process waits for it.
     fn early_ns(&self, now: u64, until_ns: u64, need: Need) -> Option<u64> {
         let due_ns = match need {
             _ if self.shared.clock.is_simulated() => return None,
@@ -129,7 +131,7 @@ impl Process {
         (early_ns < due_ns && early_ns > now + COLD_NS && early_ns < until_ns).then_some(early_ns)
     }
 
-    /// Sets the alarm for the end of the sleep that will follow, when work begins that [`Process::wait_for_time`] waited for.
+    /// Sets the alarm for the end of the next sleep, when the work begins that [`Process::wait_for_time`] waited for.
     pub(super) fn set_alarm(&self) {
         if self.due_ns > 0 && !self.shared.clock.is_simulated() {
             let now = monotonic_ns();
@@ -140,26 +142,26 @@ impl Process {
         }
     }
 
-    /// What follows every sleep: takes what has come, the directive first. Topics that nobody rang for are left out unless
-    /// the process `beats` or nothing has woken it. False when the process is to end.
+    /// Takes all new samples after a sleep, the directive first. Topics whose bells were not rung are skipped unless
+    /// the process `beats` or its sleep timed out. False when the process must end.
     fn poll(&mut self, beats: bool, timed_out: bool) -> Result<bool, RuntimeError> {
-        self.looked_ns = monotonic_ns();
+        self.polled_ns = monotonic_ns();
         let woken_ns =
-            if self.shared.clock.is_simulated() { self.shared.clock.now_ns() } else { self.looked_ns };
+            if self.shared.clock.is_simulated() { self.shared.clock.now_ns() } else { self.polled_ns };
         self.shared.counters.wake();
         self.shared.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });
-        // Before anything is emptied: what comes later rings again.
+        // Before any input is emptied: a sample that comes later rings again.
         self.rung = self.bells.role(self.shared.role).poll();
-        // A writer may have died between its sample and its ring; and who does not ring is heard otherwise.
+        // A publisher may have died between its sample and its ring, or not ring at all.
         let everywhere = beats || timed_out || self.listens;
         if everywhere || self.directive.reader().is_rung() {
             self.directive.reader().drain()?;
-            self.look_around(beats);
+            self.update_listeners(beats);
         }
         if let Some(directive) = self.directive.take_newest() {
             *self.shared.directive.borrow_mut() = *directive;
-            self.directive_seen_ns = self.looked_ns;
-            // Before anything newer is taken: what was kept aside comes first.
+            self.directive_seen_ns = self.polled_ns;
+            // Before newer samples are taken: those kept aside come first.
             self.inputs.iter().for_each(|input| input.review());
         }
         for input in &self.inputs {
@@ -167,12 +169,12 @@ impl Process {
                 input.drain()?;
             }
         }
-        let alone_ns = self.looked_ns.saturating_sub(self.directive_seen_ns);
-        // In lock-step the robot waits for grants, so silence stops it anyway.
+        let alone_ns = self.polled_ns.saturating_sub(self.directive_seen_ns);
+        // In lock-step the robot waits for grants, so without directives it stops anyway.
         let simulated = self.shared.clock.is_simulated();
         self.shared.guard.set_silent(!simulated && alone_ns > self.run.orphan_stop_ns);
-        self.tell_wheels();
-        // A run that was stopped can't be adopted, so it is not waited for.
+        self.publish_wheels();
+        // A stopped run can't be adopted, so its processes end earlier.
         let timeout_ns = match self.shared.guard.is_latched() {
             true => self.run.orphan_timeout_ns.min(self.run.orphan_stop_ns),
             false => self.run.orphan_timeout_ns,
@@ -180,13 +182,13 @@ impl Process {
         let orphaned = alone_ns > orphan::limit_ns(self.shared.role, timeout_ns);
         if orphaned {
             tracing::error!("no orchestrator for {} s: ending", alone_ns / 1_000_000_000);
-            self.janitor.is_orphaned();
+            self.cleanup.mark_orphaned();
         }
-        let goes_on = !self.shutdown.requested() && !orphaned;
-        if !goes_on {
-            self.realtime.give_way();
+        let continues = !self.shutdown.requested() && !orphaned;
+        if !continues {
+            self.realtime.leave_real_time();
         }
-        Ok(goes_on)
+        Ok(continues)
     }
 
     /// Sleeps on the doorbell; false after a time-out.
@@ -200,7 +202,7 @@ impl Process {
         }
         let (from_ns, to_ns) = match need {
             Need::Time => (until_ns.saturating_sub(poll_ns), until_ns),
-            // The others are at work on what is missing.
+            // Other processes are computing the missing inputs.
             Need::All if self.inputs.iter().any(|input| !input.is_empty()) => (now, now + poll_ns),
             Need::All => (until_ns, until_ns),
             Need::Any => {
@@ -217,7 +219,7 @@ impl Process {
             if bell.poll() != self.rung {
                 return true;
             }
-            // The one it waits for may need this processor.
+            // The process it waits for may need this processor.
             std::thread::yield_now();
             let back_ns = monotonic_ns();
             if back_ns > now + AWAY_NS {
@@ -229,14 +231,14 @@ impl Process {
         now < until_ns && bell.sleep(self.rung, until_ns, self.topics)
     }
 
-    /// What a process that joins its inputs waits for: the last of those that are missing.
+    /// The topics that wake a process that joins its inputs: the directive, and the last input that is missing.
     fn missing(&self) -> u32 {
         let missing = self.inputs.iter().rev().find(|input| input.is_empty());
         missing.map_or(self.topics, |input| bit(input.topic()) | bit(Topic::Directive))
     }
 
-    /// Sleeps on the events of all topics, which writers of ours notify as well; false after a time-out.
-    fn sleep_on_events(&self, longest_ns: u64) -> bool {
+    /// Sleeps on the events of all topics, which all publishers notify; false after a time-out.
+    fn sleep_on_events(&self, timeout_ns: u64) -> bool {
         if self.bells.role(self.shared.role).poll() != self.rung {
             return true;
         }
@@ -248,13 +250,12 @@ impl Process {
             *slot = descriptor;
             used += 1;
         }
-        wait_for(&descriptors[..used], longest_ns)
+        wait_for(&descriptors[..used], timeout_ns)
     }
 
-    /// Listens to events while a process that does not ring writes one of the topics read here, and notifies them while
-    /// somebody listens. Called before inputs are emptied, so what was published before is found, and what is published
-    /// later is heard.
-    fn look_around(&mut self, again: bool) {
+    /// Listens to events while a process that does not ring writes one of the topics read here, and notifies them
+    /// while a process listens. Call it before the inputs are emptied, so that no sample is missed in between.
+    fn update_listeners(&mut self, again: bool) {
         self.outputs.iter().for_each(|output| output.poll_listeners());
         let mut needed = false;
         for input in &self.inputs {

@@ -44,7 +44,7 @@ fn the_reserve_covers_what_a_process_really_needs_and_the_check_what_a_system_do
     let mut robots = Vec::new();
     for incarnation in 1..=2 {
         let before = length(domain);
-        let mut robot = Process::enrol(Role::Robot, domain.clone(), incarnation).unwrap();
+        let mut robot = Process::attach_as(Role::Robot, domain.clone(), incarnation).unwrap();
         let ports = (
             robot.output::<Scan>().unwrap(),
             robot.output::<Odometry>().unwrap(),
@@ -56,7 +56,7 @@ fn the_reserve_covers_what_a_process_really_needs_and_the_check_what_a_system_do
         assert!(grown <= reserved && reserved < 2 * grown, "{grown} bytes of {reserved}");
         robots.push((robot, ports));
     }
-    let mut obstacles = Process::enrol(Role::Obstacles, domain.clone(), 3).unwrap();
+    let mut obstacles = Process::attach_as(Role::Obstacles, domain.clone(), 3).unwrap();
     let _ports = (
         obstacles.output::<Obstacles>().unwrap(),
         obstacles.input::<Scan>().unwrap(),
@@ -71,7 +71,7 @@ fn what_a_new_port_made_is_allocated_to_its_length() {
     lab.write_settings();
     assert_allocated(&lab.domain);
     let _observer = Observer::<Scan>::new(lab.bus()).unwrap();
-    let mut robot = Process::enrol(Role::Robot, lab.domain.clone(), 1).unwrap();
+    let mut robot = Process::attach_as(Role::Robot, lab.domain.clone(), 1).unwrap();
     let _output = robot.output::<Scan>().unwrap();
     assert!(
         files(&lab.domain).values().any(|(length, allocated)| allocated < length),

@@ -6,13 +6,12 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{PortFactory, ServiceName, ZeroCopySend, ipc};
 use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::port_factory::publish_subscribe;
-use shared_types::{Command, Pose, Role, Sample, Scan, Topic};
+use shared_types::{Command, Pose, Role, Sample, SampleType, Scan, Topic};
 
 use super::{Lab, pose};
 use crate::input::Input;
 use crate::output::Output;
 use crate::port::{self, Samples};
-use crate::sample_type::SampleType;
 use crate::{Bus, Observer};
 
 /// A sample under its own name instead of its Rust path.
@@ -40,7 +39,7 @@ fn typed<S: Sample>(bus: &Bus) -> Typed<S> {
 }
 
 fn untyped<S: Sample>(bus: &Bus, name: &str) -> Samples {
-    let detail = port::of_samples(SampleType::of::<S>()).unwrap();
+    let detail = port::of_samples(S::TYPE).unwrap();
     port::samples(bus.node(), &ServiceName::new(name).unwrap(), &detail).open().unwrap()
 }
 
@@ -71,22 +70,6 @@ fn a_service_describes_its_samples_as_a_typed_one_does() {
 }
 
 #[test]
-fn payloads_beside_a_topic_are_described_as_slices_of_bytes() {
-    let mut lab = Lab::new();
-    lab.bus.as_mut().unwrap().create_blobs(Topic::Pose).unwrap();
-    let name = ServiceName::new("pose-payload").unwrap();
-    let typed = lab.bus().node().service_builder(&name).publish_subscribe::<[u8]>().open().unwrap();
-    let sent = lab.bus().blob_publisher(Topic::Pose, 24).unwrap();
-    let received = lab.bus().blob_subscriber(Topic::Pose).unwrap();
-    let theirs = typed.subscriber_builder().create().unwrap();
-    let mut place = sent.loan(20).unwrap();
-    place.bytes().copy_from_slice(&[7; 20]);
-    assert_eq!(place.send().unwrap(), 2);
-    assert_eq!(received.receive().unwrap().unwrap()[..], [7; 20]);
-    assert_eq!(theirs.receive().unwrap().unwrap().payload(), [7; 20]);
-}
-
-#[test]
 fn samples_of_another_size_or_alignment_are_refused() {
     let lab = Lab::new();
     let name = ServiceName::new(Topic::Pose.name()).unwrap();
@@ -94,7 +77,7 @@ fn samples_of_another_size_or_alignment_are_refused() {
         let detail = port::of_samples(of).unwrap();
         port::samples(lab.bus().node(), &name, &detail).open()
     };
-    let pose = SampleType::of::<Pose>();
+    let pose = Pose::TYPE;
     assert!(open(pose).is_ok());
     assert!(open(&SampleType { size: pose.size + 8, ..*pose }).is_err());
     assert!(open(&SampleType { alignment: 2 * pose.alignment, ..*pose }).is_err());

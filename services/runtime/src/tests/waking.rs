@@ -90,7 +90,8 @@ impl Drop for Release<'_> {
     }
 }
 
-/// Lets two threads hammer one reader that gives up a sleep after `timeout_ns`; ends early when it overslept too often.
+/// Lets two threads hammer one reader that gives up a sleep after `timeout_ns`; ends early when it overslept too
+/// often.
 ///
 /// The reader sleeps, tells of each sample who sent it and its number, and returns whether it was woken.
 fn hammer<P: FnMut(u64, u32)>(
@@ -174,7 +175,7 @@ fn two_writers_who_hammer_one_reader_never_let_it_sleep_through_a_sample() {
 fn a_process_never_sleeps_through_a_sample_of_its_two_inputs() {
     let lab = Lab::new();
     lab.write_settings();
-    let mut process = Process::enrol(Role::Controller, lab.domain.clone(), 9).unwrap();
+    let mut process = Process::attach_as(Role::Controller, lab.domain.clone(), 9).unwrap();
     let (obstacles, poses) = (process.input::<Obstacles>().unwrap(), process.input::<Pose>().unwrap());
     let mut directive = Directive { phase: Phase::Driving.wire(), ..Directive::default() };
     for role in [Role::Estimator, Role::Obstacles] {
@@ -245,7 +246,7 @@ fn a_signal_at_any_moment_ends_the_sleep() {
 fn a_sleeper_that_was_killed_stays_counted_and_disturbs_nobody() {
     let lab = Lab::new();
     let bell = lab.bus().bells().role(Role::Controller);
-    bell.forget_a_sleeper(Topic::Pose);
+    bell.leak_a_sleeper(Topic::Pose);
     let seen = bell.poll();
     assert!(!bell.sleep(seen, monotonic_ns() + 1_000_000, bit(Topic::Pose)));
     lab.bus().bells().ring(Topic::Pose);
@@ -307,7 +308,7 @@ impl<W: Sample, R: Sample> Plain<W, R> {
 
 /// An estimator of ours in a thread: it answers each odometry sample.
 fn estimate(domain: &Domain, done: &AtomicBool) {
-    let mut process = Process::enrol(Role::Estimator, domain.clone(), 7).unwrap();
+    let mut process = Process::attach_as(Role::Estimator, domain.clone(), 7).unwrap();
     let odometry = process.input::<Odometry>().unwrap();
     let poses = process.output::<Pose>().unwrap();
     assert!(process.start().unwrap());

@@ -45,7 +45,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         while let Some((measured, sound)) = all.next()? {
             let directive = process.directive();
             let header = &measured.header;
-            let named = directive.accepts(Role::Robot, header.incarnation, header.scan_id);
+            let named = directive.authority[Role::Robot.index()].accepts(header.incarnation, header.scan_id);
             if named && first == 0 {
                 first = header.incarnation;
             }

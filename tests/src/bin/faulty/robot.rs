@@ -44,7 +44,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
             }
         }
         while let Some((actuation, sound)) = all.next()? {
-            let named = process.directive().accepts(Role::Actuator, actuation.header.incarnation, 0);
+            let named = process.directive().authority[Role::Actuator.index()]
+                .accepts(actuation.header.incarnation, 0);
             let taken = match fault {
                 "trusts" => sound.is_ok(),
                 "believes" => named,

@@ -1,9 +1,6 @@
 //! Names and arguments of the stages that compute nothing: services of the executable `scanloop-bench`, one per role.
 
-use shared_types::{Role, Topic};
-
-/// The topics whose samples are followed by a payload, in the order of the chain.
-pub const PAYLOAD_TOPICS: [Topic; 4] = [Topic::Odometry, Topic::Pose, Topic::Obstacles, Topic::Command];
+use shared_types::Role;
 
 /// Prefix of the names of these services; the role follows, and after a colon the bytes of the payload.
 pub const PREFIX: &str = "echo-";
