@@ -199,8 +199,8 @@ impl World {
         if !self.stopping {
             process.refused = Some(reader);
         }
-        let words = format!("its output was dropped by {reader}: not finite");
-        self.send(Event::Refused { role, incarnation, reader, words });
+        let reason = format!("its output was dropped by {reader}: not finite");
+        self.send(Event::Refused { role, incarnation, reader, reason });
     }
 
     pub(super) fn progress(&mut self, role: Role) {
