@@ -20,7 +20,7 @@ use shared_types::{
 };
 use supervision::child::{Child, Launch};
 use supervision::child_log::ChildLog;
-use supervision::fleet::environment_of;
+use supervision::environment::environment_of;
 use supervision::lock::{Claim, SystemLock};
 
 use super::case::{Trouble, failed, require};

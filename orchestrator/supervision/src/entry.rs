@@ -1,4 +1,4 @@
-//! One process of a system, as its file describes it and as a run writes it down.
+//! One process of a system, as the system file describes it and as a run records it.
 
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,8 @@ use crate::supervisor::{ProcessPolicy, Restart};
 #[serde(deny_unknown_fields)]
 pub struct ProcessEntry {
     /// Role that the process fills: robot, estimator, obstacles, controller or actuator.
-    pub role: String,
+    #[serde(with = "role_name")]
+    pub role: Role,
     /// Built-in implementation; exactly one of this and `command`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub implementation: Option<String>,
@@ -21,7 +22,7 @@ pub struct ProcessEntry {
     pub command: Option<Vec<String>>,
     /// `never`, `on-failure` or `always`.
     #[serde(default = "default_restart")]
-    pub restart: String,
+    pub restart: Restart,
     /// Deaths before the first valid output that end the run, 1 to 100.
     #[serde(default = "default_start_limit")]
     pub start_limit: u32,
@@ -42,9 +43,10 @@ pub struct ProcessEntry {
 /// A living process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProcessRow {
-    /// Name of its role.
-    pub role: String,
-    /// How to tell it from a stranger.
+    /// Its role.
+    #[serde(with = "role_name")]
+    pub role: Role,
+    /// What tells it from an unrelated process with the same number.
     pub identity: Identity,
     /// How it was started.
     pub entry: ProcessEntry,
@@ -64,7 +66,7 @@ impl ProcessEntry {
     #[must_use]
     pub fn of(role: Role, command: &[String]) -> Self {
         Self {
-            role: role.name().to_owned(),
+            role,
             implementation: None,
             command: Some(command.to_vec()),
             restart: default_restart(),
@@ -77,20 +79,16 @@ impl ProcessEntry {
     }
 
     /// The policy by which the supervisor keeps the process alive.
-    pub fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
+    pub fn policy(&self, period_ns: u64) -> ProcessPolicy {
         let period_ms = period_ns.div_ceil(1_000_000);
         ProcessPolicy {
-            restart: match self.restart.as_str() {
-                "never" => Restart::Never,
-                "always" => Restart::Always,
-                _ => ProcessPolicy::new(role, period_ms).restart,
-            },
+            restart: self.restart,
             start_limit: self.start_limit,
             restart_limit: self.restart_limit,
             restart_window_ms: (self.restart_window_s * 1e3) as u64,
             start_timeout_ms: (self.start_timeout_s * 1e3) as u64,
             grace_ms: self.grace_ms,
-            ..ProcessPolicy::new(role, period_ms)
+            ..ProcessPolicy::new(self.role, period_ms)
         }
     }
 
@@ -108,9 +106,7 @@ impl ProcessEntry {
     /// # Errors
     /// The first value that is not allowed, with what is.
     pub fn validate(&self) -> Result<(), Invalid> {
-        let role: Role = self.role.parse().map_err(|_| {
-            Invalid::new("role", &self.role, "one of robot, estimator, obstacles, controller, actuator")
-        })?;
+        let role = self.role;
         match (&self.implementation, &self.command) {
             (Some(name), None) => {
                 if !IMPLEMENTATIONS.contains(&(name.as_str(), role)) {
@@ -126,15 +122,9 @@ impl ProcessEntry {
                 }
             }
             _ => {
-                return Err(Invalid::new(
-                    "implementation",
-                    "both or none",
-                    "one of `implementation` and `command`",
-                ));
+                let allowed = "one of `implementation` and `command`";
+                return Err(Invalid::new("implementation", "both or none", allowed));
             }
-        }
-        if !["never", "on-failure", "always"].contains(&self.restart.as_str()) {
-            return Err(Invalid::new("restart", &self.restart, "one of never, on-failure, always"));
         }
         require("start_limit", f64::from(self.start_limit), 1.0..=100.0)?;
         require("restart_limit", f64::from(self.restart_limit), 1.0..=1e6)?;
@@ -144,8 +134,8 @@ impl ProcessEntry {
     }
 }
 
-fn default_restart() -> String {
-    "on-failure".to_owned()
+fn default_restart() -> Restart {
+    Restart::OnFailure
 }
 
 fn default_start_limit() -> u32 {
@@ -166,4 +156,27 @@ fn default_start_timeout() -> f64 {
 
 fn default_grace() -> u64 {
     1000
+}
+
+/// A role in files and messages, by its name.
+pub mod role_name {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use shared_types::Role;
+
+    /// Writes the name.
+    ///
+    /// # Errors
+    /// Those of the serializer.
+    pub fn serialize<S: Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(role.name())
+    }
+
+    /// Reads the name.
+    ///
+    /// # Errors
+    /// A text that is no role, with the names of all.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Role, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
+    }
 }

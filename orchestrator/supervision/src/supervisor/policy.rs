@@ -1,5 +1,6 @@
 //! How one process is to be kept alive.
 
+use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use vehicle::Invalid;
 
@@ -13,7 +14,8 @@ const MAX_MS: u64 = 3_600_000;
 const MAX_WINDOW_MS: u64 = 24 * MAX_MS;
 
 /// When a process that ended is started again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Restart {
     /// Never: its end is the end of the run.
     Never,
