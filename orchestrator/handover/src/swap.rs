@@ -253,7 +253,7 @@ impl Swap {
                     self.newest = self.newest.max(output.scan);
                 }
                 self.comparison.keep(now_ns, self.newest, party, output);
-                if self.stage == Stage::Starting && self.comparison.has_begun() {
+                if self.stage == Stage::Starting && self.comparison.first_new.is_some() {
                     self.stage = Stage::Shadowing;
                 }
             }
@@ -281,7 +281,7 @@ impl Swap {
 
     fn tick(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
         if self.stage != Stage::Settling
-            && let Some(reason) = self.comparison.take_invalid()
+            && let Some(reason) = self.comparison.invalid.take()
         {
             return self.give_up(now_ns, reason, actions);
         }
@@ -307,7 +307,7 @@ impl Swap {
         if let Err(reason) = self.comparison.judge(now_ns, &self.plan, self.from_scan) {
             return self.give_up(now_ns, reason, actions);
         }
-        if self.stage == Stage::Shadowing && self.comparison.good_in_a_row() >= self.plan.shadow_scans {
+        if self.stage == Stage::Shadowing && self.comparison.good_in_a_row >= self.plan.shadow_scans {
             self.take_over(actions);
         }
         if self.stage == Stage::Shadowing
@@ -315,7 +315,7 @@ impl Swap {
         {
             return self.refuse(reason, actions);
         }
-        if self.stage == Stage::Standby && self.comparison.good_in_charge() >= self.plan.standby_scans {
+        if self.stage == Stage::Standby && self.comparison.good_in_charge >= self.plan.standby_scans {
             self.commit(now_ns, 0, String::new(), actions);
         }
     }
@@ -324,7 +324,7 @@ impl Swap {
     fn take_over(&mut self, actions: &mut Vec<SwapAction>) {
         self.stage = Stage::Standby;
         self.from_scan = self.newest + NOTICE_SCANS;
-        self.certificate.shadow_scans = self.comparison.good_in_a_row();
+        self.certificate.shadow_scans = self.comparison.good_in_a_row;
         let (incarnation, previous) = (self.plan.new, self.plan.old);
         actions.push(SwapAction::Authorise(Authority { incarnation, previous, from_scan: self.from_scan }));
     }
@@ -347,7 +347,7 @@ impl Swap {
             actions.push(SwapAction::Authorise(alone(self.plan.old)));
         }
         actions.push(SwapAction::KillNew);
-        self.certificate.shadow_scans = self.comparison.good_in_a_row();
+        self.certificate.shadow_scans = self.comparison.good_in_a_row;
         self.certificate.outcome = SwapOutcome::Refused;
         self.certificate.reason = reason;
         self.over(actions);

@@ -127,7 +127,7 @@ impl System {
 
     /// The entry of a role; a checked system has one for each.
     pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
-        self.processes.iter().find(|entry| entry.role == role.name())
+        self.processes.iter().find(|entry| entry.role == role)
     }
 
     fn validate(&self) -> Result<(), Invalid> {
@@ -139,7 +139,7 @@ impl System {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
         }
         for role in Role::ALL {
-            let count = self.processes.iter().filter(|entry| entry.role == role.name()).count();
+            let count = self.processes.iter().filter(|entry| entry.role == *role).count();
             if count > 1 {
                 let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
                 let allowed = format!(

@@ -153,7 +153,7 @@ fn one_that_took_over_is_supervised_like_the_one_before() {
         rows(system, Role::Controller).first().is_some_and(|(new, state)| state == "ready" && *new != pid)
     });
     let status = system.status().unwrap();
-    let process = status.processes.iter().find(|process| process.role == "controller").unwrap();
+    let process = status.processes.iter().find(|process| process.role == Role::Controller).unwrap();
     assert!(process.implementation.ends_with("odd-controller none"), "{}", process.implementation);
     assert_eq!(process.restarts, 1);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -195,7 +195,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_nobody() {
     });
     let (code, message) = exit(&system, &["estimator", "--to", "ekf"]);
     assert_eq!(code, Some(2));
-    assert!(message.contains("another exchange is going on"), "{message}");
+    assert!(message.contains("another swap is in progress"), "{message}");
     assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(2));
     let certificate = certificate(&first.wait_with_output().unwrap());
     assert_eq!(certificate.outcome, SwapOutcome::Swapped, "{}", certificate.reason);

@@ -17,17 +17,17 @@ const PAIRS: usize = 32;
 pub(super) struct Comparison {
     pairs: BTreeMap<u64, Pair>,
     /// What is wrong with the first invalid output of the new one.
-    invalid: Option<String>,
-    first_new: Option<u64>,
+    pub(super) invalid: Option<String>,
+    pub(super) first_new: Option<u64>,
     first_output_ns: u64,
     last_output_ns: u64,
     repeats: u32,
     judged: u32,
     late: u32,
-    /// Good scans in a row, and the last of them.
-    streak: u64,
+    /// Good scans in a row before the new one is in charge, and the last of them.
+    pub(super) good_in_a_row: u64,
     last_good: u64,
-    good_in_charge: u64,
+    pub(super) good_in_charge: u64,
     last_fault: String,
 }
 
@@ -58,29 +58,9 @@ enum Verdict {
 }
 
 impl Comparison {
-    /// Whether the new one has had an output.
-    pub(super) fn has_begun(&self) -> bool {
-        self.first_new.is_some()
-    }
-
     /// Whether both have answered a scan.
     pub(super) fn has_both(&self, scan: u64) -> bool {
         self.pairs.get(&scan).is_some_and(|pair| pair.old.is_some() && pair.new.is_some())
-    }
-
-    /// What is wrong with an output of the new one that no reader could use; once.
-    pub(super) fn take_invalid(&mut self) -> Option<String> {
-        self.invalid.take()
-    }
-
-    /// Good scans in a row before the new one is in charge.
-    pub(super) fn good_in_a_row(&self) -> u64 {
-        self.streak
-    }
-
-    /// Good scans of the new one in charge.
-    pub(super) fn good_in_charge(&self) -> u64 {
-        self.good_in_charge
     }
 
     /// Takes an output in; `newest` is the newest scan that is known to exist.
@@ -93,7 +73,7 @@ impl Comparison {
                 Ok(_) => None,
             };
             if let Some(fault) = fault {
-                return self.invalid(scan, &fault);
+                return self.refuse(scan, &fault);
             }
             self.last_output_ns = self.last_output_ns.max(output.published_ns.min(now_ns));
             if self.first_new.is_none() {
@@ -106,7 +86,7 @@ impl Comparison {
         if place.is_some() && party == Party::New {
             self.repeats += 1;
             if self.repeats >= MAX_REPEATS {
-                return self.invalid(scan, "not the first for that scan");
+                return self.refuse(scan, "not the first for that scan");
             }
         }
         place.get_or_insert(output);
@@ -115,7 +95,7 @@ impl Comparison {
         }
     }
 
-    fn invalid(&mut self, scan: u64, fault: &str) {
+    fn refuse(&mut self, scan: u64, fault: &str) {
         self.invalid.get_or_insert(format!("invalid output for scan {scan}: {fault}"));
     }
 
@@ -139,16 +119,16 @@ impl Comparison {
                 Verdict::Open | Verdict::Nothing => {}
                 Verdict::Good if in_charge => self.good_in_charge += 1,
                 Verdict::Good => {
-                    self.streak = if self.last_good + 1 == scan { self.streak + 1 } else { 1 };
+                    self.good_in_a_row = if self.last_good + 1 == scan { self.good_in_a_row + 1 } else { 1 };
                     self.last_good = scan;
                 }
                 Verdict::Late(reason) | Verdict::Apart(reason) if !is_warm => {
-                    self.streak = 0;
+                    self.good_in_a_row = 0;
                     self.last_fault = reason;
                 }
                 Verdict::Late(reason) => {
                     self.late += 1;
-                    self.streak = 0;
+                    self.good_in_a_row = 0;
                     if self.late > FORGIVEN_LATE + self.judged / FORGIVEN_SHARE {
                         return Err(reason);
                     }

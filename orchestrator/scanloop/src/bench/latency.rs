@@ -23,7 +23,6 @@ use std::rc::Rc;
 use figures::PROFILE;
 use figures::difference::smallest_visible;
 use runtime::Shutdown;
-use shared_types::Role;
 
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
@@ -70,7 +69,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         quiet: arguments.quiet,
         out: logs,
     };
-    let mut session = start(&domain, &plan, manner, lock, shutdown)?;
+    let mut session = start(&domain, &plan, &manner, lock, shutdown)?;
     if arguments.payload.is_some() {
         for topic in echo::PAYLOAD_TOPICS {
             session.create_blobs(topic)?;
@@ -84,7 +83,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
     let fed = Rc::clone(&collector);
-    session.listen(Box::new(move |scan| fed.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    session.observe_scans(Box::new(move |scan| fed.borrow_mut().scan(&scan.truth, &scan.actuations)));
     let before = Ticks::now();
     let ending = session.drive()?;
     machine.note_use(before, Ticks::now());
@@ -151,10 +150,9 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     }
     let program = instrument::find_current()?.to_string_lossy().into_owned();
     for entry in &mut plan.system.processes {
-        let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
         entry.implementation = None;
         entry.command =
-            Some([vec![program.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
+            Some([vec![program.clone()], echo::arguments(entry.role, arguments.payload).to_vec()].concat());
     }
     Ok(plan)
 }
