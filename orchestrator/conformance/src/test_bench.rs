@@ -174,7 +174,7 @@ impl<'a> TestBench<'a> {
         });
         write_handover(&self.domain, role, handover.as_ref())?;
         let environment = environment_of(&self.domain, &self.word, role, self.incarnation, restart);
-        let launch = Launch { command: self.suite.command.clone(), environment, directory: None };
+        let launch = Launch { command: self.suite.command.clone(), environment };
         let child = Child::spawn(&launch, &self.log).map_err(Failure::process)?;
         self.child = Some(child);
         Ok(())

@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use runtime::{Identified, Seen, identify, processes_of, start_ticks};
+use runtime::{Identified, Seen, identify, processes_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
@@ -43,8 +43,6 @@ pub struct Launch {
     pub command: Vec<OsString>,
     /// Variables set in addition to the inherited ones.
     pub environment: Vec<(OsString, OsString)>,
-    /// Working folder; the orchestrator's when absent.
-    pub directory: Option<PathBuf>,
 }
 
 /// Why a process could not be started.
@@ -59,9 +57,6 @@ pub enum ChildError {
     /// The program may not be executed.
     #[error("command `{0}` may not be executed: permission denied")]
     NotExecutable(String),
-    /// The working folder does not exist.
-    #[error("working folder {1} of command `{0}` does not exist")]
-    NoDirectory(String, PathBuf),
     /// Anything else that the kernel refused.
     #[error("command `{command}` could not be started: {source}")]
     Refused {
@@ -87,7 +82,6 @@ pub struct Child {
     origin: Origin,
     pid: Pid,
     pidfd: OwnedFd,
-    started_ticks: Option<u64>,
     exit: Option<Exit>,
 }
 
@@ -113,12 +107,6 @@ impl Child {
         NOT_INHERITED.iter().for_each(|variable| _ = command.env_remove(variable));
         command.stdin(Stdio::null()).process_group(0);
         command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
-        if let Some(directory) = &launch.directory {
-            if !directory.is_dir() {
-                return Err(ChildError::NoDirectory(name(), directory.clone()));
-            }
-            command.current_dir(directory);
-        }
         let mut process = command.spawn().map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => ChildError::NotFound(name()),
             io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
@@ -126,10 +114,7 @@ impl Child {
         })?;
         let pid = Pid::from_child(&process);
         match pidfd_open(pid, PidfdFlags::empty()) {
-            Ok(pidfd) => {
-                let started_ticks = start_ticks(process.id());
-                Ok(Self { pid, pidfd, started_ticks, exit: None, origin: Origin::Started(process) })
-            }
+            Ok(pidfd) => Ok(Self { pid, pidfd, exit: None, origin: Origin::Started(process) }),
             Err(error) => {
                 // A process whose end cannot be seen is not kept.
                 let _ = kill_process_group(pid, Signal::KILL);
@@ -142,19 +127,13 @@ impl Child {
     /// A process that another orchestrator started.
     pub fn adopt(process: Identified) -> Option<Self> {
         let pid = Pid::from_raw(process.pid().cast_signed())?;
-        let started_ticks = Some(process.identity().start_ticks);
         let origin = Origin::Adopted(process.identity().run_id.clone());
-        Some(Self { origin, pid, pidfd: process.into_descriptor(), started_ticks, exit: None })
+        Some(Self { origin, pid, pidfd: process.into_descriptor(), exit: None })
     }
 
     /// Its process id, which is the id of its group.
     pub fn pid(&self) -> u32 {
         self.pid.as_raw_nonzero().get().cast_unsigned()
-    }
-
-    /// When it was started, in clock ticks since boot; with the pid it identifies a process uniquely.
-    pub fn started_ticks(&self) -> Option<u64> {
-        self.started_ticks
     }
 
     /// Leaves the process as it is: from now on it is neither watched nor ended.

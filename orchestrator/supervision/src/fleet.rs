@@ -201,7 +201,7 @@ impl Fleet {
         if let Some(Err(error)) = self.disk.call(LOG_LIMIT, move || log.begin(&text)) {
             tracing::warn!(%role, %error, "not written to its log: incarnation {incarnation} begins here");
         }
-        let launch = Launch { command: command_of(entry), environment, directory: None };
+        let launch = Launch { command: command_of(entry), environment };
         let child = Child::spawn(&launch, &member.log)?;
         self.changed = true;
         Ok(child)

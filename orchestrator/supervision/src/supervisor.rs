@@ -113,11 +113,6 @@ impl Supervisor {
         self.phase
     }
 
-    /// Why the run failed, if it did.
-    pub fn failure(&self) -> Option<(Role, &str)> {
-        self.failure.as_ref().map(|(role, reason)| (*role, reason.as_str()))
-    }
-
     /// Whether the run was ended and no process lives any more.
     pub fn is_finished(&self) -> bool {
         self.all_stopped
@@ -143,16 +138,6 @@ impl Supervisor {
             let suspected = deadline_ns <= now_ns.saturating_add(half_ns);
             suspected.then_some((slot.policy.role, slot.incarnation, deadline_ns <= now_ns))
         })
-    }
-
-    /// When the next [`Event::Tick`] is due at the latest [ns].
-    pub fn next_deadline(&self) -> Option<u64> {
-        let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
-            // A caller that checks at the last moment that counts is late, and then none of the time counts.
-            let poll_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
-            Some(slot.hang_deadline_ns()?.min(poll_ns))
-        });
-        self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
     }
 
     /// What is to be done, in this order, now that `event` has happened at `now_ns`.

@@ -15,6 +15,7 @@ use crate::control::{Reply, ShadowRequest};
 const SILENT_NS: u64 = 1_000_000_000;
 
 /// The shadows of one run.
+#[derive(Default)]
 pub(crate) struct Shadows {
     period_ns: u64,
     asked: Vec<Asked>,
@@ -51,7 +52,7 @@ enum Work {
 
 impl Shadows {
     pub(super) fn new(period_ns: u64) -> Self {
-        Self { period_ns, asked: Vec::new(), begun: Vec::new(), reports: BTreeMap::new(), accepted: 0 }
+        Self { period_ns, ..Self::default() }
     }
 
     /// Whether a role has a shadow.

@@ -26,6 +26,7 @@ const RESTART_SHADOW_SCANS: u64 = 3;
 const RESTART_STANDBY_SCANS: u64 = 1;
 
 /// The swaps of one run.
+#[derive(Default)]
 pub(crate) struct Swaps {
     period_ns: u64,
     lockstep: bool,
@@ -69,15 +70,7 @@ struct Ended {
 
 impl Swaps {
     pub(super) fn new(period_ns: u64, lockstep: bool) -> Self {
-        Self {
-            period_ns,
-            lockstep,
-            asked: None,
-            current: None,
-            ended: Vec::new(),
-            recorded_scan: 0,
-            recorded_ns: 0,
-        }
+        Self { period_ns, lockstep, ..Self::default() }
     }
 
     /// All certificates, in the order in which the swaps ended; restarts have none.

@@ -86,7 +86,7 @@ pub enum Event {
         /// How it ended.
         exit: Exit,
     },
-    /// Time has passed. Send it after all other events at hand, at the latest at `Supervisor::next_deadline`.
+    /// Time has passed. Send it after all other events at hand, several times within a hang limit.
     Tick,
     /// The run is to end. Repeats change nothing.
     StopRequested,

@@ -93,7 +93,7 @@ pub(super) enum Life {
 }
 
 /// A living process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Alive {
     /// Process id.
     pub(super) pid: u32,
@@ -116,16 +116,7 @@ pub(super) struct Alive {
 impl Alive {
     /// A process that has reported nothing yet and was not asked to end.
     pub(super) fn new(pid: u32, now_ns: u64) -> Self {
-        Self {
-            pid,
-            reached: None,
-            ready_ns: None,
-            start_deadline_ns: None,
-            progress_ns: now_ns,
-            excused_ns: 0,
-            ending: None,
-            kill_ns: None,
-        }
+        Self { pid, progress_ns: now_ns, ..Self::default() }
     }
 }
 
@@ -265,15 +256,6 @@ impl Slot {
     /// A caller that is away for longer cannot tell who made progress meanwhile [ns].
     pub(super) fn longest_gap_ns(&self) -> u64 {
         nanoseconds(self.policy.hang_after_ms) / MAX_GAP_SHARE
-    }
-
-    /// The next time at which something is due, hangs apart.
-    pub(super) fn deadline_ns(&self) -> Option<u64> {
-        match self.life {
-            Life::Waiting { due_ns } => Some(due_ns),
-            Life::Alive(alive) => [alive.start_deadline_ns, alive.kill_ns].into_iter().flatten().min(),
-            _ => None,
-        }
     }
 
     pub(super) fn view(&self) -> ProcessView {

@@ -71,7 +71,7 @@ fn three_deaths_before_the_first_output_end_the_run() {
     }
     let reason = "died 3 times before its first output, last: exit code 2".to_owned();
     assert_eq!(world.failure, Some((Role::Obstacles, reason.clone())));
-    assert_eq!(world.supervisor.failure(), Some((Role::Obstacles, reason.as_str())));
+    assert_eq!(world.supervisor.failure, Some((Role::Obstacles, reason)));
     assert_eq!(state(&world, Role::Obstacles), VisibleState::Failed);
     world.bring_down(true);
     assert_eq!(state(&world, Role::Obstacles), VisibleState::Failed, "it stays visible who was the cause");

@@ -19,7 +19,7 @@ fn another_program_in_the_role_starts_without_its_deaths() {
     let (role, incarnation) = (Role::Controller, supervisor.next_incarnation());
     supervisor.handle(now_ns, Event::Replaced { role, pid: 7, incarnation, is_restart: false });
     supervisor.handle(now_ns, Event::Exited { role, incarnation, exit: KILLED });
-    assert_eq!(supervisor.failure(), None);
+    assert_eq!(supervisor.failure, None);
 }
 
 /// Another process fills the controller's role, as after a swap.
