@@ -119,8 +119,8 @@ pub(crate) fn take_over(
     conclude(session, &plan.scenario, &options.out)
 }
 
-/// Lets each role be filled by the process in charge, or else by the one before it. Returns the events for the
-/// supervisor, and the processes that are left over.
+/// Fills each role with the process in charge, or else with the one before it. Returns the events for the supervisor,
+/// and the processes that are left over.
 fn fill_roles(
     fleet: &mut Fleet,
     registry: &ProcessRegistry,

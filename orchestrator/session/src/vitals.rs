@@ -107,7 +107,7 @@ impl Vitals {
         self.pulses.get(&incarnation).is_none_or(|pulse| pulse.obeys_stop)
     }
 
-    /// The row of a process in `status`, with what heartbeats tell; all else is empty.
+    /// The row of a process in `status`, with the figures of its heartbeats; all else is empty.
     pub(crate) fn row(&self, role: Role, state: VisibleState, incarnation: u32) -> ProcessStatus {
         let (rate_hz, last_sample_age_ms) = self.rate_and_age(incarnation);
         let obeys_stop = self.obeys_stop(incarnation);

@@ -6,7 +6,7 @@
 //! that was not started here can be hit. When the leader has ended, the rest of its group is killed before the
 //! leader is reaped.
 //!
-//! An adopted process is no child: its descriptor tells that it ended, not how. Its number may be given to others at
+//! An adopted process is no child: its descriptor shows that it ended, not how. Its number may be given to others at
 //! any time, so signals go through the descriptor, and to the rest of its group one by one.
 //!
 //! Where this fails: a descendant that opens a session of its own leaves the group and is not found. A process

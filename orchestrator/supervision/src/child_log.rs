@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 
-/// How much of the end is kept [bytes]: about a thousand lines, more than anyone reads of a dead process.
+/// How much of the end is kept [bytes]: about a thousand lines, more than a user reads of a dead process.
 pub const KEEP_BYTES: u64 = 64 << 10;
 
 /// Longest line that [`ChildLog::last_lines`] gives [characters]; the file keeps the whole line.

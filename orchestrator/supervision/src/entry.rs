@@ -46,7 +46,7 @@ pub struct ProcessRow {
     /// Its role.
     #[serde(with = "role_name")]
     pub role: Role,
-    /// What tells it from an unrelated process with the same number.
+    /// Distinguishes it from an unrelated process with the same number.
     pub identity: Identity,
     /// How it was started.
     pub entry: ProcessEntry,

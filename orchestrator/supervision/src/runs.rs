@@ -32,7 +32,7 @@ pub struct LivingRun {
 /// A process of a run.
 #[derive(Debug, Clone)]
 pub struct RunProcess {
-    /// What tells it from an unrelated process with the same number.
+    /// Distinguishes it from an unrelated process with the same number.
     pub identity: Identity,
     /// The role that it, or the process that started it, was started for.
     pub role: Option<Role>,
@@ -164,8 +164,8 @@ pub fn living(system_id: &str) -> Option<LivingRun> {
     LivingRun::all(own).into_iter().find(|run| run.system_id == system_id)
 }
 
-/// Run ids and paths of all stop words of a user that his processes hold open; a process may also hold a file that
-/// another user handed to it.
+/// Run ids and paths of all stop words of a user that the processes of that user hold open; a process may also hold a file
+/// of another user.
 fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
     let mut found = Vec::new();
     // Not through this process: another thread may have reused a number meanwhile for another file. Opening and closing

@@ -97,7 +97,7 @@ impl Supervisor {
         }
     }
 
-    /// The same for a run in lock-step, where any death ends the run, and where the period says nothing about how long
+    /// The same for a run in lock-step, where any death ends the run, and where the period does not limit how long
     /// a process may take: a hang is found after seconds.
     #[must_use]
     pub fn in_lockstep(mut self) -> Self {

@@ -25,7 +25,7 @@ fn command(steering_rad: f64) -> OutputSummary {
     OutputSummary::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
 }
 
-/// Scans 1 to `scans`, all answered by the live one after 2 ms, and by the shadow as `shadow` says.
+/// Scans 1 to `scans`, all answered by the live one after 2 ms, and by the shadow with the outputs of `shadow`.
 fn study(scans: u64, shadow: impl Fn(u64) -> Vec<Output>) -> ShadowReport {
     let mut study = Study::new(Role::Controller, PERIOD_NS, scans);
     for scan in 1..=scans {
@@ -78,7 +78,7 @@ fn late_invalid_repeated_and_other_outputs_are_counted_apart() {
         3 => vec![output(scan, 60.0, Ok(command(0.04)))],
         5 => vec![output(scan, 3.0, Err("command is not finite".to_owned()))],
         7 => vec![output(scan, 3.0, Ok(stop.clone()))],
-        // Of a thousand, sixteen are seen; the numbers of those that follow tell of the others.
+        // Of a thousand, sixteen are received; the numbers of those that follow show the others.
         9 => (0..16).map(|_| output(scan, 3.0, Ok(command(0.04)))).collect(),
         11 => {
             let no_such_scan = Output { scan: u64::MAX, ..output(scan, 3.0, Ok(command(0.04))) };

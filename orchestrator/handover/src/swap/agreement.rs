@@ -13,7 +13,7 @@ use vehicle::frame::wrap_angle;
 
 /// Half of the allowed error of the estimate: the obstacle distance kept in reserve is twenty times as much [m].
 pub const POSITION_M: f64 = 0.05;
-/// At the end of the 2.5 m that the controller looks ahead this is 0.05 m again [rad].
+/// At the end of the horizon of 2.5 m this is 0.05 m again [rad].
 pub const YAW_RAD: f64 = 0.02;
 /// A body's box and the same box half a scan later or without one of its corners; two bodies are further apart [m].
 pub const BODY_M: f64 = 0.3;

@@ -76,7 +76,7 @@ pub struct ShadowRequest {
 }
 
 impl Successor {
-    /// The entry of the process: that of the one that fills the role, with another program.
+    /// The entry of the process: that of the running process, with another program.
     ///
     /// # Errors
     /// The reason why it can't be started.

@@ -7,7 +7,7 @@ use report::Outcome;
 
 /// A robot that does not come to rest within this time after the stop is not waited for [ns].
 const REST_LIMIT_NS: u64 = 1_500_000_000;
-/// Scans on their way when the robot was told to publish no more are waited for this long [ns].
+/// After the robot was ordered to publish no more, scans without an answer are waited for this long [ns].
 const DRAIN_LIMIT_NS: u64 = 300_000_000;
 
 /// How far the end of a run has come, and how it ends.

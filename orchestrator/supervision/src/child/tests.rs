@@ -154,14 +154,14 @@ fn the_use_of_processor_and_memory_is_measured() {
     let child = Child::spawn(&shell("echo up; while :; do :; done"), &log).unwrap();
     assert_eq!(first_line(&log), "up");
     assert!(start_ticks(child.pid()) >= start_ticks(std::process::id()), "it is younger than this test");
-    // Five ticks of 10 ms: enough to tell counting from not counting.
+    // Five ticks of 10 ms: enough to show that it is counted.
     wait_until("use of the processor", || child.usage().is_some_and(|usage| usage.cpu_s >= 0.05));
     // A shell takes between some hundred KiB and some MiB.
     assert!((100..100_000).contains(&child.usage().unwrap().memory_kib));
 }
 
 #[test]
-fn the_log_goes_on_below_a_process_that_writes_while_it_is_trimmed() {
+fn a_process_that_writes_while_its_log_is_trimmed_keeps_its_file() {
     let scratch = Scratch::new();
     let log = scratch.log();
     let script = "i=0; while [ $i -lt 40000 ]; do echo \"line $i ........................................\"; \

@@ -253,7 +253,7 @@ impl Slot {
         }
     }
 
-    /// A caller that is away for longer cannot tell who made progress meanwhile [ns].
+    /// After a longer gap between two events the caller does not know which processes made progress [ns].
     pub(super) fn longest_gap_ns(&self) -> u64 {
         nanoseconds(self.policy.hang_after_ms) / MAX_GAP_SHARE
     }

@@ -14,7 +14,7 @@ fn another_program_in_the_role_starts_without_its_deaths() {
         world.clean(Role::Controller);
         world.bring_up();
     }
-    // The world knows nothing of exchanges.
+    // The world does not simulate swaps.
     let World { mut supervisor, now_ns, .. } = world;
     let (role, incarnation) = (Role::Controller, supervisor.next_incarnation());
     supervisor.handle(now_ns, Event::Replaced { role, pid: 7, incarnation, is_restart: false });
