@@ -76,3 +76,22 @@ impl Recording {
         is_over.then(|| (Outcome::Timeout, "the duration asked for is over".to_owned()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+
+    #[test]
+    fn a_run_of_limited_duration_ends_with_the_first_scan_after_it() {
+        let scenario: Scenario = toml::from_str("").unwrap();
+        let options =
+            RunOptions { lockstep: true, duration_s: Some(2.0), quiet: true, out: PathBuf::from("/") };
+        let mut recording = Recording::new("run", &scenario, &options, 1);
+        let truth = |time_s| Truth { time_s, ..Truth::default() };
+        assert_eq!(recording.judge(&truth(1.9)), None);
+        let (outcome, reason) = recording.judge(&truth(2.0)).unwrap();
+        assert_eq!((outcome, reason.as_str()), (Outcome::Timeout, "the duration asked for is over"));
+    }
+}
