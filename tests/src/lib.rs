@@ -157,7 +157,7 @@ impl System {
     /// Process id of a role.
     pub fn pid(&self, role: Role) -> i32 {
         let status = self.status().expect("a running system");
-        status.processes.iter().find(|process| process.role == role.name()).expect("the role").pid
+        status.processes.iter().find(|process| process.role == role).expect("the role").pid
     }
 
     /// Process id of the orchestrator.

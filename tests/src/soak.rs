@@ -256,8 +256,8 @@ fn has_ended(system: &System) -> bool {
 /// Whether the role is filled by another process and the robot drives by answers that are newer than the fault.
 fn drives_by_another(system: &System, watch: &Watch, role: Role, pid: i32, before: &Truth) -> bool {
     let is_new = system.status().is_some_and(|status| {
-        let mut rows = status.processes.iter().filter(|process| process.role == role.name());
-        rows.any(|process| process.pid != pid && process.pid != 0 && process.state == "ready")
+        let mut rows = status.processes.iter().filter(|process| process.role == role);
+        rows.any(|process| process.pid != pid && process.pid != 0 && process.state.name() == "ready")
     });
     is_new
         && watch

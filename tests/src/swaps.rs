@@ -116,8 +116,8 @@ pub fn rows(system: &System, role: Role) -> Vec<(i32, String)> {
     let processes = system.status().map(|status| status.processes).unwrap_or_default();
     processes
         .into_iter()
-        .filter(|process| process.role == role.name())
-        .map(|process| (process.pid, process.state))
+        .filter(|process| process.role == role)
+        .map(|process| (process.pid, process.state.to_string()))
         .collect()
 }
 

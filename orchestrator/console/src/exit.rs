@@ -12,11 +12,11 @@ pub enum Exit {
     NotReached = 1,
     /// Wrong usage or a bad file.
     BadInput = 2,
-    /// The robot touched something.
+    /// The robot touched an obstacle or a wall.
     Collision = 3,
     /// A process could not be started or kept running.
     ProcessFailed = 4,
-    /// A broken invariant of ours.
+    /// An internal error.
     Internal = 5,
 }
 
@@ -67,7 +67,7 @@ pub fn exit_of(error: &anyhow::Error) -> Exit {
     }
 }
 
-/// Whether the machine, or a limit of this process, has no more files or memory to give.
+/// Whether the machine, or a limit of this process, allows no more files or memory.
 fn is_shortage(error: &std::io::Error) -> bool {
     const SHORTAGES: [Errno; 3] = [Errno::MFILE, Errno::NFILE, Errno::NOMEM];
     Errno::from_io_error(error).is_some_and(|errno| SHORTAGES.contains(&errno))
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shortage_is_no_error_of_ours() {
+    fn a_shortage_is_no_internal_error() {
         let error = |errno: Errno| {
             let source = std::io::Error::from(errno);
             anyhow::Error::from(runtime::RuntimeError::System { action: "make the stop word", source })

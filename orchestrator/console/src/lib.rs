@@ -1,4 +1,4 @@
-//! What a command and a person at a terminal say to each other: exit codes, lines, progress, files of the user.
+//! The interface of commands to a user at a terminal: exit codes, output, progress, files of the user.
 
 pub mod exit;
 pub mod limits;

@@ -1,15 +1,15 @@
-//! Limits of the kernel, and a umask, that leave a system less than it needs.
+//! Limits of the kernel, and a umask, that may be too small for a system.
 
 use rustix::fs::Mode;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit, umask};
 
 use crate::exit::Failure;
 
-/// Twice what the deepest computation was seen to use [bytes].
+/// Twice the measured use of the deepest computation [bytes].
 const MIN_STACK_BYTES: u64 = 1 << 20;
 /// An orchestrator has 150 files open while it drives, and more during a swap.
 const MIN_OPEN_FILES: u64 = 256;
-/// What is asked for where it is allowed.
+/// The limit that is requested where it is allowed.
 const OPEN_FILES: u64 = 1024;
 
 /// Clears the owner's bits of the umask: with them, only root could enter the directories that the bus makes. The
@@ -19,7 +19,7 @@ pub fn keep_own_rights() {
     umask(mask & (Mode::RWXG | Mode::RWXO));
 }
 
-/// Passes when the stack suffices; raises its limit when that is allowed. The kernel looks at the limit whenever the
+/// Passes when the stack suffices; raises its limit when that is allowed. The kernel checks the limit whenever the
 /// stack of a process grows, so this holds at once, and for all processes started from now on.
 ///
 /// # Errors
@@ -49,7 +49,7 @@ pub fn require_open_files() -> anyhow::Result<()> {
     )))
 }
 
-/// Raises a limit to `wanted`, or as far as is allowed; the limit that holds then.
+/// Raises a limit to `wanted`, or as far as is allowed; returns the new limit.
 fn raise(resource: Resource, wanted: u64) -> u64 {
     let Rlimit { current, maximum } = getrlimit(resource);
     let limit = current.unwrap_or(u64::MAX);

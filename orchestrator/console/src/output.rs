@@ -1,4 +1,4 @@
-//! What commands print: text for people to standard error, data to standard output.
+//! Output of commands: text for people to standard error, data to standard output.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 
-/// Writes text for people; what can't be written is dropped, as the command has done its work in any case.
+/// Writes text for people; errors are ignored, because the command has done its work already.
 #[macro_export]
 macro_rules! note {
     ($($text:tt)*) => { runtime::print(runtime::Priority::Notice, &format!($($text)*)) };
 }
 
-/// Writes data and ends its last line; false when the reader has gone, as in `| head`, and needs no more.
+/// Writes data and ends its last line; false when the reader has closed the pipe, as in `| head`.
 ///
 /// # Errors
 /// Data that can't be written, to a full disk for example: a command that was asked for it has failed.
@@ -31,7 +31,7 @@ pub fn data(text: &str) -> anyhow::Result<bool> {
     }
 }
 
-/// Reads the folder of an option `--out`; refuses one that can't be written to, so that nothing is started in vain.
+/// Reads the folder of an option `--out`; refuses one that can't be written to before anything is started.
 pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
     OsStringValueParser::new().try_map(|text: OsString| {
         let folder = PathBuf::from(text);
@@ -39,7 +39,7 @@ pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
     })
 }
 
-/// Passes when files can be made in a folder, or in the nearest one above it that is there.
+/// Passes when files can be made in a folder, or in its nearest parent that exists.
 ///
 /// # Errors
 /// The folder that refuses a file, the reason, and what is allowed.
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_can_be_written_to_when_the_nearest_one_that_is_there_can() {
+    fn a_folder_can_be_written_to_when_its_nearest_parent_can() {
         let here = std::env::temp_dir().join(format!("scanloop-output-{}", std::process::id()));
         std::fs::create_dir_all(&here).unwrap();
         assert_eq!(require_writable(&here.join("some/where")), Ok(()));

@@ -1,9 +1,8 @@
 //! One line that shows a running loop: a live line on a terminal, one plain line per second elsewhere.
 //!
-//! What the line says is a pure function of [`View`] and the words of the processes; only [`Progress`] and `Steps`
-//! touch standard error, by the queue of `runtime`, so that no run waits for its terminal. A line keeps to the columns
-//! it is given: where it needs more, first the time goes, then names of roles become their first three letters, at last
-//! the end is cut off.
+//! The text of the line is a pure function of [`View`] and the states of the processes; only [`Progress`] and `Steps`
+//! write to standard error, through the queue of `runtime`, so that no run waits for its terminal. A line that is wider
+//! than its columns is shortened: first without the time, then with the first three letters of role names, then cut off.
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +12,7 @@ use shared_types::Role;
 /// Width of a plain line.
 pub const COLUMNS: usize = 100;
 
-/// Width of the live line: the narrowest terminal that is usual, because what does not fit is not seen.
+/// Width of the live line: that of the narrowest usual terminal, because the rest of a longer line is not visible.
 pub const TERMINAL_COLUMNS: usize = 80;
 
 /// Time between two plain lines.
@@ -39,12 +38,12 @@ pub struct View {
     pub lockstep: bool,
 }
 
-/// The state of one process in a word.
+/// The name of the state of one process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProcessLabel<'a> {
     /// Its role.
     pub role: Role,
-    /// Its state: `ready`, or anything else, which is then shown.
+    /// Its state; a process that is `ready` is shown by a dot.
     pub state: &'a str,
 }
 
@@ -59,7 +58,7 @@ pub enum Progress {
     Quiet,
 }
 
-/// Lets something happen once per period.
+/// Limits an action to once per period.
 #[derive(Debug)]
 pub struct Pace {
     period: Duration,
@@ -83,7 +82,7 @@ impl Pace {
 impl Progress {
     /// Progress for this standard error: live on a terminal, plain elsewhere, none when `quiet`.
     pub fn new(quiet: bool) -> Self {
-        // The journal is for news; systemd is told the line as its status.
+        // The journal is for events; systemd receives the line as its status.
         if quiet || runtime::writes_to_journal() {
             return Self::Quiet;
         }
@@ -111,12 +110,12 @@ impl Progress {
         }
     }
 
-    /// Writes a line of text, above the live line; with `--quiet` too, because only news worth it come this way.
+    /// Writes a line of text, above the live line; with `--quiet` too, because such lines are rare and important.
     pub fn note(&self, text: &str) {
         runtime::print(Priority::Notice, text);
     }
 
-    /// [`Progress::note`] for what is not as it should be.
+    /// [`Progress::note`] for a warning.
     pub fn warn(&self, text: &str) {
         runtime::print(Priority::Warning, text);
     }
@@ -192,13 +191,13 @@ fn figures(view: &View) -> String {
     format!("{goal}  {:.2} m/s  {:+.3} rad  {reaction}", view.speed_mps, view.steering_rad)
 }
 
-/// `controller●` for a process that is ready, else its state in words: `controller hung`.
+/// `controller●` for a process that is ready, else its state: `controller hung`.
 fn names(processes: &[ProcessLabel<'_>], letters: usize) -> String {
-    let words = processes.iter().map(|process| {
+    let names = processes.iter().map(|process| {
         let name: String = process.role.name().chars().take(letters).collect();
         if process.state == "ready" { format!("{name}\u{25cf}") } else { format!("{name} {}", process.state) }
     });
-    words.collect::<Vec<_>>().join(" ")
+    names.collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Files that a user names on the command line: regular ones, up to a size that is not a mistake.
+//! Files that a user names on the command line: regular ones of a limited size.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read};
@@ -12,16 +12,16 @@ pub const TEXT_BYTES: u64 = 1 << 20;
 /// Largest file of recorded or measured data [bytes].
 pub const DATA_BYTES: u64 = 1 << 28;
 
-/// The text of a file with at most `most_bytes`.
+/// The text of a file with at most `max_bytes`.
 ///
 /// # Errors
-/// The reason in words, without the name of the file.
-pub fn read(path: &Path, most_bytes: u64) -> Result<String, String> {
-    let bytes = read_bytes(path, most_bytes).map_err(|error| error.to_string())?;
+/// The reason, without the name of the file.
+pub fn read(path: &Path, max_bytes: u64) -> Result<String, String> {
+    let bytes = read_bytes(path, max_bytes).map_err(|error| error.to_string())?;
     String::from_utf8(bytes).map_err(|_| "it is not a text in UTF-8".to_owned())
 }
 
-fn read_bytes(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+fn read_bytes(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     // A FIFO that is opened for reading waits for a writer otherwise.
     let flags = OFlags::NONBLOCK.bits().cast_signed();
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
@@ -29,9 +29,9 @@ fn read_bytes(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
         return Err(io::Error::other("it is not a regular file"));
     }
     let mut bytes = Vec::new();
-    file.take(most_bytes + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most_bytes {
-        return Err(io::Error::other(format!("it has more than {most_bytes} bytes, the most that is read")));
+    file.take(max_bytes + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(io::Error::other(format!("it has more than {max_bytes} bytes, the limit")));
     }
     Ok(bytes)
 }

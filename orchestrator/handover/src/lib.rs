@@ -1,4 +1,4 @@
-//! How one process takes over from another: the stages of a swap, and the comparison with a shadow.
+//! How one process takes over from another: the stages of a swap, and the comparison of a shadow with the live one.
 
 pub mod shadow;
 pub mod swap;

@@ -1,83 +1,77 @@
-//! Exchanges one process of a running system for another: a state machine that decides and does nothing.
+//! Replaces one process of a running system by another: a state machine that decides and does nothing.
 //!
-//! Idea: the new process is started beside the old one and computes from the same samples, but nobody listens to
-//! it. When it has proved itself for a number of scans, authority goes to it from a scan on that is not published
-//! yet, and the old one goes on computing. When that too goes well the old one is ended; when it does not,
-//! authority goes back from the first scan that has no answer yet, whose answer of the old one is already there.
+//! The new process computes from the same samples as the old one, but has no authority. When it has agreed with the
+//! old one for a number of scans, authority goes to it from a scan on that is not published yet. The old one still
+//! computes, as a standby. When the new one answers well for some scans more, the old one is ended. Otherwise
+//! authority goes back from the first scan without an answer on; the output of the old one for it exists already.
 //!
 //! ```text
-//! Starting --output--> Shadowing --agrees--> Standby --agrees--> Settling --recorded--> over
+//! Starting --output--> Shadowing --agrees--> Standby --agrees--> Settling --recorded--> Over
 //!     |                    |                    |                    ^
 //!     +------refused-------+                    +----rolled back-----+
 //! ```
 //!
 //! * **Starting** until its first output, for [`FIRST_OUTPUT_NS`] at most.
 //! * **Shadowing**: a scan is good when the output of the new one is there, valid, in time, and agrees with that
-//!   of the old one ([`agreement`]). So many good scans in a row, and it takes over. An invalid output refuses it
-//!   at once; after the first [`WARM_UP`] scans (and [`WARM_UP_NS`]) so does a disagreement, and the third output
-//!   that is late, or the fourth in twenty and so on.
-//! * **Standby**: the new one counts from `from_scan` on. It is rolled back when it ends, gives an invalid output or
-//!   one that disagrees, or has none 1.2 periods after its last one when the old one has. That is before the
+//!   of the old one ([`agreement`]). After `shadow_scans` good scans in a row it takes over. An invalid output refuses
+//!   it at once. After the first [`WARM_UP`] scans (and [`WARM_UP_NS`]) a disagreement refuses it too, and so does the
+//!   third late output; one more late output is allowed per ten scans.
+//! * **Standby**: the new one is in charge from `from_scan` on. It is rolled back when it ends, when an output is
+//!   invalid or disagrees, or when it has none 1.2 periods after its last one and the old one has. That is before the
 //!   actuator, which waits for 1.5 periods, blocks the wheels; above 125 Hz [`HANG_NS`] is longer than that.
-//! * **Settling**: the decision is carried out; the scans that the certificate tells of are still being recorded.
+//! * **Settling**: the decision is carried out; the scans that the certificate covers are still being recorded.
 //!
-//! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does); one that
-//! forges them is late unnoticed until it has to answer. The old one is the measure: a mistake that both make is
-//! agreement. When neither has an output the cause lies before both, so nobody is judged.
+//! Assumptions, and where they fail: both processes fill the stamps of their samples (the runtime does). If one
+//! forges them, its lateness is found only when it is in charge. The old one is the measure: an error that both make
+//! counts as agreement. When neither has an output, the cause lies in an earlier stage and the scan is not judged.
 //!
-//! In lock-step stamps say nothing of this machine: lateness is not judged, and who does not answer within
-//! [`LOCKSTEP_TIMEOUT_NS`] of its clock hangs. The session lets the loop wait meanwhile.
+//! In lock-step stamps do not show the time of this machine: lateness is not judged, and a process that does not
+//! answer within [`LOCKSTEP_TIMEOUT_NS`] of the machine's clock hangs. The session holds the loop meanwhile.
 
 pub mod agreement;
 mod certificate;
+mod comparison;
 mod scan_record;
 #[cfg(test)]
 mod tests;
-mod verdict;
 pub mod watch;
-
-use std::collections::BTreeMap;
 
 use shared_types::{Authority, Role};
 
 pub use agreement::{Disagreement, OutputSummary};
 pub use certificate::{Certificate, SwapOutcome};
+use comparison::Comparison;
 pub use scan_record::Recorded;
 use scan_record::ScanRecord;
-use verdict::Verdict;
 
-/// A process that has no output by then will not have one [ns].
+/// A process without an output within this time is refused [ns].
 pub const FIRST_OUTPUT_NS: u64 = 3_000_000_000;
 /// Scans from its first output on at which the new one may be late or disagree: it touches its memory for the first
 /// time, and its state is some scans old.
 pub const WARM_UP: u32 = 5;
-/// At high rates these scans are over before the process has run in: so long it is given in any case [ns].
+/// Warm-up lasts at least this long: at high rates the scans above take less than the start of a process [ns].
 pub const WARM_UP_NS: u64 = 250_000_000;
-/// Late outputs after that which are forgiven: the machine was busy; three times is a property.
+/// Late outputs after the warm-up that are tolerated: a busy machine causes one or two, three are a property.
 pub const FORGIVEN_LATE: u32 = 2;
-/// Of many scans one in so many more: a busy machine delays whom it likes.
+/// One more late output is tolerated per so many scans, because a busy machine delays any process.
 pub const FORGIVEN_SHARE: u32 = 10;
-/// With this factor on the bounds agreement is not judged at all: validity and timing only.
+/// With this factor on the bounds, agreement is not judged at all, only validity and timing.
 pub const MAX_TOLERANCE: f64 = 1000.0;
-/// Half a period is late, but nothing below this: a process that waits for a processor waits that long [ns].
+/// Outputs are late after half a period, but not before this time: a wait for a processor takes as long [ns].
 pub const LATE_NS: u64 = 3_000_000;
-/// A fifth of a period beyond its end is a hang, but nothing below this; with less, at 100 Hz and more, each turn
-/// that another process has on the processor would be one. Three scans wait at the readers, so none is lost [ns].
+/// A process hangs a fifth of a period after the end of a period, but not before this time; with less, at 100 Hz and
+/// more, a time slice of another process would count as a hang. Readers keep three scans, so none is lost [ns].
 pub const HANG_NS: u64 = 4_000_000;
 /// In lock-step, how long an output is waited for [ns].
 pub const LOCKSTEP_TIMEOUT_NS: u64 = 500_000_000;
-/// Scans between the newest one and the first of the new process: the directive is everywhere by then.
+/// Scans between the newest one and the first of the new process: all processes have the directive by then.
 const NOTICE_SCANS: u64 = 2;
 /// Recorded scans are waited for this long after the decision [ns].
 const SETTLE_NS: u64 = 2_000_000_000;
-/// So many outputs for scans that it has answered before are no accident.
-const REPEATS: u32 = 3;
-/// Scans whose outputs are kept for comparison.
-const PAIRS: usize = 32;
 
-/// What is to be exchanged.
+/// Which process is to be replaced, by which, and how it has to prove itself.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plan {
+pub struct SwapPlan {
     /// The role.
     pub role: Role,
     /// Implementation or command of the old process.
@@ -122,16 +116,16 @@ pub struct Output {
     pub published_ns: u64,
     /// From the last input taken to the result [ns].
     pub compute_ns: u64,
-    /// The same of all samples that it is made of, by which answers that rest on it are known [ns].
+    /// The same of all samples that it consists of; they identify the answers that are based on it [ns].
     pub stamps_ns: [u64; 2],
-    /// What it says, or what is wrong with it.
+    /// Its content, or what is wrong with it.
     pub content: Result<OutputSummary, String>,
 }
 
 /// Something that happened.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
-    /// The newest scan published, and the newest answered, as far as known; before all other news of a turn.
+pub enum SwapEvent {
+    /// The newest scan published, and the newest answered, as far as known; the first event of a turn.
     Scans {
         /// Newest scan published.
         newest: u64,
@@ -140,11 +134,11 @@ pub enum Event {
     },
     /// An output was seen.
     Output(Party, Output),
-    /// A process ended, in words.
+    /// A process ended, and how.
     Exited(Party, String),
     /// A scan was recorded; they come in order.
     Recorded(Recorded),
-    /// All news of this turn were told; time has passed.
+    /// The last event of a turn; time has passed.
     Tick,
     /// The end of the run was decided.
     RunEnds,
@@ -152,36 +146,36 @@ pub enum Event {
 
 /// Something to be done, in the order given.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Action {
-    /// Tell everyone whose samples count.
+pub enum SwapAction {
+    /// Publish which samples count for the role.
     Authorise(Authority),
     /// Kill the new process.
     KillNew,
     /// The new process is the process of the role from now on; ask the old one to end.
     Commit,
-    /// The exchange is over.
+    /// The swap is over.
     Finish(Box<Certificate>),
 }
 
-/// Where an exchange stands, in the words of `scanloop status`.
+/// Stages of a swap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// The new process has no output yet.
     Starting,
-    /// It computes beside the old one.
+    /// It computes in the shadow of the old one.
     Shadowing,
     /// It is in charge, or about to be; the old one stands by.
     Standby,
-    /// All is decided.
+    /// The outcome is decided.
     Settling,
-    /// The certificate was given.
+    /// The certificate is complete.
     Over,
 }
 
-/// One exchange from the start of the new process to its certificate.
+/// One swap from the start of the new process to its certificate.
 #[derive(Debug, Clone)]
 pub struct Swap {
-    plan: Plan,
+    plan: SwapPlan,
     stage: Stage,
     since_ns: u64,
     newest: u64,
@@ -189,34 +183,14 @@ pub struct Swap {
     from_scan: u64,
     until_scan: u64,
     settled_at: u64,
-    pairs: BTreeMap<u64, Pair>,
-    broken: Option<String>,
-    first_new: Option<u64>,
-    judged: u32,
-    late: u32,
-    streak: u64,
-    repeats: u32,
-    last_good: u64,
-    first_output_ns: u64,
-    last_output_ns: u64,
-    last_fault: String,
-    standby_good: u64,
+    comparison: Comparison,
     scan_record: ScanRecord,
     certificate: Certificate,
 }
 
-/// The outputs of both for one scan.
-#[derive(Debug, Clone, Default)]
-struct Pair {
-    old: Option<Output>,
-    new: Option<Output>,
-    seen_ns: u64,
-    judged: bool,
-}
-
 impl Swap {
-    /// An exchange whose new process was just started.
-    pub fn new(now_ns: u64, plan: Plan) -> Self {
+    /// A swap whose new process was just started.
+    pub fn new(now_ns: u64, plan: SwapPlan) -> Self {
         let certificate = Certificate {
             role: plan.role.name().to_owned(),
             from: plan.from.clone(),
@@ -232,34 +206,23 @@ impl Swap {
             from_scan: u64::MAX,
             until_scan: u64::MAX,
             settled_at: 0,
-            pairs: BTreeMap::new(),
-            broken: None,
-            first_new: None,
-            judged: 0,
-            late: 0,
-            streak: 0,
-            repeats: 0,
-            last_good: 0,
-            first_output_ns: 0,
-            last_output_ns: 0,
-            last_fault: String::new(),
-            standby_good: 0,
+            comparison: Comparison::default(),
             scan_record: ScanRecord::default(),
             certificate,
         }
     }
 
-    /// What is exchanged.
-    pub fn plan(&self) -> &Plan {
+    /// The plan that it carries out.
+    pub fn plan(&self) -> &SwapPlan {
         &self.plan
     }
 
-    /// Where it stands.
+    /// The stage that it has reached.
     pub fn stage(&self) -> Stage {
         self.stage
     }
 
-    /// The incarnation that is not to be listened to.
+    /// The incarnation that is not in charge.
     pub fn candidate(&self) -> u32 {
         let new_is_in_charge = match self.stage {
             Stage::Standby => self.newest >= self.from_scan,
@@ -271,84 +234,54 @@ impl Swap {
 
     /// Whether both have answered a scan; in lock-step the loop waits for that.
     pub fn both_answered(&self, scan: u64) -> bool {
-        self.pairs.get(&scan).is_some_and(|pair| pair.old.is_some() && pair.new.is_some())
+        self.comparison.has_both(scan)
     }
 
     /// What is to be done, in this order, now that `event` has happened at `now_ns`.
-    pub fn handle(&mut self, now_ns: u64, event: Event) -> Vec<Action> {
+    pub fn handle(&mut self, now_ns: u64, event: SwapEvent) -> Vec<SwapAction> {
         let mut actions = Vec::new();
         if self.stage == Stage::Over {
             return actions;
         }
         match event {
-            Event::Scans { newest, answered } => {
+            SwapEvent::Scans { newest, answered } => {
                 self.newest = self.newest.max(newest);
                 self.answered = self.answered.max(answered);
             }
-            Event::Output(party, output) => self.keep(now_ns, party, output),
-            Event::Exited(Party::New, how) => match self.stage {
+            SwapEvent::Output(party, output) => {
+                if party == Party::Old && output.content.is_ok() {
+                    self.newest = self.newest.max(output.scan);
+                }
+                self.comparison.keep(now_ns, self.newest, party, output);
+                if self.stage == Stage::Starting && self.comparison.first_new.is_some() {
+                    self.stage = Stage::Shadowing;
+                }
+            }
+            SwapEvent::Exited(Party::New, how) => match self.stage {
                 Stage::Settling | Stage::Over => {}
                 _ => self.give_up(now_ns, format!("the new process ended: {how}"), &mut actions),
             },
-            Event::Exited(Party::Old, how) => match self.stage {
+            SwapEvent::Exited(Party::Old, how) => match self.stage {
                 Stage::Starting | Stage::Shadowing => {
                     self.refuse(format!("the old process ended: {how}"), &mut actions);
                 }
-                // The one that stood by is gone, so there is nothing to go back to.
+                // The standby is gone, so there is no process to roll back to.
                 Stage::Standby => {
                     let from_scan = self.from_scan.min(self.answered + 1);
                     self.commit(now_ns, from_scan, format!("the old process ended: {how}"), &mut actions);
                 }
                 Stage::Settling | Stage::Over => {}
             },
-            Event::Recorded(recorded) => self.recorded(&recorded),
-            Event::Tick => self.tick(now_ns, &mut actions),
-            Event::RunEnds => self.run_ends(now_ns, &mut actions),
+            SwapEvent::Recorded(recorded) => self.recorded(&recorded),
+            SwapEvent::Tick => self.tick(now_ns, &mut actions),
+            SwapEvent::RunEnds => self.run_ends(now_ns, &mut actions),
         }
         actions
     }
 
-    fn keep(&mut self, now_ns: u64, party: Party, output: Output) {
-        let scan = output.scan;
-        if party == Party::New {
-            let fault = match &output.content {
-                Err(fault) => Some(fault.clone()),
-                Ok(_) if scan > self.newest + PAIRS as u64 => Some("there is no such scan".to_owned()),
-                Ok(_) => None,
-            };
-            if let Some(fault) = fault {
-                self.broken.get_or_insert(format!("invalid output for scan {scan}: {fault}"));
-                return;
-            }
-            self.last_output_ns = self.last_output_ns.max(output.published_ns.min(now_ns));
-        } else if output.content.is_ok() {
-            self.newest = self.newest.max(scan);
-        }
-        if party == Party::New && self.first_new.is_none() {
-            self.first_new = Some(scan);
-            self.first_output_ns = now_ns;
-            if self.stage == Stage::Starting {
-                self.stage = Stage::Shadowing;
-            }
-        }
-        let pair = self.pairs.entry(scan).or_insert(Pair { seen_ns: now_ns, ..Pair::default() });
-        let place = if party == Party::Old { &mut pair.old } else { &mut pair.new };
-        if place.is_some() && party == Party::New {
-            self.repeats += 1;
-            if self.repeats >= REPEATS {
-                self.broken
-                    .get_or_insert(format!("invalid output for scan {scan}: not the first for that scan"));
-            }
-        }
-        place.get_or_insert(output);
-        while self.pairs.len() > PAIRS {
-            self.pairs.pop_first();
-        }
-    }
-
-    fn tick(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+    fn tick(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
         if self.stage != Stage::Settling
-            && let Some(reason) = self.broken.take()
+            && let Some(reason) = self.comparison.invalid.take()
         {
             return self.give_up(now_ns, reason, actions);
         }
@@ -369,101 +302,59 @@ impl Swap {
         }
     }
 
-    /// Looks at all scans that can be judged by now, the oldest first.
-    fn judge(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
-        let first_new = self.first_new.unwrap_or(u64::MAX);
-        let open: Vec<u64> =
-            self.pairs.iter().filter(|(_, pair)| !pair.judged).map(|(scan, _)| *scan).collect();
-        for scan in open {
-            let in_charge = self.stage == Stage::Standby && scan >= self.from_scan;
-            if scan < first_new {
-                continue;
-            }
-            let verdict = self.verdict(now_ns, scan, in_charge);
-            let Some(pair) = self.pairs.get_mut(&scan) else { continue };
-            pair.judged = verdict != Verdict::Open;
-            self.judged += u32::from(pair.judged);
-            let is_warm = in_charge
-                || self.judged > WARM_UP
-                    && (self.plan.lockstep || now_ns.saturating_sub(self.first_output_ns) > WARM_UP_NS);
-            match verdict {
-                Verdict::Open | Verdict::Nothing => {}
-                Verdict::Good if in_charge => self.standby_good += 1,
-                Verdict::Good => {
-                    self.streak = if self.last_good + 1 == scan { self.streak + 1 } else { 1 };
-                    self.last_good = scan;
-                }
-                Verdict::Late(reason) | Verdict::Apart(reason) if !is_warm => {
-                    self.streak = 0;
-                    self.last_fault = reason;
-                }
-                Verdict::Late(reason) => {
-                    self.late += 1;
-                    self.streak = 0;
-                    if self.late > FORGIVEN_LATE + self.judged / FORGIVEN_SHARE {
-                        return self.give_up(now_ns, reason, actions);
-                    }
-                    self.last_fault = reason;
-                }
-                Verdict::Apart(reason) | Verdict::Bad(reason) => {
-                    return self.give_up(now_ns, reason, actions);
-                }
-            }
+    /// Judges the scans that can be judged by now, and moves on when enough of them are good.
+    fn judge(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
+        if let Err(reason) = self.comparison.judge(now_ns, &self.plan, self.from_scan) {
+            return self.give_up(now_ns, reason, actions);
         }
-        if self.stage == Stage::Shadowing && self.streak >= self.plan.shadow_scans {
+        if self.stage == Stage::Shadowing && self.comparison.good_in_a_row >= self.plan.shadow_scans {
             self.take_over(actions);
         }
-        let timeout_ns =
-            FIRST_OUTPUT_NS.saturating_add(self.plan.shadow_scans.saturating_mul(10 * self.plan.period_ns));
         if self.stage == Stage::Shadowing
-            && !self.plan.lockstep
-            && now_ns.saturating_sub(self.first_output_ns) > timeout_ns
+            && let Some(reason) = self.comparison.timed_out(now_ns, &self.plan)
         {
-            let (scans, last) = (self.plan.shadow_scans, &self.last_fault);
-            let reason =
-                format!("not {scans} good scans in a row in {} s; {last}", timeout_ns / 1_000_000_000);
             return self.refuse(reason, actions);
         }
-        if self.stage == Stage::Standby && self.standby_good >= self.plan.standby_scans {
+        if self.stage == Stage::Standby && self.comparison.good_in_charge >= self.plan.standby_scans {
             self.commit(now_ns, 0, String::new(), actions);
         }
     }
 
-    /// Authority goes to the new one, from a scan on that nobody works on yet.
-    fn take_over(&mut self, actions: &mut Vec<Action>) {
+    /// Authority goes to the new one, from a scan on that is not published yet.
+    fn take_over(&mut self, actions: &mut Vec<SwapAction>) {
         self.stage = Stage::Standby;
         self.from_scan = self.newest + NOTICE_SCANS;
-        self.certificate.shadow_scans = self.streak;
+        self.certificate.shadow_scans = self.comparison.good_in_a_row;
         let (incarnation, previous) = (self.plan.new, self.plan.old);
-        actions.push(Action::Authorise(Authority { incarnation, previous, from_scan: self.from_scan }));
+        actions.push(SwapAction::Authorise(Authority { incarnation, previous, from_scan: self.from_scan }));
     }
 
-    /// The new one has not stood the test: it is refused, or rolled back when it was in charge of a scan.
-    fn give_up(&mut self, now_ns: u64, reason: String, actions: &mut Vec<Action>) {
+    /// The new one has failed: it is refused, or rolled back when it was in charge of a scan.
+    fn give_up(&mut self, now_ns: u64, reason: String, actions: &mut Vec<SwapAction>) {
         if self.stage != Stage::Standby || self.newest < self.from_scan {
             return self.refuse(reason, actions);
         }
         let from_scan = (self.answered + 1).max(self.from_scan);
         let (incarnation, previous) = (self.plan.old, self.plan.new);
-        actions.push(Action::Authorise(Authority { incarnation, previous, from_scan }));
-        actions.push(Action::KillNew);
+        actions.push(SwapAction::Authorise(Authority { incarnation, previous, from_scan }));
+        actions.push(SwapAction::KillNew);
         self.until_scan = from_scan;
         self.settle(now_ns, from_scan, SwapOutcome::RolledBack, reason);
     }
 
-    fn refuse(&mut self, reason: String, actions: &mut Vec<Action>) {
+    fn refuse(&mut self, reason: String, actions: &mut Vec<SwapAction>) {
         if self.stage == Stage::Standby {
-            actions.push(Action::Authorise(alone(self.plan.old)));
+            actions.push(SwapAction::Authorise(alone(self.plan.old)));
         }
-        actions.push(Action::KillNew);
-        self.certificate.shadow_scans = self.streak;
+        actions.push(SwapAction::KillNew);
+        self.certificate.shadow_scans = self.comparison.good_in_a_row;
         self.certificate.outcome = SwapOutcome::Refused;
         self.certificate.reason = reason;
         self.over(actions);
     }
 
     /// The new one stays. `from_scan` is 0, or the first scan that it has to answer instead of one that ended early.
-    fn commit(&mut self, now_ns: u64, from_scan: u64, reason: String, actions: &mut Vec<Action>) {
+    fn commit(&mut self, now_ns: u64, from_scan: u64, reason: String, actions: &mut Vec<SwapAction>) {
         let authority = if from_scan == 0 {
             alone(self.plan.new)
         } else {
@@ -472,8 +363,8 @@ impl Swap {
         if from_scan != 0 {
             self.from_scan = self.from_scan.min(from_scan);
         }
-        actions.push(Action::Authorise(authority));
-        actions.push(Action::Commit);
+        actions.push(SwapAction::Authorise(authority));
+        actions.push(SwapAction::Commit);
         self.settle(now_ns, self.from_scan, SwapOutcome::Swapped, reason);
     }
 
@@ -488,22 +379,22 @@ impl Swap {
         self.certificate.reason = reason;
     }
 
-    fn finish(&mut self, actions: &mut Vec<Action>) {
+    fn finish(&mut self, actions: &mut Vec<SwapAction>) {
         let swapped = self.certificate.outcome == SwapOutcome::Swapped;
-        actions.push(Action::Authorise(alone(if swapped { self.plan.new } else { self.plan.old })));
+        actions.push(SwapAction::Authorise(alone(if swapped { self.plan.new } else { self.plan.old })));
         self.over(actions);
     }
 
-    fn over(&mut self, actions: &mut Vec<Action>) {
+    fn over(&mut self, actions: &mut Vec<SwapAction>) {
         self.stage = Stage::Over;
         self.scan_record.fill(&mut self.certificate);
-        actions.push(Action::Finish(Box::new(self.certificate.clone())));
+        actions.push(SwapAction::Finish(Box::new(self.certificate.clone())));
     }
 
-    fn run_ends(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+    fn run_ends(&mut self, now_ns: u64, actions: &mut Vec<SwapAction>) {
         let reason = || "the run ended".to_owned();
         match self.stage {
-            // Whoever is in charge has the last word of the run.
+            // The process in charge keeps its authority until the run is over.
             Stage::Standby if self.newest >= self.from_scan => {
                 self.commit(now_ns, 0, reason(), actions);
                 self.over(actions);
@@ -522,22 +413,15 @@ impl Swap {
         }
     }
 
-    /// Whose sample a recorded answer rests on.
+    /// The process whose sample a recorded answer is based on.
     fn answered_by(&self, recorded: &Recorded) -> Party {
-        let has_stamp = |output: &Option<Output>| {
-            output.as_ref().is_some_and(|output| output.stamps_ns.contains(&recorded.stamp_ns))
-        };
-        let pair = self.pairs.get(&recorded.scan).filter(|_| recorded.stamp_ns > 0);
-        match pair.map(|pair| (has_stamp(&pair.old), has_stamp(&pair.new))) {
-            Some((true, false)) => Party::Old,
-            Some((false, true)) => Party::New,
-            _ if recorded.scan >= self.from_scan && recorded.scan < self.until_scan => Party::New,
-            _ => Party::Old,
-        }
+        let planned = (self.from_scan..self.until_scan).contains(&recorded.scan);
+        let planned = if planned { Party::New } else { Party::Old };
+        self.comparison.source_of(recorded).unwrap_or(planned)
     }
 }
 
-/// One process counts for all scans.
+/// One process is in charge of all scans.
 fn alone(incarnation: u32) -> Authority {
     Authority { incarnation, ..Authority::default() }
 }

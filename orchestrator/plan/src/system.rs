@@ -85,7 +85,7 @@ impl System {
 
     /// The entry of a role; a checked system has one for each.
     pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
-        self.processes.iter().find(|entry| entry.role == role.name())
+        self.processes.iter().find(|entry| entry.role() == role)
     }
 
     fn validate(&self) -> Result<(), Invalid> {
@@ -96,7 +96,7 @@ impl System {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
         }
         for role in Role::ALL {
-            let count = self.processes.iter().filter(|entry| entry.role == role.name()).count();
+            let count = self.processes.iter().filter(|entry| entry.role() == *role).count();
             if count > 1 {
                 let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
                 let allowed = format!(
@@ -175,7 +175,9 @@ mod tests {
             "lab.toml: process.role = controller is not allowed: one process per role; 2 processes would write topic command"
         );
         let unknown = error_of("[[process]]\nrole = \"pilot\"\nimplementation = \"nmpc\"");
-        assert!(unknown.contains("process[5].role = pilot is not allowed: one of robot"), "{unknown}");
+        let expected =
+            "process[5].role = \"pilot\" is not allowed: unknown role `pilot`: expected robot, estimator";
+        assert!(unknown.contains(expected), "{unknown}");
         let foreign = error_of("[[process]]\nrole = \"controller\"\nimplementation = \"ekf\"");
         assert!(foreign.contains("process[5].implementation = ekf is not allowed: one of nmpc"), "{foreign}");
     }

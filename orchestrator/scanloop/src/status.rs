@@ -7,6 +7,7 @@ use console::note;
 use runtime::{Domain, RuntimeError};
 use session::control::{Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
+use shared_types::Role;
 
 use crate::print_json;
 
@@ -58,13 +59,13 @@ fn table(status: &Status) -> String {
             process.cpu_percent,
             process.memory_kib
         );
-        if !process.obeys_stop && ["robot", "actuator"].contains(&process.role.as_str()) {
+        if !process.obeys_stop && matches!(process.role, Role::Robot | Role::Actuator) {
             let _ = writeln!(text, "            ! it does not see the stop word: `scanloop stop` ends it");
         }
         for line in &process.last_words {
             let _ = writeln!(text, "            | {line}");
         }
-        for row in status.refused.iter().filter(|row| row.writer == process.role) {
+        for row in status.refused.iter().filter(|row| row.writer == process.role.name()) {
             let _ = writeln!(text, "            ! {row}");
         }
     }

@@ -1,15 +1,15 @@
 //! `scanloop adopt`: takes over the processes of a run whose orchestrator died, while they drive.
 //!
-//! The roster that the run wrote down says who fills which role and what everyone was told last. Who is still the
-//! one it was is watched from now on; who ended is started again by its policy; who was about to take over or to leave
-//! is ended, and what lives under a number that was written down but is a stranger is named and left alone.
+//! The process registry of the run contains the process of each role and the newest directive. A process that still
+//! lives is watched from now on; one that ended is started again by its policy; candidates and processes that were
+//! about to end are ended. An unrelated process that has the number of one in the registry is named and left alone.
 //!
-//! Where this fails: how an adopted process ends is not told to us, so an exit with code 0 counts as a failure;
-//! exchanges that were going on are over without a certificate; and the account begins with the first scan seen.
+//! Where this fails: the kernel does not report how an adopted process ends, so an exit with code 0 counts as a failure;
+//! a swap in progress is over without a certificate; and the sample audit begins with the first scan that is received.
 
 use console::exit::{Exit, Failure};
 use runtime::{Bus, Domain, Priority, RuntimeError, Shutdown, StopWord, latch_on_crash, monotonic_ns, print};
-use shared_types::{Authority, Directive, Phase, Role};
+use shared_types::{Authority, Directive, Phase};
 use supervision::child::Child;
 use supervision::entry::ProcessRow;
 use supervision::fleet::Fleet;
@@ -18,7 +18,7 @@ use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
-use crate::process_registry::{ProcessRegistry, RunFile};
+use crate::process_registry::{ProcessRegistry, RoleRow, RunFile};
 use crate::results::conclude;
 use crate::session::Session;
 use crate::startup::{RunOptions, Startup};
@@ -39,14 +39,14 @@ pub fn adopt(system_id: &str, arguments: &AdoptArguments) -> anyhow::Result<Exit
     let mut lock = SystemLock::take(&domain)?;
     let survivors = Survivors::find(&domain);
     if survivors.is_empty() {
-        // Files without processes are of no use to anyone.
+        // Files without processes are removed with the lock.
         lock.own();
         return Err(nothing(&survivors.strangers));
     }
     take_over(&domain, lock, shutdown, survivors, arguments)
 }
 
-/// [`adopt`] for who holds the lock and has found someone.
+/// [`adopt`] with the lock held and the processes found.
 ///
 /// # Errors
 /// As [`adopt`]. The processes are left as they are when they cannot be taken over.
@@ -63,101 +63,99 @@ pub(crate) fn take_over(
             "system `{system_id}` cannot be adopted: {why}; `scanloop stop` ends its processes"
         ))
     };
-    let word = stop_word(domain)?;
+    let stop_word = stop_word(domain)?;
     let (run, plan) = RunFile::read(domain).map_err(|error| refused(format!("{error:#}")))?;
     if run.lockstep {
         return Err(refused(
             "a run in lock-step ends with its orchestrator, as a gap changes the result".into(),
         ));
     }
-    if survivors.process_registry.role.is_empty() {
-        return Err(refused("nobody wrote down who fills its roles".to_owned()));
+    if survivors.registry.role.is_empty() {
+        return Err(refused("its process registry is missing or empty".to_owned()));
     }
     let out = out_folder(arguments.out.clone().unwrap_or(run.out))?;
     let bus = Bus::take_over(domain).map_err(|error| match error {
         RuntimeError::SharedMemory(_) => error.into(),
         other => refused(other.to_string()),
     })?;
-    // From here on the run is ours, and so is its end.
+    // From here on this orchestrator owns the run and its files.
     lock.own();
-    word.claim();
-    latch_on_crash(&word);
+    stop_word.claim();
+    latch_on_crash(&stop_word);
     let mut fleet = Fleet::new(
         domain.clone(),
         lock,
-        word.clone(),
+        stop_word.clone(),
         &plan.system.realtime,
         &plan.system.processes,
         out.join("logs"),
         true,
     )?;
-    print(Priority::Notice, &format!("adopting {}", survivors.words()));
+    print(Priority::Notice, &format!("adopting {}", survivors.labels()));
     for stranger in &survivors.strangers {
         print(Priority::Warning, &format!("{stranger}; it is left alone"));
     }
-    let Survivors { process_registry, listed, unlisted, .. } = survivors;
-    let dismissed_ns = monotonic_ns() + (3 * plan.system.period_ns()).max(MIN_HANG_AFTER_MS * 1_000_000);
-    let mut processes: Vec<(ProcessRow, Child)> =
-        listed.into_iter().filter_map(|(row, process)| Some((row, Child::adopt(process)?))).collect();
-    let mut directive = directive_of(&process_registry);
+    let Survivors { registry, listed, unlisted, .. } = survivors;
+    let listed = listed.into_iter();
+    let processes = listed.filter_map(|(row, process)| Some((row, Child::adopt(process)?))).collect();
+    let mut directive = directive_of(&registry);
+    let (mut events, others) = fill_roles(&mut fleet, &registry, &mut directive, processes);
+    let standby_ns = monotonic_ns() + (3 * plan.system.period_ns()).max(MIN_HANG_AFTER_MS * 1_000_000);
+    for (ProcessRow { role, identity, entry }, child) in others {
+        print(Priority::Notice, &format!("{role} {} fills no role and is ended", identity.pid));
+        // A standby may still have to answer until all processes have received the directive.
+        let is_standby = directive.authority[role.index()].previous == identity.incarnation;
+        fleet.dismiss_adopted(entry, identity.incarnation, child, if is_standby { standby_ns } else { 0 });
+    }
+    unlisted.iter().for_each(|process| process.signal(rustix::process::Signal::KILL));
+    let phase = Phase::try_from(registry.phase).unwrap_or(Phase::Stopping);
+    events.push(Event::Resume { phase, last_incarnation: registry.last_incarnation });
+
+    let duration_s = arguments.duration.or(run.duration_s);
+    let options = RunOptions { lockstep: false, duration_s, quiet: arguments.quiet, out };
+    let startup = Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 0 };
+    let mut session = Session::new(domain, &plan, &options, startup)?;
+    session.resume_end(registry.outcome, registry.reason);
+    conclude(session, &plan.scenario, &options.out)
+}
+
+/// Fills each role with the process in charge, or else with the one before it. Returns the events for the supervisor,
+/// and the processes that are left over.
+fn fill_roles(
+    fleet: &mut Fleet,
+    registry: &ProcessRegistry,
+    directive: &mut Directive,
+    mut processes: Vec<(ProcessRow, Child)>,
+) -> (Vec<Event>, Vec<(ProcessRow, Child)>) {
     let mut events = Vec::new();
-    for role in Role::ALL.iter().copied() {
+    for RoleRow { role, incarnation, restarts, entry } in registry.role.iter().cloned() {
         let authority = &mut directive.authority[role.index()];
-        let lives = |incarnation: u32| {
-            processes
-                .iter()
-                .position(|(row, _)| row.role == role.name() && row.identity.incarnation == incarnation)
+        let index_of = |incarnation: u32| {
+            let is_it = |row: &ProcessRow| row.role == role && row.identity.incarnation == incarnation;
+            processes.iter().position(|(row, _)| is_it(row))
         };
-        let chosen = lives(authority.incarnation).or_else(|| {
-            let previous = lives(authority.previous)?;
+        let chosen = index_of(authority.incarnation).or_else(|| {
+            let previous = index_of(authority.previous)?;
             *authority = Authority { incarnation: authority.previous, ..Authority::default() };
             Some(previous)
         });
-        let Some(row) = process_registry.of(role) else { continue };
-        let restarts = row.restarts;
-        let (pid, incarnation) = match chosen.map(|index| processes.swap_remove(index)) {
-            Some((ProcessRow { identity, entry, .. }, child)) => {
-                let pid = child.pid();
-                fleet.adopt(role, entry, identity.incarnation, Some(child));
-                (Some(pid), identity.incarnation)
-            }
-            None => {
-                fleet.adopt(role, row.entry.clone(), row.incarnation, None);
-                (None, row.incarnation)
-            }
+        let (entry, incarnation, child) = match chosen.map(|index| processes.swap_remove(index)) {
+            Some((row, child)) => (row.entry, row.identity.incarnation, Some(child)),
+            None => (entry, incarnation, None),
         };
+        let pid = child.as_ref().map(Child::pid);
+        fleet.adopt(role, entry, incarnation, child);
         if pid.is_some() || incarnation != 0 {
             events.push(Event::Adopted { role, pid, incarnation, restarts });
         }
     }
-    for (ProcessRow { role, identity, entry }, child) in processes {
-        let Ok(role) = role.parse::<Role>() else { continue };
-        print(Priority::Notice, &format!("{role} {} fills no role and is ended", identity.pid));
-        // Until everyone has heard who counts, the one before may still have to answer.
-        let stood_by = directive.authority[role.index()].previous == identity.incarnation;
-        let kill_ns = if stood_by { dismissed_ns } else { 0 };
-        fleet.dismiss_adopted(role, entry, identity.incarnation, child, kill_ns);
-    }
-    unlisted.iter().for_each(|process| process.signal(rustix::process::Signal::KILL));
-    let phase = Phase::try_from(process_registry.phase).unwrap_or(Phase::Stopping);
-    events.push(Event::Resume { phase, last_incarnation: process_registry.last_incarnation });
-
-    let manner = RunOptions {
-        lockstep: false,
-        duration_s: arguments.duration.or(run.duration_s),
-        quiet: arguments.quiet,
-        out: out.clone(),
-    };
-    let startup = Startup { bus, word, fleet, shutdown, events, directive, first_scan: 0 };
-    let mut session = Session::new(domain, &plan, manner, startup)?;
-    session.resume_end(process_registry.outcome, process_registry.reason);
-    conclude(session, &plan.scenario, &out)
+    (events, processes)
 }
 
 /// The stop word of the run, from one of its processes.
 ///
 /// # Errors
-/// A run that was stopped, and one whose processes do not have the word: neither can be driven on.
+/// A run that was stopped, and one whose processes do not hold a stop word: neither can be driven on.
 fn stop_word(domain: &Domain) -> anyhow::Result<StopWord> {
     let system_id = domain.system_id();
     let word = LivingRun::of(domain.run_id()).and_then(|run| run.word);
@@ -170,16 +168,16 @@ fn stop_word(domain: &Domain) -> anyhow::Result<StopWord> {
     }
 }
 
-/// What everyone was told last, as the word of another orchestrator.
-fn directive_of(process_registry: &ProcessRegistry) -> Directive {
+/// The newest directive of the run, as one of a new orchestrator.
+fn directive_of(registry: &ProcessRegistry) -> Directive {
     let mut directive = Directive {
-        // The supervisor announces it again when it has ended everyone.
-        phase: process_registry.phase,
-        stop: process_registry.stop,
-        authority: process_registry.authority(),
+        // The supervisor announces `stopping` again when it ends the processes.
+        phase: registry.phase,
+        stop: registry.stop,
+        authority: registry.authority(),
         ..Directive::default()
     };
-    // Readers take news of another producer whatever its number, and repeats of the same one never.
-    directive.header.incarnation = process_registry.generation + 1;
+    // Readers drop repeats of one publisher by their number; the first sample of another one is always taken.
+    directive.header.incarnation = registry.generation + 1;
     directive
 }

@@ -1,4 +1,4 @@
-//! What `run` and `adopt` are asked for, and the checks of it that other commands share.
+//! Arguments of `run` and `adopt`, and the checks that other commands share.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ pub struct RunArguments {
     /// Scenario file, or name of a shipped scenario (`scanloop check --list` prints them); without it `corridor`.
     #[arg(value_name = "SCENARIO")]
     pub scenario: Option<String>,
-    /// The choice of scenario and system.
+    /// Scenario and system.
     #[command(flatten)]
     pub choice: Choice,
     /// Folder for `report.json`, the picture and the logs; default `out/SCENARIO`.

@@ -21,6 +21,9 @@ use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
+use shared_types::Role;
+use supervision::entry::role_name;
+use supervision::supervisor::VisibleState;
 
 use self::line::{read_line, write_line};
 pub use self::request::{Request, ShadowRequest, Successor, SwapRequest};
@@ -28,12 +31,12 @@ use self::server::{BUSY, Server};
 
 /// A command waits this long for its answer, whatever the orchestrator does: longer than a request waits there.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(12);
-/// Longest answer [bytes]; a report of a shadow has some kilobytes.
+/// Longest answer [bytes]; the report of a shadow has some kilobytes.
 const MAX_ANSWER: usize = 16 << 20;
 /// A command comes again after this time when the orchestrator has too many connections.
 const BUSY_PAUSE: Duration = Duration::from_millis(50);
 
-/// What it answers.
+/// What the orchestrator answers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reply {
@@ -41,13 +44,13 @@ pub enum Reply {
     Done,
     /// The state of all processes.
     Status(Box<Status>),
-    /// An exchange or a shadow has begun; ask for its result by this number.
+    /// A swap or a shadow was accepted; ask for its result by this number.
     Accepted(u64),
-    /// It goes on.
+    /// It is in progress.
     Pending,
-    /// What became of a shadow.
+    /// The report of a shadow.
     Shadow(Box<ShadowReport>),
-    /// What became of an exchange.
+    /// The certificate of a swap.
     Certificate(Box<Certificate>),
     /// The request is refused, with the reason.
     Refused(String),
@@ -75,16 +78,17 @@ pub struct Status {
 }
 
 /// One process in [`Status`].
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProcessStatus {
-    /// Name of the role.
-    pub role: String,
+    /// The role.
+    #[serde(with = "role_name")]
+    pub role: Role,
     /// Built-in implementation, or the command.
     pub implementation: String,
     /// Process id, 0 when none runs.
     pub pid: i32,
     /// starting, ready, standby, shadow, hung, backoff, failed or stopped.
-    pub state: String,
+    pub state: VisibleState,
     /// Starts after the first.
     pub restarts: u32,
     /// Outputs per second over the last seconds.
@@ -98,8 +102,27 @@ pub struct ProcessStatus {
     /// Whether it sees the stop word, and so obeys `scanloop stop` by itself.
     #[serde(default)]
     pub obeys_stop: bool,
-    /// Last lines that a process wrote before it died.
+    /// Last log lines of the process before the one that runs.
     pub last_words: Vec<String>,
+}
+
+impl ProcessStatus {
+    /// The row of a process of which nothing else is known.
+    pub(crate) fn new(role: Role, state: VisibleState) -> Self {
+        Self {
+            role,
+            implementation: String::new(),
+            pid: 0,
+            state,
+            restarts: 0,
+            rate_hz: 0.0,
+            last_sample_age_ms: 0.0,
+            cpu_percent: 0.0,
+            memory_kib: 0,
+            obeys_stop: false,
+            last_words: Vec::new(),
+        }
+    }
 }
 
 /// The orchestrator's end.
@@ -127,7 +150,7 @@ impl ControlSocket {
     /// Answers all requests that are waiting; never waits for a client.
     pub fn serve(&self, mut answer: impl FnMut(Request) -> Reply) {
         for asked in self.server.take() {
-            // A client that is gone must not be surprised later, except by a stop.
+            // A request whose client is gone is dropped, except a stop.
             if asked.until > Instant::now() || asked.request == Request::Stop {
                 let _ = asked.answer.try_send(answer(asked.request));
             }
@@ -156,7 +179,7 @@ pub fn ask(domain: &Domain, request: &Request) -> anyhow::Result<Reply> {
 /// One request and its answer; `None` when nothing is there to answer it.
 fn ask_once(path: &Path, request: &Request, until: Instant) -> anyhow::Result<Option<Reply>> {
     let Some(stream) = connect_until(path, until)? else { return Ok(None) };
-    // A connection that is refused may be closed before the request is written: its answer tells why.
+    // A connection that is refused may be closed before the request is written: its answer contains the reason.
     let _ = write_line(&stream, &serde_json::to_string(request)?, until);
     match read_line(&stream, MAX_ANSWER, until) {
         Ok(Some(line)) => Ok(Some(serde_json::from_str(&line)?)),
@@ -175,7 +198,7 @@ fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStrea
         match connect(&socket, &address) {
             Ok(()) => break,
             Err(Errno::INTR) => {}
-            // An orchestrator that does not run for a while still listens, until too many wait.
+            // The socket of an orchestrator that is suspended accepts connections until its queue is full.
             Err(Errno::AGAIN) if Instant::now() < until => std::thread::sleep(BUSY_PAUSE),
             Err(Errno::AGAIN) => anyhow::bail!("the orchestrator does not answer"),
             Err(_) => return Ok(None),
@@ -183,7 +206,7 @@ fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStrea
     }
     let stream = UnixStream::from(socket);
     stream.set_nonblocking(false)?;
-    // A link in the place of the socket may lead to another user's.
+    // The path may be a link to a socket of another user.
     if peer_uid(&stream)? != geteuid().as_raw() {
         return Ok(None);
     }
@@ -191,6 +214,6 @@ fn connect_until(path: &Path, until: Instant) -> anyhow::Result<Option<UnixStrea
 }
 
 fn socket_path(domain: &Domain) -> PathBuf {
-    // By descriptor: a socket's path may have 107 bytes only.
+    // By descriptor: the path of a socket may have 107 bytes only.
     domain.folder().by_descriptor("control.sock")
 }

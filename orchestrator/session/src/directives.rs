@@ -1,25 +1,25 @@
-//! What all processes are told: published when it changes, and from time to time for those who missed it.
+//! The directive to all processes: published when it changes, and from time to time for processes that missed it.
 
 use runtime::{Bus, Publisher, RuntimeError};
 use shared_types::{Directive, Phase};
 
-/// The directive is repeated this often for those who missed it [ns].
+/// Time between two publications of an unchanged directive [ns].
 const REPEAT_NS: u64 = 100_000_000;
 
 /// The newest directive and its topic.
 pub(crate) struct Directives {
-    /// What everyone is told; who changes it says so with [`Directives::changed`].
+    /// The newest directive; set [`Directives::changed`] after a change.
     pub(crate) current: Directive,
     /// Whether it is to be published without delay.
     pub(crate) changed: bool,
-    voice: Publisher<Directive>,
-    said_ns: u64,
+    publisher: Publisher<Directive>,
+    published_ns: u64,
 }
 
 impl Directives {
     pub(crate) fn new(bus: &Bus, first: Directive) -> Result<Self, RuntimeError> {
         let current = Directive { orchestrator_pid: u64::from(std::process::id()), ..first };
-        Ok(Self { current, changed: true, voice: Publisher::new(bus)?, said_ns: 0 })
+        Ok(Self { current, changed: true, publisher: Publisher::new(bus)?, published_ns: 0 })
     }
 
     /// The wheels are to be blocked.
@@ -34,7 +34,7 @@ impl Directives {
         self.changed = true;
     }
 
-    /// Scans up to this one may be made, in lock-step.
+    /// In lock-step the robot may publish scans up to this one.
     pub(crate) fn grant(&mut self, scan_id: u64) {
         if scan_id > self.current.granted_scan {
             self.current.granted_scan = scan_id;
@@ -44,7 +44,7 @@ impl Directives {
 
     /// Whether it is to be published now.
     pub(crate) fn is_due(&self, now_ns: u64) -> bool {
-        self.changed || now_ns.saturating_sub(self.said_ns) >= REPEAT_NS
+        self.changed || now_ns.saturating_sub(self.published_ns) >= REPEAT_NS
     }
 
     /// Publishes it.
@@ -53,9 +53,9 @@ impl Directives {
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub(crate) fn publish(&mut self, now_ns: u64) -> Result<(), RuntimeError> {
         self.current.issued_ns = now_ns;
-        self.voice.publish(&mut self.current, self.changed)?;
+        self.publisher.publish(&mut self.current, self.changed)?;
         self.changed = false;
-        self.said_ns = now_ns;
+        self.published_ns = now_ns;
         Ok(())
     }
 }

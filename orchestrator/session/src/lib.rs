@@ -1,4 +1,4 @@
-//! One run from its start to its end: a loop that watches, decides and speaks.
+//! One run from its start to its end: a loop that observes the processes, decides, and publishes the directive.
 
 pub mod adopt;
 pub mod arguments;

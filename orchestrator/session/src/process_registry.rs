@@ -1,8 +1,8 @@
-//! What a run has to leave behind for an orchestrator that may have to take it over: two files in the directory of
-//! the system, each written whole or not at all.
+//! The files of a run from which another orchestrator can adopt it, in the directory of the system; each is written
+//! whole or not at all.
 //!
-//! `run.toml` says what is driven and is written once. `processes.toml` says who fills the roles and what everyone
-//! was told last; it is written at each change, before the change is told.
+//! `run.toml` contains scenario and system and is written once. `processes.toml` contains the process of each role and
+//! the newest directive; it is written at each change, before the change is published.
 
 use std::path::PathBuf;
 
@@ -13,11 +13,11 @@ use plan::system::System;
 use runtime::{Domain, PROCESSES_FILE};
 use serde::{Deserialize, Serialize};
 use shared_types::{Authority, ROLES, Role};
-use supervision::entry::{ProcessEntry, ProcessRow};
+use supervision::entry::{ProcessEntry, ProcessRow, role_name};
 
 const RUN_FILE: &str = "run.toml";
 
-/// What is driven.
+/// The run: scenario, system and options.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RunFile {
     /// Where the results are written.
@@ -33,7 +33,7 @@ pub(crate) struct RunFile {
     pub scenario: Scenario,
 }
 
-/// Who fills the roles, and what everyone was told last.
+/// The process of each role, and the newest directive.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct ProcessRegistry {
     /// How many orchestrators this run has had.
@@ -47,7 +47,7 @@ pub(crate) struct ProcessRegistry {
     /// How the run ends, once it is decided.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outcome: Option<Outcome>,
-    /// Why, in words.
+    /// Why it ends so.
     #[serde(default)]
     pub reason: String,
     /// Whose samples count, in the order of roles.
@@ -56,12 +56,12 @@ pub(crate) struct ProcessRegistry {
     /// One row per role.
     #[serde(default)]
     pub role: Vec<RoleRow>,
-    /// One row per living process, also of those that are about to take over or to leave.
+    /// One row per living process, also for candidates and processes that are about to end.
     #[serde(default)]
     pub process: Vec<ProcessRow>,
 }
 
-/// [`Authority`] in words.
+/// [`Authority`] as it stands in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Right {
     pub incarnation: u32,
@@ -72,8 +72,9 @@ pub(crate) struct Right {
 /// The history of a role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RoleRow {
-    /// Name of the role.
-    pub role: String,
+    /// The role.
+    #[serde(with = "role_name")]
+    pub role: Role,
     /// The incarnation that fills it, or did last; 0 before the first.
     pub incarnation: u32,
     /// How often it was started again.
@@ -83,15 +84,22 @@ pub(crate) struct RoleRow {
 }
 
 impl ProcessRegistry {
-    /// The newest roster of a system.
+    /// The newest registry of a system.
     ///
     /// # Errors
     /// When there is none, or it cannot be read.
     pub(crate) fn read(domain: &Domain) -> anyhow::Result<Self> {
-        read(domain, PROCESSES_FILE)
+        let registry: Self = read(domain, PROCESSES_FILE)?;
+        let entries = registry.role.iter().map(|row| &row.entry);
+        for entry in entries.chain(registry.process.iter().map(|row| &row.entry)) {
+            entry
+                .validate()
+                .with_context(|| format!("{PROCESSES_FILE} of {}", domain.directory().display()))?;
+        }
+        Ok(registry)
     }
 
-    /// Writes it down, all of it or nothing.
+    /// Writes the whole file or nothing.
     ///
     /// # Errors
     /// Those of the file system.
@@ -112,7 +120,7 @@ impl ProcessRegistry {
 
     /// The row of a role.
     pub(crate) fn of(&self, role: Role) -> Option<&RoleRow> {
-        self.role.iter().find(|row| row.role == role.name())
+        self.role.iter().find(|row| row.role == role)
     }
 }
 
@@ -124,7 +132,7 @@ impl From<&Authority> for Right {
 }
 
 impl RunFile {
-    /// Writes it down, all of it or nothing.
+    /// Writes the whole file or nothing.
     ///
     /// # Errors
     /// Those of the file system.
@@ -132,10 +140,10 @@ impl RunFile {
         write(domain, RUN_FILE, self)
     }
 
-    /// What a run was started with.
+    /// Reads the options of a run, and its plan.
     ///
     /// # Errors
-    /// When it was not written down, or cannot be read.
+    /// A file that is missing or cannot be read.
     pub(crate) fn read(domain: &Domain) -> anyhow::Result<(Self, Plan)> {
         let run: Self = read(domain, RUN_FILE)?;
         let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone() };
@@ -159,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_roster_is_read_back_as_it_was_written() {
+    fn a_registry_is_read_back_as_it_was_written() {
         let domain = Domain::create(&format!("ros{}", std::process::id())).unwrap();
         let entry = ProcessEntry::of(Role::Controller, &["./mine".to_owned(), "--fast".to_owned()]);
         let process_registry = ProcessRegistry {
@@ -167,14 +175,9 @@ mod tests {
             outcome: Some(Outcome::Missed),
             reason: "passed \"it\"".to_owned(),
             authority: vec![Right { incarnation: 7, previous: 3, from_scan: 1 << 40 }; ROLES],
-            role: vec![RoleRow {
-                role: "controller".to_owned(),
-                incarnation: 7,
-                restarts: 1,
-                entry: entry.clone(),
-            }],
+            role: vec![RoleRow { role: Role::Controller, incarnation: 7, restarts: 1, entry: entry.clone() }],
             process: vec![ProcessRow {
-                role: "controller".to_owned(),
+                role: Role::Controller,
                 identity: Identity::of(&domain, std::process::id(), 7).unwrap(),
                 entry,
             }],

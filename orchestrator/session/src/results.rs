@@ -1,4 +1,4 @@
-//! What a run leaves: its report, its picture, its summary.
+//! The results of a run: its report, its picture, its summary.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -15,16 +15,16 @@ use crate::session::Session;
 
 /// Drives to the end, writes the results and prints the summary.
 pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) -> anyhow::Result<Exit> {
-    let ending = session.drive()?;
+    let result = session.drive()?;
     let (recorder, digests) = session.finish();
-    let report = Report { digests: digests.texts(), ..recorder.report(&ending) };
+    let report = Report { digests: digests.texts(), ..recorder.report(&result) };
     let written = write_results(&report, scenario, &recorder, out);
     runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
     if let Err(error) = written {
-        // The drive is over and ended as it did: a full disk changes nothing of that.
+        // The drive is over: a full disk does not change its outcome.
         runtime::print(runtime::Priority::Error, &format!("error: the results were not written: {error:#}"));
     }
-    Ok(match ending.outcome.exit_code() {
+    Ok(match result.outcome.exit_code() {
         0 => Exit::Done,
         3 => Exit::Collision,
         4 => Exit::ProcessFailed,
@@ -32,7 +32,7 @@ pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) ->
     })
 }
 
-/// Writes report and picture. Those of an earlier run do not stay where they can't be replaced.
+/// Writes report and picture. Those of an earlier run are removed when they can't be replaced.
 fn write_results(
     report: &Report,
     scenario: &Scenario,
@@ -59,7 +59,7 @@ fn near(path: &Path) -> PathBuf {
     path.strip_prefix(here).unwrap_or(path).to_owned()
 }
 
-/// What the picture shows of a scenario.
+/// The part of a scenario that the picture shows.
 fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
     picture::Scene {
         title: format!("{}: {}", report.scenario, report.outcome),

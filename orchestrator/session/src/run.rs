@@ -37,21 +37,21 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
             return adopt::take_over(&domain, lock, shutdown, survivors, &to_adopt);
         }
         if !survivors.is_empty() {
-            let words = survivors.words();
+            let processes = survivors.labels();
             runtime::print(
                 runtime::Priority::Warning,
-                &format!("an earlier run lost its orchestrator: blocking its wheels and ending {words}"),
+                &format!("an earlier run lost its orchestrator: blocking its wheels and ending {processes}"),
             );
         }
         clear(&domain, lock)?;
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
     let (domain, lock) = Claim::take_new(system_id)?;
-    let manner = RunOptions { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
+    let options = RunOptions { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
     if shutdown.requested() {
         runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
         return Ok(Exit::NotReached);
     }
-    let session = start(&domain, &plan, manner.clone(), lock, shutdown)?;
-    conclude(session, &plan.scenario, &manner.out)
+    let session = start(&domain, &plan, &options, lock, shutdown)?;
+    conclude(session, &plan.scenario, &options.out)
 }

@@ -1,4 +1,4 @@
-//! What a session begins with.
+//! Start-up of a session, and the options of a run.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use shared_types::Directive;
 use supervision::fleet::Fleet;
 use supervision::supervisor::Event;
 
-/// How a run is driven, apart from what.
+/// Options of a run, apart from scenario and system.
 #[derive(Debug, Clone)]
 pub struct RunOptions {
     /// Simulated time.
@@ -20,15 +20,15 @@ pub struct RunOptions {
     pub out: PathBuf,
 }
 
-/// What the one who drives a run begins with: nothing, or what another orchestrator left.
+/// What a session starts from: a new system, or one that another orchestrator left.
 pub(crate) struct Startup {
     pub(crate) bus: Bus,
-    pub(crate) word: StopWord,
+    pub(crate) stop_word: StopWord,
     pub(crate) fleet: Fleet,
-    /// Listens since before the first of them was made.
+    /// Receives signals since before the first file was made.
     pub(crate) shutdown: Shutdown,
     pub(crate) events: Vec<Event>,
     pub(crate) directive: Directive,
-    /// 0 when another orchestrator has begun.
+    /// 0 when another orchestrator has started the run.
     pub(crate) first_scan: u64,
 }

@@ -1,7 +1,7 @@
-//! What is left of a run whose orchestrator died: its processes, opened and known to be its own.
+//! The processes that are left of a run whose orchestrator died, opened and identified.
 //!
-//! They are found by the roster of the run, and by their environment: between the start of a process and the moment
-//! it is written down its orchestrator may die too. Finding them changes nothing, and neither does dropping them.
+//! They are found by the process registry of the run and by their environment, because an orchestrator may die between
+//! the start of a process and its entry in the registry. Finding and dropping them does not affect them.
 
 use runtime::{Domain, Identified, NotOurs, identify, processes_of};
 use supervision::entry::ProcessRow;
@@ -11,22 +11,22 @@ use crate::process_registry::ProcessRegistry;
 /// Processes without an orchestrator.
 #[derive(Debug, Default)]
 pub(crate) struct Survivors {
-    /// What the run wrote down last.
-    pub process_registry: ProcessRegistry,
-    /// Processes that were written down and live.
+    /// The newest registry of the run.
+    pub registry: ProcessRegistry,
+    /// Processes of the registry that live.
     pub listed: Vec<(ProcessRow, Identified)>,
-    /// Processes of the system that were not written down and belong to no group of one that was.
+    /// Processes of the system that are neither in the registry nor in the group of one that is.
     pub unlisted: Vec<Identified>,
-    /// Processes that were written down and are others now, each in words.
+    /// Descriptions of unrelated processes that have the number of one in the registry.
     pub strangers: Vec<String>,
 }
 
 impl Survivors {
-    /// Looks for processes of a system. Only for the one who holds its lock, or just wants to know.
+    /// Finds the processes of a system. To act on them, hold its lock.
     pub(crate) fn find(domain: &Domain) -> Self {
         let mut found =
-            Self { process_registry: ProcessRegistry::read(domain).unwrap_or_default(), ..Self::default() };
-        for row in found.process_registry.process.clone() {
+            Self { registry: ProcessRegistry::read(domain).unwrap_or_default(), ..Self::default() };
+        for row in found.registry.process.clone() {
             match identify(&row.identity) {
                 Ok(process) => found.listed.push((row, process)),
                 Err(NotOurs::Ended(_)) => {}
@@ -40,16 +40,16 @@ impl Survivors {
         found
     }
 
-    /// Whether nothing is left.
+    /// Whether no process is left.
     pub(crate) fn is_empty(&self) -> bool {
         self.listed.is_empty() && self.unlisted.is_empty()
     }
 
-    /// The roles that are filled, in words.
-    pub(crate) fn words(&self) -> String {
-        let words = self.listed.iter().map(|(row, process)| format!("{} {}", row.role, process.pid()));
+    /// The processes, as `controller 812`.
+    pub(crate) fn labels(&self) -> String {
+        let listed = self.listed.iter().map(|(row, process)| format!("{} {}", row.role, process.pid()));
         let others = self.unlisted.iter().map(|process| format!("unknown {}", process.pid()));
-        words.chain(others).collect::<Vec<_>>().join(", ")
+        listed.chain(others).collect::<Vec<_>>().join(", ")
     }
 }
 

@@ -1,16 +1,18 @@
-//! What heartbeats and samples say about each process, for the supervisor and for `status`.
+//! The state of each process by its heartbeats and checkpoints, for the supervisor and for `status`.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::SampleAudit;
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
 use shared_types::{Checkpoint, Heartbeat, ProcessState, Role};
-use supervision::supervisor::Event;
+use supervision::supervisor::{Event, VisibleState};
+
+use crate::control::ProcessStatus;
 
 /// Rates are averages over this time [ns].
 const RATE_WINDOW_NS: u64 = 2_000_000_000;
 
-/// A process whose last heartbeat is older than this is forgotten when another begins [ns].
+/// A process whose last heartbeat is older than this is forgotten when another starts [ns].
 const FORGET_NS: u64 = 10_000_000_000;
 
 /// Heartbeats and checkpoints of all processes.
@@ -32,7 +34,7 @@ struct Pulse {
 }
 
 impl Vitals {
-    /// Starts listening.
+    /// Starts to receive.
     pub(crate) fn new(bus: &Bus) -> Result<Self, RuntimeError> {
         Ok(Self {
             heartbeats: Observer::new(bus)?,
@@ -42,19 +44,19 @@ impl Vitals {
         })
     }
 
-    /// Takes heartbeats and checkpoints; hands what the supervisor must know to `each`, and accounts to the books.
+    /// Takes heartbeats and checkpoints; hands events for the supervisor to `each`, and counters to the sample audit.
     ///
-    /// The state of the incarnations `beside` is nobody's to go on from: they do not count, or not any more.
+    /// No successor resumes from the state of the incarnations `not_in_charge`.
     pub(crate) fn poll(
         &mut self,
-        candidate: &[u32],
+        not_in_charge: &[u32],
         sample_audit: &mut SampleAudit,
         mut each: impl FnMut(Event),
     ) -> Result<(), RuntimeError> {
         let newest = &mut self.newest;
         self.checkpoints.poll(|checkpoint| {
             if let Ok(role) = Role::try_from(checkpoint.role)
-                && !candidate.contains(&checkpoint.header.incarnation)
+                && !not_in_charge.contains(&checkpoint.header.incarnation)
             {
                 newest.insert(role, *checkpoint);
             }
@@ -100,13 +102,20 @@ impl Vitals {
         self.pulses.get(&incarnation).map_or(0, |pulse| pulse.scan)
     }
 
-    /// Whether an incarnation sees the stop word, as it says; one that has not said anything is given the benefit of doubt.
-    pub(crate) fn obeys_stop(&self, incarnation: u32) -> bool {
+    /// Whether an incarnation sees the stop word, by its heartbeats; without one it is assumed.
+    fn obeys_stop(&self, incarnation: u32) -> bool {
         self.pulses.get(&incarnation).is_none_or(|pulse| pulse.obeys_stop)
     }
 
+    /// The row of a process in `status`, with the figures of its heartbeats; all else is empty.
+    pub(crate) fn row(&self, role: Role, state: VisibleState, incarnation: u32) -> ProcessStatus {
+        let (rate_hz, last_sample_age_ms) = self.rate_and_age(incarnation);
+        let obeys_stop = self.obeys_stop(incarnation);
+        ProcessStatus { rate_hz, last_sample_age_ms, obeys_stop, ..ProcessStatus::new(role, state) }
+    }
+
     /// Outputs per second of an incarnation, and the age of its newest output [ms].
-    pub(crate) fn rate_and_age(&self, incarnation: u32) -> (f64, f64) {
+    fn rate_and_age(&self, incarnation: u32) -> (f64, f64) {
         let Some(pulse) = self.pulses.get(&incarnation) else { return (0.0, 0.0) };
         let age_ms = if pulse.newest_output_ns == 0 {
             0.0

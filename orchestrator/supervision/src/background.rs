@@ -1,6 +1,6 @@
-//! Work for the disk and for other programs, done by a thread of its own, so that the loop never waits for them.
+//! A thread for work that may block, such as disk access, so that the loop never waits for it.
 //!
-//! Jobs are done one after the other. Where one does not come back, the queue fills up and later jobs are dropped.
+//! Jobs run one after the other. When one does not return, the queue fills up and later jobs are dropped.
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
@@ -10,10 +10,10 @@ const MAX_JOBS: usize = 64;
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// A thread that does what it is given. It ends by itself once this is dropped and all is done.
+/// A thread that runs jobs. It ends by itself once this is dropped and all jobs are done.
 #[derive(Debug)]
 pub struct Background {
-    /// `None` when no thread could be started: then nothing is done.
+    /// `None` when no thread could be started: then jobs are dropped.
     jobs: Option<SyncSender<Job>>,
 }
 
@@ -27,12 +27,12 @@ impl Background {
         Self { jobs: started.is_ok().then_some(jobs) }
     }
 
-    /// Has something done some time; false when it is dropped, because too much waits.
+    /// Queues a job; false when it is dropped, because too many wait.
     pub fn post(&self, job: impl FnOnce() + Send + 'static) -> bool {
         self.jobs.as_ref().is_some_and(|jobs| jobs.try_send(Box::new(job)).is_ok())
     }
 
-    /// Has something done and waits for it, but not longer than `limit`; it may still be done later.
+    /// Queues a job and waits for its result, but not longer than `limit`; the job may still run later.
     pub fn call<T: Send + 'static>(
         &self,
         limit: Duration,
@@ -50,14 +50,14 @@ mod tests {
     use std::sync::mpsc::channel;
 
     #[test]
-    fn a_job_that_does_not_come_back_holds_up_no_caller() {
+    fn a_job_that_does_not_return_delays_no_caller() {
         let background = Background::new("test");
-        let (go_on, waits) = channel::<()>();
+        let (release, waits) = channel::<()>();
         assert!(background.post(move || _ = waits.recv()));
         assert_eq!(background.call(Duration::from_millis(5), || 1), None);
         let taken = (0..2 * MAX_JOBS).filter(|_| background.post(|| {})).count();
         assert!(taken <= MAX_JOBS, "{taken}");
-        drop(go_on);
+        drop(release);
         // A minute is far more than a busy machine takes for 64 empty jobs.
         let started = std::time::Instant::now();
         while !background.post(|| {}) && started.elapsed() < Duration::from_secs(60) {

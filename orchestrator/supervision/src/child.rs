@@ -1,17 +1,17 @@
 //! One process of the run: start it, signal it, see it end.
 //!
-//! Idea: the process leads a group of its own, so that a signal reaches whatever it starts, and ctrl-C in the
+//! The process leads a group of its own, so that a signal reaches all processes that it starts, and ctrl-C in the
 //! terminal reaches the orchestrator alone. Its end wakes a `poll` through a pidfd. Signals go out only while
 //! the leader is not reaped: until then the kernel gives its number to no other process or group, so nothing
 //! that was not started here can be hit. When the leader has ended, the rest of its group is killed before the
 //! leader is reaped.
 //!
-//! An adopted process is no child: its descriptor tells that it ended, not how. Its number may be given to others at
+//! An adopted process is no child: its descriptor shows that it ended, not how. Its number may be given to others at
 //! any time, so signals go through the descriptor, and to the rest of its group one by one.
 //!
-//! Where this fails: a descendant that opens a session of its own leaves the group and is not found. The
-//! process outlives an orchestrator that is killed, on purpose: the loop goes on without it. One that is dropped
-//! in good order takes its processes with it.
+//! Where this fails: a descendant that opens a session of its own leaves the group and is not found. A process
+//! outlives an orchestrator that is killed, on purpose: the loop drives on without it. Dropping a [`Child`] kills its
+//! process.
 
 use std::ffi::OsString;
 use std::io;
@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use runtime::{Identified, Seen, identify, processes_of, start_ticks};
+use runtime::{Identified, Seen, identify, processes_of};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, kill_process_group, pidfd_open, pidfd_send_signal, waitid,
@@ -30,10 +30,10 @@ use rustix::process::{
 use crate::child_log::ChildLog;
 use crate::supervisor::Exit;
 
-/// Variables of systemd that are for the orchestrator alone.
+/// Variables of systemd that only the orchestrator may use.
 const NOT_INHERITED: [&str; 4] = ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"];
 
-/// Clock ticks per second in /proc: a constant of the kernel's interface on all machines of ours.
+/// Clock ticks per second in /proc: a constant of the interface of Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
 
 /// What to start.
@@ -41,10 +41,8 @@ const TICKS_PER_SECOND: f64 = 100.0;
 pub struct Launch {
     /// The program, by path or to be found in `PATH`, and its arguments.
     pub command: Vec<OsString>,
-    /// Variables set beside the inherited ones.
+    /// Variables set in addition to the inherited ones.
     pub environment: Vec<(OsString, OsString)>,
-    /// Working folder; the orchestrator's when absent.
-    pub directory: Option<PathBuf>,
 }
 
 /// Why a process could not be started.
@@ -59,15 +57,12 @@ pub enum ChildError {
     /// The program may not be executed.
     #[error("command `{0}` may not be executed: permission denied")]
     NotExecutable(String),
-    /// The working folder does not exist.
-    #[error("working folder {1} of command `{0}` does not exist")]
-    NoDirectory(String, PathBuf),
     /// Anything else that the kernel refused.
     #[error("command `{command}` could not be started: {source}")]
     Refused {
         /// The program.
         command: String,
-        /// What the kernel said.
+        /// The error of the kernel.
         source: io::Error,
     },
 }
@@ -87,7 +82,6 @@ pub struct Child {
     origin: Origin,
     pid: Pid,
     pidfd: OwnedFd,
-    started_ticks: Option<u64>,
     exit: Option<Exit>,
 }
 
@@ -113,12 +107,6 @@ impl Child {
         NOT_INHERITED.iter().for_each(|variable| _ = command.env_remove(variable));
         command.stdin(Stdio::null()).process_group(0);
         command.stdout(log.output().map_err(refused)?).stderr(log.output().map_err(refused)?);
-        if let Some(directory) = &launch.directory {
-            if !directory.is_dir() {
-                return Err(ChildError::NoDirectory(name(), directory.clone()));
-            }
-            command.current_dir(directory);
-        }
         let mut process = command.spawn().map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => ChildError::NotFound(name()),
             io::ErrorKind::PermissionDenied => ChildError::NotExecutable(name()),
@@ -126,10 +114,7 @@ impl Child {
         })?;
         let pid = Pid::from_child(&process);
         match pidfd_open(pid, PidfdFlags::empty()) {
-            Ok(pidfd) => {
-                let started_ticks = start_ticks(process.id());
-                Ok(Self { pid, pidfd, started_ticks, exit: None, origin: Origin::Started(process) })
-            }
+            Ok(pidfd) => Ok(Self { pid, pidfd, exit: None, origin: Origin::Started(process) }),
             Err(error) => {
                 // A process whose end cannot be seen is not kept.
                 let _ = kill_process_group(pid, Signal::KILL);
@@ -142,9 +127,8 @@ impl Child {
     /// A process that another orchestrator started.
     pub fn adopt(process: Identified) -> Option<Self> {
         let pid = Pid::from_raw(process.pid().cast_signed())?;
-        let started_ticks = Some(process.identity().start_ticks);
         let origin = Origin::Adopted(process.identity().run_id.clone());
-        Some(Self { origin, pid, pidfd: process.into_descriptor(), started_ticks, exit: None })
+        Some(Self { origin, pid, pidfd: process.into_descriptor(), exit: None })
     }
 
     /// Its process id, which is the id of its group.
@@ -152,12 +136,7 @@ impl Child {
         self.pid.as_raw_nonzero().get().cast_unsigned()
     }
 
-    /// When it was started, in clock ticks since boot; with the pid it names a process for good.
-    pub fn started_ticks(&self) -> Option<u64> {
-        self.started_ticks
-    }
-
-    /// Leaves the process as it is: it is neither watched nor ended any more.
+    /// Leaves the process as it is: from now on it is neither watched nor ended.
     pub fn release(&mut self) {
         self.exit = Some(Exit::Unknown);
     }
@@ -187,21 +166,18 @@ impl Child {
         if self.exit.is_some() {
             return Ok(self.exit);
         }
+        let pid = self.pid();
         let process = match &mut self.origin {
             Origin::Started(process) => process,
             Origin::Adopted(run_id) => {
-                let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-                if poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&now))
-                    .is_ok_and(|ready| ready > 0)
-                {
-                    let pid = self.pid.as_raw_nonzero().get().cast_unsigned();
+                if wait_readable(&self.pidfd, Duration::ZERO)? {
                     signal_group(run_id, pid, Signal::KILL);
                     self.exit = Some(Exit::Unknown);
                 }
                 return Ok(self.exit);
             }
         };
-        // Look without reaping: the group may be signalled only as long as its leader is not reaped.
+        // Check without reaping: the group may be signalled only as long as its leader is not reaped.
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         let ended = loop {
             match waitid(WaitId::PidFd(self.pidfd.as_fd()), options) {
@@ -228,11 +204,7 @@ impl Child {
             if exit.is_some() || left.is_zero() {
                 return Ok(exit);
             }
-            let timeout = Timespec { tv_sec: left.as_secs() as i64, tv_nsec: left.subsec_nanos().into() };
-            match poll(&mut [PollFd::new(&self.pidfd, PollFlags::IN)], Some(&timeout)) {
-                Ok(_) | Err(rustix::io::Errno::INTR) => {}
-                Err(error) => return Err(error.into()),
-            }
+            wait_readable(&self.pidfd, left)?;
         }
     }
 
@@ -254,7 +226,7 @@ impl Child {
             return Ok(());
         }
         match kill_process_group(self.pid, signal) {
-            // Nobody of the group is left but the leader, which has ended and waits to be reaped.
+            // Only the leader is left of the group; it has ended and waits to be reaped.
             Err(rustix::io::Errno::SRCH) => Ok(()),
             other => Ok(other?),
         }
@@ -272,13 +244,22 @@ impl Drop for Child {
     fn drop(&mut self) {
         if self.exit.is_none() {
             let _ = self.kill();
-            // A killed process goes within milliseconds unless it hangs in the kernel, where waiting is no use.
+            // A killed process ends within milliseconds unless it hangs in the kernel, where waiting does not help.
             let _ = self.wait_for(Duration::from_secs(1));
         }
     }
 }
 
-/// The file of this program; also one that was replaced meanwhile, as an update does.
+/// Whether a descriptor becomes readable within `limit`; a signal may end the wait earlier.
+fn wait_readable(descriptor: &OwnedFd, limit: Duration) -> io::Result<bool> {
+    let timeout = Timespec { tv_sec: limit.as_secs() as i64, tv_nsec: limit.subsec_nanos().into() };
+    match poll(&mut [PollFd::new(descriptor, PollFlags::IN)], Some(&timeout)) {
+        Err(rustix::io::Errno::INTR) => Ok(false),
+        ready => Ok(ready? > 0),
+    }
+}
+
+/// The file of this program, also when an update has replaced it meanwhile.
 pub fn this_program() -> PathBuf {
     match std::env::current_exe() {
         Ok(path) if path.exists() => path,
@@ -309,7 +290,7 @@ pub fn usage_of(pid: u32) -> Option<Usage> {
 
 /// Sends a signal to all processes of a run in the group that `leader` led, but not to `leader` itself.
 ///
-/// The number of a group whose leader is not our child may be given to others, so each process is looked at.
+/// The kernel may reuse the number of a group whose leader is not a child of this process, so each one is identified.
 fn signal_group(run_id: &str, leader: u32, signal: Signal) {
     let is_member = |seen: &&Seen| seen.group == leader && seen.identity.pid != leader;
     for seen in processes_of(run_id).iter().filter(is_member) {

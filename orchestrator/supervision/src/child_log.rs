@@ -2,12 +2,12 @@
 //!
 //! A process writes straight into the file, never into a pipe, so its output neither blocks it nor kills it when
 //! the orchestrator is gone. The file is opened for appending and shared with the process; each `write` of the
-//! process lands at the end, also after the file was cut. [`ChildLog::trim`] keeps the last part in place, so
-//! the process needs to know nothing of it.
+//! process lands at the end, also after the file was cut. [`ChildLog::trim`] keeps the last part in the same file,
+//! without any part of the process in it.
 //!
 //! Where this fails: the file is bounded only as often as it is trimmed, and a line that is written in the few
-//! microseconds between the last look at the end and the cut is lost. A rotation by renaming would lose nothing,
-//! but the process would go on writing into the old file.
+//! microseconds between the last read of the end and the cut is lost. A rotation by renaming would lose nothing,
+//! but the process would still write into the old file.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// A longer file is trimmed [bytes]: the output of a day of lifecycle lines, and nothing to a disk or a tmpfs.
 pub const TRIM_ABOVE_BYTES: u64 = 1 << 20;
 
-/// How much of the end is kept [bytes]: about a thousand lines, more than anyone reads of a dead process.
+/// How much of the end is kept [bytes]: about a thousand lines, more than a user reads of a dead process.
 pub const KEEP_BYTES: u64 = 64 << 10;
 
 /// Longest line that [`ChildLog::last_lines`] gives [characters]; the file keeps the whole line.
@@ -26,7 +26,7 @@ const MAX_LINE: usize = 400;
 /// Starts the line that separates two incarnations in the file.
 const MARK: &str = "=== scanloop: ";
 
-/// The output of the processes of one role, one behind the other.
+/// The output of the processes of one role, one after the other.
 #[derive(Debug)]
 pub struct ChildLog {
     path: PathBuf,
@@ -77,7 +77,7 @@ impl ChildLog {
         (&self.append).write_all(format!("{end_of_line}{MARK}{text}\n").as_bytes())
     }
 
-    /// Cuts the file to its last 64 KiB when it is longer than 1 MiB; tells whether it did.
+    /// Cuts the file to its last 64 KiB when it is longer than 1 MiB; returns whether it did.
     ///
     /// # Errors
     /// Those of the file system.
@@ -94,22 +94,22 @@ impl ChildLog {
         self.edit.write_all_at(notice.as_bytes(), 0)?;
         self.edit.write_all_at(&tail, notice.len() as u64)?;
         let mut end = (notice.len() + tail.len()) as u64;
-        // Take along what was written meanwhile; a process that writes faster than this loses some lines.
+        // Append what was written meanwhile; a process that writes faster than this loses some lines.
         let mut seen = length;
         for _ in 0..4 {
-            let news = self.read(seen, KEEP_BYTES)?;
-            if news.is_empty() {
+            let added = self.read(seen, KEEP_BYTES)?;
+            if added.is_empty() {
                 break;
             }
-            self.edit.write_all_at(&news, end)?;
-            seen += news.len() as u64;
-            end += news.len() as u64;
+            self.edit.write_all_at(&added, end)?;
+            seen += added.len() as u64;
+            end += added.len() as u64;
         }
         self.edit.set_len(end)?;
         Ok(true)
     }
 
-    /// The last `count` lines of the latest incarnation, made fit for a terminal.
+    /// The last `count` lines of the latest incarnation, without control characters.
     ///
     /// # Errors
     /// Those of the file system.
@@ -199,7 +199,7 @@ pub(crate) mod tests {
         write(&log, "one\ntwo\nthree\nfour");
         assert_eq!(log.last_lines(2).unwrap(), ["three", "four"]);
         log.begin("incarnation 2").unwrap();
-        assert_eq!(log.last_lines(2).unwrap(), Vec::<String>::new(), "it has said nothing yet");
+        assert_eq!(log.last_lines(2).unwrap(), Vec::<String>::new(), "it has written nothing yet");
         write(&log, "five\n");
         assert_eq!(log.last_lines(2).unwrap(), ["five"]);
         let whole = std::fs::read_to_string(log.path()).unwrap();
@@ -226,7 +226,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_long_file_keeps_its_last_whole_lines_and_goes_on() {
+    fn a_long_file_keeps_its_last_whole_lines_and_can_be_appended_to() {
         let scratch = Scratch::new();
         let log = scratch.log();
         let other_end = log.output().unwrap();

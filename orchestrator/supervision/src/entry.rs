@@ -1,4 +1,4 @@
-//! One process of a system, as its file describes it and as a run writes it down.
+//! One process of a system, as the system file describes it and as a run records it.
 
 use runtime::Identity;
 use serde::{Deserialize, Serialize};
@@ -38,9 +38,10 @@ settings! {
 /// A living process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProcessRow {
-    /// Name of its role.
-    pub role: String,
-    /// How to tell it from a stranger.
+    /// Its role.
+    #[serde(with = "role_name")]
+    pub role: Role,
+    /// Distinguishes it from an unrelated process with the same number.
     pub identity: Identity,
     /// How it was started.
     pub entry: ProcessEntry,
@@ -56,6 +57,15 @@ pub const IMPLEMENTATIONS: [(&str, Role); 5] = [
 ];
 
 impl ProcessEntry {
+    /// The role that the process fills.
+    ///
+    /// # Panics
+    /// When the entry has not passed [`ProcessEntry::validate`].
+    #[must_use]
+    pub fn role(&self) -> Role {
+        self.role.parse().expect("an entry is validated when it is read")
+    }
+
     /// A command that fills a role, with the default policy.
     #[must_use]
     pub fn of(role: Role, command: &[String]) -> Self {
@@ -63,7 +73,7 @@ impl ProcessEntry {
     }
 
     /// The policy by which the supervisor keeps the process alive.
-    pub fn policy(&self, role: Role, period_ns: u64) -> ProcessPolicy {
+    pub fn policy(&self, period_ns: u64) -> ProcessPolicy {
         let period_ms = period_ns.div_ceil(1_000_000);
         ProcessPolicy {
             restart: self.restart,
@@ -72,7 +82,7 @@ impl ProcessEntry {
             restart_window_ms: (self.restart_window_s * 1e3) as u64,
             start_timeout_ms: (self.start_timeout_s * 1e3) as u64,
             grace_ms: self.grace_ms,
-            ..ProcessPolicy::new(role, period_ms)
+            ..ProcessPolicy::new(self.role(), period_ms)
         }
     }
 
@@ -109,13 +119,32 @@ impl ProcessEntry {
                 }
             }
             _ => {
-                return Err(Invalid::new(
-                    "implementation",
-                    "both or none",
-                    "one of `implementation` and `command`",
-                ));
+                let allowed = "one of `implementation` and `command`";
+                return Err(Invalid::new("implementation", "both or none", allowed));
             }
         }
         self.require_ranges()
+    }
+}
+/// A role in files and messages, by its name.
+pub mod role_name {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use shared_types::Role;
+
+    /// Writes the name.
+    ///
+    /// # Errors
+    /// Those of the serializer.
+    pub fn serialize<S: Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(role.name())
+    }
+
+    /// Reads the name.
+    ///
+    /// # Errors
+    /// A text that is no role, with the names of all.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Role, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
     }
 }

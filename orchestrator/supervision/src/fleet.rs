@@ -1,7 +1,8 @@
-//! The processes of a run as the operating system sees them: started, signalled, reaped, written down.
+//! The processes of a run as the operating system sees them: started, signalled, reaped, recorded.
+
+mod process;
 
 use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,29 +10,31 @@ use std::time::Duration;
 
 use anyhow::Context;
 use runtime::{
-    Bus, CANDIDATE_VARIABLE, DIRECTORY_VARIABLE, Domain, HandoverData, INCARNATION_VARIABLE, Identity,
-    RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, Realtime, RuntimeError, STOP_FD_VARIABLE,
-    SYSTEM_ID_VARIABLE, StopWord, monotonic_ns, write_handover,
+    Bus, CANDIDATE_VARIABLE, Domain, HandoverData, Realtime, RuntimeError, StopWord, monotonic_ns,
+    write_handover,
 };
 use shared_types::Role;
 
 use crate::background::Background;
-use crate::child::{Child, Launch, is_runnable, this_program};
+use crate::child::{Child, Launch, is_runnable};
 use crate::child_log::ChildLog;
 use crate::entry::{ProcessEntry, ProcessRow};
+use crate::environment::{environment_of, variable};
 use crate::halt;
 use crate::lock::SystemLock;
 use crate::realtime::Machine;
 use crate::room::Room;
-use crate::runs::LivingRun;
 use crate::supervisor::{Event, Exit};
+
+pub use process::Load;
+use process::{Process, command_of};
 
 /// How many of its last lines are shown when a process dies.
 const LAST_LOG_LINES: usize = 10;
+/// How many of them stand in the reason why a swap or a shadow ended.
+const REASON_LINES: usize = 3;
 /// A log on a disk that does not answer is not waited for longer than this.
 const LOG_LIMIT: Duration = Duration::from_millis(50);
-/// A share of a processor is measured over at least this long, however often it is asked for [ns].
-const LOAD_WINDOW_NS: u64 = 200_000_000;
 
 /// A process that has used this much time on a processor without progress is not starved [s]: a quarter of the
 /// shortest hang limit, and three times what a scan takes at most.
@@ -40,13 +43,12 @@ const STARVED_CPU_S: f64 = 0.075;
 /// All processes of one run.
 pub struct Fleet {
     domain: Domain,
-    word: StopWord,
+    stop_word: StopWord,
     members: BTreeMap<Role, Member>,
-    candidate: Vec<Candidate>,
-    leaving: Vec<Leaving>,
-    /// Incarnations that no role needed and that have ended.
-    departed: Vec<u32>,
-    left: bool,
+    /// Processes that run beside the one that fills their role, for a swap or as a shadow.
+    candidates: Vec<Process>,
+    /// Processes that no role needs any more, and when each is killed if it has not ended [ns].
+    leaving: Vec<(Process, u64)>,
     machine: Machine,
     room: Room,
     changed: bool,
@@ -60,101 +62,60 @@ pub struct Fleet {
 struct Member {
     entry: ProcessEntry,
     log: Arc<ChildLog>,
-    child: Option<Child>,
+    process: Option<Process>,
+    /// The incarnation that fills the role, or did last.
     incarnation: u32,
     starts: u32,
-    last_words: Vec<String>,
-    usage: Option<Spent>,
+    last_log_lines: Vec<String>,
     last_pid: u32,
     /// An incarnation that makes no progress, and its processor time when that was noticed [s].
     suspect: Option<(u32, f64)>,
 }
 
-/// A process that runs beside the one that fills its role.
-struct Candidate {
-    role: Role,
-    entry: ProcessEntry,
-    child: Child,
-    incarnation: u32,
-    usage: Option<Spent>,
-}
-
-/// A process that no role needs any more, and when it is killed if it has not ended [ns].
-struct Leaving {
-    role: Role,
-    entry: ProcessEntry,
-    child: Child,
-    incarnation: u32,
-    kill_ns: u64,
-}
-
-/// Time on a processor when it was looked at last, and the share of it that was found then.
-#[derive(Debug, Clone, Copy, Default)]
-struct Spent {
-    at_ns: u64,
-    cpu_s: f64,
-    percent: f64,
-}
-
-/// What the processor and the memory know of a process.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Load {
-    /// Share of a processor [%].
-    pub cpu_percent: f64,
-    /// Memory in use [KiB].
-    pub memory_kib: u64,
+/// Processes that have ended.
+#[derive(Debug, Default)]
+pub struct Reaped {
+    /// Processes that filled a role or were candidates: role, incarnation, and how each ended.
+    pub ended: Vec<(Role, u32, Exit)>,
+    /// Incarnations that no role needed any more.
+    pub departed: Vec<u32>,
+    /// Whether the bus has ports of such a process, or of a candidate, that are to be cleaned up.
+    pub left_ports: bool,
 }
 
 impl Fleet {
-    /// A fleet whose processes write their output to files below `logs`; `go_on` where others wrote before.
+    /// A fleet whose processes write their output to files below `logs`; an adopted run continues its files.
     ///
     /// # Errors
-    /// A log that can't be opened, and a stop word that can't be handed down.
+    /// A log that can't be opened, and a stop word that can't be inherited.
     pub fn new(
         domain: Domain,
         lock: SystemLock,
-        word: StopWord,
+        stop_word: StopWord,
         realtime: &Realtime,
         entries: &[ProcessEntry],
         logs: PathBuf,
-        go_on: bool,
+        is_adopted: bool,
     ) -> anyhow::Result<Self> {
-        word.hand_down()?;
-        let machine = Machine::new(realtime);
+        stop_word.hand_down()?;
         let mut members = BTreeMap::new();
-        for role in Role::ALL.iter().copied() {
-            let Some(entry) = entries.iter().find(|entry| entry.role == role.name()) else { continue };
-            let path = logs.join(format!("{role}.log"));
-            if !go_on {
-                // The log tells of this run only.
+        for entry in entries.iter().cloned() {
+            let path = logs.join(format!("{}.log", entry.role()));
+            if !is_adopted {
                 let _ = std::fs::remove_file(&path);
             }
-            let member = Member {
-                entry: entry.clone(),
-                log: Arc::new(ChildLog::open(&path).with_context(|| format!("{}", path.display()))?),
-                child: None,
-                incarnation: 0,
-                starts: 0,
-                last_words: Vec::new(),
-                usage: None,
-                last_pid: 0,
-                suspect: None,
-            };
-            members.insert(role, member);
+            let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
+            members.insert(entry.role(), Member::new(entry, log));
         }
-        let (candidate, leaving, departed) = (Vec::new(), Vec::new(), Vec::new());
-        let (left, changed) = (false, false);
         Ok(Self {
             domain,
-            word,
+            stop_word,
             members,
-            candidate,
-            leaving,
-            departed,
-            left,
-            changed,
-            machine,
+            candidates: Vec::new(),
+            leaving: Vec::new(),
+            machine: Machine::new(realtime),
             room: Room::default(),
+            changed: false,
             disk: Background::new("logs"),
             _lock: lock,
         })
@@ -164,43 +125,19 @@ impl Fleet {
     pub fn adopt(&mut self, role: Role, entry: ProcessEntry, incarnation: u32, child: Option<Child>) {
         let Some(member) = self.members.get_mut(&role) else { return };
         member.starts = u32::from(incarnation != 0);
-        member.last_pid = child.as_ref().map_or(0, Child::pid);
-        member.usage = child.as_ref().map(spent_so_far);
-        (member.entry, member.incarnation, member.child) = (entry, incarnation, child);
+        member.fill(entry, incarnation, child);
         self.changed = true;
     }
 
     /// A process of another orchestrator that no role needs any more; it is killed at `kill_ns`.
-    pub fn dismiss_adopted(
-        &mut self,
-        role: Role,
-        entry: ProcessEntry,
-        incarnation: u32,
-        child: Child,
-        kill_ns: u64,
-    ) {
-        self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns });
+    pub fn dismiss_adopted(&mut self, entry: ProcessEntry, incarnation: u32, child: Child, kill_ns: u64) {
+        self.leaving.push((Process::new(entry, incarnation, child), kill_ns));
         self.changed = true;
     }
 
-    /// All living processes, as they are to be written down.
+    /// All living processes, for the process registry.
     pub fn rows(&self) -> Vec<ProcessRow> {
-        let row = |role: &Role, entry: &ProcessEntry, child: &Child, incarnation: u32| {
-            let (role, entry) = (role.name().to_owned(), entry.clone());
-            let identity = Identity::of(&self.domain, child.pid(), incarnation)?;
-            Some(ProcessRow { role, identity, entry })
-        };
-        let members = self.members.iter().filter_map(|(role, member)| {
-            row(role, &member.entry, member.child.as_ref()?, member.incarnation)
-        });
-        let candidate = self.candidate.iter().filter_map(|candidate| {
-            row(&candidate.role, &candidate.entry, &candidate.child, candidate.incarnation)
-        });
-        let leaving = self
-            .leaving
-            .iter()
-            .filter_map(|leaving| row(&leaving.role, &leaving.entry, &leaving.child, leaving.incarnation));
-        members.chain(candidate).chain(leaving).collect()
+        self.running().filter_map(|process| process.row(&self.domain)).collect()
     }
 
     /// How a role is started.
@@ -213,12 +150,12 @@ impl Fleet {
         self.members.get(&role).map_or(0, |member| member.incarnation)
     }
 
-    /// Whether processes have come or gone since the last call.
+    /// Whether processes were started or have ended since the last call.
     pub fn has_changed(&mut self) -> bool {
         std::mem::take(&mut self.changed)
     }
 
-    /// Starts the process of a role; `handover` is what the one before it left.
+    /// Starts the process of a role; `handover` is the state that the one before it left.
     pub fn spawn(&mut self, role: Role, incarnation: u32, handover: Option<&HandoverData>) -> Event {
         match self.try_spawn(role, incarnation, handover) {
             Ok(pid) => Event::Spawned { role, pid, incarnation },
@@ -234,200 +171,170 @@ impl Fleet {
     ) -> anyhow::Result<u32> {
         let member = self.members.get(&role).context("no process of this role")?;
         let (entry, restart) = (member.entry.clone(), member.starts > 0);
-        let child = self.launch(role, &entry, incarnation, restart, None, handover)?;
+        let child = self.launch(&entry, incarnation, restart, None, handover)?;
         let pid = child.pid();
-        let member = self.members.get_mut(&role).context("no process of this role")?;
-        member.starts += 1;
-        member.incarnation = incarnation;
-        member.child = Some(child);
-        member.usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
-        member.last_pid = pid;
+        if let Some(member) = self.members.get_mut(&role) {
+            member.starts += 1;
+            member.fill(entry, incarnation, Some(child));
+        }
         Ok(pid)
     }
 
-    /// Starts a process, written down and with its log.
+    /// Starts a process with its log.
     fn launch(
         &mut self,
-        role: Role,
         entry: &ProcessEntry,
         incarnation: u32,
         restart: bool,
         candidate: Option<u32>,
         handover: Option<&HandoverData>,
     ) -> anyhow::Result<Child> {
+        let role = entry.role();
         let member = self.members.get(&role).context("no process of this role")?;
-        let command = match (&entry.command, &entry.implementation) {
-            (Some(command), _) => command.iter().map(OsString::from).collect(),
-            (None, implementation) => {
-                let name = implementation.clone().unwrap_or_default();
-                vec![this_program().into_os_string(), "service".into(), name.into()]
-            }
-        };
         self.room.make()?;
         write_handover(&self.domain, role, handover)?;
-        let mut environment = environment_of(&self.domain, &self.word, role, incarnation, restart);
-        environment.extend(candidate.map(|running| variable(CANDIDATE_VARIABLE, running.to_string())));
-        let (log, text) =
-            (Arc::clone(&member.log), format!("{role} incarnation {incarnation}: {}", entry.label()));
+        let mut environment = environment_of(&self.domain, &self.stop_word, role, incarnation, restart);
+        environment.extend(candidate.map(|running| variable(CANDIDATE_VARIABLE, running)));
+        let log = Arc::clone(&member.log);
+        let text = format!("{role} incarnation {incarnation}: {}", entry.label());
         // Before the process writes, if the disk allows; a full one keeps no process from being started.
         if let Some(Err(error)) = self.disk.call(LOG_LIMIT, move || log.begin(&text)) {
             tracing::warn!(%role, %error, "not written to its log: incarnation {incarnation} begins here");
         }
-        let child = Child::spawn(&Launch { command, environment, directory: None }, &member.log)?;
+        let launch = Launch { command: command_of(entry), environment };
+        let child = Child::spawn(&launch, &member.log)?;
         self.changed = true;
         Ok(child)
     }
 
-    /// What a role would be filled with: the entry of the process that fills it, with another implementation.
-    pub fn entry_with(
-        &self,
-        role: Role,
-        implementation: Option<String>,
-        command: Option<Vec<String>>,
-    ) -> Option<ProcessEntry> {
-        let member = self.members.get(&role)?;
-        Some(ProcessEntry { implementation, command, ..member.entry.clone() })
-    }
-
-    /// Starts a process beside the one that fills the role; it resumes from `handover`, or a newer state.
+    /// Starts a process beside the one that fills its role; it resumes from `handover`, or a newer state.
     ///
     /// # Errors
     /// A command that can't be started, and memory or a file system without room.
     pub fn spawn_candidate(
         &mut self,
-        role: Role,
         entry: ProcessEntry,
         incarnation: u32,
         handover: Option<&HandoverData>,
     ) -> anyhow::Result<()> {
-        let running = self.members.get(&role).map(|member| member.incarnation);
-        let child = self.launch(role, &entry, incarnation, true, running, handover)?;
-        let usage = Some(Spent { at_ns: monotonic_ns(), ..Spent::default() });
-        self.candidate.push(Candidate { role, entry, child, incarnation, usage });
+        let running = self.members.get(&entry.role()).map(|member| member.incarnation);
+        let child = self.launch(&entry, incarnation, true, running, handover)?;
+        self.candidates.push(Process::new(entry, incarnation, child));
         Ok(())
     }
 
-    /// The process of that incarnation fills its role from now on; the one before it is asked to end. Returns its id.
+    /// The candidate of that incarnation fills its role from now on; the one before it is asked to end. Returns its id.
     pub fn promote(&mut self, incarnation: u32) -> Option<u32> {
-        let Candidate { role, entry, child, usage, .. } = self.take_candidate(incarnation)?;
-        let member = self.members.get_mut(&role)?;
-        let pid = child.pid();
-        if let Some(old) = member.child.replace(child) {
-            let _ = old.terminate();
-            let kill_ns = monotonic_ns() + member.entry.grace_ms * 1_000_000;
-            let (entry, incarnation) = (member.entry.clone(), member.incarnation);
-            self.leaving.push(Leaving { role, entry, child: old, incarnation, kill_ns });
+        let process = self.take_candidate(incarnation)?;
+        let member = self.members.get_mut(&process.entry.role())?;
+        let pid = process.child.pid();
+        let grace_ms = std::mem::replace(&mut member.entry, process.entry.clone()).grace_ms;
+        if let Some(old) = member.process.replace(process) {
+            let _ = old.child.terminate();
+            self.leaving.push((old, monotonic_ns() + grace_ms * 1_000_000));
         }
+        (member.incarnation, member.last_pid) = (incarnation, pid);
+        member.last_log_lines.clear();
         self.changed = true;
-        (member.entry, member.incarnation, member.usage, member.last_pid) = (entry, incarnation, usage, pid);
-        member.last_words.clear();
         Some(pid)
     }
 
-    /// Kills the process of that incarnation, if it runs beside another.
+    /// Kills the candidate of that incarnation, if there is one.
     pub fn dismiss(&mut self, incarnation: u32) {
-        if let Some(Candidate { role, entry, child, incarnation, .. }) = self.take_candidate(incarnation) {
-            let _ = child.kill();
-            self.leaving.push(Leaving { role, entry, child, incarnation, kill_ns: monotonic_ns() });
+        if let Some(process) = self.take_candidate(incarnation) {
+            let _ = process.child.kill();
+            self.leaving.push((process, monotonic_ns()));
         }
     }
 
-    /// Process id, implementation and load of the process of that incarnation, if it runs beside another.
+    /// Process id, implementation and load of the candidate of that incarnation.
     pub fn candidate(&mut self, incarnation: u32) -> Option<(u32, String, Load)> {
-        let found = self.candidate.iter_mut().find(|candidate| candidate.incarnation == incarnation);
-        let Candidate { entry, child, usage, .. } = found?;
-        Some((child.pid(), entry.label(), load_of(child, usage)))
+        let process = self.candidates.iter_mut().find(|process| process.incarnation == incarnation)?;
+        Some((process.child.pid(), process.entry.label(), process.load()))
     }
 
-    fn take_candidate(&mut self, incarnation: u32) -> Option<Candidate> {
-        let index = self.candidate.iter().position(|candidate| candidate.incarnation == incarnation)?;
-        Some(self.candidate.remove(index))
+    fn take_candidate(&mut self, incarnation: u32) -> Option<Process> {
+        let index = self.candidates.iter().position(|process| process.incarnation == incarnation)?;
+        Some(self.candidates.remove(index))
     }
 
-    /// Incarnations that no role needed any more and that have ended since the last call.
-    pub fn take_departed(&mut self) -> Vec<u32> {
-        std::mem::take(&mut self.departed)
+    fn running(&self) -> impl Iterator<Item = &Process> {
+        let members = self.members.values().filter_map(|member| member.process.as_ref());
+        members.chain(&self.candidates).chain(self.leaving.iter().map(|(process, _)| process))
     }
 
-    /// Whether a process that no role needs any more has ended since the last call.
-    pub fn have_left(&mut self) -> bool {
-        std::mem::take(&mut self.left)
-    }
-
-    /// Puts a process that has made its connections where it shall run.
+    /// Gives a process that has made its connections its processors and priority.
     ///
-    /// Not before: while processes join the bus they wait for each other, and one that goes before all others would
-    /// keep those it waits for from running.
+    /// Not before: while processes join the bus they wait for each other, and one that has priority over all others
+    /// would keep those it waits for from running.
     pub fn connected(&mut self, incarnation: u32) {
-        let member = self.members.values().find(|member| member.incarnation == incarnation);
-        let candidate = self.candidate.iter().find(|candidate| candidate.incarnation == incarnation);
-        let child =
-            member.and_then(|member| member.child.as_ref()).or(candidate.map(|candidate| &candidate.child));
-        if let Some(pid) = child.map(Child::pid) {
+        let process = self.running().find(|process| process.incarnation == incarnation);
+        if let Some(pid) = process.map(|process| process.child.pid()) {
             self.machine.take_in(pid);
         }
     }
 
     /// Leaves the process of a role as it is; returns its id.
     pub fn leave(&mut self, role: Role) -> Option<u32> {
-        let member = self.members.get_mut(&role)?;
-        let mut child = member.child.take()?;
-        child.release();
+        let mut process = self.members.get_mut(&role)?.process.take()?;
+        process.child.release();
         self.changed = true;
-        Some(child.pid())
+        Some(process.child.pid())
     }
 
-    /// Holds shared memory for one more process, unless one of a role starts, or another comes or leaves; what is
-    /// missing is returned once.
+    /// Holds shared memory for one more process, unless one of a role starts, or a candidate runs or leaves. Returns
+    /// what is missing, once.
     pub fn keep_room(&mut self, bus: &Bus, starts: bool) -> Option<RuntimeError> {
-        self.room.keep(bus, starts || !self.candidate.is_empty() || !self.leaving.is_empty())
+        self.room.keep(bus, starts || !self.candidates.is_empty() || !self.leaving.is_empty())
     }
 
     /// Asks a process to end, or kills it.
     pub fn signal(&self, role: Role, kill: bool) {
-        let Some(child) = self.members.get(&role).and_then(|member| member.child.as_ref()) else { return };
-        let sent = if kill { child.kill() } else { child.terminate() };
+        let member = self.members.get(&role);
+        let Some(process) = member.and_then(|member| member.process.as_ref()) else { return };
+        let sent = if kill { process.child.kill() } else { process.child.terminate() };
         if let Err(error) = sent {
             tracing::warn!(%role, %error, "signal not sent");
         }
     }
 
-    /// Processes that have ended since the last look, with their last words.
-    pub fn reap(&mut self) -> Vec<(Role, u32, Exit)> {
-        let mut ended = Vec::new();
+    /// Processes that have ended since the last call; the last log lines of members are kept.
+    pub fn reap(&mut self) -> Reaped {
+        let mut reaped = Reaped::default();
         for (role, member) in &mut self.members {
-            let Some(child) = &mut member.child else { continue };
-            if let Ok(Some(exit)) = child.try_wait() {
-                member.last_words = last_lines(&self.disk, &member.log);
-                member.child = None;
-                ended.push((*role, member.incarnation, exit));
+            let Some(process) = &mut member.process else { continue };
+            if let Ok(Some(exit)) = process.child.try_wait() {
+                member.last_log_lines = last_lines(&self.disk, &member.log);
+                member.process = None;
+                reaped.ended.push((*role, member.incarnation, exit));
             }
         }
-        let left = &mut self.left;
-        self.candidate.retain_mut(|Candidate { role, child, incarnation, .. }| {
-            let Ok(Some(exit)) = child.try_wait() else { return true };
-            ended.push((*role, *incarnation, exit));
-            *left = true;
+        self.candidates.retain_mut(|process| {
+            let Ok(Some(exit)) = process.child.try_wait() else { return true };
+            reaped.ended.push((process.entry.role(), process.incarnation, exit));
+            reaped.left_ports = true;
             false
         });
-        let now = monotonic_ns();
-        let before = self.leaving.len();
-        self.leaving.retain_mut(|leaving| {
-            if now >= leaving.kill_ns {
-                let _ = leaving.child.kill();
+        let now_ns = monotonic_ns();
+        self.leaving.retain_mut(|(process, kill_ns)| {
+            if now_ns >= *kill_ns {
+                let _ = process.child.kill();
             }
-            let has_ended = matches!(leaving.child.try_wait(), Ok(Some(_)));
-            self.departed.extend(has_ended.then_some(leaving.incarnation));
+            let has_ended = process.has_ended();
+            reaped.departed.extend(has_ended.then_some(process.incarnation));
             !has_ended
         });
-        self.left |= self.leaving.len() < before;
-        self.changed |= self.left || !ended.is_empty();
-        ended
+        reaped.left_ports |= !reaped.departed.is_empty();
+        self.changed |= reaped.left_ports || !reaped.ended.is_empty();
+        reaped
     }
 
-    /// Last lines that were written for a role.
-    pub fn newest_log_lines(&self, role: Role) -> Vec<String> {
-        self.members.get(&role).map_or_else(Vec::new, |member| last_lines(&self.disk, &member.log))
+    /// How a candidate ended, with the last lines of its log.
+    pub fn reason_of(&self, role: Role, exit: Exit) -> String {
+        let lines =
+            self.members.get(&role).map_or_else(Vec::new, |member| last_lines(&self.disk, &member.log));
+        let last = lines[lines.len().saturating_sub(REASON_LINES)..].join(" | ");
+        if last.is_empty() { exit.to_string() } else { format!("{exit}: {last}") }
     }
 
     /// Keeps the logs within their size.
@@ -438,22 +345,21 @@ impl Fleet {
 
     /// Descriptors that become readable when a process ends.
     pub fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
-        let members = self.members.values().filter_map(|member| member.child.as_ref());
-        let candidate = self.candidate.iter().map(|candidate| &candidate.child);
-        members.chain(candidate).chain(self.leaving.iter().map(|leaving| &leaving.child)).map(AsFd::as_fd)
+        self.running().map(|process| process.child.as_fd())
     }
 
-    /// Last lines of the process of a role before it ended.
-    pub fn last_words(&self, role: Role) -> &[String] {
-        self.members.get(&role).map_or(&[], |member| &member.last_words)
+    /// Last log lines of the process of a role before it ended.
+    pub fn last_log_lines(&self, role: Role) -> &[String] {
+        self.members.get(&role).map_or(&[], |member| &member.last_log_lines)
     }
 
-    /// Whether a process that makes no progress would, if it got a processor; asked the first time before it is judged.
+    /// Whether a process that makes no progress is only short of a processor. Ask as soon as it is suspected: its
+    /// processor time counts from then on.
     ///
     /// One that sleeps or was stopped is not starved, nor is one that has used a good part of a hang limit since.
     pub fn is_starved(&mut self, role: Role, incarnation: u32) -> bool {
         let Some(member) = self.members.get_mut(&role) else { return false };
-        let now = member.child.as_ref().and_then(|child| is_runnable(child.pid()));
+        let now = member.process.as_ref().and_then(|process| is_runnable(process.child.pid()));
         let Some((runnable, cpu_s)) = now else { return false };
         match member.suspect {
             Some((suspect, before_s)) if suspect == incarnation => {
@@ -466,17 +372,15 @@ impl Fleet {
         }
     }
 
-    /// All others make progress.
+    /// All processes but those of these roles make progress again.
     pub fn forget_suspects(&mut self, but: impl Fn(Role) -> bool) {
-        self.members
-            .iter_mut()
-            .filter(|(role, _)| !but(**role))
-            .for_each(|(_, member)| member.suspect = None);
+        let others = self.members.iter_mut().filter(|(role, _)| !but(**role));
+        others.for_each(|(_, member)| member.suspect = None);
     }
 
     /// Implementation or command of a role.
     pub fn label(&self, role: Role) -> String {
-        self.members.get(&role).map_or_else(String::new, |member| member.entry.label())
+        self.entry(role).map_or_else(String::new, ProcessEntry::label)
     }
 
     /// Process id that filled the role last.
@@ -486,79 +390,52 @@ impl Fleet {
 
     /// Processor share since the last call, and memory, of the process of a role.
     pub fn load(&mut self, role: Role) -> Load {
-        let Some(member) = self.members.get_mut(&role) else { return Load::default() };
-        member.child.as_ref().map_or_else(Load::default, |child| load_of(child, &mut member.usage))
+        let member = self.members.get_mut(&role);
+        member.and_then(|member| member.process.as_mut()).map_or_else(Load::default, Process::load)
     }
 }
 
 impl Drop for Fleet {
     /// An orchestrator that ends for an error, or panics, does not end its processes while the robot moves.
     fn drop(&mut self) {
-        let drives = self.members.values_mut().any(|member| {
-            member.child.as_mut().is_some_and(|child| !matches!(child.try_wait(), Ok(Some(_))))
-        });
-        if !drives {
+        let mut processes = self.members.values_mut().filter_map(|member| member.process.as_mut());
+        if processes.all(Process::has_ended) {
             return;
         }
-        self.word.latch();
-        if let Some(run) = LivingRun::of(self.domain.run_id()) {
-            halt::block(&run);
-            for left in halt::end_processes(&run) {
-                tracing::error!("{left} does not end, and is not known to rest: it is left");
-            }
-        }
-        let robot = self.members.get_mut(&Role::Robot).and_then(|member| member.child.as_mut());
+        halt::end_own_run(&self.domain, &self.stop_word);
+        let robot = self.members.get_mut(&Role::Robot).and_then(|member| member.process.as_mut());
         if let Some(robot) = robot
-            && !matches!(robot.try_wait(), Ok(Some(_)))
+            && !robot.has_ended()
         {
-            robot.release();
+            robot.child.release();
         }
     }
 }
 
-/// What a process finds in its environment.
-pub fn environment_of(
-    domain: &Domain,
-    word: &StopWord,
-    role: Role,
-    incarnation: u32,
-    restart: bool,
-) -> Vec<(OsString, OsString)> {
-    vec![
-        variable(SYSTEM_ID_VARIABLE, domain.system_id().to_owned()),
-        variable(RUN_ID_VARIABLE, domain.run_id().to_owned()),
-        (DIRECTORY_VARIABLE.into(), domain.directory().into()),
-        variable(ROLE_VARIABLE, role.name().to_owned()),
-        variable(INCARNATION_VARIABLE, incarnation.to_string()),
-        variable(RESTART_VARIABLE, u8::from(restart).to_string()),
-        variable(STOP_FD_VARIABLE, word.descriptor().to_string()),
-    ]
-}
+impl Member {
+    fn new(entry: ProcessEntry, log: ChildLog) -> Self {
+        Self {
+            entry,
+            log: Arc::new(log),
+            process: None,
+            incarnation: 0,
+            starts: 0,
+            last_log_lines: Vec::new(),
+            last_pid: 0,
+            suspect: None,
+        }
+    }
 
-fn variable(name: &str, value: String) -> (OsString, OsString) {
-    (OsString::from(name), OsString::from(value))
+    /// The process of this incarnation fills the role, or did last.
+    fn fill(&mut self, entry: ProcessEntry, incarnation: u32, child: Option<Child>) {
+        self.last_pid = child.as_ref().map_or(0, Child::pid);
+        self.process = child.map(|child| Process::new(entry.clone(), incarnation, child));
+        (self.entry, self.incarnation) = (entry, incarnation);
+    }
 }
 
 /// The last lines of a log, none when the disk does not give them in time.
 fn last_lines(disk: &Background, log: &Arc<ChildLog>) -> Vec<String> {
     let log = Arc::clone(log);
     disk.call(LOG_LIMIT, move || log.last_lines(LAST_LOG_LINES)).and_then(Result::ok).unwrap_or_default()
-}
-
-/// Processor share since `before`, which is brought up to date, and memory.
-fn load_of(child: &Child, before: &mut Option<Spent>) -> Load {
-    let Some(usage) = child.usage() else { return Load::default() };
-    let at_ns = monotonic_ns();
-    let then = before.get_or_insert(Spent { at_ns, cpu_s: usage.cpu_s, percent: 0.0 });
-    let elapsed_ns = at_ns.saturating_sub(then.at_ns);
-    if elapsed_ns >= LOAD_WINDOW_NS {
-        let percent = 100.0 * (usage.cpu_s - then.cpu_s).max(0.0) / (elapsed_ns as f64 * 1e-9);
-        *then = Spent { at_ns, cpu_s: usage.cpu_s, percent };
-    }
-    Load { cpu_percent: then.percent, memory_kib: usage.memory_kib }
-}
-
-fn spent_so_far(child: &Child) -> Spent {
-    let cpu_s = child.usage().map_or(0.0, |usage| usage.cpu_s);
-    Spent { at_ns: monotonic_ns(), cpu_s, percent: 0.0 }
 }

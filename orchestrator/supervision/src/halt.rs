@@ -1,12 +1,12 @@
 //! Brings a run to a stop from outside: wheels blocked first, then rest, then the end of its processes.
 //!
-//! Nothing here needs the orchestrator, the bus, the directory or a lock of the run. It serves `scanloop stop`, a new run
-//! that finds an old one, and an orchestrator that ends for an error.
+//! `scanloop stop`, a new run that finds an old one, and an orchestrator that ends for an error use it. It needs neither
+//! the orchestrator nor the bus, the directory or the lock of the run.
 //!
 //! 1. [`block`]: the stop word is latched; actuator and robot are woken (CONT), asked to end (TERM) when they do not
-//!    acknowledge, and the actuator is killed after `KILL_AFTER_NS`, so that at last the dead man of the robot blocks.
+//!    acknowledge. The actuator is killed after `KILL_AFTER_NS`, so that the dead man of the robot blocks in the end.
 //! 2. [`finish`]: the orchestrator is given time to end its run itself. Then controller, obstacles and estimator end, then
-//!    the actuator, then the robot, at last an orchestrator that does not respond. A robot is killed only when it is
+//!    the actuator, then the robot, and last an orchestrator that does not respond. A robot is killed only when it is
 //!    known to rest; otherwise it is left and named.
 
 use std::time::Duration;
@@ -21,7 +21,7 @@ use crate::runs::{LivingRun, RunProcess};
 const LIMIT_NS: u64 = 1_000_000_000;
 /// Of the limit, what is left for the start and the end of the command [ns].
 const MARGIN_NS: u64 = 60_000_000;
-/// Who does not acknowledge after this time is asked to end [ns].
+/// An actuator or robot that does not acknowledge within this time is asked to end [ns].
 const TERM_AFTER_NS: u64 = 100_000_000;
 /// An actuator that does not acknowledge after this time is killed [ns].
 const KILL_AFTER_NS: u64 = 300_000_000;
@@ -31,7 +31,7 @@ const ORCHESTRATOR_NS: u64 = 8_000_000_000;
 const REST_NS: u64 = 2_000_000_000;
 /// Between the request to end and the kill [ns].
 const GRACE_NS: u64 = 1_500_000_000;
-/// A killed process goes within this time unless it hangs in the kernel [ns].
+/// A killed process ends within this time unless it hangs in the kernel [ns].
 const KILLED_NS: u64 = 1_000_000_000;
 /// Time between two checks.
 const POLL: Duration = Duration::from_millis(2);
@@ -59,8 +59,7 @@ pub fn block(run: &LivingRun) -> Blocked {
     }
     let actuators: Vec<Identified> = run.of_role(Role::Actuator).collect();
     let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
-    let both = || actuators.iter().chain(&robots);
-    both().for_each(|process| process.signal(Signal::CONT));
+    actuators.iter().chain(&robots).for_each(|process| process.signal(Signal::CONT));
     let (mut termed, mut killed) = (false, false);
     loop {
         let after_ns = monotonic_ns() - began_ns;
@@ -72,10 +71,8 @@ pub fn block(run: &LivingRun) -> Blocked {
         }
         if !termed && (after_ns >= TERM_AFTER_NS || run.word.is_none()) {
             termed = true;
-            for process in both() {
-                process.signal(Signal::TERM);
-                process.signal(Signal::CONT);
-            }
+            ask_to_end(&actuators);
+            ask_to_end(&robots);
         }
         if !killed && after_ns >= KILL_AFTER_NS {
             killed = true;
@@ -88,7 +85,7 @@ pub fn block(run: &LivingRun) -> Blocked {
 /// Whether the wheels are known to be blocked since the stop: by the robot, or by the actuator for a robot that does not
 /// report. Without a process of the role robot there are none.
 fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
-    if robots.iter().all(Identified::has_ended) {
+    if have_ended(robots) {
         return true;
     }
     let Some(word) = &run.word else { return false };
@@ -97,19 +94,12 @@ fn is_blocked(run: &LivingRun, robots: &[Identified]) -> bool {
     wheels >= Wheels::Blocked && seen_ns >= word.stopped_ns()
 }
 
-/// Waits until nothing of the run lives, for so long at most; returns whether nothing does.
+/// Waits until no process of the run lives, for `timeout_ns` at most; returns whether none does.
 pub fn wait_for_end(run: &LivingRun, timeout_ns: u64) -> bool {
-    let deadline_ns = monotonic_ns() + timeout_ns;
-    while !run.is_over() {
-        if monotonic_ns() >= deadline_ns {
-            return false;
-        }
-        std::thread::sleep(POLL);
-    }
-    true
+    wait_until(timeout_ns, || run.is_over())
 }
 
-/// Ends all processes of a run that was stopped and removes its files; returns what could not be ended, in words.
+/// Ends all processes of a run that was stopped and removes its files; returns labels of those that could not be ended.
 pub fn finish(run: &LivingRun) -> Vec<String> {
     if let Some(pid) = foreign_orchestrator(run) {
         signal_orchestrator(run, pid, Signal::CONT);
@@ -124,9 +114,9 @@ pub fn finish(run: &LivingRun) -> Vec<String> {
     left
 }
 
-/// Ends all processes of a run whose wheels were blocked, but no orchestrator; returns those that are left, in words.
+/// Ends all processes of a run whose wheels were blocked, but no orchestrator; returns labels of those that are left.
 pub fn end_processes(run: &LivingRun) -> Vec<String> {
-    // Processes may have come since the run was looked at.
+    // More processes may have been started since `run` was read.
     let now = LivingRun::all(run.uid).into_iter().find(|found| found.run_id == run.run_id);
     let run = now.unwrap_or_else(|| run.clone());
     let others = run.processes.iter();
@@ -137,6 +127,16 @@ pub fn end_processes(run: &LivingRun) -> Vec<String> {
     run.living_processes().map(RunProcess::label).collect()
 }
 
+/// Ends the processes of the run that this orchestrator drove and gives up: first the wheels are blocked.
+pub(crate) fn end_own_run(domain: &Domain, stop_word: &StopWord) {
+    stop_word.latch();
+    let Some(run) = LivingRun::of(domain.run_id()) else { return };
+    block(&run);
+    for left in end_processes(&run) {
+        tracing::error!("{left} does not end, and is not known to rest: it is left");
+    }
+}
+
 /// The orchestrator of the run, unless it is this process.
 fn foreign_orchestrator(run: &LivingRun) -> Option<u32> {
     run.orchestrator().filter(|pid| *pid != std::process::id())
@@ -144,36 +144,37 @@ fn foreign_orchestrator(run: &LivingRun) -> Option<u32> {
 
 /// TERM, grace, KILL.
 fn end_all(processes: Vec<Identified>) {
-    for process in &processes {
+    ask_to_end(&processes);
+    if !wait_until(GRACE_NS, || have_ended(&processes)) {
+        kill(&processes);
+    }
+}
+
+fn ask_to_end(processes: &[Identified]) {
+    for process in processes {
         process.signal(Signal::TERM);
         process.signal(Signal::CONT);
     }
-    if !wait_for(&processes, GRACE_NS) {
-        processes.iter().for_each(|process| process.signal(Signal::KILL));
-        wait_for(&processes, KILLED_NS);
-    }
+}
+
+fn kill(processes: &[Identified]) {
+    processes.iter().for_each(|process| process.signal(Signal::KILL));
+    wait_until(KILLED_NS, || have_ended(processes));
 }
 
 /// A robot ends when it rests; one that does not report is given the time to. It is killed only when it is known to rest.
 fn end_robots(run: &LivingRun) {
     let robots: Vec<Identified> = run.of_role(Role::Robot).collect();
     let rests = || run.word.as_ref().is_some_and(|word| word.wheels(Role::Robot).0 == Wheels::Resting);
-    let deadline_ns = monotonic_ns() + REST_NS;
-    while !rests() && !robots.iter().all(Identified::has_ended) && monotonic_ns() < deadline_ns {
-        std::thread::sleep(POLL);
-    }
-    for robot in &robots {
-        robot.signal(Signal::TERM);
-        robot.signal(Signal::CONT);
-    }
-    if !wait_for(&robots, GRACE_NS) && rests() {
-        robots.iter().for_each(|robot| robot.signal(Signal::KILL));
-        wait_for(&robots, KILLED_NS);
+    wait_until(REST_NS, || rests() || have_ended(&robots));
+    ask_to_end(&robots);
+    if !wait_until(GRACE_NS, || have_ended(&robots)) && rests() {
+        kill(&robots);
     }
 }
 
-/// Ends an orchestrator that does not respond. One that a service manager would start again is followed by a mark, so that
-/// no run begins by itself after a stop.
+/// Ends an orchestrator that does not respond. If a service manager would start it again, leaves a mark that prevents a
+/// new run.
 fn end_orchestrator(run: &LivingRun, pid: u32) {
     let starts_again = std::fs::read(format!("/proc/{pid}/cmdline"))
         .is_ok_and(|line| line.split(|byte| *byte == 0).any(|word| word == b"--adopt-or-start"));
@@ -184,9 +185,13 @@ fn end_orchestrator(run: &LivingRun, pid: u32) {
     wait_for_end(run, KILLED_NS);
 }
 
-fn wait_for(processes: &[Identified], timeout_ns: u64) -> bool {
+fn have_ended(processes: &[Identified]) -> bool {
+    processes.iter().all(Identified::has_ended)
+}
+
+fn wait_until(timeout_ns: u64, is_done: impl Fn() -> bool) -> bool {
     let deadline_ns = monotonic_ns() + timeout_ns;
-    while !processes.iter().all(Identified::has_ended) {
+    while !is_done() {
         if monotonic_ns() >= deadline_ns {
             return false;
         }
@@ -195,7 +200,7 @@ fn wait_for(processes: &[Identified], timeout_ns: u64) -> bool {
     true
 }
 
-/// Removes what carries the id of the run, and nothing else.
+/// Removes all files of the run, and no others.
 fn clean(run: &LivingRun) {
     if run.uid != rustix::process::geteuid().as_raw() {
         return;
@@ -209,7 +214,7 @@ fn clean(run: &LivingRun) {
     }
 }
 
-/// Signals the orchestrator. It is opened first and compared then, so that no other process with its number is signalled.
+/// Signals the orchestrator. It is opened first and identified then, so that no other process with its number is signalled.
 fn signal_orchestrator(run: &LivingRun, pid: u32, signal: Signal) {
     let opened = Pid::from_raw(pid.cast_signed()).and_then(|raw| pidfd_open(raw, PidfdFlags::empty()).ok());
     if let Some(process) = opened

@@ -4,6 +4,7 @@ pub mod background;
 pub mod child;
 pub mod child_log;
 pub mod entry;
+pub mod environment;
 pub mod fleet;
 pub mod halt;
 pub mod lock;

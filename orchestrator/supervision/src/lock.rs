@@ -1,4 +1,4 @@
-//! One orchestrator per system: the lock, and which process cleans up.
+//! One orchestrator per system: the lock, and the removal of the files of a run.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, Write};
@@ -13,7 +13,7 @@ use crate::runs::{self, LivingRun};
 
 /// The last process of a system without an orchestrator cleans up within this time, and so does a run that was stopped [ns].
 const LEAVING_NS: u64 = 15_000_000_000;
-/// Descriptors that stay free for the removal of files, whatever the limit has become: as deep as these files lie, and two.
+/// Descriptors reserved for the removal of files, also when the limit is reached: the depth of these files, and two.
 const SPARE_DESCRIPTORS: usize = 6;
 /// Time between two tries.
 const RETRY: std::time::Duration = std::time::Duration::from_millis(20);
@@ -37,7 +37,7 @@ pub enum Claim {
 }
 
 impl Claim {
-    /// Takes the right to run the system of that id. A run that was stopped and is just ending is waited for.
+    /// Takes the right to run the system of that id. Waits for a run that was stopped and is just ending.
     ///
     /// # Errors
     /// [`RuntimeError::AlreadyRunning`] while another orchestrator lives, [`RuntimeError::NotPrivate`] for a directory that
@@ -65,7 +65,7 @@ impl Claim {
         }
     }
 
-    /// [`Claim::take`], with whatever an earlier run has left ended and removed.
+    /// [`Claim::take`]; the processes and files that an earlier run has left are ended and removed.
     ///
     /// # Errors
     /// As [`Claim::take`], and a robot of an earlier run that is not known to rest.
@@ -145,7 +145,7 @@ impl SystemLock {
         if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
             return Ok(None);
         }
-        // A holder before may have removed the file meanwhile: then this lock is worth nothing.
+        // An earlier holder may have removed the file meanwhile: then this lock protects nothing.
         let same = |there: &File| {
             let pair = lock.metadata().and_then(|here| there.metadata().map(|there| (here, there)));
             pair.is_ok_and(|(here, there)| (here.dev(), here.ino()) == (there.dev(), there.ino()))
@@ -159,7 +159,7 @@ impl SystemLock {
         Ok(Some(Self { domain: domain.clone(), _lock: lock, spare, owns: false }))
     }
 
-    /// From now on the files of the system are of this run: they are removed when the lock is dropped.
+    /// From now on the files of the system belong to this run: they are removed when the lock is dropped.
     pub fn own(&mut self) {
         self.owns = true;
     }
@@ -183,28 +183,28 @@ impl Drop for SystemLock {
     }
 }
 
-/// What the holder of the lock has written into it.
-fn holder(domain: &Domain) -> String {
+/// What is written in the lock: the process id of its holder, or [`LEAVING`].
+fn text_of(domain: &Domain) -> String {
     let mut text = String::new();
     if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
         let _ = file.read_to_string(&mut text);
     }
-    text.split_whitespace().next().unwrap_or("unknown").to_owned()
+    text
 }
 
-/// Whether the system is about to be gone: its last process cleans up, it was stopped, or nothing of it lives.
+fn holder(domain: &Domain) -> String {
+    text_of(domain).split_whitespace().next().unwrap_or("unknown").to_owned()
+}
+
+/// Whether the system is about to end: its last process cleans up, it was stopped, or no process of it lives.
 fn is_leaving(system_id: &str) -> bool {
     let Ok(Some(domain)) = Domain::find(system_id) else { return true };
-    let mut text = String::new();
-    if let Ok(mut file) = domain.folder().open_file(LOCK_FILE, OFlags::RDONLY) {
-        let _ = file.read_to_string(&mut text);
-    }
     // Without a living process it is just being made or removed.
     let Some(run) = LivingRun::of(domain.run_id()) else { return true };
-    text.contains(LEAVING) || run.word.is_some_and(|word| !word.is_armed())
+    text_of(&domain).contains(LEAVING) || run.word.is_some_and(|word| !word.is_armed())
 }
 
-/// A run whose directory is not where one is looked for.
+/// A run whose directory is not in a searched place.
 fn already_running(system_id: &str, run: &LivingRun) -> anyhow::Error {
     let place = run.directory.as_ref().map_or("no directory".to_owned(), |path| path.display().to_string());
     let alive = run.alive().join(", ");
@@ -229,7 +229,7 @@ mod tests {
             anyhow::Ok(domain)
         });
         std::thread::sleep(5 * RETRY);
-        assert!(!run.is_finished(), "nothing lives that could be running already");
+        assert!(!run.is_finished(), "no process lives, so it is not running already");
         drop(stop);
         let made = run.join().unwrap().unwrap();
         assert!(made.run_id() != left.run_id() && !made.exists() && !left.bus_directory().exists());

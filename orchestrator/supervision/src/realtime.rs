@@ -1,6 +1,6 @@
-//! What a run asks of the machine: processors, scheduler, idle states; see `docs/tuning.md`.
+//! Processors, scheduler and idle states that a run asks the machine for; see `docs/tuning.md`.
 //!
-//! Whatever the machine refuses is said once, with what to change, and the run goes on without it.
+//! When the machine refuses a setting, one warning says what to change, and the run continues without it.
 
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
@@ -12,13 +12,13 @@ use vehicle::{Invalid, require};
 
 /// The profile of `--realtime`.
 const PROFILE: &str = include_str!("../../systems/realtime.toml");
-/// The device by which a process says how much delay it bears; the kernel listens as long as it is open.
+/// The device by which a process limits the wake-up latency of idle processors, as long as it is open.
 const LATENCY_DEVICE: &str = "/dev/cpu_dma_latency";
 
-/// Settings of a run, and what it holds open for them.
+/// Settings of a run, and the device that it holds open for them.
 pub struct Machine {
     realtime: Realtime,
-    said: BTreeSet<String>,
+    warned: BTreeSet<String>,
     taken_in: BTreeSet<u32>,
     _awake: Option<File>,
 }
@@ -28,14 +28,14 @@ impl Machine {
     pub fn new(realtime: &Realtime) -> Self {
         let mut machine = Self {
             realtime: realtime.clone(),
-            said: BTreeSet::new(),
+            warned: BTreeSet::new(),
             taken_in: BTreeSet::new(),
             _awake: None,
         };
         if !realtime.idle_states {
             match keep_awake() {
                 Ok(device) => machine._awake = Some(device),
-                Err(error) => machine.say(format!(
+                Err(error) => machine.warn_once(format!(
                     "realtime.idle_states = false has no effect ({LATENCY_DEVICE}: {error}): let this user write to \
                      the device, or boot with `cpuidle.off=1`"
                 )),
@@ -44,18 +44,18 @@ impl Machine {
         machine
     }
 
-    /// Puts a process where it shall run; does nothing the second time.
+    /// Gives a process its processors and priority; does nothing the second time.
     pub fn take_in(&mut self, pid: u32) {
         if !self.taken_in.insert(pid) {
             return;
         }
         for refused in self.realtime.apply_to(pid) {
-            self.say(refused);
+            self.warn_once(refused);
         }
     }
 
-    fn say(&mut self, warning: String) {
-        if self.said.insert(warning.clone()) {
+    fn warn_once(&mut self, warning: String) {
+        if self.warned.insert(warning.clone()) {
             tracing::warn!("{warning}");
         }
     }
@@ -83,8 +83,7 @@ pub fn validate(realtime: &Realtime) -> Result<(), Invalid> {
         require("slice_us", realtime.slice_us as f64, 100.0..=100_000.0)?;
     }
     if realtime.poll_us > 0 && realtime.cpu.len() == 1 {
-        let allowed =
-            "0 with one processor in `cpu`: who looks there keeps the one it waits for from running";
+        let allowed = "0 with one processor in `cpu`: a process that polls there keeps the one it waits for from running";
         return Err(Invalid::new("poll_us", realtime.poll_us, allowed));
     }
     if realtime.scheduler == Scheduler::Fifo {
@@ -93,7 +92,7 @@ pub fn validate(realtime: &Realtime) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// No delay is bearable while the file is open.
+/// Keeps idle processors awake while the file is open: no wake-up latency is allowed.
 fn keep_awake() -> std::io::Result<File> {
     let mut device = OpenOptions::new().write(true).open(LATENCY_DEVICE)?;
     device.write_all(&0i32.to_ne_bytes())?;
@@ -111,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn the_profile_is_valid_and_gives_way_to_what_the_system_sets() {
+    fn the_profile_is_valid_and_keys_of_the_system_override_it() {
         let profile = profile_on("");
         assert_eq!(validate(&profile), Ok(()));
         assert_eq!(profile.scheduler, Scheduler::Fifo);
@@ -120,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn who_polls_on_one_processor_is_refused() {
+    fn polling_with_one_processor_is_refused() {
         let realtime = Realtime { poll_us: 50, cpu: vec![0], ..Realtime::default() };
         let message = validate(&realtime).unwrap_err().to_string();
         assert!(message.starts_with("poll_us = 50 is not allowed: 0 with one processor"), "{message}");

@@ -1,12 +1,12 @@
-//! Shared memory for one more process, kept while all is well, so that a swap or a restart finds it also when another
-//! program has filled `/dev/shm`.
+//! A reserve of shared memory for one more process, so that a swap or a restart succeeds also when another program
+//! has filled `/dev/shm`.
 
 use runtime::{Bus, Reserve, RuntimeError, monotonic_ns};
 
 /// Time between two attempts to get it back [ns].
 const RETRY_NS: u64 = 100_000_000;
-/// So long it may be missing before that is a reason to warn [ns]: what a process had is free when the last of its
-/// readers has noticed that it ended.
+/// A reserve that is missing for longer than this is reported [ns]: the memory of a process is free only when the last
+/// of its readers has noticed that it ended.
 const WARN_NS: u64 = 2_000_000_000;
 
 /// The reserve of one orchestrator.
@@ -32,8 +32,8 @@ impl Room {
         Ok(())
     }
 
-    /// While the reserve is not held: allocates what new processes have made, as those in other languages do not, and
-    /// takes the reserve again once no process `is_moving`. Returns what is missing, once until it was held again.
+    /// While the reserve is not held: allocates the memory of new processes, as those in other languages do not, and
+    /// takes the reserve again once no process `is_moving`. Returns what is missing, once until it is held again.
     pub fn keep(&mut self, bus: &Bus, is_moving: bool) -> Option<RuntimeError> {
         let now_ns = monotonic_ns();
         if self.reserve.is_some() || now_ns < self.retry_ns {

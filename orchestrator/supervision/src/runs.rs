@@ -1,7 +1,7 @@
 //! Runs that live on this machine, found in `/proc` alone.
 //!
-//! A process of a run names its run, system and role in its environment, and every process of it holds the page of the
-//! stop word open. So a run is found without its directory, its bus, its lock and its orchestrator.
+//! A process of a run names its run, system and role in its environment, and holds the page of the stop word open.
+//! So a run is found without its directory, its bus, its lock and its orchestrator.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use runtime::{
 use shared_types::Role;
 
 /// A run with at least one living process.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct LivingRun {
     /// Id of its system.
     pub system_id: String,
@@ -32,7 +32,7 @@ pub struct LivingRun {
 /// A process of a run.
 #[derive(Debug, Clone)]
 pub struct RunProcess {
-    /// How to tell it from a stranger.
+    /// Distinguishes it from an unrelated process with the same number.
     pub identity: Identity,
     /// The role that it, or the process that started it, was started for.
     pub role: Option<Role>,
@@ -55,19 +55,11 @@ impl LivingRun {
     pub fn all(uid: u32) -> Vec<Self> {
         let mut runs: Vec<Self> = Vec::new();
         for seen in started_processes(uid) {
-            let run_id = &seen.identity.run_id;
-            let index = runs.iter().position(|run| run.run_id == *run_id).unwrap_or_else(|| {
-                runs.push(Self::begin(run_id, uid));
-                runs.len() - 1
-            });
-            runs[index].take(seen);
+            let run_id = seen.identity.run_id.clone();
+            Self::entry(&mut runs, &run_id, uid).take(seen);
         }
         for (run_id, link) in stop_words(uid) {
-            let index = runs.iter().position(|run| run.run_id == run_id).unwrap_or_else(|| {
-                runs.push(Self::begin(&run_id, uid));
-                runs.len() - 1
-            });
-            let run = &mut runs[index];
+            let run = Self::entry(&mut runs, &run_id, uid);
             if run.word.is_none() {
                 run.word = StopWord::open(&link).ok();
             }
@@ -89,7 +81,7 @@ impl LivingRun {
     }
 
     /// Process id of the orchestrator, if it lives. Any process of the user can write into the page of the stop word, so a
-    /// process of another user is never taken for the orchestrator: root would be led to end it.
+    /// process of another user is never taken for the orchestrator: otherwise root could be made to end it.
     pub fn orchestrator(&self) -> Option<u32> {
         let (pid, ticks) = self.word.as_ref()?.orchestrator();
         (pid != 0 && uid_of(pid) == Some(self.uid) && start_ticks(pid) == Some(ticks)).then_some(pid)
@@ -105,7 +97,7 @@ impl LivingRun {
         self.processes.iter().filter(|process| process.open().is_some())
     }
 
-    /// What lives of it, in words.
+    /// Its living processes and orchestrator, as `controller 812`.
     pub fn alive(&self) -> Vec<String> {
         let processes = self.living_processes().map(RunProcess::label);
         processes.chain(self.orchestrator().map(|pid| format!("orchestrator {pid}"))).collect()
@@ -118,15 +110,13 @@ impl LivingRun {
         domain.is_current().then_some(domain)
     }
 
-    fn begin(run_id: &str, uid: u32) -> Self {
-        Self {
-            system_id: String::new(),
-            run_id: run_id.to_owned(),
-            uid,
-            directory: None,
-            word: None,
-            processes: Vec::new(),
-        }
+    /// The run of that id, added when it is new.
+    fn entry<'a>(runs: &'a mut Vec<Self>, run_id: &str, uid: u32) -> &'a mut Self {
+        let index = runs.iter().position(|run| run.run_id == run_id).unwrap_or_else(|| {
+            runs.push(Self { run_id: run_id.to_owned(), uid, ..Self::default() });
+            runs.len() - 1
+        });
+        &mut runs[index]
     }
 
     fn take(&mut self, seen: Seen) {
@@ -151,7 +141,7 @@ impl LivingRun {
     }
 }
 
-/// The system of that id, wherever its directory is.
+/// The system of that id, also with its directory in a place that is not searched.
 ///
 /// # Errors
 /// [`RuntimeError::SystemId`], and [`RuntimeError::NotPrivate`] for a directory that is not this user's alone.
@@ -174,12 +164,12 @@ pub fn living(system_id: &str) -> Option<LivingRun> {
     LivingRun::all(own).into_iter().find(|run| run.system_id == system_id)
 }
 
-/// Run ids and paths of all stop words of a user that his processes hold open; a process may also hold a file that
-/// another user handed to it.
+/// Run ids and paths of all stop words of a user that the processes of that user hold open; a process may also hold a file
+/// of another user.
 fn stop_words(uid: u32) -> Vec<(String, PathBuf)> {
     let mut found = Vec::new();
-    // Not through this process: a number that another thread has given to another file meanwhile would be opened here,
-    // and closing it would drop the lock by which the bus knows that this process lives.
+    // Not through this process: another thread may have reused a number meanwhile for another file. Opening and closing
+    // that one would drop the lock by which the bus knows that this process lives.
     let own = std::process::id();
     for pid in runtime::processes(uid).filter(|pid| *pid != own) {
         let Ok(entries) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { continue };

@@ -1,35 +1,35 @@
 //! Keeps the processes of a run alive: a state machine that decides and does nothing.
 //!
-//! Idea: the caller tells what happened and what time it is, [`Supervisor::handle`] answers with what is to be
-//! done. There is no clock, no process and no bus in here, so each sequence of events can be tried in a test.
+//! The caller passes each event with its time to [`Supervisor::handle`], which returns the actions to carry out.
+//! There is no clock, no process and no bus in here, so a test can try each sequence of events.
 //!
 //! * **Start.** All processes are asked for at once, the actuator first and the robot last, so that usually
-//!   someone is there to block the wheels before there are wheels. The phase is `Starting` until all are
+//!   the wheels can be blocked before they can turn. The phase is `Starting` until all are
 //!   attached, `Connecting` until all are connected, then `Driving`; it never goes back. A process restarted
 //!   while driving attaches and connects on its own.
 //! * **Death.** Exit, then clean-up on the bus, then a pause, then the next incarnation; never another order,
 //!   because a dead node holds its ports until it is cleaned up. The first death of a ready process costs no
 //!   pause, later ones double it; a healthy run forgets them. Too many deaths before the first valid output, or
-//!   within a minute, end the run, and so does any death of the robot, or of anyone in lock-step, where a gap
+//!   within a minute, end the run. So does any death of the robot, and in lock-step any death at all, where a gap
 //!   would change the result.
-//! * **Hang.** A connected process that makes no progress while driving is killed, then treated as dead; so is one
-//!   that has all it reads and still no first output when the start time-out is over. In the other phases
-//!   processes wait for each other, and only the start time-out counts.
-//! * **Adoption.** The processes of an orchestrator that died are told of one by one; then the run goes on in the
-//!   phase in which it was. Who ended meanwhile is treated as dead.
-//! * **Exchange.** A swap starts its process itself, under a number of [`Supervisor::next_incarnation`], and tells of
+//! * **Hang.** A connected process that makes no progress while driving is killed, then treated as dead. So is one
+//!   that has all its inputs and still no first output when the start timeout is over. In the other phases
+//!   processes wait for each other, and only the start timeout counts.
+//! * **Adoption.** The caller reports the processes of an orchestrator that died one by one; then the run continues in
+//!   the phase in which it was. A process that ended meanwhile is treated as dead.
+//! * **Swap.** A swap starts its process itself, under a number of [`Supervisor::next_incarnation`], and reports
 //!   it when it has taken over ([`Event::Replaced`]); until then the supervisor knows the old one only.
-//! * **Failure.** Who failed is not started again, nor is anyone else. While the loop drives, the caller is given time to
+//! * **Failure.** After a failure no process is started any more. While the loop drives, the caller is given time to
 //!   bring the robot to rest before it asks for the stop.
 //! * **Stop.** Three waves: controller, obstacles and estimator; when they are gone the actuator, which blocks
-//!   the wheels as its last word; then the robot, which hears it. In each wave TERM, grace, KILL.
+//!   the wheels before it ends; then the robot, which receives that. In each wave TERM, grace, KILL.
 //!
 //! Incarnations are unique and strictly increasing over all roles, so an event about a dead incarnation is
 //! recognised and ignored. Assumptions, and where they fail: times do not go backwards (an earlier time only
 //! delays what is due); the caller sends [`Event::Tick`] after all other events at hand, else a process may be
-//! judged by news that is still in the queue. Only time in which the caller watched is a process's silence: a gap
+//! judged before an event that is still in the queue. Only time in which the caller watched counts as silence: a gap
 //! of more than a third of the hang limit between two events, as when the whole machine stood still, does not count.
-//! Who would run but gets no processor is not hung, for ten limits at most.
+//! A process that could run but gets no processor is not hung, for ten limits at most.
 
 mod death;
 mod event;
@@ -40,6 +40,7 @@ mod rules;
 mod slot;
 #[cfg(test)]
 mod tests;
+mod turn;
 mod watch;
 #[cfg(test)]
 mod world;
@@ -53,6 +54,7 @@ use shared_types::{Phase, ProcessState, Role};
 
 use policy::nanoseconds;
 use slot::{Alive, EndReason, Life, Refused, Slot};
+use turn::Turn;
 
 /// A process in lock-step is called hung after this time at the earliest [ms].
 const LOCKSTEP_HANG_AFTER_MS: u64 = 5_000;
@@ -95,8 +97,8 @@ impl Supervisor {
         }
     }
 
-    /// The same for a run in lock-step, where any death ends the run, and where the period says nothing about how long
-    /// a process may take: who hangs is found after seconds.
+    /// The same for a run in lock-step, where any death ends the run, and where the period does not limit how long
+    /// a process may take: a hang is found after seconds.
     #[must_use]
     pub fn in_lockstep(mut self) -> Self {
         for slot in &mut self.slots {
@@ -109,11 +111,6 @@ impl Supervisor {
     /// What the whole system is doing.
     pub fn phase(&self) -> Phase {
         self.phase
-    }
-
-    /// Why the run failed, if it did.
-    pub fn failure(&self) -> Option<(Role, &str)> {
-        self.failure.as_ref().map(|(role, reason)| (*role, reason.as_str()))
     }
 
     /// Whether the run was ended and no process lives any more.
@@ -132,7 +129,7 @@ impl Supervisor {
     }
 
     /// Processes that have made no progress for half of the time after which they are hung: role, incarnation, and
-    /// whether the whole time is over. Tell with [`Event::Starved`] who of the latter does not get a processor.
+    /// whether the whole time is over. Report those of the latter that get no processor with [`Event::Starved`].
     pub fn suspects(&self, now_ns: u64) -> impl Iterator<Item = (Role, u32, bool)> {
         let watched = self.slots.iter().filter(|_| self.phase == Phase::Driving);
         watched.filter_map(move |slot| {
@@ -143,34 +140,20 @@ impl Supervisor {
         })
     }
 
-    /// When the next [`Event::Tick`] is due at the latest [ns].
-    pub fn next_deadline(&self) -> Option<u64> {
-        let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
-            // Who looks at the last moment that counts is late, and then nothing of the time counts.
-            let poll_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
-            Some(slot.hang_deadline_ns()?.min(poll_ns))
-        });
-        self.slots.iter().filter_map(Slot::deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
-    }
-
     /// What is to be done, in this order, now that `event` has happened at `now_ns`.
     pub fn handle(&mut self, now_ns: u64, event: Event) -> Vec<Action> {
-        let mut actions = Vec::new();
+        let mut turn = Turn { now_ns, actions: Vec::new() };
         self.forgive_own_stall(now_ns);
         match event {
-            Event::Start => self.start(&mut actions),
+            Event::Start => self.start(&mut turn),
             Event::Adopted { role, pid, incarnation, restarts } => {
                 self.adopted(now_ns, role, pid, incarnation, restarts);
             }
-            Event::Resume { phase, last_incarnation } => {
-                self.resume(now_ns, phase, last_incarnation, &mut actions);
-            }
-            Event::Spawned { role, pid, incarnation } => {
-                self.spawned(now_ns, role, pid, incarnation, &mut actions)
-            }
-            Event::SpawnFailed { role, error } => self.spawn_failed(now_ns, role, error, &mut actions),
+            Event::Resume { phase, last_incarnation } => self.resume(&mut turn, phase, last_incarnation),
+            Event::Spawned { role, pid, incarnation } => self.spawned(&mut turn, role, pid, incarnation),
+            Event::SpawnFailed { role, error } => self.spawn_failed(&mut turn, role, error),
             Event::StateReported { role, incarnation, state } => {
-                self.state_reported(now_ns, role, incarnation, state, &mut actions);
+                self.state_reported(&mut turn, role, incarnation, state);
             }
             Event::Progress { role, incarnation } => {
                 if let Some(alive) = self.slot(role).and_then(|slot| slot.alive(incarnation)) {
@@ -178,22 +161,20 @@ impl Supervisor {
                 }
             }
             Event::Starved { role, incarnation } => self.starved(now_ns, role, incarnation),
-            Event::Refused { role, incarnation, reader, words } => {
-                self.refused(now_ns, role, incarnation, Refused { reader, words }, &mut actions);
+            Event::Refused { role, incarnation, reader, reason } => {
+                self.refused(&mut turn, role, incarnation, Refused { reader, reason });
             }
-            Event::Exited { role, incarnation, exit } => {
-                self.exited(now_ns, role, incarnation, exit, &mut actions)
-            }
-            Event::Tick => self.tick(now_ns, &mut actions),
-            Event::StopRequested => self.stop(now_ns, &mut actions),
-            Event::RestartRequested { role } => self.restart_requested(now_ns, role, &mut actions),
+            Event::Exited { role, incarnation, exit } => self.exited(&mut turn, role, incarnation, exit),
+            Event::Tick => self.tick(&mut turn),
+            Event::StopRequested => self.stop(&mut turn),
+            Event::RestartRequested { role } => self.restart_requested(&mut turn, role),
             Event::Replaced { role, pid, incarnation, is_restart } => {
-                self.replaced(now_ns, role, pid, incarnation, is_restart, &mut actions);
+                self.replaced(&mut turn, role, pid, incarnation, is_restart);
             }
-            Event::CleanedUp { role } => self.cleaned_up(now_ns, role, &mut actions),
+            Event::CleanedUp { role } => self.cleaned_up(&mut turn, role),
         }
-        self.watch_first_outputs(now_ns);
-        actions
+        self.watch_first_outputs(&turn);
+        turn.actions
     }
 
     /// The largest number given to a process so far.
@@ -201,26 +182,24 @@ impl Supervisor {
         self.last_incarnation
     }
 
-    /// Whether nobody is started any more.
+    /// Whether no process is started any more.
     fn is_ending(&self) -> bool {
         self.phase == Phase::Stopping || self.halting_until_ns.is_some()
     }
 
-    /// A number for a process that the caller starts itself, to be told of with [`Event::Replaced`].
+    /// A number for a process that the caller starts itself and reports with [`Event::Replaced`].
     pub fn next_incarnation(&mut self) -> u32 {
         self.last_incarnation += 1;
         self.last_incarnation
     }
 
-    fn start(&mut self, actions: &mut Vec<Action>) {
+    fn start(&mut self, turn: &mut Turn) {
         if self.started || self.phase == Phase::Stopping {
             return;
         }
         self.started = true;
-        actions.push(Action::Announce(Phase::Starting));
-        for index in 0..self.slots.len() {
-            self.spawn(index, actions);
-        }
+        turn.push(Action::Announce(Phase::Starting));
+        (0..self.slots.len()).for_each(|index| self.spawn(turn, index));
     }
 
     fn adopted(&mut self, now_ns: u64, role: Role, pid: Option<u32>, incarnation: u32, restarts: u32) {
@@ -235,7 +214,7 @@ impl Supervisor {
         }
     }
 
-    fn resume(&mut self, now_ns: u64, phase: Phase, last_incarnation: u32, actions: &mut Vec<Action>) {
+    fn resume(&mut self, turn: &mut Turn, phase: Phase, last_incarnation: u32) {
         if self.started || self.phase == Phase::Stopping {
             return;
         }
@@ -244,17 +223,14 @@ impl Supervisor {
             self.slots.iter().map(|slot| slot.incarnation).fold(last_incarnation, u32::max);
         self.phase = phase.min(Phase::Driving);
         if phase == Phase::Stopping {
-            return self.stop(now_ns, actions);
+            return self.stop(turn);
         }
         for slot in &mut self.slots {
             if let Life::Alive(alive) = &mut slot.life {
-                // Who hangs says nothing, not even how far it got: it is watched from now on as one of the loop.
+                // A process that hangs reports nothing, not even its state: it is watched as one that drives.
                 match phase {
                     Phase::Driving => alive.reached = Some(ProcessState::Connected),
-                    _ => {
-                        let limit_ns = nanoseconds(slot.policy.start_timeout_ms);
-                        alive.start_deadline_ns = Some(now_ns.saturating_add(limit_ns));
-                    }
+                    _ => alive.start_deadline_ns = Some(turn.in_ms(slot.policy.start_timeout_ms)),
                 }
             }
         }
@@ -264,19 +240,19 @@ impl Supervisor {
                 continue;
             }
             if incarnation == 0 {
-                self.spawn(index, actions);
+                self.spawn(turn, index);
             } else if self.lockstep || self.slots[index].policy.effective_restart() == Restart::Never {
-                self.fail(now_ns, role, "ended while no orchestrator watched".to_owned(), actions);
+                self.fail(turn, role, "ended while no orchestrator watched".to_owned());
             } else {
-                actions.push(warn(format!("{role} ended while no orchestrator watched; restarted")));
-                self.slots[index].life = Life::CleaningUp { due_ns: now_ns };
-                actions.push(Action::CleanUp { role });
+                turn.warn(format!("{role} ended while no orchestrator watched; restarted"));
+                self.slots[index].life = Life::CleaningUp { due_ns: turn.now_ns };
+                turn.push(Action::CleanUp { role });
             }
         }
     }
 
     /// Asks for the next incarnation. Authority goes first: its first output is to count.
-    fn spawn(&mut self, index: usize, actions: &mut Vec<Action>) {
+    fn spawn(&mut self, turn: &mut Turn, index: usize) {
         self.last_incarnation += 1;
         let incarnation = self.last_incarnation;
         let slot = &mut self.slots[index];
@@ -285,88 +261,73 @@ impl Supervisor {
         slot.incarnation = incarnation;
         slot.refused = None;
         slot.life = Life::Spawning;
-        actions.push(Action::Grant { role, incarnation });
-        actions.push(Action::Spawn { role, incarnation });
+        turn.push(Action::Grant { role, incarnation });
+        turn.push(Action::Spawn { role, incarnation });
     }
 
-    fn spawned(&mut self, now_ns: u64, role: Role, pid: u32, incarnation: u32, actions: &mut Vec<Action>) {
+    fn spawned(&mut self, turn: &mut Turn, role: Role, pid: u32, incarnation: u32) {
         let ending = self.is_ending();
         let Some(slot) = self.slot(role) else { return };
         if slot.life != Life::Spawning || slot.incarnation != incarnation {
             return;
         }
-        let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
-        slot.life = Life::Alive(Alive {
-            start_deadline_ns: (!ending).then_some(deadline_ns),
-            ..Alive::new(pid, now_ns)
-        });
-        actions.push(info(format!("{role} started as process {pid}, incarnation {incarnation}")));
-        self.continue_stop(now_ns, actions);
+        let deadline_ns = turn.in_ms(slot.policy.start_timeout_ms);
+        let start_deadline_ns = (!ending).then_some(deadline_ns);
+        slot.life = Life::Alive(Alive { start_deadline_ns, ..Alive::new(pid, turn.now_ns) });
+        turn.info(format!("{role} started as process {pid}, incarnation {incarnation}"));
+        self.continue_stop(turn);
     }
 
-    fn state_reported(
-        &mut self,
-        now_ns: u64,
-        role: Role,
-        incarnation: u32,
-        state: ProcessState,
-        actions: &mut Vec<Action>,
-    ) {
+    fn state_reported(&mut self, turn: &mut Turn, role: Role, incarnation: u32, state: ProcessState) {
         let phase = self.phase;
         let Some(alive) = self.slot(role).and_then(|slot| slot.alive(incarnation)) else { return };
-        // Heartbeats repeat the state, and a late one may tell an earlier state: only news counts.
+        // Heartbeats repeat the state, and a late one may carry an earlier state: only a later one counts.
         if state == ProcessState::Ending || alive.reached >= Some(state) {
             return;
         }
         alive.reached = Some(state);
-        alive.progress_ns = now_ns;
-        // Who is attached in the first phase waits for the others, not for itself.
+        alive.progress_ns = turn.now_ns;
+        // A process that is attached in the first phase waits for the others, not for itself.
         if state >= ProcessState::Connected || phase == Phase::Starting {
             alive.start_deadline_ns = None;
         }
         if state == ProcessState::Ready {
-            alive.ready_ns = Some(now_ns);
-            actions.push(info(format!("{role} is ready, incarnation {incarnation}")));
+            alive.ready_ns = Some(turn.now_ns);
+            turn.info(format!("{role} is ready, incarnation {incarnation}"));
         }
-        self.advance_phase(now_ns, actions);
+        self.advance_phase(turn);
     }
 
-    fn advance_phase(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+    fn advance_phase(&mut self, turn: &mut Turn) {
         let all_reached = |slots: &[Slot], state| slots.iter().all(|slot| slot.has_reached(state));
         if self.phase == Phase::Starting && all_reached(&self.slots, ProcessState::Attached) {
             self.phase = Phase::Connecting;
-            actions.push(Action::Announce(Phase::Connecting));
+            turn.push(Action::Announce(Phase::Connecting));
             for slot in &mut self.slots {
-                let deadline_ns = now_ns.saturating_add(nanoseconds(slot.policy.start_timeout_ms));
                 if let Life::Alive(alive) = &mut slot.life
                     && alive.reached < Some(ProcessState::Connected)
                 {
-                    alive.start_deadline_ns = Some(deadline_ns);
+                    alive.start_deadline_ns = Some(turn.in_ms(slot.policy.start_timeout_ms));
                 }
             }
         }
         if self.phase == Phase::Connecting && all_reached(&self.slots, ProcessState::Connected) {
             self.phase = Phase::Driving;
-            actions.push(Action::Announce(Phase::Driving));
-            self.refresh_progress(now_ns);
+            turn.push(Action::Announce(Phase::Driving));
+            for slot in &mut self.slots {
+                if let Life::Alive(alive) = &mut slot.life {
+                    alive.progress_ns = turn.now_ns;
+                }
+            }
         }
     }
 
-    /// Whatever the one before was doing, and whether it lives, does not matter any more; nor do its deaths.
-    fn replaced(
-        &mut self,
-        now_ns: u64,
-        role: Role,
-        pid: u32,
-        incarnation: u32,
-        is_restart: bool,
-        actions: &mut Vec<Action>,
-    ) {
+    /// The state and the deaths of the process before do not matter any more.
+    fn replaced(&mut self, turn: &mut Turn, role: Role, pid: u32, incarnation: u32, is_restart: bool) {
         let finished = self.all_stopped;
         let Some(slot) = self.slot(role) else { return };
         if finished || incarnation <= slot.incarnation {
-            actions.push(warn(format!("{role} is not replaced by incarnation {incarnation}")));
-            return;
+            return turn.warn(format!("{role} is not replaced by incarnation {incarnation}"));
         }
         slot.incarnation = incarnation;
         slot.refused = None;
@@ -377,32 +338,31 @@ impl Supervisor {
         }
         slot.life = Life::Alive(Alive {
             reached: Some(ProcessState::Ready),
-            ready_ns: Some(now_ns),
-            ..Alive::new(pid, now_ns)
+            ready_ns: Some(turn.now_ns),
+            ..Alive::new(pid, turn.now_ns)
         });
-        actions.push(info(format!("{role} is filled by process {pid}, incarnation {incarnation}")));
-        self.continue_stop(now_ns, actions);
+        turn.info(format!("{role} is filled by process {pid}, incarnation {incarnation}"));
+        self.continue_stop(turn);
     }
 
-    fn restart_requested(&mut self, now_ns: u64, role: Role, actions: &mut Vec<Action>) {
+    fn restart_requested(&mut self, turn: &mut Turn, role: Role) {
         let (stopping, lockstep) = (self.is_ending(), self.lockstep);
         let Some(index) = self.index(role) else { return };
         let slot = &mut self.slots[index];
         if stopping || lockstep || role == Role::Robot {
             let why = if stopping { "the run ends" } else { "its end would be the end of the run" };
-            actions.push(warn(format!("{role} is not restarted: {why}")));
-            return;
+            return turn.warn(format!("{role} is not restarted: {why}"));
         }
         match &mut slot.life {
             Life::Alive(alive) if alive.ending.is_none() => {
                 alive.ending = Some(EndReason::Restart);
                 alive.start_deadline_ns = None;
-                alive.kill_ns = Some(now_ns.saturating_add(nanoseconds(slot.policy.grace_ms)));
-                actions.push(Action::Terminate { role });
+                alive.kill_ns = Some(turn.in_ms(slot.policy.grace_ms));
+                turn.push(Action::Terminate { role });
             }
-            Life::CleaningUp { due_ns } => *due_ns = now_ns,
-            Life::Waiting { .. } => self.spawn(index, actions),
-            // It is on its way up, or on its way down to be started again, or there is no run.
+            Life::CleaningUp { due_ns } => *due_ns = turn.now_ns,
+            Life::Waiting { .. } => self.spawn(turn, index),
+            // It is starting, or ending to be started again, or there is no run.
             _ => {}
         }
     }
@@ -416,7 +376,7 @@ impl Supervisor {
     }
 }
 
-/// Against the flow of data: who reads is asked for before who writes.
+/// Against the flow of data: readers are asked for before writers.
 const fn start_rank(role: Role) -> u8 {
     match role {
         Role::Actuator => 0,
@@ -425,12 +385,4 @@ const fn start_rank(role: Role) -> u8 {
         Role::Estimator => 3,
         Role::Robot => 4,
     }
-}
-
-fn info(text: String) -> Action {
-    Action::Log(Severity::Info, text)
-}
-
-fn warn(text: String) -> Action {
-    Action::Log(Severity::Warn, text)
 }

@@ -38,7 +38,7 @@ fn orphaned_status(system: &System) -> Status {
 }
 
 fn pid_of(status: &Status, role: Role) -> i32 {
-    status.processes.iter().find(|process| process.role == role.name()).unwrap().pid
+    status.processes.iter().find(|process| process.role == role).unwrap().pid
 }
 
 /// Waits for the end of an adopted run that reaches its goal.
@@ -86,10 +86,10 @@ fn an_adopted_run_is_supervised_like_any_other() {
         system.wait_until("a successor", |system| {
             system.status().is_some_and(|status| {
                 status.processes.iter().any(|process| {
-                    process.role == role.name()
+                    process.role == role
                         && process.pid != before
                         && process.pid != 0
-                        && process.state == "ready"
+                        && process.state.name() == "ready"
                         && process.restarts > 0
                 })
             })
@@ -229,8 +229,8 @@ fn kill_within_swap(system: &mut System, state: &str) -> [i32; 2] {
     let mut swap = swap.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let rows = |system: &System| -> Vec<(i32, String)> {
         let processes = system.status().map(|status| status.processes).unwrap_or_default();
-        let rows = processes.into_iter().filter(|process| process.role == "controller");
-        rows.map(|process| (process.pid, process.state)).collect()
+        let rows = processes.into_iter().filter(|process| process.role == Role::Controller);
+        rows.map(|process| (process.pid, process.state.to_string())).collect()
     };
     system.wait_until(state, |system| rows(system).get(1).is_some_and(|(_, of)| of == state));
     let rows = rows(system);
@@ -285,13 +285,13 @@ fn status_and_stop_work_without_an_orchestrator() {
     assert_eq!((status.state.as_str(), status.scenario.as_str()), ("driverless", "corridor"));
     assert!(status.scan > 3);
     for process in &status.processes {
-        assert_eq!(process.state, "ready", "{process:?}");
+        assert_eq!(process.state.name(), "ready", "{process:?}");
         assert!(
             process.memory_kib > 1000 && process.rate_hz > 5.0 && process.cpu_percent < 100.0,
             "{process:?}"
         );
     }
-    let roles: Vec<&str> = status.processes.iter().map(|process| process.role.as_str()).collect();
+    let roles: Vec<&str> = status.processes.iter().map(|process| process.role.name()).collect();
     assert_eq!(roles, ["robot", "estimator", "obstacles", "controller", "actuator"]);
     let stopped = system.run(&["stop"]);
     assert_eq!(stopped.status.code(), Some(0), "{}", stderr(&stopped));

@@ -165,8 +165,9 @@ fn a_process_is_restarted_while_its_log_is_on_a_full_disk() {
     assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(0));
     system.wait_until("a new controller is ready", |system| {
         let status = system.status().unwrap_or_default();
-        let controller = status.processes.iter().find(|process| process.role == "controller");
-        controller.is_some_and(|process| ![0, before].contains(&process.pid) && process.state == "ready")
+        let controller = status.processes.iter().find(|process| process.role.name() == "controller");
+        controller
+            .is_some_and(|process| ![0, before].contains(&process.pid) && process.state.name() == "ready")
     });
     system.signal(system.orchestrator(), Signal::INT);
     assert_eq!(system.wait().code(), Some(1));

@@ -127,7 +127,7 @@ fn a_process_that_took_over_is_supervised_like_the_one_before() {
         rows(system, Role::Controller).first().is_some_and(|(new, state)| state == "ready" && *new != pid)
     });
     let status = system.status().unwrap();
-    let process = status.processes.iter().find(|process| process.role == "controller").unwrap();
+    let process = status.processes.iter().find(|process| process.role == Role::Controller).unwrap();
     assert!(process.implementation.ends_with("faulty-controller none"), "{}", process.implementation);
     assert_eq!(process.restarts, 1);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
@@ -169,7 +169,7 @@ fn wrong_usage_has_exit_code_2_and_disturbs_no_process() {
     });
     let (code, message) = exit(&system, &["estimator", "--to", "ekf"]);
     assert_eq!(code, Some(2));
-    assert!(message.contains("another exchange is going on"), "{message}");
+    assert!(message.contains("another swap is in progress"), "{message}");
     assert_eq!(system.run(&["restart", "controller"]).status.code(), Some(2));
     let certificate = certificate(&first.wait_with_output().unwrap());
     assert_seamless_swap(&certificate);

@@ -4,7 +4,7 @@ use console::exit::Failure;
 use runtime::{HandoverData, monotonic_ns, write_handover};
 use shared_types::{Authority, Checkpoint, Phase, ProcessState};
 use supervision::child::{Child, Launch};
-use supervision::fleet::environment_of;
+use supervision::environment::environment_of;
 use supervision::supervisor::Exit;
 
 use super::{TestBench, Trouble, failed};
@@ -23,7 +23,7 @@ impl TestBench<'_> {
         });
         write_handover(&self.domain, role, handover.as_ref())?;
         let environment = environment_of(&self.domain, &self.stop_word, role, self.incarnation, restart);
-        let launch = Launch { command: self.suite.command.clone(), environment, directory: None };
+        let launch = Launch { command: self.suite.command.clone(), environment };
         self.child = Some(Child::spawn(&launch, &self.log).map_err(Failure::process)?);
         Ok(())
     }

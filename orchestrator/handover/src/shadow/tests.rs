@@ -1,4 +1,4 @@
-//! A shadow told by hand, at 10 Hz: scan k is published at k * 100 ms.
+//! A shadow with hand-made outputs, at 10 Hz: scan k is published at k * 100 ms.
 
 use shared_types::{Command, CommandKind, Role};
 
@@ -25,7 +25,7 @@ fn command(steering_rad: f64) -> OutputSummary {
     OutputSummary::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
 }
 
-/// Scans 1 to `scans`, all answered by the live one after 2 ms; what the shadow does is up to `shadow`.
+/// Scans 1 to `scans`, all answered by the live one after 2 ms, and by the shadow with the outputs of `shadow`.
 fn study(scans: u64, shadow: impl Fn(u64) -> Vec<Output>) -> ShadowReport {
     let mut study = Study::new(Role::Controller, PERIOD_NS, scans);
     for scan in 1..=scans {
@@ -59,7 +59,7 @@ fn differences_and_times_are_those_of_the_pairs() {
 }
 
 #[test]
-fn scans_count_from_the_first_output_on_and_the_share_tells_of_gaps() {
+fn scans_count_from_the_first_output_on_and_the_share_shows_gaps() {
     let report = study(100, |scan| {
         if !(21..=60).contains(&scan) { Vec::new() } else { vec![output(scan, 3.0, Ok(command(0.04)))] }
     });
@@ -78,7 +78,7 @@ fn late_invalid_repeated_and_other_outputs_are_counted_apart() {
         3 => vec![output(scan, 60.0, Ok(command(0.04)))],
         5 => vec![output(scan, 3.0, Err("command is not finite".to_owned()))],
         7 => vec![output(scan, 3.0, Ok(stop.clone()))],
-        // Of a thousand, sixteen are seen; the numbers of those that follow tell of the others.
+        // Of a thousand, sixteen are received; the numbers of those that follow show the others.
         9 => (0..16).map(|_| output(scan, 3.0, Ok(command(0.04)))).collect(),
         11 => {
             let no_such_scan = Output { scan: u64::MAX, ..output(scan, 3.0, Ok(command(0.04))) };

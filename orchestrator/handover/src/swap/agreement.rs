@@ -1,7 +1,7 @@
-//! What of a sample is compared, and how far two processes of one role may differ.
+//! The summaries of samples that are compared, and how far two processes of one role may differ.
 //!
-//! The bounds are what the rest of the loop does not notice. They are meant for another build or another
-//! implementation of the same task; for one that drives differently on purpose they are widened by a factor.
+//! Differences within the bounds do not affect the rest of the loop. The bounds are meant for another build or another
+//! implementation of the same task; a factor widens them for one that drives differently on purpose.
 
 use std::fmt;
 
@@ -11,52 +11,52 @@ use shared_types::{
 };
 use vehicle::frame::wrap_angle;
 
-/// Half of what the estimate may be wrong by: the obstacle distance kept in reserve is twenty times as much [m].
+/// Half of the allowed error of the estimate: the obstacle distance kept in reserve is twenty times as much [m].
 pub const POSITION_M: f64 = 0.05;
-/// At the end of the 2.5 m that the controller looks ahead this is 0.05 m again [rad].
+/// At the end of the horizon of 2.5 m this is 0.05 m again [rad].
 pub const YAW_RAD: f64 = 0.02;
 /// A body's box and the same box half a scan later or without one of its corners; two bodies are further apart [m].
 pub const BODY_M: f64 = 0.3;
-/// A body counts as seen from this many scans on: one that enters the view may be seen a scan later by the other.
+/// Scans after which a body counts as seen: the other process may see one that enters the view a scan later.
 pub const SIGHTINGS: u64 = 3;
-/// A tenth of the highest velocity, about what the cruising velocity changes by in a scan [m/s].
+/// A tenth of the highest velocity, about the change of the cruising velocity in a scan [m/s].
 pub const VELOCITY_MPS: f64 = 0.1;
 /// Least bound of the steering angle, a twentieth of its limit: two solvers that stop at different iterates [rad].
 pub const STEERING_RAD: f64 = 0.003;
 /// Beyond that, this share of the angle.
 pub const STEERING_SHARE: f64 = 0.15;
-/// Two robots that hear the same actuations stay at one place; a hundredth is a step that no estimate shows [m].
+/// Two robots that receive the same actuations stay at one place; an estimate does not show a step of a centimetre [m].
 pub const TRUE_POSITION_M: f64 = 0.01;
-/// As far turned, the far end of the laser's reach moves by 0.03 m [rad].
+/// A turn by this angle moves the far end of the laser's reach by 0.03 m [rad].
 pub const TRUE_YAW_RAD: f64 = 0.005;
 /// Ranges of one beam that are further apart are not of one surface: ten standard deviations of the noise [m].
 pub const RANGE_M: f64 = 0.1;
-/// That share of the beams may look across an edge, or be lost.
+/// This share of the beams may pass an edge on the other side, or be lost.
 pub const BEAM_SHARE: f64 = 0.05;
 /// Limits of what is sent are twice those of what is desired, (7.41), and so are the bounds.
 pub const SENT_SCALE: f64 = 2.0;
 
-/// What of a sample is compared.
+/// The part of a sample that is compared.
 #[derive(Debug, Clone, PartialEq)]
 pub enum OutputSummary {
     /// Of a pose: yaw, x, y.
     Pose([f64; 3]),
-    /// Of obstacles: the centres of all bodies, and whether this scan showed each.
+    /// Of obstacles: the centres of all bodies, and whether this scan shows each.
     Obstacles(Vec<Body>),
     /// Of a command: kind, velocity, steering angle.
     Command(u32, f64, f64),
     /// Of an actuation: kind, sent velocity, sent steering angle.
     Actuation(u32, f64, f64),
-    /// Of a robot: what it measured.
+    /// Of a robot: its measurements.
     Sensed(Box<Sensed>),
 }
 
-/// What a robot measured for one scan.
+/// The measurements of a robot for one scan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensed {
     /// Reported yaw, x, y [rad, m, m].
     pub reported: [f64; 3],
-    /// True yaw, x, y; a real robot tells none [rad, m, m].
+    /// True yaw, x, y; a real robot has none [rad, m, m].
     pub truth: Option<[f64; 3]>,
     /// Range per beam, below 20 an error code [mm].
     pub ranges_mm: [u16; BEAMS],
@@ -72,7 +72,7 @@ impl Sensed {
         }
     }
 
-    /// How many beams tell of another surface than those of `other` do, beyond `limit_m`.
+    /// How many beams show another surface than those of `other`, more than `limit_m` apart.
     fn other_beams(&self, other: &Self, limit_m: f64) -> usize {
         let is_other = |(one, other): &(&u16, &u16)| {
             let have_range = [one, other].map(|range| **range >= MIN_RANGE_MM);
@@ -88,7 +88,7 @@ impl Sensed {
 pub struct Body {
     /// Centre of its box [m].
     pub centre_m: [f64; 2],
-    /// Whether the scan showed it, and enough scans before.
+    /// Whether this scan and enough scans before show it.
     pub seen: bool,
 }
 
@@ -120,9 +120,14 @@ impl fmt::Display for Disagreement {
             Self::Beyond { what, difference, bound, unit } => {
                 write!(formatter, "{what} differs by {difference:.4} {unit}, allowed are {bound:.4} {unit}")
             }
-            Self::Kind(old, new) => write!(formatter, "the old one says {old}, the new one {new}"),
-            Self::Body(who, [x_m, y_m]) => {
-                write!(formatter, "only the {who} one has a body within {BODY_M} m of ({x_m:.2}, {y_m:.2}) m")
+            Self::Kind(old, new) => {
+                write!(formatter, "kind differs: {old} by the old process, {new} by the new one")
+            }
+            Self::Body(side, [x_m, y_m]) => {
+                write!(
+                    formatter,
+                    "only the {side} one has a body within {BODY_M} m of ({x_m:.2}, {y_m:.2}) m"
+                )
             }
             Self::Type => write!(formatter, "the samples are of different types"),
         }
@@ -162,7 +167,7 @@ impl From<&Actuation> for OutputSummary {
     }
 }
 
-/// What the new one does differently, beyond bounds widened by `tolerance`; nothing when they agree.
+/// The first difference beyond the bounds, which `tolerance` widens; nothing when both agree.
 pub fn disagreement(old: &OutputSummary, new: &OutputSummary, tolerance: f64) -> Option<Disagreement> {
     match (old, new) {
         (OutputSummary::Pose(old), OutputSummary::Pose(new)) => {
@@ -230,8 +235,8 @@ pub const fn quantities(role: Role) -> &'static [(&'static str, &'static str)] {
     }
 }
 
-/// The new one minus the old one, number by number as [`quantities`] names them, distances without a sign;
-/// nothing when one drives and the other does not.
+/// The new one minus the old one for each of [`quantities`], distances without a sign; nothing when one drives and the
+/// other does not.
 pub fn differences(old: &OutputSummary, new: &OutputSummary) -> Option<Vec<f64>> {
     let places =
         |old: &[f64; 3], new: &[f64; 3]| vec![new[1] - old[1], new[2] - old[2], wrap_angle(new[0] - old[0])];
@@ -268,17 +273,17 @@ fn control(old: [f64; 2], new: [f64; 2], scale: f64, tolerance: f64) -> Option<D
 }
 
 fn beyond(what: &'static str, difference: f64, bound: f64, unit: &'static str) -> Option<Disagreement> {
-    // A comparison with NaN fails, so it stands on the side that refuses.
+    // NaN is not within: a comparison with it is false.
     let within = difference <= bound;
     (!within).then_some(Disagreement::Beyond { what, difference, bound, unit })
 }
 
-/// The first body of `these` that the scan showed and that `those` have not got.
+/// The first body of `these` that the scan shows and that is not among `those`.
 fn lacking(these: &[Body], those: &[Body], limit_m: f64) -> Option<[f64; 2]> {
     these.iter().find(|body| is_lacking(body, those, limit_m)).map(|body| body.centre_m)
 }
 
-/// Whether a body that the scan showed is not among `those`.
+/// Whether the scan shows a body that is not among `those`.
 fn is_lacking(body: &Body, those: &[Body], limit_m: f64) -> bool {
     body.seen && nearest_m(body, those).is_none_or(|distance| distance > limit_m)
 }
@@ -307,40 +312,45 @@ mod tests {
         OutputSummary::from(&Command { kind, velocity_mps, steering_rad, ..Command::default() })
     }
 
-    fn said(old: &OutputSummary, new: &OutputSummary) -> String {
+    fn text_of(old: &OutputSummary, new: &OutputSummary) -> String {
         disagreement(old, new, 1.0).map_or_else(String::new, |found| found.to_string())
     }
 
     #[test]
     fn a_fifth_more_steering_is_too_much_and_a_tenth_is_not() {
-        assert_eq!(said(&command(1.0, 0.04), &command(1.05, 0.044)), "");
+        assert_eq!(text_of(&command(1.0, 0.04), &command(1.05, 0.044)), "");
         assert_eq!(
-            said(&command(1.0, 0.04), &command(1.0, 0.048)),
+            text_of(&command(1.0, 0.04), &command(1.0, 0.048)),
             "steering angle differs by 0.0080 rad, allowed are 0.0060 rad"
         );
-        assert_eq!(said(&command(1.0, 0.0), &command(1.0, 0.0029)), "", "close to straight on");
-        assert!(said(&command(1.0, 0.0), &command(0.89, 0.0)).starts_with("velocity differs by 0.1100 m/s"));
+        assert_eq!(text_of(&command(1.0, 0.0), &command(1.0, 0.0029)), "", "close to straight on");
+        assert!(
+            text_of(&command(1.0, 0.0), &command(0.89, 0.0)).starts_with("velocity differs by 0.1100 m/s")
+        );
         assert!(disagreement(&command(1.0, 0.04), &command(1.0, 0.048), 2.0).is_none());
     }
 
     #[test]
-    fn one_that_drives_and_one_that_stops_disagree() {
+    fn a_drive_and_a_stop_disagree() {
         let stop = OutputSummary::from(&Command::default());
-        assert_eq!(said(&command(0.5, 0.0), &stop), "the old one says drive, the new one stop");
-        let odd = OutputSummary::from(&Command { steering_rad: 0.06, ..Command::default() });
-        assert_eq!(said(&stop, &odd), "", "the angle of a stop is not driven");
+        assert_eq!(
+            text_of(&command(0.5, 0.0), &stop),
+            "kind differs: drive by the old process, stop by the new one"
+        );
+        let turned = OutputSummary::from(&Command { steering_rad: 0.06, ..Command::default() });
+        assert_eq!(text_of(&stop, &turned), "", "the angle of a stop is not driven");
     }
 
     #[test]
     fn poses_are_compared_across_the_turn_of_the_angle() {
         let pose = |yaw_rad, x_m| OutputSummary::from(&Pose { yaw_rad, x_m, ..Pose::default() });
-        assert_eq!(said(&pose(3.135, 1.0), &pose(-3.135, 1.04)), "");
+        assert_eq!(text_of(&pose(3.135, 1.0), &pose(-3.135, 1.04)), "");
         assert_eq!(
-            said(&pose(0.0, 1.0), &pose(0.0, 1.06)),
+            text_of(&pose(0.0, 1.0), &pose(0.0, 1.06)),
             "position differs by 0.0600 m, allowed are 0.0500 m"
         );
-        assert!(said(&pose(0.0, 1.0), &pose(0.021, 1.0)).starts_with("yaw differs by 0.0210 rad"));
-        assert!(said(&pose(0.0, 1.0), &pose(f64::NAN, 1.0)).starts_with("yaw differs by NaN rad"));
+        assert!(text_of(&pose(0.0, 1.0), &pose(0.021, 1.0)).starts_with("yaw differs by 0.0210 rad"));
+        assert!(text_of(&pose(0.0, 1.0), &pose(f64::NAN, 1.0)).starts_with("yaw differs by NaN rad"));
     }
 
     #[test]
@@ -355,14 +365,14 @@ mod tests {
         };
         // Two ellipses of one body count once, and the numbers of bodies may differ.
         let old = described(&[(1, 5.0, 9), (1, 5.0, 9), (2, 8.0, 9)]);
-        assert_eq!(said(&old, &described(&[(7, 7.8, 9), (4, 5.2, 9)])), "");
+        assert_eq!(text_of(&old, &described(&[(7, 7.8, 9), (4, 5.2, 9)])), "");
         assert_eq!(
-            said(&old, &described(&[(1, 5.0, 9)])),
+            text_of(&old, &described(&[(1, 5.0, 9)])),
             "only the old one has a body within 0.3 m of (8.00, 0.00) m"
         );
-        assert!(said(&described(&[(1, 5.0, 9)]), &old).starts_with("only the new one"));
+        assert!(text_of(&described(&[(1, 5.0, 9)]), &old).starts_with("only the new one"));
         assert_eq!(
-            said(&old, &described(&[(1, 5.0, 9), (2, 8.0, 9), (3, 9.5, 1)])),
+            text_of(&old, &described(&[(1, 5.0, 9), (2, 8.0, 9), (3, 9.5, 1)])),
             "",
             "just come into view"
         );

@@ -1,10 +1,10 @@
-//! What is said of one exchange, to the one who asked for it and in the report.
+//! The certificate of a swap, which `scanloop swap` prints and `report.json` contains.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// How an exchange ended.
+/// How a swap ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SwapOutcome {
@@ -28,14 +28,14 @@ impl fmt::Display for Certificate {
             (SwapOutcome::RolledBack, _) => {
                 write!(formatter, "{role}: {to} was rolled back to {from}{because}")?
             }
-            _ => return write!(formatter, "{role}: {to} was refused, {from} goes on{because}"),
+            _ => return write!(formatter, "{role}: {to} was refused, {from} keeps driving{because}"),
         }
         write!(formatter, "; {missed_scans} scans missed, {duplicate_scans} answered twice")
     }
 }
 
 impl Certificate {
-    /// What is said of a swap to the same program, which is a restart.
+    /// The text for a swap to the same program, which is a restart.
     pub fn of_restart(&self) -> String {
         let Self { role, missed_scans, reason, .. } = self;
         match (self.outcome, self.first_scan_new) {
@@ -50,7 +50,7 @@ impl Certificate {
     }
 }
 
-/// The record of one exchange, `swap --json`.
+/// The record of one swap, `swap --json`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Certificate {
     /// Name of the role.
@@ -61,16 +61,16 @@ pub struct Certificate {
     pub to: String,
     /// Scans in a row on which the new process agreed with the old one before it took over.
     pub shadow_scans: u64,
-    /// The last scan that rests on the old process before the change.
+    /// The last scan that is answered with the old process before the change.
     pub last_scan_old: Option<u64>,
-    /// The first scan that rests on the new process; nothing when none does.
+    /// The first scan that is answered with the new process; nothing when none is.
     pub first_scan_new: Option<u64>,
-    /// After a roll-back: the first scan that rests on the old process again.
+    /// After a rollback: the first scan that is answered with the old process again.
     #[serde(default)]
     pub first_scan_back: Option<u64>,
-    /// Scans without an answer between beginning and end.
+    /// Scans without an answer between start and end.
     pub missed_scans: u64,
-    /// Answers to scans that had been answered already, between beginning and end.
+    /// Answers to scans that had been answered already, between start and end.
     pub duplicate_scans: u64,
     /// Largest change of the desired steering angle between two answers around the change [rad].
     pub command_jump_rad: f64,

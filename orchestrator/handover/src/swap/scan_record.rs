@@ -1,8 +1,9 @@
-//! What the recorded scans say of an exchange: who answered which, which were missed, and how far commands jumped.
+//! What the recorded scans show of a swap: which process answered which scan, which were missed, and how far commands
+//! jumped.
 //!
-//! Who answered a scan is not what was decided but what happened: the answer of the actuator carries the stamp of
-//! the sample it rests on, and that stamp is of one of the two processes. Where stamps say nothing, in lock-step, the
-//! decision itself tells. A change is where the answers pass from one to the other, whatever was planned.
+//! The answer of the actuator carries the stamp of the sample that it is based on, and that stamp identifies one of the
+//! two processes. So the record shows what happened, which may differ from what was planned. In lock-step, where stamps
+//! do not identify a process, the plan counts. A change is a scan at which the answers pass from one process to the other.
 
 use std::collections::VecDeque;
 
@@ -10,7 +11,7 @@ use super::{Certificate, Party};
 
 /// Scans before and after a change between which commands are compared.
 const JUMP_SCANS: [u64; 2] = [2, 3];
-/// Answers kept to look back from a change.
+/// Answers kept for the comparison before a change.
 const ANSWERS: usize = 8;
 
 /// One scan as it was recorded.
@@ -22,11 +23,11 @@ pub struct Recorded {
     pub answers: u64,
     /// Desired steering angle and velocity of the last answer [rad, m/s].
     pub desired: [f64; 2],
-    /// When the sample of the role was published on which the last answer rests [ns]; 0 when unknown.
+    /// When the sample of the role was published that the last answer is based on [ns]; 0 when unknown.
     pub stamp_ns: u64,
 }
 
-/// The scan_record of one exchange.
+/// The recorded scans of one swap.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ScanRecord {
     missed: u64,
@@ -40,7 +41,7 @@ pub(super) struct ScanRecord {
 }
 
 impl ScanRecord {
-    /// Takes a scan in that was answered by `party`, as far as that is known.
+    /// Adds a scan that was answered with the output of `party`, as far as that is known.
     pub(super) fn record(&mut self, recorded: &Recorded, party: Party) {
         let Recorded { scan, answers, desired, .. } = *recorded;
         self.missed += u64::from(answers == 0);
@@ -74,7 +75,7 @@ impl ScanRecord {
         }
     }
 
-    /// Compares the answers before a change, which is being recorded; the others follow.
+    /// Compares the answers before a change that is just being recorded; those after it follow.
     fn changed_at(&mut self, change: u64) {
         for index in 1..self.answers.len() {
             let ((before, last), (scan, desired)) = (self.answers[index - 1], self.answers[index]);
@@ -84,7 +85,7 @@ impl ScanRecord {
         }
     }
 
-    /// The scan with which all is recorded that belongs to a change.
+    /// The last scan that belongs to a change.
     pub(super) fn settled_at(change: u64) -> u64 {
         change + JUMP_SCANS[1]
     }
@@ -94,7 +95,7 @@ impl ScanRecord {
         self.answers.back().is_some_and(|(newest, _)| *newest >= scan)
     }
 
-    /// Writes the scan_record into a certificate.
+    /// Writes the record into a certificate.
     pub(super) fn fill(&self, certificate: &mut Certificate) {
         certificate.missed_scans = self.missed;
         certificate.duplicate_scans = self.duplicates;
@@ -120,7 +121,7 @@ fn is_near(change: u64, before: u64, scan: u64) -> bool {
 mod tests {
     use super::*;
 
-    fn certificate(parties: &[Party], steering: impl Fn(u64) -> f64) -> Certificate {
+    fn record(parties: &[Party], steering: impl Fn(u64) -> f64) -> Certificate {
         let mut scan_record = ScanRecord::default();
         for (index, party) in parties.iter().enumerate() {
             let scan = index as u64 + 1;
@@ -133,15 +134,18 @@ mod tests {
     }
 
     #[test]
-    fn who_answered_is_what_happened() {
+    fn the_record_shows_which_process_answered() {
         use Party::{New, Old};
-        let told = certificate(&[Old, Old, New, New, Old], |_| 0.0);
+        let certificate = record(&[Old, Old, New, New, Old], |_| 0.0);
         assert_eq!(
-            (told.last_scan_old, told.first_scan_new, told.first_scan_back),
+            (certificate.last_scan_old, certificate.first_scan_new, certificate.first_scan_back),
             (Some(2), Some(3), Some(5))
         );
-        let told = certificate(&[Old, Old, Old], |_| 0.0);
-        assert_eq!((told.last_scan_old, told.first_scan_new, told.first_scan_back), (None, None, None));
+        let certificate = record(&[Old, Old, Old], |_| 0.0);
+        assert_eq!(
+            (certificate.last_scan_old, certificate.first_scan_new, certificate.first_scan_back),
+            (None, None, None)
+        );
     }
 
     #[test]
@@ -149,8 +153,8 @@ mod tests {
         let parties: Vec<Party> =
             (1..=20).map(|scan| if scan < 10 { Party::Old } else { Party::New }).collect();
         for (step_at, expected) in [(8, 0.0), (9, 0.1), (10, 0.1), (13, 0.1), (14, 0.0)] {
-            let told = certificate(&parties, |scan| if scan < step_at { 0.0 } else { 0.1 });
-            assert_eq!(told.command_jump_rad, expected, "a step at scan {step_at}");
+            let certificate = record(&parties, |scan| if scan < step_at { 0.0 } else { 0.1 });
+            assert_eq!(certificate.command_jump_rad, expected, "a step at scan {step_at}");
         }
     }
 }

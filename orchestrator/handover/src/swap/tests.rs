@@ -1,22 +1,22 @@
-//! Exchanges told by hand, at 10 Hz: scan k is published at k * 100 ms.
+//! Swaps with hand-made events, at 10 Hz: scan k is published at k * 100 ms.
 
 use shared_types::{Authority, Command, CommandKind, Role};
 
 use super::{
-    Action, Certificate, Event, FIRST_OUTPUT_NS, Output, OutputSummary, Party, Plan, Recorded, Stage, Swap,
-    SwapOutcome,
+    Certificate, FIRST_OUTPUT_NS, Output, OutputSummary, Party, Recorded, Stage, Swap, SwapAction, SwapEvent,
+    SwapOutcome, SwapPlan,
 };
 
 const PERIOD_NS: u64 = 100_000_000;
 const OLD: u32 = 4;
 const NEW: u32 = 9;
 
-/// An exchange of the controller with both processes at hand, which behave well unless told otherwise.
+/// A swap of the controller; both processes behave well unless the test changes that.
 struct Trial {
     swap: Swap,
     now_ns: u64,
     scan: u64,
-    actions: Vec<Action>,
+    actions: Vec<SwapAction>,
 }
 
 impl Trial {
@@ -25,8 +25,8 @@ impl Trial {
         Self::with(|_| {})
     }
 
-    fn with(change: impl FnOnce(&mut Plan)) -> Self {
-        let mut plan = Plan {
+    fn with(change: impl FnOnce(&mut SwapPlan)) -> Self {
+        let mut plan = SwapPlan {
             role: Role::Controller,
             from: "nmpc".to_owned(),
             to: "other".to_owned(),
@@ -43,7 +43,7 @@ impl Trial {
         Self { swap: Swap::new(now_ns, plan), now_ns, scan: 10, actions: Vec::new() }
     }
 
-    fn send(&mut self, event: Event) {
+    fn send(&mut self, event: SwapEvent) {
         let now_ns = self.now_ns;
         self.actions.extend(self.swap.handle(now_ns, event));
     }
@@ -52,7 +52,7 @@ impl Trial {
     fn publish(&mut self) {
         self.scan += 1;
         self.now_ns = self.scan * PERIOD_NS;
-        self.send(Event::Scans { newest: self.scan, answered: self.scan - 1 });
+        self.send(SwapEvent::Scans { newest: self.scan, answered: self.scan - 1 });
     }
 
     /// An output for the newest scan, so long after it.
@@ -67,31 +67,31 @@ impl Trial {
             stamps_ns: [0; 2],
             content,
         };
-        self.send(Event::Output(party, output));
+        self.send(SwapEvent::Output(party, output));
     }
 
     fn tick_at(&mut self, after_ms: u64) {
         self.now_ns = self.scan * PERIOD_NS + after_ms * 1_000_000;
-        self.send(Event::Tick);
+        self.send(SwapEvent::Tick);
     }
 
     /// The newest scan is answered and recorded.
     fn record(&mut self) {
         let scan = self.scan;
-        self.send(Event::Scans { newest: scan, answered: scan });
-        self.send(Event::Recorded(Recorded { scan, answers: 1, desired: [0.04, 1.0], stamp_ns: 0 }));
+        self.send(SwapEvent::Scans { newest: scan, answered: scan });
+        self.send(SwapEvent::Recorded(Recorded { scan, answers: 1, desired: [0.04, 1.0], stamp_ns: 0 }));
     }
 
-    /// A scan on which both say the same in time.
+    /// A scan on which both agree, in time.
     fn good_scan(&mut self) {
         self.scan_with(command(0.04));
     }
 
-    /// A scan on which the new one says this.
-    fn scan_with(&mut self, gist: OutputSummary) {
+    /// A scan with this output of the new one.
+    fn scan_with(&mut self, summary: OutputSummary) {
         self.publish();
         self.output(Party::Old, 2, Ok(command(0.04)));
-        self.output(Party::New, 3, Ok(gist));
+        self.output(Party::New, 3, Ok(summary));
         self.tick_at(5);
         self.record();
     }
@@ -104,20 +104,20 @@ impl Trial {
     fn in_charge(&mut self) {
         self.good_scans(7);
         assert_eq!(self.swap.stage(), Stage::Standby);
-        assert_eq!(self.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+        assert_eq!(self.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
         assert_eq!((self.scan, self.swap.candidate()), (17, OLD));
         self.actions.clear();
     }
 
     fn certificate(&self) -> &Certificate {
         match self.actions.last() {
-            Some(Action::Finish(certificate)) => certificate,
-            other => panic!("no certificate but {other:?}"),
+            Some(SwapAction::Finish(certificate)) => certificate,
+            other => panic!("no certificate: {other:?}"),
         }
     }
 
     fn refused(&self) -> &str {
-        assert_eq!(self.actions[0], Action::KillNew);
+        assert_eq!(self.actions[0], SwapAction::KillNew);
         let certificate = self.certificate();
         assert_eq!((certificate.outcome, self.swap.stage()), (SwapOutcome::Refused, Stage::Over));
         assert_eq!((certificate.last_scan_old, certificate.first_scan_new), (None, None));
@@ -126,15 +126,18 @@ impl Trial {
 
     /// That authority went back from `from_scan` on, at once.
     fn rolled_back(&mut self, from_scan: u64) -> Certificate {
-        assert_eq!(self.actions, [Action::Authorise(exchange(OLD, NEW, from_scan)), Action::KillNew]);
+        assert_eq!(
+            self.actions,
+            [SwapAction::Authorise(authority(OLD, NEW, from_scan)), SwapAction::KillNew]
+        );
         assert_eq!(self.swap.candidate(), NEW);
         while self.swap.stage() == Stage::Settling {
             self.publish();
             self.output(Party::Old, 2, Ok(command(0.04)));
             self.record();
-            self.send(Event::Tick);
+            self.send(SwapEvent::Tick);
         }
-        assert_eq!(self.actions[2], Action::Authorise(exchange(OLD, 0, 0)));
+        assert_eq!(self.actions[2], SwapAction::Authorise(authority(OLD, 0, 0)));
         let certificate = self.certificate().clone();
         assert_eq!(certificate.outcome, SwapOutcome::RolledBack);
         certificate
@@ -146,7 +149,7 @@ fn command(steering_rad: f64) -> OutputSummary {
     OutputSummary::from(&Command { kind, velocity_mps: 1.0, steering_rad, ..Command::default() })
 }
 
-fn exchange(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
+fn authority(incarnation: u32, previous: u32, from_scan: u64) -> Authority {
     Authority { incarnation, previous, from_scan }
 }
 
@@ -157,9 +160,9 @@ fn a_good_process_takes_over_and_the_old_one_ends_after_its_standby() {
     assert_eq!((trial.swap.stage(), trial.swap.candidate()), (Stage::Shadowing, NEW));
     trial.good_scans(4);
     // Five good scans from 11 to 15, so 17 is the first scan that is not published soon.
-    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
     trial.good_scans(6);
-    assert_eq!(trial.actions[1..], [Action::Authorise(exchange(NEW, 0, 0)), Action::Commit]);
+    assert_eq!(trial.actions[1..], [SwapAction::Authorise(authority(NEW, 0, 0)), SwapAction::Commit]);
     trial.good_scan();
     let expected = Certificate {
         role: "controller".to_owned(),
@@ -180,7 +183,7 @@ fn a_good_process_takes_over_and_the_old_one_ends_after_its_standby() {
 }
 
 #[test]
-fn a_default_exchange_has_its_certificate_within_three_seconds() {
+fn a_default_swap_has_its_certificate_within_three_seconds() {
     let mut trial = Trial::with(|plan| (plan.shadow_scans, plan.standby_scans) = (10, 10));
     // Half a second for the start of the process.
     for _ in 0..5 {
@@ -198,21 +201,21 @@ fn a_default_exchange_has_its_certificate_within_three_seconds() {
 fn a_process_without_output_is_refused_after_three_seconds() {
     let mut trial = Trial::new();
     trial.now_ns += FIRST_OUTPUT_NS - 1;
-    trial.send(Event::Tick);
+    trial.send(SwapEvent::Tick);
     assert!(trial.actions.is_empty());
     trial.now_ns += 1;
-    trial.send(Event::Tick);
+    trial.send(SwapEvent::Tick);
     assert_eq!(trial.refused(), "no output within 3 s");
 }
 
 #[test]
-fn a_process_that_ends_is_refused_with_its_last_words() {
+fn a_process_that_ends_is_refused_with_the_reason() {
     let mut trial = Trial::new();
     trial.good_scans(2);
-    trial.send(Event::Exited(Party::New, "exit code 101: panicked".to_owned()));
+    trial.send(SwapEvent::Exited(Party::New, "exit code 101: panicked".to_owned()));
     assert_eq!(trial.refused(), "the new process ended: exit code 101: panicked");
     let mut trial = Trial::new();
-    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
+    trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
     assert_eq!(trial.refused(), "the old process ended: exit code 1");
 }
 
@@ -221,7 +224,7 @@ fn an_invalid_output_is_refused_at_once() {
     let mut trial = Trial::new();
     trial.publish();
     trial.output(Party::New, 3, Err("command is not finite".to_owned()));
-    trial.send(Event::Tick);
+    trial.send(SwapEvent::Tick);
     assert_eq!(trial.refused(), "invalid output for scan 11: command is not finite");
     let mut trial = Trial::new();
     trial.publish();
@@ -235,8 +238,8 @@ fn an_invalid_output_is_refused_at_once() {
         stamps_ns: [0; 2],
         content: Ok(command(0.04)),
     };
-    trial.send(Event::Output(Party::New, output));
-    trial.send(Event::Tick);
+    trial.send(SwapEvent::Output(Party::New, output));
+    trial.send(SwapEvent::Tick);
     assert!(trial.refused().ends_with("there is no such scan"), "{}", trial.refused());
 }
 
@@ -286,7 +289,7 @@ fn two_late_outputs_are_forgiven_and_the_third_is_not() {
 }
 
 #[test]
-fn nobody_is_judged_when_the_cause_lies_before_both() {
+fn a_scan_is_not_judged_when_the_cause_lies_in_an_earlier_stage() {
     let mut trial = Trial::new();
     trial.good_scan();
     for _ in 0..5 {
@@ -307,7 +310,7 @@ fn a_death_in_charge_is_rolled_back_from_the_first_open_scan_on() {
     let mut trial = Trial::new();
     trial.in_charge();
     trial.publish();
-    trial.send(Event::Exited(Party::New, "killed by signal 9 (SIGKILL)".to_owned()));
+    trial.send(SwapEvent::Exited(Party::New, "killed by signal 9 (SIGKILL)".to_owned()));
     // Scan 17 was answered, 18 was just published.
     let certificate = trial.rolled_back(18);
     assert_eq!(certificate.reason, "the new process ended: killed by signal 9 (SIGKILL)");
@@ -346,12 +349,12 @@ fn an_invalid_or_different_output_in_charge_is_rolled_back() {
 }
 
 #[test]
-fn one_that_fails_before_its_first_scan_is_refused() {
+fn a_process_that_fails_before_its_first_scan_is_refused() {
     let mut trial = Trial::new();
     trial.good_scans(5);
-    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
-    trial.send(Event::Exited(Party::New, "exit code 1".to_owned()));
-    assert_eq!(trial.actions[1..3], [Action::Authorise(exchange(OLD, 0, 0)), Action::KillNew]);
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
+    trial.send(SwapEvent::Exited(Party::New, "exit code 1".to_owned()));
+    assert_eq!(trial.actions[1..3], [SwapAction::Authorise(authority(OLD, 0, 0)), SwapAction::KillNew]);
     assert_eq!(trial.certificate().outcome, SwapOutcome::Refused);
 }
 
@@ -359,11 +362,11 @@ fn one_that_fails_before_its_first_scan_is_refused() {
 fn the_new_one_stays_when_the_old_one_ends_during_its_standby() {
     let mut trial = Trial::new();
     trial.in_charge();
-    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
-    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17)), Action::Commit]);
+    trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 17)), SwapAction::Commit]);
     trial.good_scans(3);
-    trial.send(Event::Tick);
-    assert_eq!(trial.actions[2], Action::Authorise(exchange(NEW, 0, 0)));
+    trial.send(SwapEvent::Tick);
+    assert_eq!(trial.actions[2], SwapAction::Authorise(authority(NEW, 0, 0)));
     let certificate = trial.certificate();
     assert_eq!((certificate.outcome, certificate.first_scan_new), (SwapOutcome::Swapped, Some(17)));
 }
@@ -374,8 +377,8 @@ fn the_new_one_answers_earlier_when_the_old_one_ends_before_the_change() {
     trial.good_scans(5);
     trial.actions.clear();
     trial.publish();
-    trial.send(Event::Exited(Party::Old, "exit code 1".to_owned()));
-    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 16)), Action::Commit]);
+    trial.send(SwapEvent::Exited(Party::Old, "exit code 1".to_owned()));
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 16)), SwapAction::Commit]);
     assert_eq!(trial.swap.candidate(), OLD);
 }
 
@@ -390,7 +393,7 @@ fn in_lock_step_stamps_do_not_matter_and_a_hang_is_one_of_the_machines_time() {
         trial.tick_at(90);
         trial.record();
     }
-    assert_eq!(trial.actions, [Action::Authorise(exchange(NEW, OLD, 17))]);
+    assert_eq!(trial.actions, [SwapAction::Authorise(authority(NEW, OLD, 17))]);
     trial.actions.clear();
     trial.publish();
     trial.output(Party::Old, 2, Ok(command(0.04)));
@@ -402,17 +405,17 @@ fn in_lock_step_stamps_do_not_matter_and_a_hang_is_one_of_the_machines_time() {
 }
 
 #[test]
-fn the_end_of_the_run_ends_an_exchange_in_favour_of_who_is_in_charge() {
+fn the_end_of_the_run_ends_a_swap_in_favour_of_the_process_in_charge() {
     let mut trial = Trial::new();
     trial.good_scans(2);
-    trial.send(Event::RunEnds);
+    trial.send(SwapEvent::RunEnds);
     assert_eq!(trial.refused(), "the run ended");
     let mut trial = Trial::new();
     trial.in_charge();
-    trial.send(Event::RunEnds);
-    assert_eq!(trial.actions[..2], [Action::Authorise(exchange(NEW, 0, 0)), Action::Commit]);
+    trial.send(SwapEvent::RunEnds);
+    assert_eq!(trial.actions[..2], [SwapAction::Authorise(authority(NEW, 0, 0)), SwapAction::Commit]);
     assert_eq!(trial.certificate().outcome, SwapOutcome::Swapped);
-    trial.send(Event::RunEnds);
+    trial.send(SwapEvent::RunEnds);
     assert_eq!(trial.actions.len(), 3, "once");
 }
 
@@ -433,7 +436,7 @@ fn the_certificate_counts_answers_and_measures_the_jump_around_the_change_only()
         trial.tick_at(5);
         let scan = trial.scan;
         let answers = [(13, 0), (19, 2)].iter().find(|(at, _)| *at == scan).map_or(1, |(_, count)| *count);
-        trial.send(Event::Recorded(Recorded { scan, answers, desired: desired(scan), stamp_ns: 0 }));
+        trial.send(SwapEvent::Recorded(Recorded { scan, answers, desired: desired(scan), stamp_ns: 0 }));
     }
     let certificate = trial.certificate();
     assert_eq!((certificate.missed_scans, certificate.duplicate_scans), (1, 1));

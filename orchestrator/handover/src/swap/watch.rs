@@ -1,4 +1,4 @@
-//! The outputs of both processes of an exchange, whoever counts.
+//! The outputs of two processes of one role, whichever is in charge.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use shared_types::{Actuation, Command, Fault, Header, Obstacles, Odometry, Pose,
 use super::agreement::Sensed;
 use super::{Output, OutputSummary, Party};
 
-/// Scans of a robot that may be known in part, of both processes together.
+/// Scans of a robot, of both processes together, whose samples are being collected.
 const PARTS: usize = 64;
 
-/// Looks at the topics of one role.
+/// Observes the topics of one role.
 pub enum Watch {
     /// Both topics of a robot.
     Robot(Box<RobotWatch>),
@@ -25,7 +25,7 @@ pub enum Watch {
     Actuations(Observer<Actuation>),
 }
 
-/// What a robot says is spread over three topics.
+/// The output of a robot consists of samples of three topics.
 pub struct RobotWatch {
     scans: Observer<Scan>,
     odometries: Observer<Odometry>,
@@ -41,11 +41,11 @@ struct Parts {
     odometry: Option<Odometry>,
     truth: Option<Truth>,
     fault: Option<Fault>,
-    told: bool,
+    passed_on: bool,
 }
 
 impl Watch {
-    /// Starts looking at what `role` publishes.
+    /// Starts to observe what `role` publishes.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
@@ -64,7 +64,7 @@ impl Watch {
         })
     }
 
-    /// Hands what has come from the incarnations `old` and `new` to `each`.
+    /// Hands the outputs of the incarnations `old` and `new` since the last call to `each`.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
@@ -86,7 +86,7 @@ impl Watch {
             Self::Poses(observer) => take(observer, |_| true, &mut each),
             Self::Obstacles(observer) => take(observer, |_| true, &mut each),
             Self::Commands(observer) => take(observer, |_| true, &mut each),
-            // What the actuator does by itself answers no scan.
+            // An actuation without a command, as a block, answers no scan.
             Self::Actuations(observer) => take(observer, |sample| sample.answers == 1, &mut each),
         }
     }
@@ -99,14 +99,14 @@ impl RobotWatch {
         collect(scans, both, parts, |parts, scan| parts.scan = Some(*scan))?;
         collect(odometries, both, parts, |parts, odometry| parts.odometry = Some(*odometry))?;
         collect(truths, both, parts, |parts, truth| parts.truth = Some(*truth))?;
-        for ((_, incarnation), parts) in parts.iter_mut().filter(|(_, parts)| !parts.told) {
+        for ((_, incarnation), parts) in parts.iter_mut().filter(|(_, parts)| !parts.passed_on) {
             if let (Some(scan), Some(odometry)) = (&parts.scan, &parts.odometry) {
-                parts.told = true;
+                parts.passed_on = true;
                 let sensed = Sensed::new(scan, odometry, parts.truth.as_ref());
                 let content = parts.fault.map_or(Ok(OutputSummary::Sensed(Box::new(sensed))), Err);
                 let mut output = output_of(&odometry.header, Role::Robot, content);
                 output.stamps_ns[1] = scan.header.stage(Role::Robot).published_ns;
-                // Nothing comes before the scan of a robot; it is due when its sweep is over.
+                // A scan answers no other sample; it is due when its sweep is over.
                 output.scan_published_ns = scan.header.acquired_ns + scan.period_ns / 3;
                 each(*incarnation, output);
             }
@@ -160,7 +160,7 @@ fn output_of(header: &Header, role: Role, content: Result<OutputSummary, Fault>)
         scan_published_ns: header.scan_published_ns(),
         published_ns: stage.published_ns,
         stamps_ns: [stage.published_ns; 2],
-        // One that repeats itself has taken nothing.
+        // A repeated sample has taken no input.
         compute_ns: if stage.taken_ns == 0 { 0 } else { stage.computed_ns.saturating_sub(stage.taken_ns) },
         content: content.map_err(|fault| fault.to_string()),
     }

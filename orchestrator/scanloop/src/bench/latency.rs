@@ -22,7 +22,6 @@ use std::rc::Rc;
 use figures::PROFILE;
 use figures::difference::smallest_visible;
 use runtime::Shutdown;
-use shared_types::Role;
 
 pub use self::arguments::{Compute, LatencyArguments};
 use console::exit::{Exit, Failure};
@@ -69,7 +68,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
         quiet: arguments.quiet,
         out: logs,
     };
-    let mut session = start(&domain, &plan, options, lock, shutdown)?;
+    let mut session = start(&domain, &plan, &options, lock, shutdown)?;
     let stamps_us_per_stage = noise::stamp_cost_us();
     let (noise, granted) =
         noise::measure(plan.system.period_ns(), arguments.duration, &plan.system.realtime)?;
@@ -78,7 +77,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
     let shared = Rc::clone(&collector);
-    session.listen(Box::new(move |scan| shared.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    session.observe_scans(Box::new(move |scan| shared.borrow_mut().scan(&scan.truth, &scan.actuations)));
     let before = Ticks::now();
     let result = session.drive()?;
     machine.note_use(before, Ticks::now());
@@ -143,10 +142,9 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
     }
     let program = instrument::find_current()?.to_string_lossy().into_owned();
     for entry in &mut plan.system.processes {
-        let role: Role = entry.role.parse().map_err(|error| anyhow::anyhow!("{error}"))?;
         entry.implementation = None;
         entry.command =
-            Some([vec![program.clone()], echo::arguments(role, arguments.payload).to_vec()].concat());
+            Some([vec![program.clone()], echo::arguments(entry.role(), arguments.payload).to_vec()].concat());
     }
     Ok(plan)
 }

@@ -1,12 +1,12 @@
 //! One line over a socket, with a limit of length and a time by which all of it must be there.
 //!
-//! The time is that of the whole line: a peer that sends a byte now and then gains nothing by it.
+//! The deadline is that of the whole line: a peer that sends a byte now and then does not extend it.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-/// Written at once [bytes]: the kernel counts a time-out anew for each piece of a longer write.
+/// Written at once [bytes]: the kernel starts the timeout anew for each piece of a longer write.
 const PIECE: usize = 4096;
 
 /// Reads up to the end of the line or of the connection, at most `limit` bytes, until `until`; `None` when nothing came
@@ -22,7 +22,7 @@ pub(super) fn read_line(mut stream: &UnixStream, limit: usize, until: Instant) -
         let count = match stream.read(&mut piece) {
             Ok(0) if line.is_empty() => return Ok(None),
             Ok(count) => count,
-            Err(error) if is_no_news(&error) => continue,
+            Err(error) if is_retried(&error) => continue,
             Err(error) => return Err(error),
         };
         let end = piece[..count].iter().position(|byte| *byte == b'\n');
@@ -47,20 +47,20 @@ pub(super) fn write_line(mut stream: &UnixStream, text: &str, until: Instant) ->
         stream.set_write_timeout(Some(left(until)?))?;
         match stream.write(&bytes[..bytes.len().min(PIECE)]) {
             Ok(count) => bytes = &bytes[count..],
-            Err(error) if is_no_news(&error) => {}
+            Err(error) if is_retried(&error) => {}
             Err(error) => return Err(error),
         }
     }
     Ok(())
 }
 
-/// The time that is left, never zero, which would mean to wait for ever.
+/// The time until the deadline, never zero, which would mean no timeout.
 fn left(until: Instant) -> io::Result<Duration> {
     let left = until.saturating_duration_since(Instant::now());
     if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left.max(Duration::from_micros(1))) }
 }
 
-fn is_no_news(error: &io::Error) -> bool {
+fn is_retried(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock)
 }
 
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_what_stands_before_its_end() {
+    fn a_line_ends_at_its_line_feed() {
         let (near, mut far) = UnixStream::pair().unwrap();
         far.write_all(b"\"status\"\nmore").unwrap();
         assert_eq!(read_line(&near, 100, soon()).unwrap().as_deref(), Some("\"status\""));
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_byte_now_and_then_does_not_prolong_the_time() {
+    fn a_byte_now_and_then_does_not_extend_the_deadline() {
         let (near, mut far) = UnixStream::pair().unwrap();
         let (done, is_done) = std::sync::mpsc::channel::<()>();
         let writer = std::thread::spawn(move || {
@@ -106,14 +106,14 @@ mod tests {
         let started = Instant::now();
         let error = read_line(&near, 1 << 20, started + Duration::from_millis(100)).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::TimedOut);
-        // It would be a minute and more otherwise.
+        // Otherwise it would take a minute and more.
         assert!(started.elapsed() < Duration::from_secs(30), "{:?}", started.elapsed());
         let _ = done.send(());
         writer.join().unwrap();
     }
 
     #[test]
-    fn a_reader_that_does_not_read_holds_up_no_writer() {
+    fn a_reader_that_does_not_read_delays_no_writer_beyond_the_deadline() {
         let (near, _far) = UnixStream::pair().unwrap();
         let error = write_line(&near, &"x".repeat(4 << 20), soon()).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::TimedOut);

@@ -1,4 +1,4 @@
-//! The listener of the control socket: a thread that accepts, and a thread per connection that lives for seconds.
+//! The listener of the control socket: a thread that accepts, and one per connection that lives for seconds.
 
 use std::fs::Permissions;
 use std::io::{self, ErrorKind};
@@ -18,7 +18,7 @@ use rustix::process::geteuid;
 use super::line::{read_line, write_line};
 use super::{Reply, Request};
 
-/// Most connections at once; one more is told [`BUSY`] and closed.
+/// Most connections at once; one more receives [`BUSY`] and is closed.
 const MAX_CONNECTIONS: usize = 16;
 /// Longest request [bytes]: a swap with a long command line.
 const MAX_REQUEST: usize = 64 << 10;
@@ -28,9 +28,9 @@ const READ_TIMEOUT: Duration = Duration::from_secs(1);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 /// A request waits this long for the loop.
 const LOOP_TIMEOUT: Duration = Duration::from_secs(10);
-/// When the machine refuses a connection, as without free descriptors, the next one is taken after this time [ns].
+/// Pause after the machine refused a connection, for example without free descriptors [ns].
 const REFUSED_PAUSE_NS: u64 = 50_000_000;
-/// No wait is without a time-out [ns].
+/// No wait is without a timeout [ns].
 const ACCEPT_NS: u64 = 1_000_000_000;
 /// Stack of a connection's thread [bytes]: requests and answers are on the heap.
 const STACK: usize = 256 << 10;
@@ -59,25 +59,25 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Listens at `path`; what is there is replaced.
+    /// Listens at `path`; a file that is there is replaced.
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         let _ = std::fs::remove_file(path);
         let listener = UnixListener::bind(path)?;
-        // Whatever the umask; the directory is private, so there was no time at which others could connect.
+        // Independent of the umask. Before, the private directory keeps others from connecting.
         std::fs::set_permissions(path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
         let (wake, end) = (Arc::new(event()?), Arc::new(event()?));
         let (sender, requests) = sync_channel(MAX_CONNECTIONS);
-        let desk = Desk { sender, wake: Arc::clone(&wake) };
+        let inbox = Inbox { sender, wake: Arc::clone(&wake) };
         let until = Arc::clone(&end);
-        let accept = move || accept_until(&listener, &until, &desk);
+        let accept = move || accept_until(&listener, &until, &inbox);
         let thread = std::thread::Builder::new().name("control".to_owned()).spawn(accept)?;
         Ok(Self { wake, requests, end, listener: Some(thread) })
     }
 
     /// The requests that wait.
     pub(super) fn take(&self) -> impl Iterator<Item = Asked> {
-        // First the signal, then the requests: one that comes in between is seen now or wakes again.
+        // First the signal, then the requests: one that comes in between is taken now or wakes again.
         let _ = rustix::io::read(&*self.wake, &mut [0; 8]);
         self.requests.try_iter()
     }
@@ -92,9 +92,9 @@ impl Drop for Server {
     }
 }
 
-/// Where connections hand in requests.
+/// Hands requests of a connection to the loop.
 #[derive(Debug, Clone)]
-struct Desk {
+struct Inbox {
     sender: SyncSender<Asked>,
     wake: Arc<OwnedFd>,
 }
@@ -104,11 +104,11 @@ fn event() -> io::Result<OwnedFd> {
 }
 
 fn signal(event: &OwnedFd) {
-    // It fails when it is readable already, which is all that is wanted.
+    // It fails when the event is readable already.
     let _ = rustix::io::write(event, &1u64.to_ne_bytes());
 }
 
-fn accept_until(listener: &UnixListener, end: &OwnedFd, desk: &Desk) {
+fn accept_until(listener: &UnixListener, end: &OwnedFd, inbox: &Inbox) {
     // Each connection holds one more reference; their number is the number of connections.
     let places = Arc::new(());
     loop {
@@ -117,27 +117,27 @@ fn accept_until(listener: &UnixListener, end: &OwnedFd, desk: &Desk) {
             return;
         }
         match listener.accept() {
-            Ok((stream, _)) => admit(stream, &places, desk),
+            Ok((stream, _)) => admit(stream, &places, inbox),
             Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
             Err(_) => _ = wait_for(&[end.as_fd()], REFUSED_PAUSE_NS),
         }
     }
 }
 
-/// Gives a connection a thread, if it may have one.
-fn admit(stream: UnixStream, places: &Arc<()>, desk: &Desk) {
+/// Gives a connection a thread, if it is allowed.
+fn admit(stream: UnixStream, places: &Arc<()>, inbox: &Inbox) {
     if !peer_uid(&stream).is_ok_and(|peer| may_ask(peer, geteuid().as_raw())) {
         return;
     }
     if Arc::strong_count(places) > MAX_CONNECTIONS {
-        // A new connection has room for so little, so this does not wait.
+        // The buffer of a new connection is large enough for this, so it does not wait.
         let _ = stream.set_nonblocking(true);
         let _ = answer(&stream, &Reply::Refused(BUSY.to_owned()));
         return;
     }
-    let (place, desk) = (Arc::clone(places), desk.clone());
+    let (place, inbox) = (Arc::clone(places), inbox.clone());
     let serve = move || {
-        if let Err(error) = converse(&stream, &desk) {
+        if let Err(error) = answer_one(&stream, &inbox) {
             tracing::debug!(%error, "a client of the control socket was dropped");
         }
         drop(place);
@@ -152,7 +152,7 @@ fn may_ask(peer: u32, own: u32) -> bool {
 }
 
 /// Reads a request, has it answered by the loop, and writes the answer.
-fn converse(stream: &UnixStream, desk: &Desk) -> io::Result<()> {
+fn answer_one(stream: &UnixStream, inbox: &Inbox) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     let request = match read_line(stream, MAX_REQUEST, Instant::now() + READ_TIMEOUT) {
         Ok(Some(line)) => serde_json::from_str::<Request>(&line).map_err(|error| error.to_string()),
@@ -163,20 +163,20 @@ fn converse(stream: &UnixStream, desk: &Desk) -> io::Result<()> {
         Err(error) => return Err(error),
     };
     let reply = match request {
-        Ok(request) => ask_loop(request, desk),
+        Ok(request) => ask_loop(request, inbox),
         Err(reason) => Some(Reply::Refused(format!("not a request: {reason}"))),
     };
-    // Without a reply the run is over, and closing says so.
+    // Without a reply the run is over, and the connection is closed.
     reply.map_or(Ok(()), |reply| answer(stream, &reply))
 }
 
 /// What the loop answers; `None` when the run is over.
-fn ask_loop(request: Request, desk: &Desk) -> Option<Reply> {
+fn ask_loop(request: Request, inbox: &Inbox) -> Option<Reply> {
     let (answer, answers) = sync_channel(1);
     let until = Instant::now() + LOOP_TIMEOUT;
     let late = |within: &str| Some(Reply::Refused(format!("the orchestrator does not answer{within}")));
-    match desk.sender.try_send(Asked { request, answer, until }) {
-        Ok(()) => signal(&desk.wake),
+    match inbox.sender.try_send(Asked { request, answer, until }) {
+        Ok(()) => signal(&inbox.wake),
         Err(TrySendError::Full(_)) => return late(""),
         Err(TrySendError::Disconnected(_)) => return None,
     }

@@ -7,7 +7,7 @@ use report::Outcome;
 
 /// A robot that does not come to rest within this time after the stop is not waited for [ns].
 const REST_LIMIT_NS: u64 = 1_500_000_000;
-/// Scans on their way when the robot was told to publish no more are waited for this long [ns].
+/// After the robot was ordered to publish no more, scans without an answer are waited for this long [ns].
 const DRAIN_LIMIT_NS: u64 = 300_000_000;
 
 /// How far the end of a run has come, and how it ends.
@@ -20,7 +20,7 @@ pub(crate) struct Conclusion {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Stage {
-    /// The robot is on its way.
+    /// The robot drives.
     NotYet,
     /// The outcome is known; the wheels are being blocked until this time at the latest.
     Resting(Outcome, String, u64),
@@ -44,12 +44,12 @@ impl Conclusion {
         Self { stage: Stage::NotYet, lockstep, period_ns }
     }
 
-    /// Whether the end is still open.
+    /// Whether the outcome is still open.
     pub(crate) fn is_open(&self) -> bool {
         self.stage == Stage::NotYet
     }
 
-    /// The run ends so; whether that is new. The first to decide is right.
+    /// Decides how the run ends, unless that is decided; returns whether it was not.
     pub(crate) fn decide(&mut self, now_ns: u64, outcome: Outcome, reason: String) -> bool {
         let is_new = self.is_open();
         if is_new {
@@ -59,7 +59,7 @@ impl Conclusion {
         is_new
     }
 
-    /// The run failed before it drove: nothing is waited for. Whether that is new.
+    /// The run failed before it drove, so the processes end at once; returns whether the outcome was open.
     pub(crate) fn fail(&mut self, reason: String) -> bool {
         let is_new = self.is_open();
         if is_new {
@@ -68,7 +68,7 @@ impl Conclusion {
         is_new
     }
 
-    /// The run failed after all while it ended.
+    /// The run failed while it ended.
     pub(crate) fn correct(&mut self, why: String) {
         if let Stage::Resting(outcome, reason, _)
         | Stage::Draining(outcome, reason, _)
@@ -86,8 +86,8 @@ impl Conclusion {
         }
     }
 
-    /// Moves on when the wheels rest, when all scans are answered, when that was waited for long enough, and when the
-    /// processes do not drive (any more).
+    /// Goes to the next stage when the wheels rest or all scans are answered, when the limit of the stage is over, or when
+    /// the processes do not drive.
     pub(crate) fn advance(
         &mut self,
         now_ns: u64,
@@ -102,7 +102,7 @@ impl Conclusion {
                 Some(Step::EndScans)
             }
             Stage::Draining(outcome, reason, until_ns) => {
-                // One more look after the robot has heard that it shall stop publishing.
+                // One more poll after the robot has received the order to stop publishing.
                 let was_received = now_ns + DRAIN_LIMIT_NS >= until_ns + self.period_ns.min(DRAIN_LIMIT_NS);
                 let is_over = (is_answered && was_received) || now_ns >= until_ns || !drives;
                 is_over.then(|| {
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_decision_stands_until_the_end_goes_wrong() {
+    fn the_first_decision_holds_until_the_end_fails() {
         let mut end = decided(false);
         assert!(!end.decide(1, Outcome::Timeout, "late".to_owned()) && !end.fail("no".to_owned()));
         assert_eq!(end.decided(), Some((Outcome::Reached, "there")));
@@ -151,14 +151,14 @@ mod tests {
         let mut end = decided(false);
         assert_eq!(end.advance(10, true, false, true), None);
         assert_eq!(end.advance(20, true, true, false), Some(Step::EndScans));
-        assert_eq!(end.advance(30, true, true, true), None, "the robot may not have heard it yet");
+        assert_eq!(end.advance(30, true, true, true), None, "the robot may not have received it yet");
         assert_eq!(end.advance(20 + PERIOD_NS, true, true, false), None);
         assert_eq!(end.advance(20 + PERIOD_NS, true, true, true), Some(Step::EndProcesses));
         assert_eq!(end.advance(u64::MAX / 2, true, true, true), None, "it is over");
     }
 
     #[test]
-    fn nothing_is_waited_for_longer_than_its_limit() {
+    fn no_stage_lasts_longer_than_its_limit() {
         let mut end = decided(false);
         assert_eq!(end.advance(REST_LIMIT_NS, true, false, false), Some(Step::EndScans));
         let until_ns = REST_LIMIT_NS + DRAIN_LIMIT_NS;
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn without_driving_processes_and_in_lock_step_it_goes_on_at_once() {
+    fn without_driving_processes_and_in_lock_step_no_stage_takes_time() {
         let mut end = decided(false);
         assert_eq!(end.advance(1, false, false, false), Some(Step::EndScans));
         assert_eq!(end.advance(1, false, false, false), Some(Step::EndProcesses));

@@ -1,4 +1,5 @@
-//! The part of a session that writes down what another orchestrator would have to know, before it is told to anyone.
+//! Keeps the process registry up to date: what another orchestrator needs for an adoption is recorded before any
+//! process receives it.
 
 use emulator::Outcome;
 use runtime::monotonic_ns;
@@ -7,17 +8,17 @@ use shared_types::{Authority, ROLES, Role};
 use super::Session;
 use crate::process_registry::{ProcessRegistry, Right, RoleRow};
 
-/// Time until what could not be written is tried again [ns].
+/// Pause before a registry that could not be written is written again [ns].
 const REWRITE_NS: u64 = 1_000_000_000;
 
-/// What is compared to see whether something new has to be written down: phase, stop, authority, how the run ends.
+/// The registry is written when one of these changes: phase, stop, authority, whether the run ends.
 type Content = (u32, u32, [Authority; ROLES], bool);
 
-/// What was written down last.
+/// The content that was written last.
 #[derive(Default)]
 pub(crate) struct RegistryFile {
     written: Option<Content>,
-    /// When to write again what could not be written; 0 when all is written [ns].
+    /// When to try again after a failure; 0 when all is written [ns].
     rewrite_ns: u64,
 }
 
@@ -33,26 +34,26 @@ impl Session {
             self.registry_file.rewrite_ns = now_ns + REWRITE_NS;
             if !failed {
                 self.progress.warn(&format!(
-                    "the run can't be adopted, as its processes can't be written down: {error:#}"
+                    "the run can't be adopted, as its process registry can't be written: {error:#}"
                 ));
             }
         }
     }
 
-    /// Writes the roster when processes have come or gone, or everyone is to be told something new.
+    /// Writes the registry when a process has started or ended, or the directive has changed.
     ///
     /// # Errors
     /// Those of the file system; what could not be written is written by the next call.
     pub(super) fn write_registry(&mut self) -> anyhow::Result<()> {
         let directive = &self.directives.current;
-        let word = (directive.phase, directive.stop, directive.authority, !self.conclusion.is_open());
+        let content = (directive.phase, directive.stop, directive.authority, !self.conclusion.is_open());
         let has_changed = self.fleet.has_changed();
-        if !has_changed && self.registry_file.written == Some(word) {
+        if !has_changed && self.registry_file.written == Some(content) {
             return Ok(());
         }
         self.registry_file.written = None;
-        self.process_registry().write(&self.domain)?;
-        self.registry_file.written = Some(word);
+        self.process_registry().write(&self.run.domain)?;
+        self.registry_file.written = Some(content);
         Ok(())
     }
 
@@ -64,9 +65,9 @@ impl Session {
         let row = |role: &Role| {
             let view = self.supervisor.process(*role)?;
             let entry = self.fleet.entry(*role)?.clone();
-            // The last one that was really started: the supervisor gives numbers to all before the first exists.
+            // The last one that was started: the supervisor numbers all of them before the first exists.
             let (incarnation, restarts) = (self.fleet.incarnation(*role), view.restarts);
-            Some(RoleRow { role: role.name().to_owned(), incarnation, restarts, entry })
+            Some(RoleRow { role: *role, incarnation, restarts, entry })
         };
         ProcessRegistry {
             generation: directive.header.incarnation,
@@ -81,7 +82,7 @@ impl Session {
         }
     }
 
-    /// Goes on with an end that the orchestrator before had decided.
+    /// Continues the end of a run that the orchestrator before has decided.
     pub(crate) fn resume_end(&mut self, outcome: Option<Outcome>, reason: String) {
         if let Some(outcome) = outcome {
             self.decide(outcome, &reason);

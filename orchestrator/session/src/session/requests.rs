@@ -1,11 +1,12 @@
-//! The part of a session that answers commands.
+//! The requests of commands over the control socket, and the answers of a session.
 
 use report::Outcome;
-use runtime::wait_for;
+use runtime::{monotonic_ns, wait_for};
 use shared_types::Role;
 use supervision::supervisor::Event;
 
 use super::Session;
+use super::candidates::Live;
 use crate::control::{Reply, Request};
 
 impl Session {
@@ -14,54 +15,65 @@ impl Session {
         if !wait_for(&[self.control.descriptor()], 0) {
             return Ok(());
         }
-        let stopped = !self.word.is_armed();
-        let mut requests = Vec::new();
+        let now_ns = monotonic_ns();
+        let stopped = !self.run.stop_word.is_armed();
+        let (mut restarts, mut is_stop) = (Vec::new(), false);
         let status = Reply::Status(Box::new(self.status()));
-        let Self { control, swaps, shadows, fleet, supervisor, lockstep, .. } = self;
+        let Self { control, swaps, shadows, fleet, supervisor, run, .. } = self;
+        let live = |role| Live::of(role, fleet, supervisor);
         control.serve(|request| match request {
             Request::Status => status.clone(),
             Request::Swap(_) | Request::Shadow(_) | Request::Restart { .. } if stopped => {
                 Reply::Refused("the run was stopped".to_owned())
             }
-            Request::Swap(request) if shadows.concern(request.successor.role) => Reply::Refused(format!(
-                "a process runs in the shadow of {}: end that first",
-                request.successor.role
-            )),
-            Request::Swap(request) => swaps.ask(request, fleet, supervisor),
-            Request::Shadow(_) if *lockstep => Reply::Refused(
+            Request::Swap(request) => {
+                let role = request.successor.role;
+                match shadows.concern(role) {
+                    true => Reply::Refused(format!("a process runs in the shadow of {role}: end that first")),
+                    false => live(role).and_then(|live| swaps.ask(now_ns, &request, &live)).into(),
+                }
+            }
+            Request::Shadow(_) if run.lockstep => Reply::Refused(
                 "a shadow needs a run in real time: in lock-step all wait for the slowest".to_owned(),
             ),
-            Request::Shadow(request) if swaps.concerns(request.successor.role) => Reply::Refused(format!(
-                "{} is being exchanged: wait for the certificate",
-                request.successor.role
-            )),
-            Request::Shadow(request) => shadows.ask(&request, fleet, supervisor),
+            Request::Shadow(request) => {
+                let role = request.successor.role;
+                match swaps.concern(role) {
+                    true => Reply::Refused(format!("{role} is being swapped: wait for the certificate")),
+                    false => live(role).and_then(|live| shadows.ask(&request, &live)).into(),
+                }
+            }
             Request::ShadowResult { number } => shadows.result(number),
             Request::ShadowEnd { number } => shadows.end_early(number),
             Request::SwapResult { number } => swaps.result(number),
-            Request::Restart { role } if swaps.concerns(role) => {
-                Reply::Refused(format!("{role} is not restarted: it is being exchanged"))
+            Request::Restart { role } if swaps.concern(role) => {
+                Reply::Refused(format!("{role} is not restarted: it is being swapped"))
             }
             Request::Restart { role: Role::Robot } => {
                 Reply::Refused("the robot is not restarted: its end would end the run".to_owned())
             }
-            Request::Restart { role } => {
-                swaps.restart(role, shadows, fleet, supervisor).unwrap_or_else(|| {
-                    requests.push(Event::RestartRequested { role });
+            Request::Restart { role } => match live(role) {
+                // Where no process works, or one in its shadow is compared with it, the supervisor restarts it.
+                Ok(live) if live.is_ready && !shadows.concern(role) => swaps.restart(now_ns, &live).into(),
+                _ => {
+                    restarts.push(role);
                     Reply::Done
-                })
-            }
+                }
+            },
             Request::Stop => {
-                requests.push(Event::StopRequested);
+                is_stop = true;
                 Reply::Done
             }
         });
-        for request in requests {
-            match request {
-                Event::StopRequested => self.decide(Outcome::Interrupted, "stopped by command"),
-                event => self.handle(event)?,
-            }
+        if is_stop {
+            self.decide(Outcome::Interrupted, "stopped by command");
         }
-        Ok(())
+        restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
+    }
+}
+
+impl From<Result<u64, String>> for Reply {
+    fn from(accepted: Result<u64, String>) -> Self {
+        accepted.map_or_else(Self::Refused, Self::Accepted)
     }
 }

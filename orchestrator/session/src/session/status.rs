@@ -1,59 +1,84 @@
-//! The part of a session that shows how it goes: to the terminal, to the service manager, to `status`.
+//! The state of a session for the terminal, the service manager and `scanloop status`.
 
 use std::time::Instant;
 
 use console::progress::{COLUMNS, ProcessLabel, line};
 use shared_types::{Phase, Role};
+use supervision::supervisor::VisibleState;
 
 use super::Session;
 use crate::control::{ProcessStatus, Status};
 
 impl Session {
     pub(super) fn show(&mut self) {
-        let processes: Vec<_> = self.supervisor.processes().collect();
-        let words: Vec<_> =
-            processes.iter().map(|view| ProcessLabel { role: view.role, state: view.state.name() }).collect();
-        let view = self.recorder.view();
-        self.progress.update(Instant::now(), &view, &words);
+        let processes = self.supervisor.processes();
+        let labels: Vec<_> =
+            processes.map(|view| ProcessLabel { role: view.role, state: view.state.name() }).collect();
+        let view = self.recording.recorder.view();
+        self.progress.update(Instant::now(), &view, &labels);
         match self.supervisor.phase() {
             Phase::Driving => self.manager.ready(),
             Phase::Stopping => self.manager.stopping(),
             Phase::Starting | Phase::Connecting => {}
         }
-        self.manager.turn(|| line(&view, &words, COLUMNS));
+        self.manager.turn(|| line(&view, &labels, COLUMNS));
     }
 
     pub(super) fn status(&mut self) -> Status {
         let views: Vec<_> = self.supervisor.processes().collect();
         let processes = views.into_iter().map(|view| {
-            let (rate_hz, last_sample_age_ms) = self.vitals.rate_and_age(view.incarnation);
             let load = self.fleet.load(view.role);
             ProcessStatus {
-                role: view.role.name().to_owned(),
                 implementation: self.fleet.label(view.role),
                 pid: view.pid.map_or(0, u32::cast_signed),
-                state: view.state.name().to_owned(),
                 restarts: view.restarts,
-                rate_hz,
-                last_sample_age_ms,
                 cpu_percent: load.cpu_percent,
                 memory_kib: load.memory_kib,
-                obeys_stop: self.vitals.obeys_stop(view.incarnation),
-                last_words: self.fleet.last_words(view.role).to_vec(),
+                last_words: self.fleet.last_log_lines(view.role).to_vec(),
+                ..self.vitals.row(view.role, view.state, view.incarnation)
             }
         });
         let mut processes: Vec<_> = processes.collect();
-        processes.sort_by_key(|process| process.role.parse::<Role>().map_or(usize::MAX, Role::index));
-        self.show_swap(&mut processes);
-        self.show_shadows(&mut processes);
+        processes.sort_by_key(|process| process.role.index());
+        if let Some((role, incarnation, state)) = self.swaps.shown() {
+            self.show_candidate(&mut processes, role, incarnation, state);
+        }
+        for (role, incarnation) in self.shadows.incarnations().collect::<Vec<_>>() {
+            self.show_candidate(&mut processes, role, incarnation, VisibleState::Shadow);
+        }
         Status {
-            system_id: self.domain.system_id().to_owned(),
+            system_id: self.run.domain.system_id().to_owned(),
             state: Phase::try_from(self.directives.current.phase).map_or("starting", Phase::name).to_owned(),
-            scenario: self.scenario.name.clone(),
+            scenario: self.run.scenario.clone(),
             scan: self.samples.newest_scan(),
-            lockstep: self.lockstep,
+            lockstep: self.run.lockstep,
             processes,
-            refused: self.sample_audit.refused().to_vec(),
+            refused: self.audit.samples.refused().to_vec(),
+        }
+    }
+
+    /// Adds the row of a candidate after those of its role; one that is in charge comes first, before its standby.
+    fn show_candidate(
+        &mut self,
+        rows: &mut Vec<ProcessStatus>,
+        role: Role,
+        incarnation: u32,
+        state: VisibleState,
+    ) {
+        let Some((pid, implementation, load)) = self.fleet.candidate(incarnation) else { return };
+        let Some(index) = rows.iter().rposition(|row| row.role == role) else { return };
+        let row = ProcessStatus {
+            implementation,
+            pid: pid.cast_signed(),
+            cpu_percent: load.cpu_percent,
+            memory_kib: load.memory_kib,
+            ..self.vitals.row(role, state, incarnation)
+        };
+        if state == VisibleState::Ready {
+            rows[index].state = VisibleState::Standby;
+            rows.insert(index, row);
+        } else {
+            rows.insert(index + 1, row);
         }
     }
 }

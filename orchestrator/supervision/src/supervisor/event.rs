@@ -1,4 +1,4 @@
-//! What the supervisor is told, and what it asks for.
+//! The events that the supervisor handles, and the actions that it asks for.
 
 use shared_types::{Phase, ProcessState, Role};
 
@@ -9,7 +9,7 @@ use super::Exit;
 pub enum Event {
     /// The run is to begin.
     Start,
-    /// A process of an orchestrator that died; told of each of them before [`Event::Resume`].
+    /// A process of an orchestrator that died; sent for each of them before [`Event::Resume`].
     Adopted {
         /// Its role.
         role: Role,
@@ -20,9 +20,9 @@ pub enum Event {
         /// How often the role was started again before.
         restarts: u32,
     },
-    /// In place of [`Event::Start`]: the run of an orchestrator that died goes on.
+    /// In place of [`Event::Start`]: the run of an orchestrator that died continues.
     Resume {
-        /// What the whole system was told last.
+        /// The phase that the processes received last.
         phase: Phase,
         /// The largest number given to a process.
         last_incarnation: u32,
@@ -43,16 +43,16 @@ pub enum Event {
         /// Why, with the command named.
         error: String,
     },
-    /// A process said what it is doing.
+    /// A process reported its state.
     StateReported {
         /// Its role.
         role: Role,
         /// Its incarnation.
         incarnation: u32,
-        /// What it said.
+        /// The state.
         state: ProcessState,
     },
-    /// A process went round its loop since the last such event.
+    /// A process completed a cycle of its loop since the last such event.
     Progress {
         /// Its role.
         role: Role,
@@ -68,7 +68,7 @@ pub enum Event {
         /// Role of the reader.
         reader: Role,
         /// Which sample it was, and what is wrong with it.
-        words: String,
+        reason: String,
     },
     /// A process of [`super::Supervisor::suspects`] has work to do and does not get a processor.
     Starved {
@@ -86,7 +86,7 @@ pub enum Event {
         /// How it ended.
         exit: Exit,
     },
-    /// Time has passed. Send it after all other events at hand, at the latest at `Supervisor::next_deadline`.
+    /// Time has passed. Send it after all other events at hand, several times within a hang limit.
     Tick,
     /// The run is to end. Repeats change nothing.
     StopRequested,
@@ -95,7 +95,7 @@ pub enum Event {
         /// Its role.
         role: Role,
     },
-    /// Another process fills a role from now on; it is ready and counts. The one before is no concern any more.
+    /// Another process fills a role from now on; it is ready and in charge. The one before does not matter any more.
     Replaced {
         /// The role.
         role: Role,
@@ -145,14 +145,14 @@ pub enum Action {
         /// The role.
         role: Role,
     },
-    /// Tell all processes the new phase.
+    /// Publish the new phase to all processes.
     Announce(Phase),
-    /// The run cannot go on; nobody is started any more. Comes at most once. While the loop drives, bring the robot to
+    /// The run cannot continue; no process is started any more. Comes at most once. While the loop drives, bring the robot to
     /// rest and then ask for the stop with [`Event::StopRequested`]; else all processes are being stopped already.
     RunFailed {
         /// The role whose process is the cause.
         role: Role,
-        /// Why, in words.
+        /// Why.
         reason: String,
     },
     /// No process lives any more. Comes once, as the last action.
@@ -164,9 +164,9 @@ pub enum Action {
 /// How much a line of the log matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Severity {
-    /// Life goes on as planned.
+    /// All is as planned.
     Info,
-    /// Degraded, but the run goes on.
+    /// Degraded, but the run continues.
     Warn,
     /// The run ends.
     Error,

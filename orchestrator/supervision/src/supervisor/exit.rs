@@ -1,41 +1,13 @@
-//! How a process ended, in the words of `status` and of messages.
+//! How a process ended, as `status` and messages show it.
 
 use std::fmt;
 use std::os::unix::process::ExitStatusExt;
 
-/// Names of the signals 1 to 31, as Linux numbers them on x86, Arm and RISC-V.
+/// Names of the signals 1 to 31 without `SIG`, as Linux numbers them on x86, Arm and RISC-V.
 const SIGNALS: [&str; 31] = [
-    "SIGHUP",
-    "SIGINT",
-    "SIGQUIT",
-    "SIGILL",
-    "SIGTRAP",
-    "SIGABRT",
-    "SIGBUS",
-    "SIGFPE",
-    "SIGKILL",
-    "SIGUSR1",
-    "SIGSEGV",
-    "SIGUSR2",
-    "SIGPIPE",
-    "SIGALRM",
-    "SIGTERM",
-    "SIGSTKFLT",
-    "SIGCHLD",
-    "SIGCONT",
-    "SIGSTOP",
-    "SIGTSTP",
-    "SIGTTIN",
-    "SIGTTOU",
-    "SIGURG",
-    "SIGXCPU",
-    "SIGXFSZ",
-    "SIGVTALRM",
-    "SIGPROF",
-    "SIGWINCH",
-    "SIGIO",
-    "SIGPWR",
-    "SIGSYS",
+    "HUP", "INT", "QUIT", "ILL", "TRAP", "ABRT", "BUS", "FPE", "KILL", "USR1", "SEGV", "USR2", "PIPE",
+    "ALRM", "TERM", "STKFLT", "CHLD", "CONT", "STOP", "TSTP", "TTIN", "TTOU", "URG", "XCPU", "XFSZ",
+    "VTALRM", "PROF", "WINCH", "IO", "PWR", "SYS",
 ];
 
 /// How a process ended.
@@ -45,12 +17,12 @@ pub enum Exit {
     Code(i32),
     /// A signal of this number killed it.
     Signal(i32),
-    /// Nobody was told: it is no child of this orchestrator, but was adopted.
+    /// The kernel reports it to the parent only, and this process was adopted.
     Unknown,
 }
 
 impl Exit {
-    /// Whether the process ended without a complaint of its own.
+    /// Whether the process ended by itself without an error.
     pub const fn is_success(self) -> bool {
         matches!(self, Self::Code(0))
     }
@@ -75,7 +47,7 @@ impl fmt::Display for Exit {
             Self::Signal(number) => {
                 write!(formatter, "killed by signal {number}")?;
                 let name = usize::try_from(number - 1).ok().and_then(|index| SIGNALS.get(index));
-                name.map_or(Ok(()), |name| write!(formatter, " ({name})"))
+                name.map_or(Ok(()), |name| write!(formatter, " (SIG{name})"))
             }
         }
     }
@@ -86,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_exit_is_told_in_words() {
+    fn an_exit_names_its_code_or_signal() {
         assert_eq!(Exit::Code(2).to_string(), "exit code 2");
         assert_eq!(Exit::Signal(9).to_string(), "killed by signal 9 (SIGKILL)");
         assert_eq!(Exit::Signal(15).to_string(), "killed by signal 15 (SIGTERM)");

@@ -1,4 +1,4 @@
-//! All short traces and random ones: whatever happens, the world of the tests finds nothing to object to.
+//! All short traces and random ones: no sequence of events breaks a rule of the simulated world.
 
 use proptest::prelude::*;
 use shared_types::{Phase, ProcessState, Role};
@@ -60,7 +60,7 @@ fn every_short_trace_keeps_the_rules_and_can_be_ended() {
         }
         explore(&world, 5, &mut traces);
     }
-    // 1 + 9 + 81 + 729 + 6561 + 59049 traces from each of four beginnings.
+    // 1 + 9 + 81 + 729 + 6561 + 59049 traces from each of four starts.
     assert_eq!(traces, 4 * 66_430);
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
 use shared_types::{ProcessState, Role};
 
 use super::policy::{ProcessPolicy, nanoseconds};
@@ -11,16 +12,17 @@ const MAX_EXCUSES: u64 = 10;
 /// Time between two events counts as silence of the process up to this share of the hang limit.
 const MAX_GAP_SHARE: u64 = 3;
 
-/// What a process is doing, in the words of `scanloop status`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What a process is doing, as `scanloop status` shows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum VisibleState {
-    /// It is on its way to its first valid output.
+    /// It has no valid output yet.
     Starting,
     /// It has published a valid output.
     Ready,
-    /// It follows, ready to take over. Belongs to spare processes, which the supervisor does not run.
+    /// It is ready to take over again. Only a swap has such a process; the supervisor does not run it.
     Standby,
-    /// It computes beside the one that counts. Belongs to swaps, which the supervisor does not run.
+    /// It computes in the shadow of the process in charge. The supervisor does not run it.
     Shadow,
     /// It stopped making progress and was killed, but has not gone yet.
     Hung,
@@ -50,7 +52,7 @@ impl VisibleState {
 
 impl std::fmt::Display for VisibleState {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(self.name())
+        formatter.pad(self.name())
     }
 }
 
@@ -71,7 +73,7 @@ pub struct ProcessView {
     pub last_exit: Option<String>,
 }
 
-/// Where the process of a role stands.
+/// Stages in the life of the process of a role.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Life {
     /// Not started yet.
@@ -91,7 +93,7 @@ pub(super) enum Life {
 }
 
 /// A living process.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Alive {
     /// Process id.
     pub(super) pid: u32,
@@ -112,18 +114,9 @@ pub(super) struct Alive {
 }
 
 impl Alive {
-    /// A process that has said nothing yet and is asked for nothing.
+    /// A process that has reported nothing yet and was not asked to end.
     pub(super) fn new(pid: u32, now_ns: u64) -> Self {
-        Self {
-            pid,
-            reached: None,
-            ready_ns: None,
-            start_deadline_ns: None,
-            progress_ns: now_ns,
-            excused_ns: 0,
-            ending: None,
-            kill_ns: None,
-        }
+        Self { pid, progress_ns: now_ns, ..Self::default() }
     }
 }
 
@@ -138,7 +131,7 @@ pub(super) enum EndReason {
     Hung,
     /// It did not attach or connect in time.
     StartTimeout,
-    /// It had all it reads, and no output in time.
+    /// It had all its inputs, and no output in time.
     NoOutput,
     /// Its outputs were dropped, and a reader had none that it could use in time.
     Refused,
@@ -180,7 +173,7 @@ pub(super) struct Refused {
     /// Role of the process that dropped them.
     pub(super) reader: Role,
     /// The newest of them, and what is wrong with it.
-    pub(super) words: String,
+    pub(super) reason: String,
 }
 
 impl Slot {
@@ -217,7 +210,7 @@ impl Slot {
         matches!(self.life, Life::Alive(Alive { reached, ending: None, .. }) if reached >= Some(state))
     }
 
-    /// Whether it lives, is ready, and nobody has asked it to end.
+    /// Whether it lives, is ready, and was not asked to end.
     pub(super) fn is_ready(&self) -> bool {
         self.has_reached(ProcessState::Ready)
     }
@@ -260,18 +253,9 @@ impl Slot {
         }
     }
 
-    /// A caller that is away for longer cannot tell who made progress meanwhile [ns].
+    /// After a longer gap between two events the caller does not know which processes made progress [ns].
     pub(super) fn longest_gap_ns(&self) -> u64 {
         nanoseconds(self.policy.hang_after_ms) / MAX_GAP_SHARE
-    }
-
-    /// The next time at which something is due, hangs apart.
-    pub(super) fn deadline_ns(&self) -> Option<u64> {
-        match self.life {
-            Life::Waiting { due_ns } => Some(due_ns),
-            Life::Alive(alive) => [alive.start_deadline_ns, alive.kill_ns].into_iter().flatten().min(),
-            _ => None,
-        }
     }
 
     pub(super) fn view(&self) -> ProcessView {

@@ -1,12 +1,13 @@
-//! A world for the tests of the supervisor: it does what is asked for, and objects to what must never be asked.
+//! A simulated world for the tests of the supervisor: it carries out its actions, and fails on those that must never come.
 
 use shared_types::{Phase, ProcessState, Role};
 
 use super::policy::nanoseconds;
+use super::slot::{Life, Slot};
 use super::watch::feeders;
 use super::{Action, Event, Exit, ProcessPolicy, Supervisor, VisibleState};
 
-/// What the world knows of one role, by its own account.
+/// The state of one role in the world.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Place {
     /// Asked for, not answered.
@@ -21,9 +22,9 @@ pub(super) struct Place {
     pub(super) spawns: u32,
     /// Deaths before readiness without a healthy run between.
     dead_starts: u32,
-    /// Times of all deaths after readiness that nobody asked for [ns].
+    /// Times of all deaths after readiness that were not requested [ns].
     deaths: Vec<u64>,
-    /// Since when it has had all it reads and no output [ns].
+    /// Since when it has had all its inputs and no output [ns].
     mute_since_ns: Option<u64>,
 }
 
@@ -52,7 +53,7 @@ pub(super) struct World {
     pub(super) failure: Option<(Role, String)>,
     pub(super) phases: Vec<Phase>,
     lockstep: bool,
-    /// All actions but log lines, for tests that look at their order.
+    /// All actions but log lines, for tests of their order.
     pub(super) actions: Vec<Action>,
 }
 
@@ -66,7 +67,7 @@ impl Process {
     }
 }
 
-/// What an orchestrator finds of a role when it adopts.
+/// The state of a role that an adopting orchestrator finds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Found {
     Alive,
@@ -145,7 +146,7 @@ impl World {
         self.place(role).process.as_ref().map_or(0, |process| process.incarnation)
     }
 
-    /// Tells the supervisor, checks its answer and takes note of it.
+    /// Sends an event to the supervisor, checks its actions and carries them out.
     pub(super) fn send(&mut self, event: Event) {
         if event == Event::StopRequested {
             self.stopping = true;
@@ -199,8 +200,8 @@ impl World {
         if !self.stopping {
             process.refused = Some(reader);
         }
-        let words = format!("its output was dropped by {reader}: not finite");
-        self.send(Event::Refused { role, incarnation, reader, words });
+        let reason = format!("its output was dropped by {reader}: not finite");
+        self.send(Event::Refused { role, incarnation, reader, reason });
     }
 
     pub(super) fn progress(&mut self, role: Role) {
@@ -243,7 +244,7 @@ impl World {
         self.now_ns += nanoseconds(milliseconds);
     }
 
-    /// Lets all go well until the loop drives.
+    /// All processes behave well until the loop drives.
     pub(super) fn bring_up(&mut self) {
         for _ in 0..100 {
             for role in self.roles() {
@@ -339,13 +340,15 @@ impl World {
             }
             Action::Terminate { role } => {
                 let now_ns = self.now_ns;
-                let process = self.places[role.index()].process.as_mut().expect("someone to be asked to end");
+                let process =
+                    self.places[role.index()].process.as_mut().expect("a process that can be asked to end");
                 assert_eq!(process.terminated_ns, None, "{role} is asked to end twice");
                 assert!(!process.killed, "{role} is asked to end after its kill");
                 process.terminated_ns = Some(now_ns);
             }
             Action::Kill { role } => {
-                self.places[role.index()].process.as_mut().expect("someone to be killed").killed = true;
+                self.places[role.index()].process.as_mut().expect("a process that can be killed").killed =
+                    true;
             }
             Action::CleanUp { role } => {
                 let place = &mut self.places[role.index()];
@@ -363,14 +366,14 @@ impl World {
                 self.stopping = true;
             }
             Action::AllStopped => {
-                assert!(!lives && self.stopping, "all are said to have stopped");
+                assert!(!lives && self.stopping, "all have stopped");
                 self.all_stopped = true;
             }
             Action::Log(..) => {}
         }
     }
 
-    /// Who was asked to end and is there after the grace is killed at the latest now.
+    /// A process that was asked to end and lives after the grace is killed now at the latest.
     fn check_kills(&self) {
         for policy in &self.policies {
             if let Some(Process { terminated_ns: Some(asked_ns), killed, .. }) =
@@ -385,11 +388,11 @@ impl World {
             };
             let over = since_ns + nanoseconds(policy.start_timeout_ms) <= self.now_ns;
             let ended = process.is_asked_to_end();
-            assert!(ended || !over, "{} has all it reads, says nothing and lives", policy.role);
+            assert!(ended || !over, "{} has all its inputs, no output and lives", policy.role);
         }
     }
 
-    /// Counts anew how long each process has had all it reads and no output.
+    /// Updates how long each process has had all its inputs and no output.
     fn forgive_first_outputs(&mut self) {
         let ready = |process: &Process| process.ready_ns.is_some() && !process.is_asked_to_end();
         let readers = self.places.each_ref().map(|place| place.process.as_ref().is_some_and(ready));
@@ -426,4 +429,25 @@ impl World {
 /// The five policies at 10 Hz, with times that are easy to count in.
 pub(super) fn policies() -> Vec<ProcessPolicy> {
     Role::ALL.iter().map(|role| ProcessPolicy::new(*role, 100)).collect()
+}
+
+impl Supervisor {
+    /// When the next [`Event::Tick`] changes something at the earliest [ns].
+    pub(super) fn next_deadline(&self) -> Option<u64> {
+        let hangs = self.slots.iter().filter(|_| self.phase == Phase::Driving).filter_map(|slot| {
+            // A caller that checks at the last moment that counts is late, and then none of the time counts.
+            let poll_ns = self.last_event_ns.unwrap_or(0).saturating_add(slot.longest_gap_ns() / 2);
+            Some(slot.hang_deadline_ns()?.min(poll_ns))
+        });
+        self.slots.iter().filter_map(deadline_ns).chain(hangs).chain(self.halting_until_ns).min()
+    }
+}
+
+/// The next time at which something of a slot is due, hangs apart.
+fn deadline_ns(slot: &Slot) -> Option<u64> {
+    match slot.life {
+        Life::Waiting { due_ns } => Some(due_ns),
+        Life::Alive(alive) => [alive.start_deadline_ns, alive.kill_ns].into_iter().flatten().min(),
+        _ => None,
+    }
 }

@@ -1,0 +1,231 @@
+//! Candidates: processes that run beside the one that fills their role, for a swap or as a shadow. Swaps and shadows
+//! decide, the session starts, observes and ends them.
+
+use std::collections::BTreeMap;
+
+use handover::swap::watch::Watch;
+use handover::swap::{Party, SwapEvent};
+use runtime::{HandoverData, monotonic_ns};
+use shared_types::{Authority, Phase, ProcessState, Role, Topic};
+use supervision::entry::ProcessEntry;
+use supervision::fleet::Fleet;
+use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
+
+use super::Session;
+
+/// The outputs of each candidate and of the process beside it, by incarnation of the candidate.
+pub(crate) type Watches = BTreeMap<u32, Watch>;
+
+/// What the session does for a swap or a shadow.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Order {
+    /// Publish which samples count, unless the supervisor has started another process since.
+    Authorise {
+        role: Role,
+        /// Incarnations of the old and the new process.
+        parties: [u32; 2],
+        authority: Authority,
+    },
+    /// Kill the new process of a swap.
+    Reject(u32),
+    /// Kill a shadow.
+    Dismiss(u32),
+    /// The candidate fills its role from now on.
+    Promote { role: Role, incarnation: u32, is_restart: bool },
+    /// Print a line for the user.
+    Note(String),
+}
+
+/// The process that fills a role, as a request for a candidate finds it.
+pub(super) struct Live<'a> {
+    pub(super) entry: &'a ProcessEntry,
+    /// The system drives, and the process is ready.
+    pub(super) is_ready: bool,
+}
+
+impl<'a> Live<'a> {
+    /// The process of a role.
+    ///
+    /// # Errors
+    /// A role without a process.
+    pub(super) fn of(role: Role, fleet: &'a Fleet, supervisor: &Supervisor) -> Result<Self, String> {
+        let entry = fleet.entry(role).ok_or_else(|| format!("no process of role {role}"))?;
+        let is_ready = supervisor.process(role).is_some_and(|view| view.state == VisibleState::Ready);
+        Ok(Self { entry, is_ready: is_ready && supervisor.phase() == Phase::Driving })
+    }
+
+    /// Passes when the system drives and the process is ready; `purpose` is what it is not ready for else.
+    ///
+    /// # Errors
+    /// The reason.
+    pub(super) fn require_ready(&self, purpose: &str) -> Result<(), String> {
+        let refused = || format!("{} is not ready {purpose}: the system must drive", self.entry.role());
+        self.is_ready.then_some(()).ok_or_else(refused)
+    }
+}
+
+impl Session {
+    /// Hands the outputs since the last call to the swap and the shadows.
+    pub(super) fn observe_candidates(&mut self) -> anyhow::Result<()> {
+        if let Some([old, new]) = self.swaps.plan().map(|plan| [plan.old, plan.new]) {
+            let (newest, answered) = (self.samples.newest_scan(), self.samples.answered_scan());
+            let mut events = vec![SwapEvent::Scans { newest, answered }];
+            if let Some(watch) = self.watches.get_mut(&new) {
+                watch.poll(old, new, |party, output| events.push(SwapEvent::Output(party, output)))?;
+            }
+            events.into_iter().try_for_each(|event| self.swap_event(event))?;
+        }
+        let now_ns = monotonic_ns();
+        for (role, incarnation) in self.shadows.running().collect::<Vec<_>>() {
+            let live = self.directives.current.authority[role.index()].incarnation;
+            let Self { watches, shadows, .. } = self;
+            if let Some(watch) = watches.get_mut(&incarnation) {
+                watch.poll(live, incarnation, |party, output| {
+                    shadows.output(now_ns, incarnation, party, output);
+                })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A process reported its state.
+    pub(super) fn candidate_reported(&mut self, incarnation: u32, state: ProcessState) {
+        self.swaps.received(incarnation, state);
+        // One that has just attached waits for the directive, which would be repeated only after a while.
+        self.directives.changed |= state == ProcessState::Attached && self.watches.contains_key(&incarnation);
+    }
+
+    /// A process ended; whether that does not concern the supervisor.
+    pub(super) fn candidate_ended(
+        &mut self,
+        role: Role,
+        incarnation: u32,
+        exit: Exit,
+    ) -> anyhow::Result<bool> {
+        if self.shadows.ended(incarnation, || self.fleet.reason_of(role, exit)) {
+            return Ok(true);
+        }
+        let Some(party) = self.swaps.party_of(incarnation) else { return Ok(false) };
+        let is_new = party == Party::New;
+        let reason = if is_new { self.fleet.reason_of(role, exit) } else { exit.to_string() };
+        self.swap_event(SwapEvent::Exited(party, reason))?;
+        let is_known = self.supervisor.process(role).is_some_and(|view| view.incarnation == incarnation);
+        Ok(!is_known)
+    }
+
+    /// Starts the candidates that were asked for, moves the swap and the shadows on, and grants scans in lock-step.
+    pub(super) fn advance_candidates(&mut self) -> anyhow::Result<()> {
+        if !self.drives() {
+            let orders = self.swaps.run_ends(monotonic_ns());
+            self.follow(orders)?;
+        }
+        let (granted_scan, vitals) = (self.directives.current.granted_scan, &self.vitals);
+        let due = self.swaps.due(monotonic_ns(), granted_scan, |role| vitals.checkpoint(role));
+        if let Some(entry) = due {
+            let old = self.supervisor.process(entry.role()).map_or(0, |view| view.incarnation);
+            let new = self.supervisor.next_incarnation();
+            let started = self.start_candidate(entry, new);
+            let order = self.swaps.begin(monotonic_ns(), [old, new], started);
+            self.follow(order)?;
+        }
+        self.swap_event(SwapEvent::Tick)?;
+        if self.run.lockstep
+            && self.is_recorded()
+            && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
+        {
+            self.directives.grant(scan);
+        }
+        for asked in self.shadows.take_asked() {
+            let incarnation = self.supervisor.next_incarnation();
+            let started = self.start_candidate(asked.entry.clone(), incarnation);
+            let order = self.shadows.begin(monotonic_ns(), asked, incarnation, started);
+            self.follow(order)?;
+        }
+        let orders = self.shadows.advance(monotonic_ns(), !self.drives());
+        self.follow(orders)?;
+        let Self { watches, swaps, shadows, .. } = self;
+        let swapped = swaps.plan().map(|plan| plan.new);
+        watches.retain(|incarnation, _| {
+            swapped == Some(*incarnation) || shadows.incarnations().any(|(_, shadow)| shadow == *incarnation)
+        });
+        Ok(())
+    }
+
+    pub(super) fn swap_event(&mut self, event: SwapEvent) -> anyhow::Result<()> {
+        let orders = self.swaps.handle(monotonic_ns(), event);
+        self.follow(orders)
+    }
+
+    /// Carries out orders.
+    pub(super) fn follow(&mut self, orders: impl IntoIterator<Item = Order>) -> anyhow::Result<()> {
+        for order in orders {
+            match order {
+                Order::Authorise { role, parties, authority } => {
+                    let current = &mut self.directives.current.authority[role.index()];
+                    if parties.contains(&current.incarnation) && *current != authority {
+                        *current = authority;
+                        self.directives.changed = true;
+                        self.publish_directive()?;
+                    }
+                }
+                Order::Reject(incarnation) => {
+                    self.audit.samples.ended(incarnation, monotonic_ns());
+                    self.fleet.dismiss(incarnation);
+                }
+                Order::Dismiss(incarnation) => self.fleet.dismiss(incarnation),
+                Order::Promote { role, incarnation, is_restart } => {
+                    if let Some(pid) = self.fleet.promote(incarnation) {
+                        self.handle(Event::Replaced { role, pid, incarnation, is_restart })?;
+                    }
+                }
+                Order::Note(text) => self.progress.note(&text),
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts a process beside the one that fills its role, records it and observes its output.
+    ///
+    /// # Errors
+    /// When shared memory or a file system is full, or the command can't be started; then no such process runs.
+    fn start_candidate(&mut self, entry: ProcessEntry, incarnation: u32) -> Result<(), String> {
+        self.try_start(entry, incarnation).map_err(|error| format!("{error:#}"))
+    }
+
+    fn try_start(&mut self, entry: ProcessEntry, incarnation: u32) -> anyhow::Result<()> {
+        let role = entry.role();
+        let handover = self.hand_over(role);
+        self.fleet.spawn_candidate(entry, incarnation, handover.as_ref())?;
+        // After the start: until then the reserve holds the memory of the watch.
+        let watch = Watch::new(&self.bus, role).map_err(anyhow::Error::from);
+        let begun = watch.and_then(|watch| self.write_registry().map(|()| watch));
+        if begun.is_err() {
+            self.fleet.dismiss(incarnation);
+        }
+        self.watches.insert(incarnation, begun?);
+        Ok(())
+    }
+
+    /// Holds shared memory for the next process, while none starts.
+    pub(super) fn keep_room(&mut self) {
+        let starts = self.supervisor.processes().any(|view| view.state == VisibleState::Starting);
+        if let Some(shortage) = self.fleet.keep_room(&self.bus, starts) {
+            self.progress.warn(&format!("no reserve for a swap or a restart: {shortage}"));
+        }
+    }
+
+    /// The state that the process of a role leaves to its successor when it has ended, or was killed because it hung.
+    pub(super) fn left_behind(&self, role: Role) -> Option<HandoverData> {
+        let data = self.hand_over(role)?;
+        let ended_ns = self.vitals.last_beat_ns(data.checkpoint.header.incarnation);
+        Some(HandoverData { ended_ns, ..data })
+    }
+
+    /// The state that the running process of a role hands to one that starts while it drives.
+    fn hand_over(&self, role: Role) -> Option<HandoverData> {
+        let checkpoint = *self.vitals.checkpoint(role)?;
+        let reads_actuations = role.reads().contains(&Topic::Actuation);
+        let actuations = self.samples.recent_actuations().filter(|_| reads_actuations).copied().collect();
+        Some(HandoverData { checkpoint, ended_ns: 0, actuations })
+    }
+}

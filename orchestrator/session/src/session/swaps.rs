@@ -1,0 +1,316 @@
+//! The swaps of one run, one at a time, each decided by [`Swap`]. Pure: the session carries out the [`Order`]s.
+//!
+//! In lock-step the loop is held where it would otherwise run ahead of the new process: until that is connected, and
+//! from then on for its output for each scan, half a second at most. The new process starts with the state after the
+//! last scan before it, so the result of the run does not depend on how long it took to start.
+
+use audit::samples::ScanRecord;
+use handover::swap::{
+    Certificate, LOCKSTEP_TIMEOUT_NS, MAX_TOLERANCE, Party, Recorded, Stage, Swap, SwapAction, SwapEvent,
+    SwapPlan,
+};
+use shared_types::{Checkpoint, ProcessState, Role, Topic};
+use supervision::entry::ProcessEntry;
+use supervision::supervisor::VisibleState;
+
+use super::GRANT_AHEAD;
+use super::candidates::{Live, Order};
+use crate::control::{Reply, SwapRequest};
+
+/// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
+const MAX_SCANS: u64 = 10_000;
+/// Good scans in a row before a restarted process takes over: the first outputs after a start are the slowest.
+const RESTART_SHADOW_SCANS: u64 = 3;
+/// Good scans in charge after which the process before it ends. The same program drove before, so one is enough to show
+/// that its samples reach all readers.
+const RESTART_STANDBY_SCANS: u64 = 1;
+
+/// The swaps of one run.
+#[derive(Default)]
+pub(crate) struct Swaps {
+    period_ns: u64,
+    lockstep: bool,
+    asked: Option<Asked>,
+    current: Option<Current>,
+    ended: Vec<Ended>,
+    recorded_scan: u64,
+    recorded_ns: u64,
+}
+
+/// A swap that was accepted and has not begun; incarnations are not known yet.
+struct Asked {
+    plan: SwapPlan,
+    entry: ProcessEntry,
+    since_ns: u64,
+    purpose: Purpose,
+}
+
+/// What a swap is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Purpose {
+    /// Another process is to fill the role; the report contains its certificate.
+    Swap,
+    /// The same program starts again; it counts as a restart.
+    Restart,
+}
+
+/// The swap in progress.
+struct Current {
+    swap: Swap,
+    purpose: Purpose,
+    /// In lock-step: the scan after which the new process was connected.
+    connected_at: Option<u64>,
+}
+
+/// A swap that is over.
+struct Ended {
+    certificate: Certificate,
+    purpose: Purpose,
+}
+
+impl Swaps {
+    pub(super) fn new(period_ns: u64, lockstep: bool) -> Self {
+        Self { period_ns, lockstep, ..Self::default() }
+    }
+
+    /// All certificates, in the order in which the swaps ended; restarts have none.
+    pub(super) fn certificates(&self) -> Vec<Certificate> {
+        let swaps = self.ended.iter().filter(|ended| ended.purpose == Purpose::Swap);
+        swaps.map(|ended| ended.certificate.clone()).collect()
+    }
+
+    /// Whether a swap was accepted or is in progress.
+    pub(super) fn is_busy(&self) -> bool {
+        self.asked.is_some() || self.current.is_some()
+    }
+
+    /// Whether a role is being swapped.
+    pub(super) fn concern(&self, role: Role) -> bool {
+        let asked = self.asked.as_ref().map(|asked| &asked.plan);
+        asked.or(self.plan()).is_some_and(|plan| plan.role == role)
+    }
+
+    /// The plan of the swap in progress.
+    pub(super) fn plan(&self) -> Option<&SwapPlan> {
+        self.current.as_ref().map(|current| current.swap.plan())
+    }
+
+    /// The incarnation that is not in charge, whose state no successor resumes from.
+    pub(super) fn candidate(&self) -> Option<u32> {
+        self.current.as_ref().map(|current| current.swap.candidate())
+    }
+
+    /// The new process for `status`: its role, incarnation and state.
+    pub(super) fn shown(&self) -> Option<(Role, u32, VisibleState)> {
+        let swap = &self.current.as_ref()?.swap;
+        let state = match swap.stage() {
+            Stage::Starting => VisibleState::Starting,
+            Stage::Shadowing => VisibleState::Shadow,
+            _ => VisibleState::Ready,
+        };
+        Some((swap.plan().role, swap.plan().new, state))
+    }
+
+    /// The certificate of the swap of that number, if it is over.
+    pub(super) fn result(&self, number: u64) -> Reply {
+        let index = usize::try_from(number).unwrap_or(usize::MAX);
+        match self.ended.get(index.wrapping_sub(1)) {
+            Some(ended) => Reply::Certificate(Box::new(ended.certificate.clone())),
+            None if self.is_busy() && index == self.ended.len() + 1 => Reply::Pending,
+            None => Reply::Refused(format!("there is no swap of number {number}")),
+        }
+    }
+
+    /// Accepts a swap and returns its number.
+    ///
+    /// # Errors
+    /// The reason why it is refused.
+    pub(super) fn ask(&mut self, now_ns: u64, request: &SwapRequest, live: &Live) -> Result<u64, String> {
+        let SwapRequest { successor, shadow_scans, standby_scans, tolerance } = request;
+        let entry = successor.entry(live.entry)?;
+        for (key, scans) in [("shadow-scans", shadow_scans), ("standby-scans", standby_scans)] {
+            if !(1..=MAX_SCANS).contains(scans) {
+                return Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}"));
+            }
+        }
+        if !(0.0..=MAX_TOLERANCE).contains(tolerance) {
+            return Err(format!("--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"));
+        }
+        self.accept(now_ns, Purpose::Swap, entry, live, [*shadow_scans, *standby_scans], *tolerance)
+    }
+
+    /// Accepts the restart of a process that works, as a swap to the same program, so that the process before it ends
+    /// last.
+    ///
+    /// # Errors
+    /// As [`Swaps::ask`].
+    pub(super) fn restart(&mut self, now_ns: u64, live: &Live) -> Result<u64, String> {
+        let scans = [RESTART_SHADOW_SCANS, RESTART_STANDBY_SCANS];
+        self.accept(now_ns, Purpose::Restart, live.entry.clone(), live, scans, MAX_TOLERANCE)
+    }
+
+    fn accept(
+        &mut self,
+        now_ns: u64,
+        purpose: Purpose,
+        entry: ProcessEntry,
+        live: &Live,
+        [shadow_scans, standby_scans]: [u64; 2],
+        tolerance: f64,
+    ) -> Result<u64, String> {
+        if self.is_busy() {
+            return Err("another swap is in progress".to_owned());
+        }
+        live.require_ready("to be swapped")?;
+        let plan = SwapPlan {
+            role: entry.role(),
+            from: live.entry.label(),
+            to: entry.label(),
+            old: 0,
+            new: 0,
+            shadow_scans,
+            standby_scans,
+            tolerance,
+            period_ns: self.period_ns,
+            lockstep: self.lockstep,
+        };
+        self.asked = Some(Asked { plan, entry, since_ns: now_ns, purpose });
+        Ok(self.ended.len() as u64 + 1)
+    }
+
+    /// The entry of the process that is to be started now. In lock-step it starts between two scans, when the state
+    /// after the last one is there.
+    pub(super) fn due<'a>(
+        &self,
+        now_ns: u64,
+        granted_scan: u64,
+        checkpoint_of: impl Fn(Role) -> Option<&'a Checkpoint>,
+    ) -> Option<ProcessEntry> {
+        let asked = self.asked.as_ref().filter(|_| self.current.is_none())?;
+        let role = asked.plan.role;
+        let has_state = || {
+            checkpoint_of(role).is_some_and(|state| {
+                // A process that reads actuations publishes its state once more with the answer to the scan in it.
+                let reads_answers = role.reads().contains(&Topic::Actuation);
+                let is_whole = !reads_answers || state.header.stage(Role::Actuator).published_ns > 0;
+                state.header.scan_id >= self.recorded_scan && is_whole
+            })
+        };
+        let is_due = !self.lockstep
+            || now_ns.saturating_sub(asked.since_ns) >= LOCKSTEP_TIMEOUT_NS
+            || self.recorded_scan >= granted_scan && has_state();
+        is_due.then(|| asked.entry.clone())
+    }
+
+    /// The new process was started beside the old one, or could not be; incarnations of both.
+    pub(super) fn begin(
+        &mut self,
+        now_ns: u64,
+        [old, new]: [u32; 2],
+        started: Result<(), String>,
+    ) -> Option<Order> {
+        let Asked { plan, purpose, .. } = self.asked.take()?;
+        if let Err(error) = started {
+            return Some(self.finish(refusal(&plan, format!("could not be started: {error}")), purpose));
+        }
+        let note = format!("{}: {} starts beside {}", plan.role, plan.to, plan.from);
+        let swap = Swap::new(now_ns, SwapPlan { old, new, ..plan });
+        self.current = Some(Current { swap, purpose, connected_at: None });
+        Some(Order::Note(note))
+    }
+
+    /// A process reported its state.
+    pub(super) fn received(&mut self, incarnation: u32, state: ProcessState) {
+        if let Some(current) = &mut self.current
+            && current.swap.plan().new == incarnation
+            && state >= ProcessState::Connected
+        {
+            current.connected_at.get_or_insert(self.recorded_scan);
+        }
+    }
+
+    /// Which of the two processes an incarnation is, until the outcome is decided.
+    pub(super) fn party_of(&self, incarnation: u32) -> Option<Party> {
+        let swap = &self.current.as_ref()?.swap;
+        match swap.stage() {
+            Stage::Settling | Stage::Over => None,
+            _ if swap.plan().new == incarnation => Some(Party::New),
+            _ => (swap.plan().old == incarnation).then_some(Party::Old),
+        }
+    }
+
+    /// A scan was recorded, with all samples that belong to it.
+    pub(super) fn recorded(&mut self, now_ns: u64, scan: &ScanRecord) -> Vec<Order> {
+        (self.recorded_scan, self.recorded_ns) = (scan.truth.header.scan_id, now_ns);
+        let Some(plan) = self.plan() else { return Vec::new() };
+        let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
+        let last = answers.clone().next_back();
+        let recorded = Recorded {
+            scan: self.recorded_scan,
+            answers: answers.count() as u64,
+            desired: last.map_or([0.0; 2], |last| [last.desired_steering_rad, last.desired_velocity_mps]),
+            stamp_ns: last.map_or(0, |last| last.header.stage(plan.role).published_ns),
+        };
+        self.handle(now_ns, SwapEvent::Recorded(recorded))
+    }
+
+    /// The run ends: a swap that was accepted does not begin, and one in progress is decided.
+    pub(super) fn run_ends(&mut self, now_ns: u64) -> Vec<Order> {
+        if let Some(Asked { plan, purpose, .. }) = self.asked.take() {
+            return vec![self.finish(refusal(&plan, "the run ended".to_owned()), purpose)];
+        }
+        self.handle(now_ns, SwapEvent::RunEnds)
+    }
+
+    /// What is to be done, in this order, now that `event` has happened.
+    pub(super) fn handle(&mut self, now_ns: u64, event: SwapEvent) -> Vec<Order> {
+        let Some(Current { swap, purpose, .. }) = &mut self.current else { return Vec::new() };
+        let (purpose, actions) = (*purpose, swap.handle(now_ns, event));
+        let SwapPlan { role, old, new, .. } = *swap.plan();
+        let orders = actions.into_iter().map(|action| match action {
+            SwapAction::Authorise(authority) => Order::Authorise { role, parties: [old, new], authority },
+            SwapAction::KillNew => Order::Reject(new),
+            SwapAction::Commit => {
+                Order::Promote { role, incarnation: new, is_restart: purpose == Purpose::Restart }
+            }
+            SwapAction::Finish(certificate) => self.finish(*certificate, purpose),
+        });
+        orders.collect()
+    }
+
+    /// In lock-step: the scan up to which the robot may publish, unless the loop is held.
+    pub(super) fn granted_scan(&self, now_ns: u64) -> Option<u64> {
+        let ahead = if self.is_busy() { 1 } else { GRANT_AHEAD };
+        (!self.holds(now_ns)).then_some(self.recorded_scan + ahead)
+    }
+
+    /// In lock-step, whether the loop has to wait at the last recorded scan.
+    fn holds(&self, now_ns: u64) -> bool {
+        let Some(Current { swap, connected_at, .. }) = &self.current else { return self.asked.is_some() };
+        let waits = match (swap.stage(), connected_at) {
+            (Stage::Settling | Stage::Over, _) => false,
+            (_, None) => return true,
+            (_, Some(scan)) => self.recorded_scan > *scan && !swap.both_answered(self.recorded_scan),
+        };
+        waits && now_ns.saturating_sub(self.recorded_ns) < LOCKSTEP_TIMEOUT_NS
+    }
+
+    fn finish(&mut self, certificate: Certificate, purpose: Purpose) -> Order {
+        self.current = None;
+        let note = match purpose {
+            Purpose::Swap => certificate.to_string(),
+            Purpose::Restart => certificate.of_restart(),
+        };
+        self.ended.push(Ended { certificate, purpose });
+        Order::Note(note)
+    }
+}
+
+/// The certificate of a swap that did not begin.
+fn refusal(plan: &SwapPlan, reason: String) -> Certificate {
+    let (role, from, to) = (plan.role.name().to_owned(), plan.from.clone(), plan.to.clone());
+    Certificate { role, from, to, reason, ..Certificate::default() }
+}
+
+#[cfg(test)]
+mod tests;
