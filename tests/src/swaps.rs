@@ -132,7 +132,7 @@ pub fn more_scans(system: &System, count: u64) {
 pub fn standby(system: &System, role: Role, arguments: &[&str]) -> (Child, i32, i32) {
     let all = [&[role.name(), "--standby-scans", "40"], arguments].concat();
     let child = begin(system, &all);
-    system.wait_until("the old one stands by", |system| {
+    system.wait_until("the old one is standby", |system| {
         rows(system, role).get(1).is_some_and(|(_, state)| state == "standby")
     });
     let rows = rows(system, role);

@@ -164,7 +164,7 @@ pub enum Stage {
     Starting,
     /// It computes in the shadow of the old one.
     Shadowing,
-    /// It is in charge, or about to be; the old one stands by.
+    /// It is in charge, or about to be; the old one is standby.
     Standby,
     /// The outcome is decided.
     Settling,

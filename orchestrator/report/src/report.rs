@@ -1,6 +1,6 @@
 //! `report.json`: what a run did, as data.
 //!
-//! The fields are a public interface: they are extended, never changed. Keys carry their unit as the last word;
+//! The fields are a public interface: they are extended, never changed. Keys end with their unit;
 //! the figures of a distribution have the unit of their key. The file is written under a temporary name and renamed,
 //! so a reader sees all of it or none. Equal runs give equal bytes in `trajectory`: numbers are printed with the
 //! digits that read back to the same bits.

@@ -45,7 +45,7 @@ pub struct Fleet {
     domain: Domain,
     stop_word: StopWord,
     members: BTreeMap<Role, Member>,
-    /// Processes that run beside the one that fills their role, for a swap or as a shadow.
+    /// Candidates: processes that run in shadow, for a swap or a comparison.
     candidates: Vec<Process>,
     /// Processes that no role needs any more, and when each is killed if it has not ended [ns].
     leaving: Vec<(Process, u64)>,

@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn unknown_numbers_in_an_actuation_never_panic() {
-        let odd = Actuation { kind: 77, reason: 99, stop_reason: 99, ..Actuation::default() };
-        assert_eq!(referee().observe(&truth(1.0, 9.0, 1), Some(&odd)), None);
+        let unknown = Actuation { kind: 77, reason: 99, stop_reason: 99, ..Actuation::default() };
+        assert_eq!(referee().observe(&truth(1.0, 9.0, 1), Some(&unknown)), None);
     }
 }

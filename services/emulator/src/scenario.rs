@@ -1,7 +1,7 @@
 //! The scenario file: what stands on the track, what is wrong with the robot, and what counts as arrived.
 //!
 //! Every table and key is optional with the default shown in the file's description, except an obstacle's shape,
-//! position and size. A scenario that was read has been checked: whoever holds one through [`Scenario::parse`] or
+//! position and size. A scenario that was read has been checked: one from [`Scenario::parse`] or
 //! [`Scenario::from_table`] needs no further check. It can be written out again and reads back identically.
 
 mod endless;

@@ -244,7 +244,7 @@ impl Linearisation {
     }
 }
 
-/// Solves the block system in place by elimination without exchanges of blocks.
+/// Solves the block system in place by elimination without pivoting of blocks.
 ///
 /// The leading minors of I - h A x J are positive for the stable J of the model, since those of A are; with a
 /// sideslip beyond a right angle nothing is promised, and the caller meets numbers that are not finite.

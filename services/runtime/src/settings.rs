@@ -46,7 +46,7 @@ pub struct RunSettings {
     pub clock: ClockKind,
     /// How long actuator and robot let the wheels turn without a directive [ns].
     pub orphan_stop_ns: u64,
-    /// How long processes go on without a directive before they end [ns].
+    /// Processes end after this time without a directive [ns].
     pub orphan_timeout_ns: u64,
 }
 

@@ -127,28 +127,28 @@ fn bad_foreign_repeated_and_old_samples_never_come_out() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
     let input = Input::<Pose>::new(lab.bus(), Rc::clone(&controller)).unwrap();
-    // Two voices of one incarnation number their samples alike, as a process that repeats itself does.
-    let (mut voice, mut echo) =
+    // Two publishers of one incarnation number their samples alike, as a process that repeats itself does.
+    let (mut publisher, mut echo) =
         (Publisher::<Pose>::new(lab.bus()).unwrap(), Publisher::<Pose>::new(lab.bus()).unwrap());
     input.reader().drain().unwrap();
-    let say = |voice: &mut Publisher<Pose>, incarnation, x_m| {
+    let say = |publisher: &mut Publisher<Pose>, incarnation, x_m| {
         let mut sample = pose(1, x_m);
         sample.header.incarnation = incarnation;
-        voice.publish(&mut sample, false).unwrap();
+        publisher.publish(&mut sample, false).unwrap();
         input.reader().drain().unwrap();
         input.take().map(|taken| taken.x_m)
     };
-    assert_eq!(say(&mut voice, 7, 1.0), Some(1.0));
+    assert_eq!(say(&mut publisher, 7, 1.0), Some(1.0));
     assert_eq!(say(&mut echo, 7, 2.0), None, "a duplicate");
-    assert_eq!(say(&mut voice, 7, f64::NAN), None, "not a number");
-    assert_eq!(say(&mut voice, 6, 3.0), None, "no authority");
-    assert_eq!(say(&mut voice, 7, 4.0), Some(4.0));
+    assert_eq!(say(&mut publisher, 7, f64::NAN), None, "not a number");
+    assert_eq!(say(&mut publisher, 6, 3.0), None, "no authority");
+    assert_eq!(say(&mut publisher, 7, 4.0), Some(4.0));
     assert_eq!(say(&mut echo, 7, 5.0), None, "its number has come before");
     assert_eq!(say(&mut echo, 7, 6.0), None, "older than what was taken");
     let account = input.reader().account();
     assert_eq!((account.duplicate, account.reordered), (2, 1));
     assert_eq!((account.invalid, account.foreign), (1, 1));
-    // The voice's third number came under another incarnation; the echo brought it late.
+    // The publisher's third number came under another incarnation; the echo brought it late.
     assert_eq!((account.missing, account.used, account.open), (0, 2, 0));
     assert_eq!(account.late, shared_types::Span { incarnation: 7, first: 3, last: 3, reserved: 0 });
 }
@@ -163,12 +163,12 @@ fn an_actuation_is_too_old_for_the_robot_only() {
         (Input::<Actuation>::new(lab.bus(), Rc::clone(&shared)).unwrap(), shared)
     };
     let readers = [Role::Robot, Role::Estimator].map(read_by);
-    let mut voice = Publisher::<Actuation>::new(lab.bus()).unwrap();
+    let mut publisher = Publisher::<Actuation>::new(lab.bus()).unwrap();
     readers.iter().for_each(|(input, _)| input.reader().drain().unwrap());
     let mut block = Actuation::default();
     (block.header.incarnation, block.header.scan_id) = (7, 1);
     block.header.acquired_ns = crate::monotonic_ns() - 400_000_000;
-    voice.publish(&mut block, false).unwrap();
+    publisher.publish(&mut block, false).unwrap();
     let taken = readers.each_ref().map(|(input, _)| {
         input.reader().drain().unwrap();
         input.take().is_some()
@@ -326,7 +326,7 @@ fn taken(input: &Input<Pose>) -> Vec<(u64, u32)> {
 }
 
 #[test]
-fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
+fn during_a_swap_each_scan_is_answered_by_the_process_in_charge() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
     let old = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
@@ -344,9 +344,9 @@ fn an_exchange_is_answered_scan_by_scan_by_the_one_in_charge() {
     assert_eq!(taken(&input), [(9, 7), (10, 11), (11, 11)]);
     authorise(&controller, &input, 11, 0, 0);
     old.publish(&mut pose(12, 0.0)).unwrap();
-    assert_eq!(taken(&input), [], "the exchange is over");
+    assert_eq!(taken(&input), [], "the swap is over");
     authorise(&controller, &input, 7, 11, 11);
-    assert_eq!(taken(&input), [], "what stood by is dropped at its end");
+    assert_eq!(taken(&input), [], "samples of the standby are dropped at its end");
     let account = input.reader().account();
     assert_eq!((account.duplicate, account.reordered, account.missing), (0, 0, 0));
     assert_eq!(
@@ -448,12 +448,12 @@ impl Flood {
         let (domain, asked) = (domain.clone(), std::sync::Arc::clone(&stop));
         let thread = std::thread::spawn(move || {
             let bus = Bus::open(&domain, "flood").unwrap();
-            let mut voice = Publisher::<Pose>::new(&bus).unwrap();
+            let mut publisher = Publisher::<Pose>::new(&bus).unwrap();
             let mut sample = pose(1, 0.0);
             sample.header.incarnation = 6;
             let mut count = 0;
             while !asked.load(Ordering::Acquire) {
-                voice.publish(&mut sample, false).unwrap();
+                publisher.publish(&mut sample, false).unwrap();
                 count += 1;
             }
             count

@@ -51,7 +51,7 @@ fn wait_until_latched(word: &StopWord) {
     }
 }
 
-/// Lets it go on; returns how it ended, and what it said.
+/// Lets it continue; returns its exit status and its output.
 fn end(mut child: Child) -> (ExitStatus, String) {
     drop(child.stdin.take());
     let mut said = String::new();

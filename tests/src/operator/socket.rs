@@ -9,7 +9,7 @@ use super::plan::Traffic;
 use crate::pause;
 
 /// For how long connections are held open, and lines are sent.
-const LONGEST: Duration = Duration::from_secs(3);
+const MAX_WAIT: Duration = Duration::from_secs(3);
 
 /// Sends it from a thread of its own, which ends by itself.
 pub(super) fn send(socket: PathBuf, traffic: Traffic) {
@@ -24,7 +24,7 @@ fn garbage(socket: &Path) {
     let mut byte = 17_u8;
     for _ in 0..20 {
         let Ok(mut stream) = UnixStream::connect(socket) else { return };
-        let _ = stream.set_read_timeout(Some(LONGEST));
+        let _ = stream.set_read_timeout(Some(MAX_WAIT));
         let bytes: Vec<u8> = std::iter::repeat_with(|| {
             byte = byte.wrapping_mul(29).wrapping_add(113);
             byte
@@ -38,15 +38,15 @@ fn garbage(socket: &Path) {
 
 fn endless_line(socket: &Path) {
     let Ok(mut stream) = UnixStream::connect(socket) else { return };
-    let _ = stream.set_write_timeout(Some(LONGEST));
+    let _ = stream.set_write_timeout(Some(MAX_WAIT));
     let started = Instant::now();
-    while started.elapsed() < LONGEST && stream.write_all(&[b'x'; 4096]).is_ok() {}
+    while started.elapsed() < MAX_WAIT && stream.write_all(&[b'x'; 4096]).is_ok() {}
 }
 
 fn connections(socket: &Path) {
     let held: Vec<_> = (0..40).map_while(|_| UnixStream::connect(socket).ok()).collect();
     let started = Instant::now();
-    while started.elapsed() < LONGEST {
+    while started.elapsed() < MAX_WAIT {
         pause();
     }
     drop(held);

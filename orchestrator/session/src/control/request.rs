@@ -39,7 +39,7 @@ pub enum Request {
     },
 }
 
-/// A process that is to run beside the one that fills a role.
+/// A candidate for a role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Successor {
     /// The role.

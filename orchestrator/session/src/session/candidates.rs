@@ -1,4 +1,4 @@
-//! Candidates: processes that run beside the one that fills their role, for a swap or as a shadow. Swaps and shadows
+//! Candidates: processes that run in shadow, for a swap or a comparison. Swaps and shadows
 //! decide, the session starts, observes and ends them.
 
 use std::collections::BTreeMap;

@@ -202,7 +202,7 @@ impl Swaps {
         is_due.then(|| asked.entry.clone())
     }
 
-    /// The new process was started beside the old one, or could not be; incarnations of both.
+    /// The candidate was started, or could not be; incarnations of both processes.
     pub(super) fn begin(
         &mut self,
         now_ns: u64,

@@ -36,7 +36,7 @@ plain_state! {
         pub blocked: Flag,
         /// 1 when it has run into something
         pub wrecked: Flag,
-        /// Lateral share of the way that the odometer misses
+        /// Lateral drift of the odometer per distance
         pub odometry_lateral: f64,
         /// Position that the odometer reports, without noise [m]
         pub odometry_m: [f64; 2],

@@ -126,8 +126,8 @@ fn impossible_actuations_are_refused_and_do_not_feed_the_dead_man() {
 fn a_block_with_nan_in_it_still_blocks() {
     let mut emulator = ideal("");
     lockstep(&mut emulator, 1..=5, &drive(0.9, 0.0));
-    let odd = Actuation { sent_velocity_mps: f64::NAN, ..block() };
-    assert_eq!(emulator.actuate(&odd), Received::Accepted);
+    let invalid = Actuation { sent_velocity_mps: f64::NAN, ..block() };
+    assert_eq!(emulator.actuate(&invalid), Received::Accepted);
     emulator.advance_to(emulator.scan_ready_ns(10));
     assert_eq!(measure(&mut emulator, 10).2.speed_mps, 0.0);
 }

@@ -136,7 +136,7 @@ impl Chain {
         /// The same where steps have become short because of rounding errors, and what is short.
         const COARSE: f64 = 1e-6;
         const SHORT: f64 = 0.1;
-        /// Share of the way to the nearest end of a range.
+        /// Fraction of the distance to the nearest end of a range.
         const SHARE: f64 = 0.995;
         self.start_interior(shooting, far, solution);
         let bend = 2.0 * self.slack_quadratic;

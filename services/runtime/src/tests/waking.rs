@@ -1,4 +1,4 @@
-//! Waking: nothing that was published is slept through, whoever publishes and whoever sleeps.
+//! Waking: no published sample is slept through, for every kind of publisher and subscriber.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -160,11 +160,11 @@ fn observe(lab: &Lab, timeout_ns: u64) -> impl FnMut(&mut dyn FnMut(u32, u64)) -
 fn two_writers_who_hammer_one_reader_never_let_it_sleep_through_a_sample() {
     let lab = Lab::new();
     let publisher = |bus: &Bus| {
-        let mut voice = Publisher::<Pose>::new(bus).unwrap();
+        let mut publisher = Publisher::<Pose>::new(bus).unwrap();
         move |number, who| {
             let mut sample = pose(number, 0.0);
             sample.header.incarnation = who;
-            voice.publish(&mut sample, true).unwrap();
+            publisher.publish(&mut sample, true).unwrap();
         }
     };
     let result = hammer(&lab, LONG_NS, publisher, observe(&lab, LONG_NS));

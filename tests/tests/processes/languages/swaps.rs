@@ -8,7 +8,7 @@ use scanloop_tests::{SHORTENED_LONG, System};
 
 use super::tools::{DEAD_RECKONING, EXECUTABLE, MY_CONTROLLER, compile, examples, python};
 
-/// How often an exchange is asked for: on a machine that does other things as well, an answer may come late.
+/// A swap is requested up to this often, because an answer may be late on a busy machine.
 const TRIES: usize = 4;
 
 /// Swaps a process, and adds the certificates of all tries.

@@ -9,7 +9,7 @@ use super::machine::Machine;
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
 pub(crate) const SCHEMA: u32 = 1;
 
-/// The whole result; keys carry their unit as the last word.
+/// The whole result; keys end with their unit.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(crate) struct LatencyResults {
     /// [`SCHEMA`].

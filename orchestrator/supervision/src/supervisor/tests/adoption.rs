@@ -12,7 +12,7 @@ fn an_adopted_run_continues_where_it_was() {
         Role::Obstacles => Found::Gone,
         _ => Found::Alive,
     });
-    assert_eq!(world.actions, [Action::CleanUp { role: Role::Obstacles }], "nobody else is touched");
+    assert_eq!(world.actions, [Action::CleanUp { role: Role::Obstacles }], "no other process is touched");
     assert_eq!(state(&world, Role::Controller), VisibleState::Starting, "it has not been heard yet");
     for role in Role::ALL {
         world.report(*role, ProcessState::Ready);
@@ -20,7 +20,7 @@ fn an_adopted_run_continues_where_it_was() {
     let view = world.supervisor.process(Role::Controller).unwrap();
     assert_eq!((view.state, view.restarts, view.pid), (VisibleState::Ready, 2, Some(1013)));
     world.clean(Role::Obstacles);
-    assert_eq!(world.place(Role::Obstacles).pending, Some(100), "numbers go on");
+    assert_eq!(world.place(Role::Obstacles).pending, Some(100), "numbers continue");
     world.die(Role::Controller, Exit::Unknown);
     world.clean(Role::Controller);
     assert_eq!(world.place(Role::Controller).pending, Some(101));

@@ -36,7 +36,7 @@ fn a_process_that_was_replaced_is_forgotten_with_its_deaths() {
         world.send(Event::Start);
         world.bring_up();
         let (role, old) = (Role::Controller, world.incarnation(Role::Controller));
-        assert_eq!(replace(&mut world), 6, "one number per process, whoever starts it");
+        assert_eq!(replace(&mut world), 6, "one number per process, also when the session starts it");
         world.send(Event::Exited { role, incarnation: old, exit: KILLED });
         let view = world.supervisor.process(role).unwrap();
         assert_eq!(

@@ -94,7 +94,7 @@ fn a_process_that_does_not_connect_in_time_is_killed() {
     world.actions.clear();
     world.advance(9_999);
     world.send(Event::Tick);
-    assert!(world.actions.is_empty(), "nobody is hung before the loop drives");
+    assert!(world.actions.is_empty(), "no process is hung before the loop drives");
     world.advance(1);
     world.send(Event::Tick);
     assert_eq!(world.actions, [Action::Kill { role: Role::Robot }]);

@@ -19,7 +19,7 @@ fn a_run_that_fails_while_it_drives_waits_until_the_robot_rests_but_not_for_ever
     fail(&mut world);
     assert!(world.supervisor.phase() == Phase::Driving && terminated(&world).is_empty());
     world.die(Role::Obstacles, KILLED);
-    assert_eq!(world.place(Role::Obstacles).spawns, 1, "nobody is started any more");
+    assert_eq!(world.place(Role::Obstacles).spawns, 1, "no process is started any more");
     world.send(Event::StopRequested);
     assert_eq!(terminated(&world), [Role::Actuator]);
     world.bring_down(true);
