@@ -24,11 +24,11 @@ use self::latency::LatencyArguments;
 pub enum BenchCommand {
     /// Measure the cost of one solve of the optimal control problem, on recorded initial states.
     ///
-    /// Reports median, 99th percentile and maximum of the microseconds per SQP step, feedback phase and converged solve,
-    /// the iterations, the failures and the heap allocations per solve, for each Hessian, each QP solver and each number
-    /// of intervals. The weights are those of the published comparison, not those of a run. The feedback phase is the
-    /// work that remains when the measured state arrives: move the linearised model to it, condense, solve one quadratic
-    /// program.
+    /// For each Hessian, each QP solver and each number of intervals it reports median, 99th percentile and maximum of
+    /// the time per SQP step, feedback phase and converged solve [us]. It also reports iterations, failures and heap
+    /// allocations per solve. The weights are those of an earlier comparison of solvers (docs/solver.md), not those of
+    /// a run. The feedback phase is the work that remains when the measured state arrives: move the linearised model to
+    /// it, condense, solve one quadratic program.
     ///
     /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
     /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations`
