@@ -51,11 +51,12 @@ pub enum BenchCommand {
     Latency(LatencyArguments),
     /// Compare two builds: whether one is slower, with a confidence interval and the smallest visible difference.
     ///
-    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with the
-    /// figure that `--metric` names; with `--metric wall` their run time is compared. JSON keys: `metric`, `a`, `b`,
-    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for figures
-    /// that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
-    /// `no difference`: the rounds or the metric that would show one, or null), `text`, `others`.
+    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with
+    /// the figure that `--metric` names; with `--metric wall` their run time is compared. JSON keys: `metric`, `a`,
+    /// `b`, `difference`, `interval`, `confidence`, `verdict` (`no difference`, or how B compares with A: `slower` or
+    /// `faster` for times, `higher` or `lower` for other figures), `smallest_visible`, `rounds_to_settle` and
+    /// `metric_to_settle` (for `no difference`: the rounds or the metric that would show one, or null), `text`,
+    /// `others`.
     Compare(CompareArguments),
     /// Measure four hops between five processes over other transports, as ratios to ours.
     ///
