@@ -641,7 +641,7 @@ typedef struct scanloop_layout_row {
     const char *kind;
     uint32_t count;  /* elements of an array, else 1 */
     uint32_t size;   /* of one element [bytes] */
-    uint32_t offset; /* from the startup of the sample [bytes] */
+    uint32_t offset; /* from the beginning of the sample [bytes] */
 } scanloop_layout_row;
 
 #define SCANLOOP_AT(type, field) (((type *)0)->field)
