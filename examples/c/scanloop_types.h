@@ -245,10 +245,10 @@ _Static_assert(offsetof(scanloop_span, last) == 16, "scanloop_span.last");
 
 /* A part of samples. */
 typedef struct scanloop_input_account {
-    scanloop_span writers[4]; /* Numbers that arrived, per writer */
-    scanloop_span hole; /* The newest numbers that did not arrive */
-    scanloop_span twice; /* The newest number that arrived twice */
-    scanloop_span late; /* The newest number that arrived after a later one */
+    scanloop_span writers[4]; /* Sequence numbers that arrived, per writer */
+    scanloop_span hole; /* The newest sequence numbers that did not arrive */
+    scanloop_span twice; /* The newest sequence number that arrived twice */
+    scanloop_span late; /* The newest sequence number that arrived after a later one */
     uint64_t arrived; /* Samples that arrived, repeated ones included */
     uint64_t used; /* Used */
     uint64_t replaced; /* Replaced in the process by newer ones before they were used */
@@ -258,12 +258,12 @@ typedef struct scanloop_input_account {
     uint64_t invalid; /* Dropped because of their content */
     uint64_t duplicate; /* Dropped because their number had arrived before */
     uint64_t reordered; /* Dropped because a later number had arrived before */
-    uint64_t missing; /* Numbers that never arrived although the buffer was not full */
-    uint64_t open; /* Samples without a fate */
-    uint64_t open_sum; /* Sum of the numbers of samples without a fate */
-    uint64_t waiting; /* Samples that wait in the process; all that is open */
-    uint64_t waiting_sum; /* Sum of the numbers of samples that wait */
-    uint64_t unreadable; /* Samples of another layout, whose numbers mean nothing */
+    uint64_t missing; /* Sequence numbers that never arrived although the buffer was not full */
+    uint64_t open; /* Samples whose fate is not known yet */
+    uint64_t open_sum; /* Sum of their sequence numbers */
+    uint64_t waiting; /* Samples that wait in the process; equal to `open` if no sample has disappeared */
+    uint64_t waiting_sum; /* Sum of the sequence numbers of samples that wait */
+    uint64_t unreadable; /* Samples of another layout, whose sequence numbers cannot be read */
 } scanloop_input_account;
 _Static_assert(sizeof(scanloop_input_account) == 288, "scanloop_input_account");
 _Static_assert(offsetof(scanloop_input_account, writers) == 0, "scanloop_input_account.writers");
@@ -288,12 +288,12 @@ _Static_assert(offsetof(scanloop_input_account, unreadable) == 280, "scanloop_in
 
 /* A part of samples. */
 typedef struct scanloop_refusal {
-    uint64_t count; /* Samples since the process started */
-    uint64_t scan_id; /* Scan of the newest */
-    double value; /* The value found in it; 0 where it was not finite */
-    uint32_t incarnation; /* Incarnation of its writer */
-    uint32_t rule; /* The rule that it failed, `Rule` */
-    uint8_t field[32]; /* Name of the field at fault in ASCII, zeros behind it */
+    uint64_t count; /* Samples dropped or refused because of their content, since the process started */
+    uint64_t scan_id; /* Scan of the newest one */
+    double value; /* Faulty value in the newest one; 0 if it is not finite */
+    uint32_t incarnation; /* Incarnation of the writer of the newest one */
+    uint32_t rule; /* Rule that the newest one violates, `Rule` */
+    uint8_t field[32]; /* Name of its faulty field in ASCII, padded with zeros */
 } scanloop_refusal;
 _Static_assert(sizeof(scanloop_refusal) == 64, "scanloop_refusal");
 _Static_assert(offsetof(scanloop_refusal, count) == 0, "scanloop_refusal.count");
@@ -373,8 +373,8 @@ typedef struct scanloop_pose {
     double gain[9]; /* Kalman gain of (yaw, x, y), row by row */
     double nis; /* Normalised innovation squared */
     uint64_t rejected; /* Measurements refused by the gate since the start */
-    uint32_t suspect; /* What is suspected to be calibrated wrongly, `Suspect` */
-    uint32_t alarm; /* What is asked for because of it, `Alarm` */
+    uint32_t suspect; /* Part of the calibration that is suspected to be wrong, `Suspect` */
+    uint32_t alarm; /* Reaction that the estimator asks for because of it, `Alarm` */
 } scanloop_pose;
 _Static_assert(sizeof(scanloop_pose) == 488, "scanloop_pose");
 _Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
@@ -403,7 +403,7 @@ _Static_assert(offsetof(scanloop_pose, alarm) == 484, "scanloop_pose.alarm");
 typedef struct scanloop_obstacles {
     scanloop_header header; /* Identity and stamps */
     uint32_t count; /* How many of `items` are used */
-    uint32_t overflow; /* How many more ellipses there were than `items` can hold */
+    uint32_t overflow; /* Number of ellipses for which `items` had no room */
     scanloop_obstacle items[16]; /* The ellipses, nearest ahead first; unused ones are zero */
 } scanloop_obstacles;
 _Static_assert(sizeof(scanloop_obstacles) == 2376, "scanloop_obstacles");
@@ -415,7 +415,7 @@ _Static_assert(offsetof(scanloop_obstacles, items) == 200, "scanloop_obstacles.i
 /* Topic command, published once per scan, when pose and obstacles are there. */
 typedef struct scanloop_command {
     scanloop_header header; /* Identity and stamps */
-    uint32_t kind; /* What is asked for, `CommandKind` */
+    uint32_t kind; /* What the controller asks for, `CommandKind` */
     uint32_t level; /* Where the command comes from, `Level` */
     uint32_t status; /* How the problem was solved, `SolveStatus` */
     uint32_t reason; /* Why the wheels are to be blocked, `StopReason` */
@@ -462,9 +462,9 @@ _Static_assert(offsetof(scanloop_command, plan) == 304, "scanloop_command.plan")
 /* Topic actuation, published once per command, and when the actuator blocks the wheels by itself. */
 typedef struct scanloop_actuation {
     scanloop_header header; /* Identity and stamps of the command answered */
-    uint32_t kind; /* What the robot is told, `ActuationKind` */
+    uint32_t kind; /* What the robot is asked to do, `ActuationKind` */
     uint32_t reason; /* Why the wheels are blocked, `BlockReason` */
-    uint32_t stop_reason; /* `StopReason` of the command behind it */
+    uint32_t stop_reason; /* `StopReason` of the command that this answers */
     uint32_t answers; /* 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself */
     double desired_velocity_mps; /* Desired velocity after limits (7.41) [m/s] */
     double desired_steering_rad; /* Desired steering angle after limits (7.41) [rad] */
@@ -493,7 +493,7 @@ typedef struct scanloop_heartbeat {
     uint32_t obeys_stop; /* 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself */
     uint32_t reserved; /* Unused, zero */
     uint64_t issued_ns; /* When it was published [ns of CLOCK_MONOTONIC] */
-    uint64_t activations; /* Times round the loop; a process that hangs stops counting */
+    uint64_t activations; /* Passes through the loop of the process; they stop when it hangs */
     uint64_t published; /* Outputs published on the first topic of the role */
     uint64_t used; /* Inputs used */
     uint64_t replaced; /* Inputs replaced by newer ones before they were used */
@@ -504,13 +504,13 @@ typedef struct scanloop_heartbeat {
     uint64_t foreign; /* Inputs dropped because their producer has no authority */
     uint64_t missing; /* Sequence numbers that never arrived */
     uint64_t undelivered; /* Outputs that did not reach all of their readers */
-    uint64_t timeouts; /* Wake-ups by time-out */
+    uint64_t timeouts; /* Wake-ups by timeout */
     uint64_t looked_ns; /* When samples were last taken from the bus [ns of CLOCK_MONOTONIC] */
     uint64_t taken; /* Samples taken of the topic that the role answers */
     uint64_t taken_scans; /* Sum of their scan ids */
     uint64_t answered; /* Answers to them */
     uint64_t answered_scans; /* Sum of the scan ids of the answers */
-    uint64_t written[2]; /* Sequence of the newest sample per topic that the role writes, in the order of `Role::writes` */
+    uint64_t written[2]; /* Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes` */
     scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
     scanloop_refusal refused[2]; /* Samples dropped or refused because of their content, per topic that the role reads */
 } scanloop_heartbeat;
@@ -593,16 +593,16 @@ typedef struct scanloop_truth {
     double speed_mps; /* True speed over ground [m/s] */
     double steering_rad; /* True steering angle at the wheels [rad] */
     double clearance_m; /* Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m] */
-    double min_clearance_m; /* Smallest such distance since the start, in plant steps [m] */
+    double min_clearance_m; /* Smallest such distance since the start, checked at each plant step [m] */
     double path_length_m; /* Distance driven since the start [m] */
     double max_abs_lateral_m; /* Largest lateral offset from the line y = start since the start [m] */
     double goal_distance_m; /* Distance of the robot's centre to the goal [m] */
-    double longest_blind_s; /* Longest time that the wheels turned without a new actuation, in plant steps [s] */
+    double longest_blind_s; /* Longest time that the wheels turned without a new actuation, checked at each plant step [s] */
     double actuation_age_s; /* Time since the last actuation arrived [s] */
     uint32_t blocked; /* 1 while the wheels are blocked */
     uint32_t collided; /* 1 when the body has touched an obstacle or a wall while the wheels turned */
     uint32_t struck; /* 1 when a moving obstacle has touched the body while it stood still */
-    uint32_t dead_man; /* 1 when the dead-man of the robot has blocked the wheels */
+    uint32_t dead_man; /* 1 when the dead man of the robot has blocked the wheels */
     uint64_t actuation_scan; /* Scan that the last actuation answered */
     uint64_t refused; /* Actuations refused by the robot since the start: not finite or beyond its limits */
     uint64_t steps; /* Plant steps since the start */

@@ -219,10 +219,10 @@ class InputAccount(ctypes.Structure):
     """A part of samples."""
 
     _fields_ = [
-        ("writers", Span * 4),  # Numbers that arrived, per writer
-        ("hole", Span),  # The newest numbers that did not arrive
-        ("twice", Span),  # The newest number that arrived twice
-        ("late", Span),  # The newest number that arrived after a later one
+        ("writers", Span * 4),  # Sequence numbers that arrived, per writer
+        ("hole", Span),  # The newest sequence numbers that did not arrive
+        ("twice", Span),  # The newest sequence number that arrived twice
+        ("late", Span),  # The newest sequence number that arrived after a later one
         ("arrived", ctypes.c_uint64),  # Samples that arrived, repeated ones included
         ("used", ctypes.c_uint64),  # Used
         ("replaced", ctypes.c_uint64),  # Replaced in the process by newer ones before they were used
@@ -232,12 +232,12 @@ class InputAccount(ctypes.Structure):
         ("invalid", ctypes.c_uint64),  # Dropped because of their content
         ("duplicate", ctypes.c_uint64),  # Dropped because their number had arrived before
         ("reordered", ctypes.c_uint64),  # Dropped because a later number had arrived before
-        ("missing", ctypes.c_uint64),  # Numbers that never arrived although the buffer was not full
-        ("open", ctypes.c_uint64),  # Samples without a fate
-        ("open_sum", ctypes.c_uint64),  # Sum of the numbers of samples without a fate
-        ("waiting", ctypes.c_uint64),  # Samples that wait in the process; all that is open
-        ("waiting_sum", ctypes.c_uint64),  # Sum of the numbers of samples that wait
-        ("unreadable", ctypes.c_uint64),  # Samples of another layout, whose numbers mean nothing
+        ("missing", ctypes.c_uint64),  # Sequence numbers that never arrived although the buffer was not full
+        ("open", ctypes.c_uint64),  # Samples whose fate is not known yet
+        ("open_sum", ctypes.c_uint64),  # Sum of their sequence numbers
+        ("waiting", ctypes.c_uint64),  # Samples that wait in the process; equal to `open` if no sample has disappeared
+        ("waiting_sum", ctypes.c_uint64),  # Sum of the sequence numbers of samples that wait
+        ("unreadable", ctypes.c_uint64),  # Samples of another layout, whose sequence numbers cannot be read
     ]
 
 
@@ -245,12 +245,12 @@ class Refusal(ctypes.Structure):
     """A part of samples."""
 
     _fields_ = [
-        ("count", ctypes.c_uint64),  # Samples since the process started
-        ("scan_id", ctypes.c_uint64),  # Scan of the newest
-        ("value", ctypes.c_double),  # The value found in it; 0 where it was not finite
-        ("incarnation", ctypes.c_uint32),  # Incarnation of its writer
-        ("rule", ctypes.c_uint32),  # The rule that it failed, `Rule`
-        ("field", ctypes.c_uint8 * 32),  # Name of the field at fault in ASCII, zeros behind it
+        ("count", ctypes.c_uint64),  # Samples dropped or refused because of their content, since the process started
+        ("scan_id", ctypes.c_uint64),  # Scan of the newest one
+        ("value", ctypes.c_double),  # Faulty value in the newest one; 0 if it is not finite
+        ("incarnation", ctypes.c_uint32),  # Incarnation of the writer of the newest one
+        ("rule", ctypes.c_uint32),  # Rule that the newest one violates, `Rule`
+        ("field", ctypes.c_uint8 * 32),  # Name of its faulty field in ASCII, padded with zeros
     ]
 
 
@@ -329,8 +329,8 @@ class Pose(ctypes.Structure):
         ("gain", ctypes.c_double * 9),  # Kalman gain of (yaw, x, y), row by row
         ("nis", ctypes.c_double),  # Normalised innovation squared
         ("rejected", ctypes.c_uint64),  # Measurements refused by the gate since the start
-        ("suspect", ctypes.c_uint32),  # What is suspected to be calibrated wrongly, `Suspect`
-        ("alarm", ctypes.c_uint32),  # What is asked for because of it, `Alarm`
+        ("suspect", ctypes.c_uint32),  # Part of the calibration that is suspected to be wrong, `Suspect`
+        ("alarm", ctypes.c_uint32),  # Reaction that the estimator asks for because of it, `Alarm`
     ]
 
     @staticmethod
@@ -346,7 +346,7 @@ class Obstacles(ctypes.Structure):
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("count", ctypes.c_uint32),  # How many of `items` are used
-        ("overflow", ctypes.c_uint32),  # How many more ellipses there were than `items` can hold
+        ("overflow", ctypes.c_uint32),  # Number of ellipses for which `items` had no room
         ("items", Obstacle * 16),  # The ellipses, nearest ahead first; unused ones are zero
     ]
 
@@ -362,7 +362,7 @@ class Command(ctypes.Structure):
     LAYOUT = 0x2587ca67
     _fields_ = [
         ("header", Header),  # Identity and stamps
-        ("kind", ctypes.c_uint32),  # What is asked for, `CommandKind`
+        ("kind", ctypes.c_uint32),  # What the controller asks for, `CommandKind`
         ("level", ctypes.c_uint32),  # Where the command comes from, `Level`
         ("status", ctypes.c_uint32),  # How the problem was solved, `SolveStatus`
         ("reason", ctypes.c_uint32),  # Why the wheels are to be blocked, `StopReason`
@@ -396,9 +396,9 @@ class Actuation(ctypes.Structure):
     LAYOUT = 0xa865884b
     _fields_ = [
         ("header", Header),  # Identity and stamps of the command answered
-        ("kind", ctypes.c_uint32),  # What the robot is told, `ActuationKind`
+        ("kind", ctypes.c_uint32),  # What the robot is asked to do, `ActuationKind`
         ("reason", ctypes.c_uint32),  # Why the wheels are blocked, `BlockReason`
-        ("stop_reason", ctypes.c_uint32),  # `StopReason` of the command behind it
+        ("stop_reason", ctypes.c_uint32),  # `StopReason` of the command that this answers
         ("answers", ctypes.c_uint32),  # 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself
         ("desired_velocity_mps", ctypes.c_double),  # Desired velocity after limits (7.41) [m/s]
         ("desired_steering_rad", ctypes.c_double),  # Desired steering angle after limits (7.41) [rad]
@@ -425,7 +425,7 @@ class Heartbeat(ctypes.Structure):
         ("obeys_stop", ctypes.c_uint32),  # 1 when it sees the stop word of its run, and so obeys `scanloop stop` by itself
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns of CLOCK_MONOTONIC]
-        ("activations", ctypes.c_uint64),  # Times round the loop; a process that hangs stops counting
+        ("activations", ctypes.c_uint64),  # Passes through the loop of the process; they stop when it hangs
         ("published", ctypes.c_uint64),  # Outputs published on the first topic of the role
         ("used", ctypes.c_uint64),  # Inputs used
         ("replaced", ctypes.c_uint64),  # Inputs replaced by newer ones before they were used
@@ -436,13 +436,13 @@ class Heartbeat(ctypes.Structure):
         ("foreign", ctypes.c_uint64),  # Inputs dropped because their producer has no authority
         ("missing", ctypes.c_uint64),  # Sequence numbers that never arrived
         ("undelivered", ctypes.c_uint64),  # Outputs that did not reach all of their readers
-        ("timeouts", ctypes.c_uint64),  # Wake-ups by time-out
+        ("timeouts", ctypes.c_uint64),  # Wake-ups by timeout
         ("looked_ns", ctypes.c_uint64),  # When samples were last taken from the bus [ns of CLOCK_MONOTONIC]
         ("taken", ctypes.c_uint64),  # Samples taken of the topic that the role answers
         ("taken_scans", ctypes.c_uint64),  # Sum of their scan ids
         ("answered", ctypes.c_uint64),  # Answers to them
         ("answered_scans", ctypes.c_uint64),  # Sum of the scan ids of the answers
-        ("written", ctypes.c_uint64 * 2),  # Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
+        ("written", ctypes.c_uint64 * 2),  # Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes`
         ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
         ("refused", Refusal * 2),  # Samples dropped or refused because of their content, per topic that the role reads
     ]
@@ -508,16 +508,16 @@ class Truth(ctypes.Structure):
         ("speed_mps", ctypes.c_double),  # True speed over ground [m/s]
         ("steering_rad", ctypes.c_double),  # True steering angle at the wheels [rad]
         ("clearance_m", ctypes.c_double),  # Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m]
-        ("min_clearance_m", ctypes.c_double),  # Smallest such distance since the start, in plant steps [m]
+        ("min_clearance_m", ctypes.c_double),  # Smallest such distance since the start, checked at each plant step [m]
         ("path_length_m", ctypes.c_double),  # Distance driven since the start [m]
         ("max_abs_lateral_m", ctypes.c_double),  # Largest lateral offset from the line y = start since the start [m]
         ("goal_distance_m", ctypes.c_double),  # Distance of the robot's centre to the goal [m]
-        ("longest_blind_s", ctypes.c_double),  # Longest time that the wheels turned without a new actuation, in plant steps [s]
+        ("longest_blind_s", ctypes.c_double),  # Longest time that the wheels turned without a new actuation, checked at each plant step [s]
         ("actuation_age_s", ctypes.c_double),  # Time since the last actuation arrived [s]
         ("blocked", ctypes.c_uint32),  # 1 while the wheels are blocked
         ("collided", ctypes.c_uint32),  # 1 when the body has touched an obstacle or a wall while the wheels turned
         ("struck", ctypes.c_uint32),  # 1 when a moving obstacle has touched the body while it stood still
-        ("dead_man", ctypes.c_uint32),  # 1 when the dead-man of the robot has blocked the wheels
+        ("dead_man", ctypes.c_uint32),  # 1 when the dead man of the robot has blocked the wheels
         ("actuation_scan", ctypes.c_uint64),  # Scan that the last actuation answered
         ("refused", ctypes.c_uint64),  # Actuations refused by the robot since the start: not finite or beyond its limits
         ("steps", ctypes.c_uint64),  # Plant steps since the start

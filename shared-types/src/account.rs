@@ -27,13 +27,13 @@ layout! {
 layout! {
     /// What happened to the samples of one input since its process started.
     pub struct InputAccount(288) {
-        /// Numbers that arrived, per writer
+        /// Sequence numbers that arrived, per writer
         pub writers: [Span; WRITERS],
-        /// The newest numbers that did not arrive
+        /// The newest sequence numbers that did not arrive
         pub hole: Span,
-        /// The newest number that arrived twice
+        /// The newest sequence number that arrived twice
         pub twice: Span,
-        /// The newest number that arrived after a later one
+        /// The newest sequence number that arrived after a later one
         pub late: Span,
         /// Samples that arrived, repeated ones included
         pub arrived: u64,
@@ -53,17 +53,17 @@ layout! {
         pub duplicate: u64,
         /// Dropped because a later number had arrived before
         pub reordered: u64,
-        /// Numbers that never arrived although the buffer was not full
+        /// Sequence numbers that never arrived although the buffer was not full
         pub missing: u64,
-        /// Samples without a fate
+        /// Samples whose fate is not known yet
         pub open: u64,
-        /// Sum of the numbers of samples without a fate
+        /// Sum of their sequence numbers
         pub open_sum: u64,
-        /// Samples that wait in the process; all that is open
+        /// Samples that wait in the process; equal to `open` if no sample has disappeared
         pub waiting: u64,
-        /// Sum of the numbers of samples that wait
+        /// Sum of the sequence numbers of samples that wait
         pub waiting_sum: u64,
-        /// Samples of another layout, whose numbers mean nothing
+        /// Samples of another layout, whose sequence numbers cannot be read
         pub unreadable: u64,
     }
 }

@@ -42,11 +42,11 @@ sample! {
     pub struct Actuation(248, Actuation, 0xa865_884b, "scanloop.Actuation.v1", check, is_answer) {
         /// Identity and stamps of the command answered
         pub header: Header,
-        /// What the robot is told, `ActuationKind`
+        /// What the robot is asked to do, `ActuationKind`
         pub kind: u32,
         /// Why the wheels are blocked, `BlockReason`
         pub reason: u32,
-        /// `StopReason` of the command behind it
+        /// `StopReason` of the command that this answers
         pub stop_reason: u32,
         /// 1 when this answers a command of the scan in the header, 0 when the actuator acts by itself
         pub answers: u32,

@@ -100,7 +100,7 @@ sample! {
     pub struct Command(1704, Command, 0x2587_ca67, "scanloop.Command.v1", check) {
         /// Identity and stamps
         pub header: Header,
-        /// What is asked for, `CommandKind`
+        /// What the controller asks for, `CommandKind`
         pub kind: u32,
         /// Where the command comes from, `Level`
         pub level: u32,

@@ -55,7 +55,7 @@ sample! {
         pub header: Header,
         /// How many of `items` are used
         pub count: u32,
-        /// How many more ellipses there were than `items` can hold
+        /// Number of ellipses for which `items` had no room
         pub overflow: u32,
         /// The ellipses, nearest ahead first; unused ones are zero
         pub items: [Obstacle; MAX_OBSTACLES],

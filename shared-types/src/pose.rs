@@ -78,9 +78,9 @@ sample! {
         pub nis: f64,
         /// Measurements refused by the gate since the start
         pub rejected: u64,
-        /// What is suspected to be calibrated wrongly, `Suspect`
+        /// Part of the calibration that is suspected to be wrong, `Suspect`
         pub suspect: u32,
-        /// What is asked for because of it, `Alarm`
+        /// Reaction that the estimator asks for because of it, `Alarm`
         pub alarm: u32,
     }
 }

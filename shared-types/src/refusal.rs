@@ -9,17 +9,17 @@ pub const FIELD_NAME_BYTES: usize = 32;
 layout! {
     /// How many samples of one input were dropped or refused because of their content, and the newest of them.
     pub struct Refusal(64) {
-        /// Samples since the process started
+        /// Samples dropped or refused because of their content, since the process started
         pub count: u64,
-        /// Scan of the newest
+        /// Scan of the newest one
         pub scan_id: u64,
-        /// The value found in it; 0 where it was not finite
+        /// Faulty value in the newest one; 0 if it is not finite
         pub value: f64,
-        /// Incarnation of its writer
+        /// Incarnation of the writer of the newest one
         pub incarnation: u32,
-        /// The rule that it failed, `Rule`
+        /// Rule that the newest one violates, `Rule`
         pub rule: u32,
-        /// Name of the field at fault in ASCII, zeros behind it
+        /// Name of its faulty field in ASCII, padded with zeros
         pub field: [u8; FIELD_NAME_BYTES],
     }
 }

@@ -82,7 +82,7 @@ sample! {
         pub reserved: u32,
         /// When it was published [ns of CLOCK_MONOTONIC]
         pub issued_ns: u64,
-        /// Times round the loop; a process that hangs stops counting
+        /// Passes through the loop of the process; they stop when it hangs
         pub activations: u64,
         /// Outputs published on the first topic of the role
         pub published: u64,
@@ -104,7 +104,7 @@ sample! {
         pub missing: u64,
         /// Outputs that did not reach all of their readers
         pub undelivered: u64,
-        /// Wake-ups by time-out
+        /// Wake-ups by timeout
         pub timeouts: u64,
         /// When samples were last taken from the bus [ns of CLOCK_MONOTONIC]
         pub looked_ns: u64,
@@ -116,7 +116,7 @@ sample! {
         pub answered: u64,
         /// Sum of the scan ids of the answers
         pub answered_scans: u64,
-        /// Sequence of the newest sample per topic that the role writes, in the order of `Role::writes`
+        /// Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes`
         pub written: [u64; PORTS],
         /// What became of the samples per topic that the role reads, in the order of `Role::reads`
         pub inputs: [InputAccount; PORTS],

@@ -27,7 +27,7 @@ sample! {
         pub steering_rad: f64,
         /// Distance of the body to the nearest obstacle or wall now; 1e9 when there is none [m]
         pub clearance_m: f64,
-        /// Smallest such distance since the start, in plant steps [m]
+        /// Smallest such distance since the start, checked at each plant step [m]
         pub min_clearance_m: f64,
         /// Distance driven since the start [m]
         pub path_length_m: f64,
@@ -35,7 +35,7 @@ sample! {
         pub max_abs_lateral_m: f64,
         /// Distance of the robot's centre to the goal [m]
         pub goal_distance_m: f64,
-        /// Longest time that the wheels turned without a new actuation, in plant steps [s]
+        /// Longest time that the wheels turned without a new actuation, checked at each plant step [s]
         pub longest_blind_s: f64,
         /// Time since the last actuation arrived [s]
         pub actuation_age_s: f64,
@@ -45,7 +45,7 @@ sample! {
         pub collided: u32,
         /// 1 when a moving obstacle has touched the body while it stood still
         pub struck: u32,
-        /// 1 when the dead-man of the robot has blocked the wheels
+        /// 1 when the dead man of the robot has blocked the wheels
         pub dead_man: u32,
         /// Scan that the last actuation answered
         pub actuation_scan: u64,

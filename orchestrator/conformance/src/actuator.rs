@@ -27,7 +27,7 @@ pub(crate) const CASES: [Case; 10] = [
         .because("The plan was verified for these."),
     Case::recommended("calibration", calibration)
         .demands("With the calibration of the settings it corrects velocity factor and steering map.")
-        .because("The robot would drive 1.4 times slower, and steer by another angle."),
+        .because("Otherwise the robot drives 1.4 times slower, and steers by another angle."),
     Case::required("obeys-stop", obeys_stop)
         .demands("A command `stop` or `land` blocks the wheels in answer to its scan, with its reason.")
         .because("It is the controller's only way to stop."),
@@ -36,7 +36,7 @@ pub(crate) const CASES: [Case; 10] = [
         .because("It is the user's only way to stop."),
     Case::required("silence", silence)
         .demands("Without a command it blocks the wheels by itself after 1.5 periods, and before 2.")
-        .because("The robot would follow its last command for ever."),
+        .because("Otherwise the robot follows its last command for ever."),
     Case::required("two-after-silence", two_after_silence)
         .demands("After a time without commands it drives again with the second valid command in a row.")
         .because("A single command may be the last of a process that is about to die."),
@@ -47,7 +47,10 @@ pub(crate) const CASES: [Case; 10] = [
         .demands("Asked to end (SIGTERM), it blocks the wheels with its last message.")
         .because("Otherwise they turn until the robot's own dead man acts."),
     Case::required("first-word", first_message)
-        .demands("Restarted without a state, it blocks the wheels with its first message, without a command.")
+        .demands(
+            "Restarted without a state, it blocks the wheels with its first message, and does not wait for \
+             a command.",
+        )
         .because("The robot may still follow the last message of the process before."),
 ];
 

@@ -21,16 +21,16 @@ const HANDOVER: usize = 20;
 pub(crate) const CASES: [Case; 7] = [
     Case::required("every-scan", every_scan)
         .demands("It answers every scan once, in order, with sequence numbers from 1 without a gap.")
-        .because("A scan that is not answered is lost, one that is answered twice is driven twice."),
+        .because("A scan without an answer is lost; a scan with two answers is driven twice."),
     Case::required("in-time", in_time)
         .demands("It publishes its answer before the next scan is due; one scan in ten may be late.")
-        .because("The loop closes within one scan, and the actuator blocks the wheels after one and a half."),
+        .because("The loop closes within one scan, and the actuator blocks the wheels after 1.5 periods."),
     Case::required("header", header)
         .demands(
             "The answer carries scan id, time of the front beam and stamps of earlier stages unchanged, \
              and its own four stamps in order.",
         )
-        .because("Age and latency of a command are computed from nothing else."),
+        .because("Age and latency of a command are computed only from these values."),
     Case::required("valid-values", valid_values)
         .demands("All numbers of all answers are finite and within the range of their field.")
         .because("Every subscriber drops a sample with a bad number, so the scan is lost."),

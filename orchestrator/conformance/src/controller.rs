@@ -20,14 +20,16 @@ pub(crate) const CASES: [Case; 9] = [
         .demands("On a free track it commands to drive.")
         .because("A robot that never moves is safe and of no use."),
     Case::required("stops-before-a-barrier", stops_before_a_barrier)
-        .demands("Half a metre before a barrier across the whole track it stops, with a reason.")
+        .demands(
+            "With its body half a metre before a barrier across the whole track it stops, with a reason.",
+        )
         .because("There is no way around it."),
     Case::required("lands", lands)
         .demands("At the goal it commands `land`.")
         .because("A run ends as `reached` when the robot has landed."),
     Case::required("off-the-track", off_the_track)
         .demands("With a pose far outside the track it does not drive.")
-        .because("The pose or the track must be wrong, and it is unknown which."),
+        .because("Pose or track must be wrong, and the controller cannot know which."),
     Case::recommended("obstacle-inside", obstacle_inside)
         .demands("With an obstacle at the robot's own position it does not drive.")
         .because("Pose and obstacles contradict each other."),
@@ -38,14 +40,16 @@ pub(crate) const CASES: [Case; 9] = [
         .demands("With a pose whose alarm is `stop` it does not drive.")
         .because("The robot is not where it seems, or moves otherwise than commanded."),
     Case::recommended("names-its-reason", names_its_reason)
-        .demands("A drive command has a level above `stop` and no reason, a stop has level `stop` and one.")
+        .demands(
+            "A drive command has a level above `stop` and no reason; a stop has level `stop` and a reason.",
+        )
         .because("The report tells the user why the robot stopped."),
     Case::recommended("plan", plan)
         .demands(
             "A drive command has a plan of two nodes or more, the first within 0.1 m of the predicted \
              state.",
         )
-        .because("What is verified, shown and followed in the next scan is the plan."),
+        .because("The plan is verified, shown, and followed in the next scan."),
 ];
 
 fn drives(suite: &Suite) -> Verdict {

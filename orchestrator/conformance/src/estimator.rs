@@ -20,14 +20,15 @@ const OUTLIER_M: f64 = 0.3;
 pub(crate) const CASES: [Case; 5] = [
     Case::required("near-the-truth", near_the_truth)
         .demands("With exact odometry, the pose at the scan is within 0.05 m and 0.02 rad of the true one.")
-        .because("It places the obstacles on the track."),
+        .because("Obstacles are placed on the track by this pose."),
     Case::required("looks-ahead", looks_ahead)
         .demands(
             "The predicted state is for a time 0 to 1.5 periods after the publication of the scan, and \
-             within 0.05 m of the true position then.",
+             within 0.05 m of the true position at that time.",
         )
         .because(
-            "The plan starts there; from the measured pose it would be late by the whole reaction time.",
+            "The plan starts at the predicted state; a plan from the measured pose would be late by the \
+             whole reaction time.",
         ),
     Case::recommended("corrects-odometry", corrects_odometry)
         .demands("An odometry scale error of a tenth, given in the settings, is corrected to within 0.05 m.")

@@ -22,16 +22,16 @@ pub(crate) const CASES: [Case; 6] = [
         .because("A candidate in shadow and a process that was replaced still publish."),
     Case::required("exchange", swap)
         .demands(
-            "When authority over an input changes at a scan, it uses the old producer before that scan and \
-             the new one from it on, and answers each scan once.",
+            "When authority over an input changes at a scan, it uses the old producer for earlier scans \
+             and the new one from that scan on, and answers each scan once.",
         )
-        .because("A swap of the process before it would lose or repeat a scan."),
+        .because("Otherwise a swap of the process that writes this input loses or repeats a scan."),
     Case::required("repeated", repeated)
         .demands("Samples whose sequence number is not higher than all before are not used.")
         .because("The same scan would be driven twice."),
     Case::required("stale", stale)
-        .demands("Samples of a scan older than three periods move nothing.")
-        .because("They contain where the robot was."),
+        .demands("Samples of a scan older than three periods do not move the robot.")
+        .because("They describe where the robot was, not where it is."),
     Case::required("garbage", garbage)
         .demands(
             "A burst of samples of another layout, with NaN, infinities, unknown kinds or impossible \
@@ -46,7 +46,7 @@ pub(crate) const CASES: [Case; 6] = [
 /// The case of roles that answer nothing when an input is missing.
 pub(crate) const MISSING_INPUT: Case = Case::required("missing-input", missing_input)
     .demands("Without one of its inputs, or with inputs of different scans, it does not make the robot move.")
-    .because("Without a sample the wheels are blocked, which is safe; an invented sample is not.");
+    .because("Without an answer the wheels are blocked, which is safe; an answer to invented data is not.");
 
 fn authority(suite: &Suite) -> Verdict {
     let mut bench = mid_drive(suite)?;

@@ -67,7 +67,7 @@ pub struct ConformanceArguments {
     /// Number of cases that run at the same time, 1 to 16.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=16))]
     pub jobs: u8,
-    /// Limit of attempts for a case in real time that fails, 1 to 3, because a busy machine can make it fail.
+    /// Largest number of attempts for a case in real time, 1 to 3, because a busy machine can make a case fail.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=3))]
     pub tries: u8,
     /// Print the requirements of one role, or of all, as Markdown to standard output; no process is started.

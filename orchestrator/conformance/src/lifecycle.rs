@@ -30,17 +30,19 @@ pub(crate) const CASES: [Case; 8] = [
         )
         .because("Samples that are sent before all connections are made are lost without an error."),
     Case::required("heartbeats", heartbeats)
-        .demands("Without input it publishes ten heartbeats a second, each with more activations.")
-        .because("A process whose activations do not rise counts as hung and is killed."),
+        .demands(
+            "Without input it publishes ten heartbeats a second, each with a higher count of activations.",
+        )
+        .because("A process whose count of activations does not rise is treated as hung and killed."),
     Case::required("joins-late", joins_late)
         .demands("Started while the loop runs, it connects by itself and takes part from the next scan on.")
         .because("A process that died or was replaced comes back in this way."),
     Case::required("pause", pause)
         .demands(
             "Suspended for one second (SIGSTOP) and resumed, it takes part again with the next scans; its \
-             samples of scans older than three periods move nothing.",
+             samples of scans older than three periods do not move the robot.",
         )
-        .because("Old samples that seem fresh make the robot act on where it was."),
+        .because("Otherwise the robot acts on old data as if it were new."),
     Case::required("ends-on-request", ends_on_request)
         .demands("It ends by itself within one second after SIGTERM.")
         .because("After that time it is killed, and an actuator that is killed cannot block the wheels."),
@@ -48,14 +50,17 @@ pub(crate) const CASES: [Case; 8] = [
         .demands("It ends by itself after the set time without directives, and not before.")
         .because("No process may be left when there is no orchestrator to end it."),
     Case::required("survives-a-new-orchestrator", survives_a_new_orchestrator)
-        .demands("A shorter pause of directives, with another orchestrator after it, changes nothing.")
+        .demands(
+            "A shorter pause of directives, after which another orchestrator publishes them, changes \
+             nothing.",
+        )
         .because("The loop drives on when its orchestrator dies, until another one adopts it."),
     Case::required("leaves-nothing", leaves_nothing)
         .demands(
             "Killed (SIGKILL) in the middle of the drive, it leaves no process, and after the clean-up no \
              file in shared memory.",
         )
-        .because("What is left adds up until the memory is full."),
+        .because("Otherwise each death takes memory, until it is full."),
 ];
 
 fn states(suite: &Suite) -> Verdict {

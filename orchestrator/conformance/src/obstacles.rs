@@ -30,7 +30,7 @@ pub(crate) const CASES: [Case; 6] = [
         .because("A scanner in the open gets no returns, and the loop must continue."),
     Case::recommended("nearest-first", nearest_first)
         .demands("Of two boxes ahead the nearer one is listed first.")
-        .because("A reader that uses a few ellipses only uses the first ones."),
+        .because("A reader that can use only a few ellipses takes the first ones."),
     Case::recommended("keeps-identity", keeps_identity)
         .demands("The ellipse of a box keeps its number from scan to scan.")
         .because("The controller stores the passing side by this number."),

@@ -24,13 +24,13 @@ pub(crate) const CASES: [Case; 14] = [
             "Scan and odometry carry the time of the front beam, not after their publication and not more \
              than two periods before it, their own four stamps in order, and no others.",
         )
-        .because("Age and latency of a command are computed from nothing else."),
+        .because("Age and latency of a command are computed only from these values."),
     Case::required("valid-values", valid_values)
         .demands("All numbers are finite and within the range of their field.")
         .because("Every subscriber drops a sample with a bad number, so the scan is lost."),
     Case::required("increments", increments)
         .demands("The odometry increments are the differences of the reported poses and times.")
-        .because("A reader may use either."),
+        .because("A reader may use increments or poses."),
     Case::required("drives", motion::drives)
         .demands("Told to drive and steer to the left it moves forward and turns to the left.")
         .because("Signs in a driver are easily mixed up."),
@@ -39,7 +39,7 @@ pub(crate) const CASES: [Case; 14] = [
         .because("Every stop depends on it."),
     Case::required("dead-man", motion::dead_man)
         .demands("Without an actuation for two periods it blocks its wheels by itself.")
-        .because("It is the last link of the stop chain, and needs none of the others."),
+        .because("It is the last link of the stop chain, and works when all others have failed."),
     Case::required("authority", motion::authority)
         .demands("Actuations of an incarnation that the directive does not name do not move it.")
         .because("An actuator that was replaced may still publish."),
@@ -51,10 +51,10 @@ pub(crate) const CASES: [Case; 14] = [
         .because("One broken process must not break the next."),
     Case::required("repeated", motion::repeated)
         .demands(
-            "Repeated actuations, or of a scan older than three periods, neither move it nor keep it \
-             moving.",
+            "Repeated actuations, and actuations of a scan older than three periods, neither move it nor \
+             keep it moving.",
         )
-        .because("They were computed for where the robot was."),
+        .because("They were computed for an earlier position of the robot."),
     Case::required("stopping", stopping)
         .demands("In the phase `stopping` it publishes no more scans.")
         .because("A run ends when all published scans are answered."),

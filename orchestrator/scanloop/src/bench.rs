@@ -24,11 +24,11 @@ use self::latency::LatencyArguments;
 pub enum BenchCommand {
     /// Measure the cost of one solve of the optimal control problem, on recorded initial states.
     ///
-    /// Reports median, 99th percentile and maximum of the microseconds per SQP step, feedback phase and converged solve,
-    /// the iterations, the failures and the heap allocations per solve, for each Hessian, each QP solver and each number
-    /// of intervals. The weights are those of the published comparison, not those of a run. The feedback phase is the
-    /// work that remains when the measured state arrives: move the linearised model to it, condense, solve one quadratic
-    /// program.
+    /// For each Hessian, each QP solver and each number of intervals it reports median, 99th percentile and maximum of
+    /// the time per SQP step, feedback phase and converged solve [us]. It also reports iterations, failures and heap
+    /// allocations per solve. The weights are those of an earlier comparison of solvers (docs/solver.md), not those of
+    /// a run. The feedback phase is the work that remains when the measured state arrives: move the linearised model to
+    /// it, condense, solve one quadratic program.
     ///
     /// JSON keys: `cases`, `laps`, `start` (`warm` or `cold`), `solvers` with `name`, `hessian`, `refine`, `n`, `layout`,
     /// `cases` (measured ones), `converged`, `failed`, `step_us`, `feedback_us`, `solve_us`, `iterations`, `allocations`
@@ -51,11 +51,12 @@ pub enum BenchCommand {
     Latency(LatencyArguments),
     /// Compare two builds: whether one is slower, with a confidence interval and the smallest visible difference.
     ///
-    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with the
-    /// figure that `--metric` names; with `--metric wall` their run time is compared. JSON keys: `metric`, `a`, `b`,
-    /// `difference`, `interval`, `confidence`, `verdict` (`no difference`, or what B is: `slower`, `faster`, for figures
-    /// that are no times `higher`, `lower`), `smallest_visible`, `rounds_to_settle` and `metric_to_settle` (for
-    /// `no difference`: the rounds or the metric that would show one, or null), `text`, `others`.
+    /// The input is two files of `bench latency --json`, or two commands that run in turns. Commands print JSON with
+    /// the figure that `--metric` names; with `--metric wall` their run time is compared. JSON keys: `metric`, `a`,
+    /// `b`, `difference`, `interval`, `confidence`, `verdict` (`no difference`, or how B compares with A: `slower` or
+    /// `faster` for times, `higher` or `lower` for other figures), `smallest_visible`, `rounds_to_settle` and
+    /// `metric_to_settle` (for `no difference`: the rounds or the metric that would show one, or null), `text`,
+    /// `others`.
     Compare(CompareArguments),
     /// Measure four hops between five processes over other transports, as ratios to ours.
     ///

@@ -61,9 +61,9 @@ pub enum Command {
     /// Block the wheels of a running system and end all its processes.
     ///
     /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is
-    /// acknowledged. Exit code 4: it is not confirmed, and the processes that still live are listed. The robot comes to
-    /// rest after v / a; the processes end meanwhile. A stop can't be taken back: `run` starts the system again. This
-    /// does not replace a hardware emergency stop.
+    /// acknowledged. Exit code 4: it is not confirmed, and the processes that still live are listed. After the block
+    /// the robot needs its velocity divided by its deceleration to come to rest; the processes end meanwhile. A stop
+    /// can't be taken back: `run` starts the system again. This does not replace a hardware emergency stop.
     Stop(StopArguments),
     /// Restart one process of a running system without losing a scan.
     ///

@@ -16,7 +16,7 @@ settings! {
         /// The wheels are blocked when no valid command has come for this many scan periods.
         // One late command is tolerated, a lost one is not.
         pub timeout_periods: f64 = 1.5, 1.0..=10.0;
-        /// Largest age of a command since the forward beam of its scan, in scan periods. A command younger than 25 ms is
+        /// Largest age of a command since the front beam of its scan, in scan periods. A command younger than 25 ms is
         /// never too old.
         // An answer is due one period after the scan; two periods more cover a swap of the controller.
         pub max_age_periods: f64 = 3.0, 0.1..=100.0;

@@ -23,8 +23,8 @@ pub enum Profile {
 settings! {
     /// Settings of the estimator; the profile sets what the file does not.
     pub struct Config {
-        /// Default values for noise and correction that go together: `scaled` is in metres and radians, `source` are the
-        /// printed values, of which only the ratios matter.
+        /// Set of default values for noise and correction: `scaled` is in metres and radians, `source` has the values
+        /// that the source prints, of which only the ratios matter.
         pub profile: Profile = Profile::Scaled;
         /// Measured components of the pose.
         pub measure: Vec<Measured> = vec![Measured::Yaw, Measured::X, Measured::Y],
@@ -51,7 +51,7 @@ settings! {
         pub recover_after: u32 = 5, 1.0..=1000.0;
         /// The estimate starts anew after this time without odometry [s].
         pub max_gap_s: f64 = 2.0, 0.1..=60.0;
-        /// Weight of the speed measured at the wheels; the desired speed has the rest.
+        /// Weight of the speed measured at the wheels; the desired speed has the remaining weight.
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
         /// Time from the pose to the wheels, added to the age of the scan when the pose is predicted [ms].
         pub extra_latency_ms: f64 = 0.0, 0.0..=500.0;

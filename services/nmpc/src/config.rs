@@ -13,7 +13,7 @@ settings! {
     /// Settings of the rule that stops in front of a blocked path.
     #[derive(Copy)]
     pub struct StopSettings {
-        /// A blocked path stops the robot at any distance when its slack is at least this.
+        /// If the slack of a blocked path is at least this, the robot stops at any distance from it.
         pub slack: f64 = 0.05, 0.0..=1.0;
         /// Velocity towards a blocked path until the rule stops the robot [m/s].
         pub approach_mps: f64 = 0.6, 0.1..=1.0;
@@ -37,7 +37,7 @@ settings! {
         pub body_width_m: f64 = 0.40, 0.1..=3.0;
         /// Safety distance to walls, theta [m].
         pub theta_m: f64 = 0.2, 0.0..=2.0;
-        /// Distance by which planned ellipses are larger than described ones [m].
+        /// Distance by which the semi-axes of the ellipses are enlarged for planning [m].
         pub ellipse_margin_m: f64 = 0.02, 0.0..=0.5;
         /// Smallest distance of the body to an obstacle along a verified plan [m].
         pub clearance_m: f64 = 0.05, 0.0..=1.0;
@@ -45,7 +45,7 @@ settings! {
         pub horizon_s: f64 = 2.72, 0.5..=10.0;
         /// Number of intervals of the horizon, N.
         pub intervals: usize = 6, 2.0..=MAX_INTERVALS as f64;
-        /// Scan period until the stamps of two scans give the true one [s].
+        /// Scan period that is assumed until the stamps of two scans give the true one [s].
         pub period_s: f64 = 0.1, 0.005..=1.0;
         /// Velocity on a free path [m/s].
         pub cruise_mps: f64 = 1.0, "within the velocities of `bounds`";

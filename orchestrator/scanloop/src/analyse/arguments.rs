@@ -80,7 +80,7 @@ pub struct CorrelationArguments {
     /// Velocity at the operating point, u1 [m/s], 0.1 to 1.
     #[arg(long, value_name = "V", default_value_t = 0.5, allow_negative_numbers = true)]
     pub velocity: f64,
-    /// Steering angle at the operating point, u2 [rad], -0.06 to 0.06; the default is where the source's angle is.
+    /// Steering angle at the operating point, u2 [rad], -0.06 to 0.06; the default gives the angle of the source.
     #[arg(long, value_name = "ANGLE", default_value_t = -0.0074, allow_negative_numbers = true)]
     pub steering: f64,
     /// Length of the horizon [s], 0.05 to 60.

@@ -37,7 +37,8 @@ pub struct CalibrateArguments {
     /// Recorded runs as CSV tables; docs/calibration.md describes their columns.
     #[arg(value_name = "CSV", required_unless_present = "drive", conflicts_with = "drive")]
     pub files: Vec<PathBuf>,
-    /// Let the emulated robot drive the runs on an empty floor without bounds; its true parameters stay hidden.
+    /// Let the emulated robot drive the runs on an empty floor without bounds; the fit does not read its true
+    /// parameters.
     #[arg(long)]
     pub drive: bool,
     /// Scenario whose robot drives: a file, or the name of a shipped scenario.

@@ -145,7 +145,7 @@ settings! {
         yaw_rad: Option<f64> = None, -PI..=PI;
         /// Time at which the obstacle appears; without the key 0 [s].
         appears_s: Option<f64> = None, 0.0..=1e6;
-        /// The obstacle appears when the front of the body is this near to its surface, measured forward [m].
+        /// The obstacle appears when its surface is this far ahead of the front of the body [m].
         appears_ahead_m: Option<f64> = None, (0.0..=100.0, "not together with `appears_s`");
         /// Time at which the obstacle disappears [s].
         disappears_s: Option<f64> = None, (0.0..=1e6, "not before `appears_s`");
