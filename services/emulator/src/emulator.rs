@@ -154,6 +154,9 @@ impl Emulator {
         scan.reserved = 0;
         self.laser.measure(&sweep, &self.history, &self.scene, &mut scan.ranges_mm);
         let front = self.history.at(sweep.front_ns);
+        if self.odometer.last.is_none() {
+            self.reckoning.begin(seconds(self.state.plant_ns.saturating_sub(sweep.front_ns)));
+        }
         self.odometer.report(scan_id, &front, odometry);
         self.fill_truth(&front, truth);
         // The plant has not made this part of a step: a measurement leaves no trace.

@@ -35,6 +35,16 @@ impl Reckoning {
         self.reported
     }
 
+    /// The lateral error of (7.38) is zero at the first report, which was `elapsed_s` seconds ago.
+    ///
+    /// Source note: (7.38) does not say when ds is zero. A correction can only count from the first report; if the error
+    /// counted from the start of the robot, one scan period before, the difference would be dds T of the whole distance.
+    pub(crate) fn begin(&mut self, elapsed_s: f64) {
+        if self.robot.odometry_drift == Drift::Time {
+            self.lateral = self.robot.odometry_lateral_rate * elapsed_s;
+        }
+    }
+
     /// Follows one plant step of `duration` seconds over `distance` metres.
     pub fn step(&mut self, before: &State, after: &State, distance: f64, duration: f64) {
         let increment = Vector2::new(after.x - before.x, after.y - before.y);

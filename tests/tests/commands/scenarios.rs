@@ -87,6 +87,30 @@ fn sudden_obstacle_is_stopped_for() {
     drive("sudden", Outcome::Stopped);
 }
 
+/// The robot and the correction have the same drift (7.38). It must begin at the same scan in both: one period of
+/// difference is 0.0053 of the distance, 0.2 m in this drive.
+#[test]
+fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
+    let system = System::new(EXECUTABLE);
+    let set = [
+        "robot.odometry_lateral_rate=0.053",
+        "robot.odometry_drift=time",
+        "noise.odometry_m=0.02",
+        "noise.odometry_rad=0.01",
+        "estimator.profile=source",
+    ];
+    for seed in 1..=10 {
+        let seed = seed.to_string();
+        let mut arguments = vec!["endless", "--duration", "40", "--seed", &seed];
+        set.iter().for_each(|pair| arguments.extend(["--set", *pair]));
+        let report = system.lockstep(&arguments);
+        assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+        let error_m = report.drive.estimate_error_max_m;
+        assert!((0.02..0.10).contains(&error_m), "seed {seed}: {error_m} m");
+    }
+    system.assert_nothing_left();
+}
+
 #[test]
 fn processes_and_pipeline_give_the_same_bits() {
     let system = System::new(EXECUTABLE);
