@@ -13,7 +13,7 @@ use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
 
 use super::Session;
 
-/// The outputs of each candidate and of the process beside it, by incarnation of the candidate.
+/// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
 pub(crate) type Watches = BTreeMap<u32, Watch>;
 
 /// What the session does for a swap or a shadow.

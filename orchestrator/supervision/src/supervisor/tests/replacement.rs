@@ -79,7 +79,7 @@ fn a_role_whose_process_died_is_filled_by_its_replacement_only() {
     world.die(Role::Controller, KILLED);
     replace(&mut world);
     world.clean(Role::Controller);
-    assert_eq!(world.place(Role::Controller).pending, None, "the clean-up starts nobody");
+    assert_eq!(world.place(Role::Controller).pending, None, "the clean-up starts no process");
     assert_eq!(state(&world, Role::Controller), VisibleState::Ready);
 }
 
