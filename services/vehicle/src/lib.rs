@@ -5,6 +5,7 @@
 
 pub mod bounds;
 pub mod correction;
+mod description;
 pub mod frame;
 pub mod geometry;
 pub mod integrate;
@@ -15,6 +16,7 @@ mod state;
 mod track;
 
 pub use bounds::Bounds;
+pub use description::Description;
 pub use key_table::{Ascending, Invalid, Key, Setting, parse, read, require, settings, toml_text};
 pub use parameters::Parameters;
 pub use state::{Control, State};

@@ -1,0 +1,79 @@
+//! What the stack believes about the robot: the table `[vehicle]` of the system file.
+
+use std::f64::consts::PI;
+
+use key_table::settings;
+
+use crate::{Bounds, Parameters};
+
+settings! {
+    /// The vehicle description; every stage reads the robot's properties here. The defaults describe the SUMMIT.
+    #[derive(Copy)]
+    pub struct Description {
+        /// Length of the body [m].
+        pub length_m: f64 = 0.56, 0.1..=3.0;
+        /// Width of the body [m].
+        pub width_m: f64 = 0.40, 0.1..=3.0;
+        /// Mass m [kg].
+        pub mass_kg: f64 = 14.695, 1e-3..=1e6;
+        /// Distance of the rear axle from the centre of mass, lh [m].
+        pub rear_m: f64 = 0.1924, 1e-3..=1e6;
+        /// Distance of the front axle from the centre of mass, lv [m].
+        pub front_m: f64 = 0.1776, 1e-3..=1e6;
+        /// Lateral tyre stiffness of one axle, c [N/rad].
+        pub stiffness_n_per_rad: f64 = 250.0, 1e-3..=1e6;
+        /// Moment of inertia about the vertical axis, J [kg m^2].
+        pub inertia_kgm2: f64 = 0.5024, 1e-3..=1e6;
+        /// Friction coefficient of the tyres, mu.
+        pub tyre_friction: f64 = 0.8, 0.05..=5.0;
+        /// Bounds of controls and states, (7.41)-(7.44).
+        pub bounds: Bounds = Bounds::default();
+        /// Deceleration while the wheels are blocked [m/s^2].
+        pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
+        /// Mean time from the actuator to the wheels [s].
+        pub command_delay_s: f64 = 0.02, 0.0..=0.5;
+        /// Time constant with which the velocity follows the desired one [s].
+        pub velocity_lag_s: f64 = 0.15, 0.0..=2.0;
+        /// Largest acceleration of the drive [m/s^2].
+        pub acceleration_max_mps2: f64 = 2.0, 0.05..=100.0;
+        /// Largest deceleration of the drive with turning wheels [m/s^2].
+        pub deceleration_max_mps2: f64 = 3.0, 0.05..=100.0;
+        /// Time constant with which the steering angle follows the desired one [s].
+        pub steering_lag_s: f64 = 0.1, 0.0..=2.0;
+        /// Largest rate of the steering angle [rad/s].
+        pub steering_rate_max_radps: f64 = 0.5, 0.01..=100.0;
+        /// Slip of the wheel encoders: standard deviation of the measured distance after one metre [m].
+        pub encoder_slip_m: f64 = 0.005, 0.0..=1.0;
+        /// White noise of the gyro: standard deviation of the integrated yaw after one second [rad].
+        pub gyro_noise_rad: f64 = 2e-4, 0.0..=1.0;
+        /// Random walk of the gyro's bias: standard deviation after one second [rad/s].
+        pub gyro_bias_walk_radps: f64 = 2e-5, 0.0..=1.0;
+        /// Position of the scanner ahead of the robot's centre [m].
+        pub scanner_x_m: f64 = 0.0, -2.0..=2.0;
+        /// Position of the scanner to the left of the robot's centre [m].
+        pub scanner_y_m: f64 = 0.0, -2.0..=2.0;
+        /// Direction of the scanner's front beam, counter-clockwise from straight ahead [rad].
+        pub scanner_yaw_rad: f64 = 0.0, -PI..=PI;
+        /// How near in front of the body something may appear that was not seen before [m].
+        pub sudden_m: f64 = 1.2, 0.1..=100.0;
+    }
+}
+
+impl Description {
+    /// Parameters of (7.27)-(7.31).
+    pub fn parameters(&self) -> Parameters {
+        let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *self;
+        Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_description_has_the_parameters_of_the_source() {
+        assert_eq!(Description::default().parameters(), Parameters::default());
+        assert_eq!(Description::default().require_ranges(), Ok(()));
+    }
+}
