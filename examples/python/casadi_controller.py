@@ -68,8 +68,8 @@ class Problem:
     def __init__(self, settings, budget_s):
         self.settings, self.count = settings, settings["intervals"]
         self.step, self.fastest = settings["horizon_s"] / self.count, settings["cruise_mps"]
-        bounds, weights = settings["bounds"], settings["weights"]
-        walls = settings["body_width_m"] / 2 + settings["theta_m"] if settings["track"]["walls"] else 0.0
+        bounds, weights = settings["vehicle"]["bounds"], settings["weights"]
+        walls = settings["vehicle"]["width_m"] / 2 + settings["theta_m"] if settings["track"]["walls"] else 0.0
         self.track = settings["track"]["y_m"][0] + walls, settings["track"]["y_m"][1] - walls
         initial, before, pace = ca.SX.sym("initial", 5), ca.SX.sym("before", 3), ca.SX.sym("pace")
         reference = ca.SX.sym("reference", 2, self.count)
@@ -82,7 +82,7 @@ class Problem:
             low += [bounds["velocity_min_mps"], -bounds["steering_max_rad"]] + [-math.inf] * 5
             low += [0.0] * (1 + MAX_ELLIPSES)
             high += [bounds["velocity_max_mps"], bounds["steering_max_rad"]] + [math.inf] * (6 + MAX_ELLIPSES)
-            reached = advance(settings["parameters"], ca.vertsplit(state), ca.vertsplit(control), self.step, COARSE, ca)
+            reached = advance(settings["vehicle"], ca.vertsplit(state), ca.vertsplit(control), self.step, COARSE, ca)
             constraints += [node - ca.vertcat(*reached), node[4] - slack[0], -node[4] - slack[0]]
             least += [0.0] * 5 + [-math.inf] * 2
             most += [0.0] * 5 + [self.track[1], -self.track[0]]
@@ -109,7 +109,7 @@ class Problem:
         """Velocity of the reference at x: cruising, and slower near the goal."""
         settings = self.settings
         wanted = (settings["goal"]["x_m"] - x) / settings["landing_time_s"]
-        return max(settings["bounds"]["velocity_min_mps"], min(self.fastest, wanted))
+        return max(settings["vehicle"]["bounds"]["velocity_min_mps"], min(self.fastest, wanted))
 
     def solve(self, initial, before, ellipses, reference_at, controls):
         """The controls of all intervals, their cost, and the statistics of the solver."""
@@ -127,10 +127,10 @@ class Problem:
         known = [*initial, *(before or (0.0, 0.0)), 1.0 if before else 0.0, self.pace(initial[3])]
         start, state = [], initial
         for control in controls:
-            state = advance(self.settings["parameters"], state, control, self.step, COARSE, math)
+            state = advance(self.settings["vehicle"], state, control, self.step, COARSE, math)
             start += [*control, *state, *[0.01] * (1 + MAX_ELLIPSES)]
         result = self.solver(x0=start, p=[*known, *reference, *centres, *axes], **self.bounds)
-        found, width, limits = result["x"].full().ravel().tolist(), 8 + MAX_ELLIPSES, self.settings["bounds"]
+        found, width, limits = result["x"].full().ravel().tolist(), 8 + MAX_ELLIPSES, self.settings["vehicle"]["bounds"]
         plan = [
             (
                 min(max(found[k * width], limits["velocity_min_mps"]), limits["velocity_max_mps"]),
@@ -144,7 +144,7 @@ class Problem:
         """The states along the controls, in fine steps."""
         states, state = [], initial
         for control in controls:
-            state = advance(self.settings["parameters"], state, control, self.step, FINE, math, states)
+            state = advance(self.settings["vehicle"], state, control, self.step, FINE, math, states)
         return states
 
     def verify(self, initial, controls, ellipses, bodies):
@@ -158,7 +158,7 @@ class Problem:
         def outside(state):
             return max(state[4] - self.track[1], self.track[0] - state[4])
 
-        size = settings["body_length_m"], settings["body_width_m"]
+        size = settings["vehicle"]["length_m"], settings["vehicle"]["width_m"]
         allowed = [max(0.0, depth(initial, e, 0.0)) + 0.01 for e in ellipses]
         for index, state in enumerate(self.drive(initial, controls)):
             t = (index + 1) * self.step / FINE
@@ -224,11 +224,11 @@ class Controller:
         reference_at = self.reference_at(initial, ellipses, side)
         start = self.plan if side == self.side else None
         if not start:
-            most, state, start = self.settings["bounds"]["steering_max_rad"], initial, []
+            most, state, start = self.settings["vehicle"]["bounds"]["steering_max_rad"], initial, []
             for _ in range(self.problem.count):
                 steering = 0.25 * (reference_at(state[3] + AHEAD_M) - state[4] - AHEAD_M * math.sin(state[1]))
                 start.append((self.settings["cruise_mps"], max(-most, min(most, steering))))
-                state = advance(self.settings["parameters"], state, start[-1], self.problem.step, COARSE, math)
+                state = advance(self.settings["vehicle"], state, start[-1], self.problem.step, COARSE, math)
         return self.problem.solve(initial, self.plan and self.plan[0], ellipses, reference_at, start)
 
     def step(self, pose, described):
@@ -236,8 +236,8 @@ class Controller:
         settings, problem = self.settings, self.problem
         command = Command(header=answer(described, pose), plan_start_ns=pose.predicted_ns, plan_interval_s=problem.step)
         goal, speed = settings["goal"], pose.predicted_speed_mps
-        stop_m = goal["x_m"] - pose.predicted_x_m - speed**2 / (2 * settings["deceleration_mps2"])
-        slowest = settings["bounds"]["velocity_min_mps"]
+        stop_m = goal["x_m"] - pose.predicted_x_m - speed**2 / (2 * settings["vehicle"]["blocked_deceleration_mps2"])
+        slowest = settings["vehicle"]["bounds"]["velocity_min_mps"]
         if self.landed or stop_m <= max(speed, slowest) * settings["period_s"] / 2:  # one scan later it is further away
             miss_m = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m)
             landed = self.landed = self.landed or miss_m <= goal["tolerance_m"]
@@ -251,7 +251,7 @@ class Controller:
         initial = (pose.predicted_sideslip_rad, pose.predicted_yaw_rad, pose.predicted_yaw_rate_radps,
                    pose.predicted_x_m, pose.predicted_y_m)
         ellipses, bodies = self.read(pose, described)
-        robot = (initial[3], initial[4], settings["body_length_m"], settings["body_width_m"], initial[1])
+        robot = (initial[3], initial[4], settings["vehicle"]["length_m"], settings["vehicle"]["width_m"], initial[1])
         astray = initial[4] > problem.track[1] + ASTRAY_M or initial[4] < problem.track[0] - ASTRAY_M
         if astray or any(distance(robot, body[:5]) < -OVERLAP_M for body in bodies):
             command.reason = StopReason.BAD_INPUT

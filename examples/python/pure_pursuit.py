@@ -47,9 +47,9 @@ def stop(reason):
 
 def plan(pose, described, settings, last_line):
     """The command, and the line that it follows."""
-    goal, bounds, walls = settings["goal"], settings["bounds"], settings["track"]["walls"]
+    goal, bounds, walls = settings["goal"], settings["vehicle"]["bounds"], settings["track"]["walls"]
     speed, left_m = pose.predicted_speed_mps, goal["x_m"] - pose.predicted_x_m
-    stop_m = left_m - speed**2 / (2 * settings["deceleration_mps2"])
+    stop_m = left_m - speed**2 / (2 * settings["vehicle"]["blocked_deceleration_mps2"])
     if stop_m <= max(speed, bounds["velocity_min_mps"]) * settings["period_s"] / 2:  # one scan later it is further away
         landed = math.hypot(stop_m, goal["y_m"] - pose.predicted_y_m) <= goal["tolerance_m"]
         return stop(StopReason.LANDED if landed else StopReason.GOAL_PASSED), last_line
@@ -58,7 +58,7 @@ def plan(pose, described, settings, last_line):
         return stop(StopReason.SELF_CHECK), last_line
     if any(depth(pose.predicted_x_m, pose.predicted_y_m, e) < INSIDE for e in ellipses):
         return stop(StopReason.BAD_INPUT), last_line
-    room = settings["body_width_m"] / 2 + settings["theta_m"] if walls else 0.0
+    room = settings["vehicle"]["width_m"] / 2 + settings["theta_m"] if walls else 0.0
     track = settings["track"]["y_m"][0] + room, settings["track"]["y_m"][1] - room
     lines = [goal["y_m"] + LINES_M * index for index in range(-12, 13)]
     lines.sort(key=lambda line: abs(line - goal["y_m"]) + 0.5 * abs(line - last_line))  # keeps the chosen side

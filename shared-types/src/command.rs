@@ -95,9 +95,43 @@ layout! {
     }
 }
 
+layout! {
+    /// The clearance that a verified plan keeps between the body and obstacles, as a sum of its parts.
+    pub struct Margin(40) {
+        /// Distance kept in any case [m]
+        pub base_m: f64,
+        /// Uncertainty of the pose relative to the obstacles, along the plan [m]
+        pub pose_m: f64,
+        /// Speed times the age of the data when the command acts [m]
+        pub latency_m: f64,
+        /// Difference between the robot and its description [m]
+        pub model_m: f64,
+        /// Uncertainty of the described obstacles [m]
+        pub perception_m: f64,
+    }
+}
+
+layout! {
+    /// The obstacle that a stop is for.
+    pub struct Blocking(40) {
+        /// Position of its centre along the track [m]
+        pub x_m: f64,
+        /// Lateral position of its centre [m]
+        pub y_m: f64,
+        /// The widest gap past it that the robot's body could use, negative when there is none [m]
+        pub gap_m: f64,
+        /// The gap that the robot needs there: its body and the margin on both sides [m]
+        pub needed_m: f64,
+        /// Identity of the ellipse, 0 when no obstacle is the reason
+        pub id: u32,
+        /// Unused, zero
+        pub reserved: u32,
+    }
+}
+
 sample! {
     /// One verified command per scan, with the plan that it begins.
-    pub struct Command(1704, Command, 0x2587_ca67, "scanloop.Command.v1", check) {
+    pub struct Command(1792, Command, 0xeb8f_54b7, "scanloop.Command.v2", check) {
         /// Identity and stamps
         pub header: Header,
         /// What the controller asks for, `CommandKind`
@@ -134,12 +168,26 @@ sample! {
         pub plan_start_ns: u64,
         /// Time between two nodes of the plan [s]
         pub plan_interval_s: f64,
+        /// Largest velocity at which the robot can still stop in time [m/s]
+        pub speed_limit_mps: f64,
+        /// The clearance that the plan keeps
+        pub margin: Margin,
+        /// The obstacle that a stop is for
+        pub blocking: Blocking,
         /// How many of `plan` are used
         pub plan_length: u32,
         /// Unused, zero
         pub reserved: u32,
         /// The planned nodes
         pub plan: [PlanNode; PLAN_NODES],
+    }
+}
+
+impl Margin {
+    /// The clearance [m].
+    pub fn sum(&self) -> f64 {
+        let Self { base_m, pose_m, latency_m, model_m, perception_m } = *self;
+        base_m + pose_m + latency_m + model_m + perception_m
     }
 }
 

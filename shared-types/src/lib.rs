@@ -34,7 +34,9 @@ pub use account::{Fate, InputAccount, Span, WRITERS};
 pub use actuation::{Actuation, ActuationKind, BlockReason};
 pub use authority::{Admission, Authority, AuthorityFilter};
 pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
-pub use command::{Command, CommandKind, Level, PLAN_NODES, PlanNode, SolveStatus, StopReason};
+pub use command::{
+    Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, SolveStatus, StopReason,
+};
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use fault::{Fault, finite};

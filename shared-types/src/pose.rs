@@ -39,7 +39,7 @@ wire_enum! {
 
 sample! {
     /// Estimated state of the robot at the time of the front beam, and at the time the command will act.
-    pub struct Pose(488, Pose, 0xe513_fa2d, "scanloop.Pose.v1", check) {
+    pub struct Pose(560, Pose, 0x695f_97de, "scanloop.Pose.v2", check) {
         /// Identity and stamps
         pub header: Header,
         /// Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
@@ -48,8 +48,11 @@ sample! {
         pub x_m: f64,
         /// Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m]
         pub y_m: f64,
-        /// Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2]
+        /// Covariance of (yaw, x, y) on the track, row by row [rad^2, rad m, m^2]
         pub covariance: [f64; 9],
+        /// Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry
+        /// since the start [rad^2, rad m, m^2]
+        pub local_covariance: [f64; 9],
         /// Speed over ground at the acquisition of the scan [m/s]
         pub speed_mps: f64,
         /// Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
@@ -94,6 +97,7 @@ fn check(pose: &Pose) -> Result<(), Fault> {
         &[pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps],
     )?;
     finite("covariance", &pose.covariance)?;
+    finite("local_covariance", &pose.local_covariance)?;
     finite(
         "predicted",
         &[

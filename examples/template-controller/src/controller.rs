@@ -79,10 +79,10 @@ impl Controller {
     fn arrive(&self, pose: &Pose) -> Result<(), StopReason> {
         let goal = &self.settings.goal;
         let speed = pose.predicted_speed_mps;
-        let braking_m = speed * speed / (2.0 * self.settings.deceleration_mps2);
+        let braking_m = speed * speed / (2.0 * self.settings.vehicle.blocked_deceleration_mps2);
         let left_m = goal.x_m - pose.predicted_x_m - braking_m;
         // A scan later the robot would be further away, on the other side.
-        if left_m > speed.max(self.settings.bounds.velocity_min_mps) * self.period_s / 2.0 {
+        if left_m > speed.max(self.settings.vehicle.bounds.velocity_min_mps) * self.period_s / 2.0 {
             return Ok(());
         }
         let miss_m = left_m.hypot(goal.y_m - pose.predicted_y_m);
@@ -95,7 +95,7 @@ impl Controller {
         let is_careful = pose.alarm != Alarm::None.wire();
         let fastest = if is_careful { settings.careful_mps } else { settings.cruise_mps };
         let landing = (settings.goal.x_m - pose.predicted_x_m) / settings.landing_time_s;
-        landing.min(fastest).max(settings.bounds.velocity_min_mps)
+        landing.min(fastest).max(settings.vehicle.bounds.velocity_min_mps)
     }
 }
 

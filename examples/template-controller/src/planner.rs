@@ -55,13 +55,13 @@ pub(crate) fn plans(
 fn pursue(settings: &Settings, start: State, velocity_mps: f64, line_m: f64) -> Plan {
     let interval_s = INTERVAL_M / velocity_mps;
     let mut plan = Plan { controls: [Control::default(); INTERVALS], count: 0, interval_s };
-    let turn_per_rad = settings.parameters.yaw_rate_gain() * INTERVAL_M;
+    let turn_per_rad = settings.vehicle.parameters().yaw_rate_gain() * INTERVAL_M;
     let (mut x, mut y, mut yaw) = (start.x, start.y, start.yaw);
     while plan.count == 0 || (plan.count < INTERVALS && x < settings.goal.x_m) {
         let lateral = line_m - y - AHEAD_M * yaw.sin();
         let curvature = 2.0 * lateral / (AHEAD_M * AHEAD_M);
-        let steering = curvature / settings.parameters.yaw_rate_gain();
-        let control = settings.bounds.clamp(Control { velocity: velocity_mps, steering });
+        let steering = curvature / settings.vehicle.parameters().yaw_rate_gain();
+        let control = settings.vehicle.bounds.clamp(Control { velocity: velocity_mps, steering });
         plan.controls[plan.count] = control;
         plan.count += 1;
         // The middle of the arc has the direction of its chord.
@@ -95,7 +95,7 @@ mod tests {
         for (line, plan) in plans(&settings, State::default(), 1.0, 0.0) {
             let first = plan.controls()[0].steering;
             assert!(first * line >= 0.0, "{line} {first}");
-            assert!(plan.controls().iter().all(|control| settings.bounds.contains(*control, 0.0)));
+            assert!(plan.controls().iter().all(|control| settings.vehicle.bounds.contains(*control, 0.0)));
         }
     }
 

@@ -4,7 +4,7 @@
 //! named here are ignored. `docs/system-file.md` has all keys with their defaults and ranges.
 
 use serde::Deserialize;
-use vehicle::{Bounds, Parameters};
+use vehicle::Description;
 
 /// What the controller knows of the course, of the robot and of its task.
 #[derive(Debug, Clone, Deserialize)]
@@ -13,10 +13,8 @@ pub(crate) struct Settings {
     pub(crate) goal: Goal,
     /// Where the robot may drive.
     pub(crate) track: Track,
-    /// Length of the robot's body [m].
-    pub(crate) body_length_m: f64,
-    /// Width of the robot's body [m].
-    pub(crate) body_width_m: f64,
+    /// The robot: body, model, bounds, delays.
+    pub(crate) vehicle: Description,
     /// Free distance to walls [m].
     pub(crate) theta_m: f64,
     /// Smallest distance of the body to an obstacle along a verified plan [m].
@@ -27,12 +25,6 @@ pub(crate) struct Settings {
     pub(crate) careful_mps: f64,
     /// Near the goal the velocity is the distance divided by this time [s].
     pub(crate) landing_time_s: f64,
-    /// Deceleration of blocked wheels [m/s^2].
-    pub(crate) deceleration_mps2: f64,
-    /// Bounds of velocity and steering angle, (7.41).
-    pub(crate) bounds: Bounds,
-    /// Parameters of the model (7.27)-(7.31).
-    pub(crate) parameters: Parameters,
 }
 
 /// Where to land.
@@ -60,7 +52,7 @@ pub(crate) struct Track {
 impl Settings {
     /// Bounds of the robot's centre across the track [m].
     pub(crate) fn y_range(&self) -> [f64; 2] {
-        let room = if self.track.walls { self.body_width_m / 2.0 + self.theta_m } else { 0.0 };
+        let room = if self.track.walls { self.vehicle.width_m / 2.0 + self.theta_m } else { 0.0 };
         [self.track.y_m[0] + room, self.track.y_m[1] - room]
     }
 }
@@ -70,15 +62,11 @@ pub(crate) fn example() -> Settings {
     Settings {
         goal: Goal { x_m: 10.0, y_m: 0.0, tolerance_m: 0.1 },
         track: Track { x_m: [0.0, 22.0], y_m: [-1.5, 1.5], walls: false },
-        body_length_m: 0.56,
-        body_width_m: 0.40,
+        vehicle: Description::default(),
         theta_m: 0.2,
         clearance_m: 0.05,
         cruise_mps: 1.0,
         careful_mps: 0.3,
         landing_time_s: 0.6,
-        deceleration_mps2: 5.0,
-        bounds: Bounds::default(),
-        parameters: Parameters::default(),
     }
 }

@@ -109,7 +109,7 @@ impl<'a> Scene<'a> {
 
     /// Drives a plan through the model; `None` when it may not be driven.
     pub(crate) fn verify(&self, plan: &Plan) -> Option<Verified> {
-        let bounds = &self.settings.bounds;
+        let bounds = &self.settings.vehicle.bounds;
         if !plan.controls().iter().all(|control| bounds.contains(*control, CONTROL_TOLERANCE)) {
             return None;
         }
@@ -128,7 +128,7 @@ impl<'a> Scene<'a> {
         let steps = (interval_s * control.velocity / STEP_M).ceil().max(1.0);
         let step_s = interval_s / steps;
         for step in 1..=steps as usize {
-            state = rk4(&self.settings.parameters, &state, control, step_s);
+            state = rk4(&self.settings.vehicle.parameters(), &state, control, step_s);
             if !self.is_allowed(t + step as f64 * step_s, &state) {
                 return None;
             }
@@ -181,7 +181,7 @@ impl<'a> Scene<'a> {
     }
 
     fn body(&self, state: &State) -> Rectangle {
-        let (length, width) = (self.settings.body_length_m, self.settings.body_width_m);
+        let (length, width) = (self.settings.vehicle.length_m, self.settings.vehicle.width_m);
         Rectangle { centre: [state.x, state.y].into(), yaw: state.yaw, length, width }
     }
 
@@ -257,7 +257,7 @@ mod tests {
         let (mut settings, free) = (example(), Obstacles::default());
         let pose = pose(0.0, 0.0, 0.0);
         assert!(passes(&settings, &pose, &free));
-        settings.bounds.velocity_max_mps = 0.9;
+        settings.vehicle.bounds.velocity_max_mps = 0.9;
         let scene = Scene::new(&settings, &pose, &free);
         let (_, plan) = plans(&example(), scene.start, 1.0, 0.0).next().unwrap();
         assert!(scene.verify(&plan).is_none());

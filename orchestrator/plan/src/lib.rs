@@ -5,6 +5,7 @@ pub mod overrides;
 pub mod reference;
 pub mod settings;
 pub mod system;
+mod vehicle_table;
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ use emulator::Scenario;
 use runtime::{ClockKind, Domain, RunSettings};
 use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::Setting;
+use vehicle::{Invalid, Setting};
 
 pub use system::System;
 
@@ -52,6 +53,8 @@ pub struct Plan {
     pub scenario: Scenario,
     /// The system.
     pub system: System,
+    /// What a user should know before it is driven: old keys, and where the robot differs from its description.
+    pub warnings: Vec<String>,
 }
 
 impl Plan {
@@ -80,12 +83,15 @@ impl Plan {
             })?;
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
+        vehicle_table::adopt_robot(&scenario, &mut system);
         let scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
+        let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
+        let warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
         let system = System::from_table(system, &system_file)?;
         // What the stages take from the scenario may be allowed there and too much for them.
         let together = system.tuning().for_scenario(&scenario).validate();
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
-        Ok(Self { scenario, system })
+        Ok(Self { scenario, system, warnings })
     }
 
     /// Writes the settings file of each process of a system.
@@ -93,7 +99,7 @@ impl Plan {
     /// # Errors
     /// Settings that are not allowed, and errors of the file system.
     pub fn write_settings(&self, domain: &Domain, lockstep: bool) -> anyhow::Result<()> {
-        let Self { scenario, system } = self;
+        let Self { scenario, system, .. } = self;
         let run = RunSettings {
             period_ns: system.period_ns(),
             clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },

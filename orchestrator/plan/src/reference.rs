@@ -37,6 +37,8 @@ fn system_keys() -> Vec<Key> {
     let (scaled, source) = (defaults(Profile::Scaled), defaults(Profile::Source));
     let of = |table: &Table, name: &str| table.get(name).map(toml_text).unwrap_or_default();
     let mut keys = System::keys();
+    // The copies of `[vehicle]` that the stages have are no keys of the file.
+    keys.iter_mut().for_each(|table| table.keys.retain(|key| key.name != "vehicle"));
     let estimator = keys.iter_mut().filter(|key| key.name == "estimator").flat_map(|key| &mut key.keys);
     for key in estimator.filter(|key| key.default.is_empty()) {
         let (scaled, source) = (of(&scaled, key.name), of(&source, key.name));

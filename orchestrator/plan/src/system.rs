@@ -9,7 +9,7 @@ use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
 use toml::Table;
-use vehicle::{Invalid, parse, read, require, settings};
+use vehicle::{Description, Invalid, parse, read, require, settings};
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
@@ -24,6 +24,8 @@ settings! {
         /// The wheels are blocked when no directive has come for this long, until one comes; without the key 5.0, or
         /// `orphan_timeout_s` if that is less [s].
         pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
+        /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
+        pub vehicle: Description = Description::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// One table for each role.
@@ -76,6 +78,7 @@ impl System {
     /// The settings of the stages.
     pub fn tuning(&self) -> Tuning {
         Tuning {
+            vehicle: self.vehicle,
             estimator: self.estimator.clone(),
             obstacles: self.obstacles,
             controller: self.controller.clone(),

@@ -146,7 +146,7 @@ impl RunFile {
     /// A file that is missing or cannot be read.
     pub(crate) fn read(domain: &Domain) -> anyhow::Result<(Self, Plan)> {
         let run: Self = read(domain, RUN_FILE)?;
-        let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone() };
+        let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone(), warnings: Vec::new() };
         Ok((run, plan))
     }
 }

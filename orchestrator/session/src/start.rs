@@ -26,7 +26,7 @@ pub fn start(
     latch_on_crash(&stop_word);
     plan.write_settings(domain, options.lockstep)?;
     let RunOptions { out, lockstep, duration_s, .. } = options.clone();
-    let Plan { scenario, system } = plan.clone();
+    let Plan { scenario, system, .. } = plan.clone();
     RunFile { out, lockstep, duration_s, system, scenario }.write(domain)?;
     let bus = Bus::create(domain)?;
     let logs = options.out.join("logs");

@@ -82,7 +82,7 @@ impl Actuator {
         let verdict = if age_ns > self.max_age_ns {
             Err(Fault::TooOld { age_ms: milliseconds(age_ns) })
         } else {
-            judge(command, &self.config.bounds)
+            judge(command, &self.config.vehicle.bounds)
         };
         match verdict {
             Err(fault) => {

@@ -1,18 +1,15 @@
 //! Settings of the actuator.
 
 use vehicle::correction::{Calibration, SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
-use vehicle::{Bounds, Invalid, require, settings};
+use vehicle::{Bounds, Description, Invalid, require, settings};
 
 settings! {
     /// Settings of the actuator.
     pub struct Config {
         /// Correction of velocity and steering angle that makes the robot do what is desired.
         pub calibration: Calibration = Calibration::Default;
-        /// Hard limits of desired velocity and steering angle, (7.41); the other bounds are not used here.
-        pub bounds: Bounds = Bounds::default(), format!(
-            "`velocity_max_mps` 0 to {SENT_VELOCITY_MAX_MPS}, `velocity_min_mps` 0 to `velocity_max_mps`, \
-             `steering_max_rad` 0 to {SENT_STEERING_MAX_RAD}"
-        );
+        /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
+        pub vehicle: Description = Description::default();
         /// The wheels are blocked when no valid command has come for this many scan periods.
         // One late command is tolerated, a lost one is not.
         pub timeout_periods: f64 = 1.5, 1.0..=10.0;
@@ -32,10 +29,10 @@ impl Config {
     /// # Errors
     /// [`Invalid`] with the key, the value and the range.
     pub fn validate(&self) -> Result<(), Invalid> {
-        let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = self.bounds;
-        require("bounds.velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
-        require("bounds.velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
-        require("bounds.steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)?;
+        let Bounds { velocity_min_mps, velocity_max_mps, steering_max_rad, .. } = self.vehicle.bounds;
+        require("vehicle.bounds.velocity_max_mps", velocity_max_mps, 0.0..=SENT_VELOCITY_MAX_MPS)?;
+        require("vehicle.bounds.velocity_min_mps", velocity_min_mps, 0.0..=velocity_max_mps)?;
+        require("vehicle.bounds.steering_max_rad", steering_max_rad, 0.0..=SENT_STEERING_MAX_RAD)?;
         self.require_ranges()
     }
 }
@@ -50,10 +47,11 @@ mod tests {
         let config = Config { timeout_periods: f64::NAN, ..Config::default() };
         assert_eq!(config.validate().unwrap_err().key, "timeout_periods");
         let bounds = Bounds { velocity_min_mps: 1.5, ..Bounds::default() };
-        let config = Config { bounds, ..Config::default() };
+        let vehicle = Description { bounds, ..Description::default() };
+        let config = Config { vehicle, ..Config::default() };
         assert_eq!(
             config.validate().unwrap_err().to_string(),
-            "bounds.velocity_min_mps = 1.5 is not allowed: 0 to 1"
+            "vehicle.bounds.velocity_min_mps = 1.5 is not allowed: 0 to 1"
         );
         assert_eq!(Config { recovery: 0, ..Config::default() }.validate().unwrap_err().key, "recovery");
     }
@@ -62,8 +60,11 @@ mod tests {
     fn settings_are_read_from_their_file() {
         let read = |text: &str| toml::from_str::<Config>(text);
         assert_eq!(read(""), Ok(Config::default()));
-        let config = read("calibration = \"identity\"\n[bounds]\nvelocity_max_mps = 0.5").unwrap();
-        assert_eq!((config.calibration, config.bounds.velocity_max_mps), (Calibration::Identity, 0.5));
+        let config = read("calibration = \"identity\"\n[vehicle.bounds]\nvelocity_max_mps = 0.5").unwrap();
+        assert_eq!(
+            (config.calibration, config.vehicle.bounds.velocity_max_mps),
+            (Calibration::Identity, 0.5)
+        );
         let calibration = Calibration::Custom(Calibration::Default.correction());
         let written = toml::to_string(&Config { calibration, ..Config::default() }).unwrap();
         assert_eq!(read(&written).unwrap().calibration, calibration);

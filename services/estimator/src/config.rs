@@ -1,7 +1,7 @@
 //! Settings of the estimator.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Invalid, Parameters, Setting, settings};
+use vehicle::{Description, Invalid, Setting, settings};
 
 use crate::correction::{Drift, Mode};
 use crate::motion::MotionModel;
@@ -53,10 +53,8 @@ settings! {
         pub max_gap_s: f64 = 2.0, 0.1..=60.0;
         /// Weight of the speed measured at the wheels; the desired speed has the remaining weight.
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
-        /// Time from the pose to the wheels, added to the age of the scan when the pose is predicted [ms].
-        pub extra_latency_ms: f64 = 0.0, 0.0..=500.0;
-        /// Deceleration while the wheels are blocked [m/s^2].
-        pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
+        /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
+        pub vehicle: Description = Description::default();
     }
 }
 
@@ -124,10 +122,10 @@ impl Config {
             self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
             max_gap_s: self.max_gap_s,
-            extra_latency_ns: (self.extra_latency_ms * 1e6) as u64,
+            extra_latency_ns: (self.vehicle.command_delay_s * 1e9) as u64,
             motion: MotionModel {
-                parameters: Parameters::default(),
-                blocked_deceleration_mps2: self.blocked_deceleration_mps2,
+                parameters: self.vehicle.parameters(),
+                blocked_deceleration_mps2: self.vehicle.blocked_deceleration_mps2,
                 speed_weight: self.speed_weight,
             },
         };
@@ -197,7 +195,8 @@ mod tests {
             key(Config { measurement_noise: Some([f64::NAN; 3]), ..Config::default() }),
             "measurement_noise"
         );
-        assert_eq!(key(Config { extra_latency_ms: f64::NAN, ..Config::default() }), "extra_latency_ms");
+        let vehicle = Description { command_delay_s: f64::NAN, ..Description::default() };
+        assert_eq!(key(Config { vehicle, ..Config::default() }), "vehicle.command_delay_s");
         assert_eq!(key(Config { speed_weight: 1.1, ..Config::default() }), "speed_weight");
         let gated = Config { profile: Profile::Source, gate: Some(true), ..Config::default() };
         assert_eq!(key(gated), "gate");

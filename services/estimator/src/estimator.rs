@@ -332,6 +332,7 @@ impl Estimator {
             x_m: x,
             y_m: y,
             covariance: self.state.covariance,
+            local_covariance: self.state.covariance,
             speed_mps: motion.speed_mps,
             sideslip_rad: motion.sideslip_rad,
             yaw_rate_radps: motion.yaw_rate_radps,

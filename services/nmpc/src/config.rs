@@ -1,7 +1,7 @@
 //! Settings of the controller, checked once when it is made.
 
 use ocp::SolverSettings;
-use vehicle::{Bounds, Goal, Invalid, Parameters, Track, require, settings};
+use vehicle::{Description, Goal, Invalid, Track, require, settings};
 
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
@@ -31,10 +31,8 @@ settings! {
         pub goal: Goal = Goal::default();
         /// The track; `run` takes it from the scenario.
         pub track: Track = Track::default();
-        /// Length of the robot's body [m].
-        pub body_length_m: f64 = 0.56, 0.1..=3.0;
-        /// Width of the robot's body [m].
-        pub body_width_m: f64 = 0.40, 0.1..=3.0;
+        /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
+        pub vehicle: Description = Description::default();
         /// Safety distance to walls, theta [m].
         pub theta_m: f64 = 0.2, 0.0..=2.0;
         /// Distance by which the semi-axes of the ellipses are enlarged for planning [m].
@@ -48,13 +46,11 @@ settings! {
         /// Scan period that is assumed until the stamps of two scans give the true one [s].
         pub period_s: f64 = 0.1, 0.005..=1.0;
         /// Velocity on a free path [m/s].
-        pub cruise_mps: f64 = 1.0, "within the velocities of `bounds`";
+        pub cruise_mps: f64 = 1.0, "within the velocities of `vehicle.bounds`";
         /// Velocity while the estimator suspects that its calibration is wrong [m/s].
-        pub careful_mps: f64 = 0.3, "within the velocities of `bounds`";
+        pub careful_mps: f64 = 0.3, "within the velocities of `vehicle.bounds`";
         /// Near the goal the velocity is the distance divided by this time [s].
         pub landing_time_s: f64 = 0.6, 0.2..=5.0;
-        /// Deceleration while the wheels are blocked [m/s^2].
-        pub deceleration_mps2: f64 = 5.0, 0.5..=20.0;
         /// Largest number of ellipses in the optimal control problem.
         pub max_ellipses: usize = 8, 1.0..=16.0;
         /// Time limit of one solve in real time; the smaller of this and `budget_share` holds [ms].
@@ -63,10 +59,6 @@ settings! {
         pub budget_share: f64 = 0.2, 0.01..=1.0;
         /// Limit of SQP iterations for one scan in lock-step.
         pub budget_iterations: u32 = 60, 1.0..=1e3;
-        /// Physical parameters of the robot, (7.27)-(7.31).
-        pub parameters: Parameters = Parameters::default();
-        /// Bounds of controls and states, (7.41)-(7.44).
-        pub bounds: Bounds = Bounds::default();
         /// Weights of the optimal control problem.
         pub weights: WeightSettings = WeightSettings::default();
         /// The lattice search for the reference path, which chooses the passing sides.
@@ -93,8 +85,8 @@ impl Config {
                 "walls further apart than body width plus 2 theta",
             ));
         }
-        let (slowest, fastest) = (self.bounds.velocity_min_mps, self.bounds.velocity_max_mps);
-        require("bounds.velocity_max_mps", fastest, slowest..=10.0)?;
+        let (slowest, fastest) = (self.vehicle.bounds.velocity_min_mps, self.vehicle.bounds.velocity_max_mps);
+        require("vehicle.bounds.velocity_max_mps", fastest, slowest..=10.0)?;
         require("cruise_mps", self.cruise_mps, slowest..=fastest)?;
         require("careful_mps", self.careful_mps, slowest..=fastest)
     }
@@ -104,7 +96,7 @@ impl Config {
     /// Source note: the source's track has no walls; with walls the bound is their surface, shrunk by half the
     /// body width and theta.
     pub fn y_range(&self) -> [f64; 2] {
-        let shrink = if self.track.walls { self.body_width_m / 2.0 + self.theta_m } else { 0.0 };
+        let shrink = if self.track.walls { self.vehicle.width_m / 2.0 + self.theta_m } else { 0.0 };
         [self.track.y_m[0] + shrink, self.track.y_m[1] - shrink]
     }
 

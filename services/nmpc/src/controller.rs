@@ -163,7 +163,7 @@ impl Controller {
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
     fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
         let goal = &self.config.goal;
-        match approach(goal, initial, speed, period_s, self.config.deceleration_mps2) {
+        match approach(goal, initial, speed, period_s, self.config.vehicle.blocked_deceleration_mps2) {
             Approach::Land => Err(StopReason::Landed),
             Approach::Passed => Err(StopReason::GoalPassed),
             Approach::Ahead
@@ -242,7 +242,7 @@ impl Controller {
             let moving = predicted.iter().any(PredictedObstacle::moves);
             let scene = Scene::new(config, predicted, *initial);
             for share in SLOWER {
-                let speed = (config.cruise_mps * share).max(config.bounds.velocity_min_mps);
+                let speed = (config.cruise_mps * share).max(config.vehicle.bounds.velocity_min_mps);
                 let query = Query { scene, speed, sides: &self.state.sides };
                 self.search.find(&query, &mut self.reference_path);
                 if self.reference_path.clear || !moving {

@@ -50,7 +50,7 @@ impl Task<'_> {
             if self.reference_path.clear { self.reference_path.speed } else { config.stop.approach_mps };
         Pace {
             cruise: speed.min(config.cruise_mps).min(self.fastest_mps),
-            slowest: config.bounds.velocity_min_mps,
+            slowest: config.vehicle.bounds.velocity_min_mps,
             goal_x: config.goal.x_m,
             landing_time: config.landing_time_s,
         }
@@ -92,8 +92,8 @@ impl Planner {
     /// A planner for `config`, which is valid.
     pub(crate) fn new(config: &Config) -> Self {
         let problem = Problem {
-            model: Arc::new(config.parameters),
-            bounds: config.bounds,
+            model: Arc::new(config.vehicle.parameters()),
+            bounds: config.vehicle.bounds,
             x_range: config.track.x_m,
             y_range: config.y_range(),
             intervals: vec![config.interval_s(); config.intervals],
@@ -148,7 +148,7 @@ impl Planner {
         let Task { scene: Scene { config, predicted, initial, .. }, last, .. } = *task;
         let problem = &mut self.problem;
         problem.initial = initial;
-        problem.bounds.velocity_max_mps = config.bounds.velocity_max_mps.min(task.fastest_mps);
+        problem.bounds.velocity_max_mps = config.vehicle.bounds.velocity_max_mps.min(task.fastest_mps);
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
         problem.control_reference = reference::fill(
@@ -224,7 +224,7 @@ impl Planner {
         if !usable {
             return None;
         }
-        warm::clamp(&task.scene.config.bounds, &mut self.controls);
+        warm::clamp(&task.scene.config.vehicle.bounds, &mut self.controls);
         let scene = &task.scene;
         let verdict = verify(scene, &self.controls, &mut self.rollout);
         let agrees =
@@ -255,7 +255,7 @@ fn fill_ellipses(
     initial: &State,
     ellipses: &mut Vec<EllipsePath>,
 ) {
-    let reach = config.bounds.velocity_max_mps * config.horizon_s;
+    let reach = config.vehicle.bounds.velocity_max_mps * config.horizon_s;
     let in_reach = |obstacle: &PredictedObstacle| {
         let [x, y] = obstacle.centre;
         let travel = obstacle.velocity[0].hypot(obstacle.velocity[1]) * config.horizon_s;

@@ -56,7 +56,7 @@ impl Rollout {
         self.samples.push(Sampled { t: 0.0, state });
         for (interval, control) in controls.iter().enumerate() {
             for part in 1..=PIECES {
-                state = advance(&scene.config.parameters, &state, control, piece);
+                state = advance(&scene.config.vehicle.parameters(), &state, control, piece);
                 self.samples.push(Sampled { t: interval as f64 * interval_s + part as f64 * piece, state });
             }
             self.nodes.push(state);

@@ -84,7 +84,8 @@ impl<'a> Scene<'a> {
         if self.config.track.walls && self.wall_gap(state) < baseline.wall_gap {
             return Some(Violation::Clearance);
         }
-        let reach = self.config.body_length_m.hypot(self.config.body_width_m) / 2.0 + self.config.clearance_m;
+        let reach =
+            self.config.vehicle.length_m.hypot(self.config.vehicle.width_m) / 2.0 + self.config.clearance_m;
         for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
             if obstacle.value(t, state.x, state.y) < baseline.values[index] {
                 return Some(Violation::Ellipse(index));
@@ -106,15 +107,15 @@ impl<'a> Scene<'a> {
         Rectangle {
             centre,
             yaw: state.yaw,
-            length: self.config.body_length_m,
-            width: self.config.body_width_m,
+            length: self.config.vehicle.length_m,
+            width: self.config.vehicle.width_m,
         }
     }
 
     /// Curvature of a steady turn at full lock [1/m].
     pub(crate) fn full_lock_curvature(&self, velocity: f64) -> f64 {
-        let control = Control { velocity, steering: self.config.bounds.steering_max_rad };
-        vehicle::model::steady_turn(&self.config.parameters, &control).1 / velocity
+        let control = Control { velocity, steering: self.config.vehicle.bounds.steering_max_rad };
+        vehicle::model::steady_turn(&self.config.vehicle.parameters(), &control).1 / velocity
     }
 
     fn wall_gap(&self, state: &State) -> f64 {

@@ -55,8 +55,8 @@ pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_sl
         scene,
         baseline: scene.baseline(),
         end_x: end_x.min(scene.config.goal.x_m),
-        curvature: scene.full_lock_curvature(scene.config.bounds.velocity_max_mps),
-        speed: scene.config.bounds.velocity_max_mps,
+        curvature: scene.full_lock_curvature(scene.config.vehicle.bounds.velocity_max_mps),
+        speed: scene.config.vehicle.bounds.velocity_max_mps,
     };
     let mut best = (f64::NEG_INFINITY, None);
     for start in [plan.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {

@@ -40,7 +40,7 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     if !scene.initial.is_finite() || controls.is_empty() {
         return Verdict { intervals: 0, violation: Some((Violation::NotFinite, 0.0)) };
     }
-    if !controls.iter().all(|control| scene.config.bounds.contains(*control, ROUNDING)) {
+    if !controls.iter().all(|control| scene.config.vehicle.bounds.contains(*control, ROUNDING)) {
         return Verdict { intervals: 0, violation: Some((Violation::Control, 0.0)) };
     }
     rollout.drive(scene, controls);

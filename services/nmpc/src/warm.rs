@@ -6,7 +6,6 @@
 
 use vehicle::{Bounds, Control};
 
-use crate::config::Config;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::Pace;
 use crate::reference_path::ReferencePath;
@@ -46,7 +45,7 @@ pub(crate) fn follow(
     controls: &mut Vec<Control>,
 ) {
     controls.clear();
-    let Config { parameters, bounds, .. } = scene.config;
+    let (parameters, bounds) = (scene.config.vehicle.parameters(), &scene.config.vehicle.bounds);
     let (gain, interval_s) = (parameters.yaw_rate_gain(), scene.config.interval_s());
     let mut state = scene.initial;
     for _ in 0..intervals {
@@ -58,7 +57,7 @@ pub(crate) fn follow(
         let wanted =
             curvature + OFFSET_GAIN * (y - state.y) + COURSE_GAIN * (course - state.yaw - state.sideslip);
         let control = bounds.clamp(Control { velocity, steering: finite(wanted / gain) });
-        state = advance(parameters, &state, &control, interval_s);
+        state = advance(&parameters, &state, &control, interval_s);
         controls.push(control);
     }
 }
@@ -95,6 +94,7 @@ fn finite(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
     use vehicle::Goal;
     use vehicle::State;
 
@@ -120,7 +120,7 @@ mod tests {
         follow(&scene, &reference_path, &pace, 12, &mut controls);
         let mut state = scene.initial;
         for control in &controls {
-            state = advance(&config.parameters, &state, control, config.interval_s());
+            state = advance(&config.vehicle.parameters(), &state, control, config.interval_s());
         }
         assert!(state.y.abs() < 0.05 && state.yaw.abs() < 0.05, "{state:?}");
     }

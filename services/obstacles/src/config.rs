@@ -1,6 +1,6 @@
 //! Settings of the description.
 
-use vehicle::{Invalid, settings};
+use vehicle::{Description, Invalid, settings};
 
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
@@ -21,10 +21,8 @@ settings! {
         pub long_axis_m: f64 = 1.2, 0.5..=5.0;
         /// Ratio of the semi-axes a and b of wide obstacles, (7.35).
         pub long_axis_ratio: f64 = 1.15, 1.0..=3.0;
-        /// Length of the robot's body [m].
-        pub body_length_m: f64 = 0.56, 0.1..=3.0;
-        /// Width of the robot's body [m].
-        pub body_width_m: f64 = 0.40, 0.1..=3.0;
+        /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
+        pub vehicle: Description = Description::default();
         /// Distance that the body keeps from big or turned obstacles while its centre is outside of the ellipses [m].
         pub clearance_m: f64 = 0.1, 0.0..=1.0;
         /// Assumed depth of a body of which only the front was seen [m].

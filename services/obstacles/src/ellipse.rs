@@ -126,8 +126,9 @@ struct Sizing<'a> {
 impl<'a> Sizing<'a> {
     fn of(config: &'a Config, directions: &'a Directions) -> Self {
         let (sin, cos) = PASSING_YAW.sin_cos();
-        let along = config.body_length_m.hypot(config.body_width_m) / 2.0 + config.clearance_m;
-        let across = (config.body_length_m * sin + config.body_width_m * cos) / 2.0 + config.clearance_m;
+        let (length, width) = (config.vehicle.length_m, config.vehicle.width_m);
+        let along = length.hypot(width) / 2.0 + config.clearance_m;
+        let across = (length * sin + width * cos) / 2.0 + config.clearance_m;
         Self { config, directions, along, across }
     }
 

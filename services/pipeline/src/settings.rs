@@ -2,12 +2,14 @@
 
 use emulator::Scenario;
 use serde::{Deserialize, Serialize};
-use vehicle::Invalid;
+use vehicle::{Description, Invalid};
 
 /// Settings of the four stages behind the robot.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Tuning {
+    /// What the stages believe about the robot; each has a copy in its own settings.
+    pub vehicle: Description,
     /// Settings of the estimator.
     pub estimator: estimator::Config,
     /// Settings of the obstacle description.
@@ -19,6 +21,17 @@ pub struct Tuning {
 }
 
 impl Tuning {
+    /// The default settings of all stages for another robot.
+    pub fn of(vehicle: Description) -> Self {
+        Self {
+            vehicle,
+            estimator: estimator::Config { vehicle, ..Default::default() },
+            obstacles: obstacles::Config { vehicle, ..Default::default() },
+            controller: nmpc::Config { vehicle, ..Default::default() },
+            actuator: actuation::Config { vehicle, ..Default::default() },
+        }
+    }
+
     /// Checks every number of every stage.
     ///
     /// # Errors

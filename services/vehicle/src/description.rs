@@ -60,6 +60,12 @@ settings! {
 }
 
 impl Description {
+    /// A robot that follows every command at once, as the source assumes; the rest as described here.
+    #[must_use]
+    pub fn without_lag(self) -> Self {
+        Self { command_delay_s: 0.0, velocity_lag_s: 0.0, steering_lag_s: 0.0, ..self }
+    }
+
     /// Parameters of (7.27)-(7.31).
     pub fn parameters(&self) -> Parameters {
         let Self { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2, .. } = *self;

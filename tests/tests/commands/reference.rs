@@ -30,7 +30,7 @@ fn a_key_is_found_by_a_part_of_its_name_and_an_override_takes_what_is_shown() {
     let printed = String::from_utf8(output.stdout).unwrap();
     assert_eq!(printed.lines().next(), Some("robot.steering_backlash_rad = 0.0   (0 to 0.1)"));
     for key in
-        ["robot.steering_backlash_rad=0.05", "obstacle.0.x_m=6.0", "controller.bounds.steering_max_rad=0.05"]
+        ["robot.steering_backlash_rad=0.05", "obstacle.0.x_m=6.0", "vehicle.bounds.steering_max_rad=0.05"]
     {
         let (name, _) = key.split_once('=').unwrap();
         let found = String::from_utf8(system.run(&["reference", name]).stdout).unwrap();

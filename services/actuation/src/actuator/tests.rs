@@ -393,7 +393,7 @@ proptest! {
                     (command.velocity_mps, command.steering_rad) = (velocity, steering);
                     admissible = kind == CommandKind::Drive.wire() && verified == 1 && scan > answered
                         && velocity.is_finite() && steering.is_finite()
-                        && Config::default().bounds.contains(Control { velocity, steering }, 1e-6)
+                        && Config::default().vehicle.bounds.contains(Control { velocity, steering }, 1e-6)
                         && age_ns <= 3 * PERIOD_NS as i64 && age_ns >= -(PERIOD_NS as i64);
                     let actuation = actuator.answer(&command, now);
                     if actuation.answers == 1 {

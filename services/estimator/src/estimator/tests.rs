@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 use shared_types::{ActuationKind, Header, Sample};
-use vehicle::Control;
+use vehicle::{Control, Description};
 
 use super::*;
 use crate::Profile;
@@ -72,7 +72,8 @@ fn the_first_odometry_is_the_first_estimate() {
 
 #[test]
 fn the_prediction_ends_when_the_command_would_act() {
-    let config = Config { extra_latency_ms: 10.0, ..ideal() };
+    let vehicle = Description { command_delay_s: 0.01, ..ideal().vehicle };
+    let config = Config { vehicle, ..ideal() };
     let (_, pose) = straight(&config, 20);
     let pose = pose.unwrap();
     assert_eq!(pose.predicted_ns, at(20) + 10_000_000);

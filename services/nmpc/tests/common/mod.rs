@@ -126,7 +126,7 @@ pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) 
         obstacles.header.acquired_ns = (t * 1e9) as u64 + 1_000_000_000;
         for (index, body) in bodies.iter().enumerate() {
             let rectangle = at(body, t);
-            let ahead = rectangle.centre.x - body.length / 2.0 - (state.x + config.body_length_m / 2.0);
+            let ahead = rectangle.centre.x - body.length / 2.0 - (state.x + config.vehicle.length_m / 2.0);
             there[index] |= ahead <= body.appears_ahead_m;
             let exists = there[index] && t >= body.appears_s && t < body.disappears_s;
             let offset = [rectangle.centre.x - state.x, rectangle.centre.y - state.y];
@@ -188,8 +188,8 @@ pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) 
             let robot = Rectangle {
                 centre: nalgebra::Vector2::new(state.x, state.y),
                 yaw: state.yaw,
-                length: config.body_length_m,
-                width: config.body_width_m,
+                length: config.vehicle.length_m,
+                width: config.vehicle.width_m,
             };
             for (index, body) in bodies.iter().enumerate() {
                 let now = t + elapsed;
@@ -211,7 +211,7 @@ pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) 
         if kind == CommandKind::Drive {
             assert_eq!(command.verified, 1, "an unverified drive");
             assert!(
-                control.is_some_and(|control| config.bounds.contains(control, 0.0)),
+                control.is_some_and(|control| config.vehicle.bounds.contains(control, 0.0)),
                 "outside of the hard bounds: {control:?}"
             );
         }

@@ -12,7 +12,7 @@ use crate::Outcome;
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Actuator)?;
     let mut config = process.settings::<Config>("actuator")?;
-    let bounds = config.bounds;
+    let bounds = config.vehicle.bounds;
     match fault {
         "hasty" => config.recovery = 1,
         "uncalibrated" => config.calibration = Calibration::Identity,

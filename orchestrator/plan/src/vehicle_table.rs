@@ -1,0 +1,171 @@
+//! The table `[vehicle]`: one description of the robot for all stages.
+//!
+//! Every stage gets a copy of the table. Keys that stages had of their own before there was this table still hold for
+//! that stage alone, with a warning. A key that the scenario sets for the true robot also holds for the description.
+
+use toml::{Table, Value};
+use vehicle::{Description, Invalid, Setting, read};
+
+/// Name of the table, in the system file and in the table of each stage.
+const VEHICLE: &str = "vehicle";
+/// The stages that know the robot.
+const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
+
+/// A key that a stage had of its own: where it was, where it is in the description, and the factor between the units.
+struct OldKey {
+    stage: &'static str,
+    key: &'static str,
+    place: &'static [&'static str],
+    factor: f64,
+}
+
+const fn old(stage: &'static str, key: &'static str, place: &'static [&'static str]) -> OldKey {
+    OldKey { stage, key, place, factor: 1.0 }
+}
+
+const OLD_KEYS: [OldKey; 10] = [
+    old("estimator", "blocked_deceleration_mps2", &["blocked_deceleration_mps2"]),
+    OldKey { factor: 1e-3, ..old("estimator", "extra_latency_ms", &["command_delay_s"]) },
+    old("obstacles", "body_length_m", &["length_m"]),
+    old("obstacles", "body_width_m", &["width_m"]),
+    old("controller", "body_length_m", &["length_m"]),
+    old("controller", "body_width_m", &["width_m"]),
+    old("controller", "deceleration_mps2", &["blocked_deceleration_mps2"]),
+    old("controller", "parameters", &[]),
+    old("controller", "bounds", &["bounds"]),
+    old("actuator", "bounds", &["bounds"]),
+];
+
+/// Copies explicit keys of the true robot to keys of the description that have the same name and are not set.
+pub(crate) fn adopt_robot(scenario: &Table, system: &mut Table) {
+    let Some(Value::Table(robot)) = scenario.get("robot") else { return };
+    let Some(Value::Table(vehicle)) =
+        Some(system.entry(VEHICLE.to_owned()).or_insert_with(|| Value::Table(Table::new())))
+    else {
+        return;
+    };
+    for key in Description::keys() {
+        if let Some(value) = robot.get(key.name).filter(|_| !vehicle.contains_key(key.name)) {
+            vehicle.insert(key.name.to_owned(), value.clone());
+        }
+    }
+}
+
+/// Gives each stage its copy of the description; returns a warning for each old key.
+///
+/// # Errors
+/// [`Invalid`] with the first key of the description that is not allowed.
+pub(crate) fn distribute(system: &mut Table) -> Result<Vec<String>, Invalid> {
+    let within = |invalid: Invalid| invalid.within(VEHICLE);
+    let description = match system.get(VEHICLE) {
+        Some(Value::Table(table)) => table.clone(),
+        Some(other) => return Err(Invalid::new(VEHICLE, other, "a table")),
+        None => Table::new(),
+    };
+    let checked: Description = read(description.clone()).map_err(within)?;
+    checked.require_ranges().map_err(within)?;
+    let mut warnings = Vec::new();
+    for stage in STAGES {
+        let entry = system.entry(stage.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+        // The reader of the whole file refuses what is no table, with the name of the key.
+        let Value::Table(table) = entry else { continue };
+        let mut copy = description.clone();
+        if let Some(Value::Table(own)) = table.remove(VEHICLE) {
+            overlay(&mut copy, own);
+        }
+        for old in OLD_KEYS.iter().filter(|old| old.stage == stage) {
+            let Some(value) = table.remove(old.key) else { continue };
+            let place =
+                std::iter::once(VEHICLE).chain(old.place.iter().copied()).collect::<Vec<_>>().join(".");
+            warnings.push(format!("{stage}.{} holds for this stage only; set {place} instead", old.key));
+            overlay(&mut copy, nested(old.place, scaled(value, old.factor)));
+        }
+        table.insert(VEHICLE.to_owned(), Value::Table(copy));
+    }
+    Ok(warnings)
+}
+
+/// The table that has `value` at `place`; with an empty place, `value` itself.
+fn nested(place: &[&str], value: Value) -> Table {
+    let wrapped = place
+        .iter()
+        .rev()
+        .fold(value, |value, key| Value::Table(Table::from_iter([((*key).to_owned(), value)])));
+    match wrapped {
+        Value::Table(table) => table,
+        _ => Table::new(),
+    }
+}
+
+fn scaled(value: Value, factor: f64) -> Value {
+    match value {
+        Value::Integer(number) if factor != 1.0 => Value::Float(number as f64 * factor),
+        Value::Float(number) => Value::Float(number * factor),
+        value => value,
+    }
+}
+
+/// Puts all keys of `over` into `table`.
+fn overlay(table: &mut Table, over: Table) {
+    for (key, value) in over {
+        match (table.get_mut(&key), value) {
+            (Some(Value::Table(inner)), Value::Table(over)) => overlay(inner, over),
+            (_, value) => _ = table.insert(key, value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> Table {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn every_stage_gets_the_whole_table() {
+        let mut system = table("[vehicle]\nwidth_m = 0.5\n[vehicle.bounds]\nvelocity_max_mps = 0.8");
+        assert_eq!(distribute(&mut system), Ok(Vec::new()));
+        for stage in STAGES {
+            assert_eq!(system[stage]["vehicle"]["width_m"].as_float(), Some(0.5));
+            assert_eq!(system[stage]["vehicle"]["bounds"]["velocity_max_mps"].as_float(), Some(0.8));
+        }
+    }
+
+    #[test]
+    fn an_old_key_holds_for_its_stage_alone_and_warns() {
+        let mut system = table(
+            "[controller]\nbody_width_m = 0.6\n[controller.parameters]\nmass_kg = 20\n[estimator]\nextra_latency_ms = 30",
+        );
+        let warnings = distribute(&mut system).unwrap();
+        assert_eq!(system["controller"]["vehicle"]["width_m"].as_float(), Some(0.6));
+        assert_eq!(system["controller"]["vehicle"]["mass_kg"].as_integer(), Some(20));
+        assert_eq!(system["estimator"]["vehicle"]["command_delay_s"].as_float(), Some(0.03));
+        assert!(system["obstacles"]["vehicle"].get("width_m").is_none());
+        assert_eq!(warnings.len(), 3);
+        assert!(warnings[1].contains("controller.body_width_m") && warnings[1].contains("vehicle.width_m"));
+    }
+
+    #[test]
+    fn explicit_keys_of_the_robot_are_adopted_unless_the_description_has_them() {
+        let scenario =
+            table("[robot]\nwidth_m = 1.4\nlength_m = 0.9\nvelocity_factor = 1.3\npreset = \"worn\"");
+        let mut system = table("[vehicle]\nlength_m = 0.6");
+        adopt_robot(&scenario, &mut system);
+        let vehicle = system["vehicle"].as_table().unwrap();
+        assert_eq!(vehicle["width_m"].as_float(), Some(1.4));
+        assert_eq!(vehicle["length_m"].as_float(), Some(0.6));
+        assert_eq!(vehicle.len(), 2);
+    }
+
+    #[test]
+    fn a_wrong_key_of_the_description_is_named_there() {
+        let message = |text: &str| distribute(&mut table(text)).unwrap_err().to_string();
+        assert_eq!(message("[vehicle]\nwidth_m = 9"), "vehicle.width_m = 9 is not allowed: 0.1 to 3");
+        assert!(
+            message("[vehicle]\nwidht_m = 0.4")
+                .starts_with("vehicle.widht_m = 0.4 is not allowed: the key is unknown")
+        );
+    }
+}
