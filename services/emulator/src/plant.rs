@@ -309,4 +309,109 @@ mod tests {
         assert_eq!(run(&mut plant, 100), 0.0);
         assert_eq!(*plant.state(), state);
     }
+
+    /// A robot with lags and nothing else.
+    fn lagging() -> Robot {
+        Robot {
+            velocity_lag_s: Some(0.15),
+            steering_lag_s: Some(0.1),
+            acceleration_max_mps2: Some(100.0),
+            deceleration_max_mps2: Some(100.0),
+            steering_rate_max_radps: Some(100.0),
+            ..ideal()
+        }
+    }
+
+    #[test]
+    fn velocity_and_steering_follow_with_their_time_constants() {
+        let mut plant = plant(lagging());
+        plant.drive(0.8, 0.05);
+        assert_eq!((plant.speed(), plant.steering()), (0.0, 0.0));
+        let distance = run(&mut plant, 150);
+        // One time constant of the velocity, 1.5 of the steering.
+        assert!((plant.speed() - 0.8 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
+        assert!((plant.steering() - 0.05 * (1.0 - (-1.5_f64).exp())).abs() < 1e-9);
+        // v t - v tau (1 - exp(-t / tau)).
+        assert!((distance - 0.8 * 0.15 * (-1.0_f64).exp()).abs() < 1e-9, "{distance}");
+    }
+
+    #[test]
+    fn acceleration_deceleration_and_steering_rate_are_limited() {
+        let limits = Robot {
+            acceleration_max_mps2: Some(2.0),
+            deceleration_max_mps2: Some(3.0),
+            steering_rate_max_radps: Some(0.2),
+            ..lagging()
+        };
+        let mut plant = plant(limits);
+        plant.drive(1.0, 0.06);
+        run(&mut plant, 100);
+        assert!((plant.speed() - 0.2).abs() < 1e-12, "2 m/s^2 for 0.1 s: {}", plant.speed());
+        assert!((plant.steering() - 0.02).abs() < 1e-12, "0.2 rad/s for 0.1 s: {}", plant.steering());
+        run(&mut plant, 3000);
+        plant.drive(0.1, 0.06);
+        run(&mut plant, 100);
+        assert!((plant.speed() - 0.7).abs() < 1e-6, "3 m/s^2 for 0.1 s: {}", plant.speed());
+    }
+
+    #[test]
+    fn a_robot_at_standstill_turns_its_wheels_before_it_rolls() {
+        let mut plant = plant(Robot { velocity_lag_s: Some(0.0), ..lagging() });
+        plant.drive(0.0, 0.06);
+        assert_eq!(run(&mut plant, 1000), 0.0);
+        assert!((plant.steering() - 0.06).abs() < 1e-5);
+        assert_eq!(*plant.state(), State::default());
+    }
+
+    #[test]
+    fn blocked_wheels_keep_the_angle_that_they_had_reached() {
+        let mut plant = plant(lagging());
+        plant.drive(1.0, 0.06);
+        run(&mut plant, 50);
+        let reached = plant.steering();
+        plant.block();
+        run(&mut plant, 300);
+        assert!(reached < 0.03);
+        assert_eq!((plant.steering(), plant.speed()), (reached, 0.0));
+    }
+
+    #[test]
+    fn blocked_wheels_slow_down_by_mu_g_at_most() {
+        let way = |friction| {
+            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
+            plant.drive(0.9, 0.0);
+            plant.block();
+            run(&mut plant, 2000)
+        };
+        assert!((way(0.1) - 0.81 / (2.0 * 0.981)).abs() < 1e-12);
+        assert!((way(0.8) - 0.081).abs() < 1e-12, "5 m/s^2 is less than 0.8 g");
+    }
+
+    #[test]
+    fn tyres_with_little_friction_turn_less() {
+        let turn = |friction| {
+            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
+            plant.drive(1.0, 0.06);
+            run(&mut plant, 5000);
+            plant.state().yaw_rate * plant.state().sideslip.cos()
+        };
+        // A steady turn at 1 m/s needs 0.32 m/s^2; the forces of 0.02 g are limited to 0.196 m/s^2.
+        assert!((turn(0.0) - 0.32).abs() < 0.005, "{}", turn(0.0));
+        assert!((0.15..=0.1963).contains(&turn(0.02)), "{}", turn(0.02));
+        assert!((turn(0.8) / turn(0.0) - 1.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn the_offset_is_added_after_map_and_play() {
+        let mut plant = plant(Robot {
+            steering_offset_rad: Some(0.01),
+            steering_backlash_rad: Some(0.006),
+            ..Robot::default()
+        });
+        assert_eq!(plant.steering(), 0.01);
+        plant.drive(0.5, 0.06);
+        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15);
+        plant.drive(0.5, 0.06);
+        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15, "it does not add up");
+    }
 }
