@@ -389,15 +389,17 @@ mod tests {
 
     #[test]
     fn tyres_with_little_friction_turn_less() {
+        // How far the direction of motion turns in 5 s at 1 m/s.
         let turn = |friction| {
             let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
             plant.drive(1.0, 0.06);
             run(&mut plant, 5000);
-            plant.state().yaw_rate * plant.state().sideslip.cos()
+            plant.state().yaw + plant.state().sideslip
         };
-        // A steady turn at 1 m/s needs 0.32 m/s^2; the forces of 0.02 g are limited to 0.196 m/s^2.
-        assert!((turn(0.0) - 0.32).abs() < 0.005, "{}", turn(0.0));
-        assert!((0.15..=0.1963).contains(&turn(0.02)), "{}", turn(0.02));
+        // 0.32 rad/s without a limit, less the transient; the forces of 0.02 g give 0.196 m/s^2 at most, over the
+        // cosine of a sideslip up to 0.18 rad.
+        assert!((turn(0.0) - 1.6).abs() < 0.03, "{}", turn(0.0));
+        assert!((0.93..=0.998).contains(&turn(0.02)), "{}", turn(0.02));
         assert!((turn(0.8) / turn(0.0) - 1.0).abs() < 0.005);
     }
 
