@@ -137,9 +137,17 @@ impl Plant {
         if before <= 0.0 {
             return 0.0;
         }
-        self.speed = (before - deceleration * duration).max(0.0);
-        // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
-        self.roll((before + self.speed) / 2.0, duration.min(before / deceleration))
+        let (after, moving) =
+            ((before - deceleration * duration).max(0.0), duration.min(before / deceleration));
+        if self.follows_at_once() {
+            self.speed = after;
+            // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
+            return self.roll((before + after) / 2.0, moving);
+        }
+        let distance = self.follow(moving);
+        self.speed = after;
+        self.settle();
+        distance
     }
 
     fn sliding_mps2(&self) -> f64 {
@@ -163,7 +171,7 @@ impl Plant {
         speed * duration
     }
 
-    /// Moves while speed and steering angle follow what is asked for; returns the distance [m].
+    /// Moves while speed and steering angle follow what is asked for, or the wheels slide; returns the distance [m].
     ///
     /// One Runge-Kutta step over the state of the model, speed, steering angle and distance.
     fn follow(&mut self, duration: f64) -> f64 {
@@ -188,6 +196,11 @@ impl Plant {
         let motion = derivative_with_friction(&self.parameters, tyre_friction, &state, speed, steering);
         let mut rates = SVector::<f64, 8>::zeros();
         rates.fixed_rows_mut::<5>(0).copy_from(&motion);
+        rates[7] = speed;
+        if self.blocked {
+            rates[5] = -self.sliding_mps2();
+            return rates;
+        }
         if velocity_lag_s > 0.0 {
             let wanted = (self.target_speed - speed) / velocity_lag_s;
             rates[5] = wanted.clamp(-deceleration_max_mps2, acceleration_max_mps2);
@@ -196,7 +209,6 @@ impl Plant {
             let wanted = (self.wheels_target() - steering) / steering_lag_s;
             rates[6] = wanted.clamp(-steering_rate_max_radps, steering_rate_max_radps);
         }
-        rates[7] = speed;
         rates
     }
 
