@@ -12,8 +12,13 @@ mod figures;
 
 const PERIOD_NS: u64 = 100_000_000;
 
+/// The default settings for a robot that follows at once.
+fn at_once() -> Config {
+    Config { vehicle: Description::default().without_lag(), ..Config::default() }
+}
+
 fn source() -> Config {
-    Config { profile: Profile::Source, ..Config::default() }
+    Config { profile: Profile::Source, ..at_once() }
 }
 
 fn header(scan: u64) -> Header {
@@ -43,7 +48,7 @@ fn odometry(scan: u64, x: f64, speed: f64) -> Odometry {
 }
 
 fn ideal() -> Config {
-    Config { correction: Some(Mode::Off), ..Config::default() }
+    Config { correction: Some(Mode::Off), ..at_once() }
 }
 
 /// An estimator of a robot that drives straight at 1 m/s, after `scans` samples.
@@ -62,7 +67,7 @@ fn at(scan: u64) -> u64 {
 
 #[test]
 fn the_first_odometry_is_the_first_estimate() {
-    let mut estimator = Estimator::new(&Config::default()).unwrap();
+    let mut estimator = Estimator::new(&at_once()).unwrap();
     let sample = Odometry { x_m: 1.5, y_m: -0.25, yaw_rad: 0.1, ..odometry(1, 0.0, 0.0) };
     let pose = estimator.step(&sample, None, at(1)).unwrap();
     assert_eq!((pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps), (1.5, -0.25, 0.1, 0.0));
