@@ -91,6 +91,15 @@ fn the_prediction_ends_when_the_command_would_act() {
 }
 
 #[test]
+fn the_lead_contains_the_delay_and_the_share_of_the_steering_lag() {
+    let lead = |lead_share| {
+        let config = Config { lead_share, vehicle: Description::default(), ..ideal() };
+        straight(&config, 20).1.unwrap().predicted_ns - at(20)
+    };
+    assert_eq!((lead(0.0), lead(0.5), lead(1.0)), (20_000_000, 70_000_000, 120_000_000));
+}
+
+#[test]
 fn a_lost_sample_is_a_longer_prediction() {
     let (mut estimator, _) = straight(&ideal(), 5);
     let pose = estimator.step(&odometry(9, 0.9, 1.0), None, at(9)).unwrap();

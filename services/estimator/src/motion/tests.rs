@@ -143,3 +143,86 @@ fn crawling_stays_finite_and_turns_slowly() {
     let end = motion.advance(&model(0.0), Planar::default(), 0, 2_000 * MS, None).pose;
     assert!(end.yaw.abs() < 0.05 && (end.x - 0.002).abs() < 1e-3, "{end:?}");
 }
+
+/// The SUMMIT with its lags, and no delay.
+fn lagging() -> MotionModel {
+    let rate = 0.5;
+    MotionModel {
+        velocity_lag: Lag { time_constant_s: 0.15, rise_per_s: 2.0, fall_per_s: 3.0 },
+        steering_lag: Lag { time_constant_s: 0.1, rise_per_s: rate, fall_per_s: rate },
+        ..model(1.0)
+    }
+}
+
+/// Speed, steering angle and place of a plant with these lags, by Euler steps of 20 microseconds: an independent
+/// integration of the same differential equations.
+fn plant(controls: &[(u64, f64, f64)], until_ms: u64) -> (State, f64, f64) {
+    let (mut state, mut speed, mut steering) = (State::default(), 0.0_f64, 0.0_f64);
+    let step_s = 2e-5;
+    for step in 0..until_ms * 50 {
+        let now = controls.iter().rfind(|(from_ms, ..)| from_ms * 50 <= step);
+        let Some((_, velocity, angle)) = now else { continue };
+        let slope = vehicle::model::derivative_at(&Parameters::default(), &state, speed, steering);
+        state = State::from_vector(&(state.to_vector() + slope * step_s));
+        speed += ((velocity - speed) / 0.15).clamp(-3.0, 2.0) * step_s;
+        steering += ((angle - steering) / 0.1).clamp(-0.5, 0.5) * step_s;
+    }
+    (state, speed, steering)
+}
+
+#[test]
+fn a_prediction_is_where_a_plant_with_the_same_lags_gets_to() {
+    let controls = [(20, 1.0, 0.06), (130, 0.4, -0.06), (250, 0.9, 0.02)];
+    let mut motion = MotionState::default();
+    for (from_ms, velocity, steering) in controls {
+        motion.note(&drive(from_ms * MS - 20 * MS, velocity, steering), 20 * MS);
+    }
+    let end = motion.advance(&lagging(), Planar::default(), 0, 400 * MS, None).pose;
+    let (state, speed, steering) = plant(&controls, 400);
+    // Steps of 5 ms against Euler steps, whose own error is 2e-5 s times the rates: 1e-4 rad in the yaw, 4e-5 m/s.
+    assert!((motion.speed_mps - speed).abs() < 1e-4 && (motion.steering_rad - steering).abs() < 1e-5);
+    assert!((end.x - state.x).abs() < 1e-4 && (end.y - state.y).abs() < 1e-4, "{end:?} {state:?}");
+    assert!((end.yaw - state.yaw).abs() < 1e-4 && (motion.yaw_rate_radps - state.yaw_rate).abs() < 1e-3);
+    assert!((motion.expected_mps - motion.speed_mps).abs() < 1e-12, "nothing was measured");
+}
+
+#[test]
+fn a_command_acts_after_its_delay() {
+    let mut motion = MotionState::default();
+    motion.note(&drive(10 * MS, 1.0, 0.06), 20 * MS);
+    let before = motion.advance(&lagging(), Planar::default(), 0, 30 * MS, None).pose;
+    assert_eq!((before, motion.speed_mps, motion.steering_rad), (Planar::default(), 0.0, 0.0));
+    motion.advance(&lagging(), Planar::default(), 30 * MS, 80 * MS, None);
+    // 50 ms at 2 m/s^2; 0.01 rad at 0.5 rad/s, the rest of 0.05 rad exponentially for 30 ms.
+    let steering = 0.06 - 0.05 * (-0.3_f64).exp();
+    assert!((motion.speed_mps - 0.1).abs() < 1e-12 && (motion.steering_rad - steering).abs() < 1e-12);
+}
+
+#[test]
+fn blocked_wheels_keep_the_angle_that_they_have_reached() {
+    let mut motion = MotionState::default();
+    motion.note(&drive(0, 1.0, 0.06), 0);
+    motion.advance(&lagging(), Planar::default(), 0, 50 * MS, Some(0.5));
+    let reached = 0.06 - 0.05 * (-0.3_f64).exp();
+    motion.note(&actuation(30 * MS, ActuationKind::Block, 0.0, 0.0), 20 * MS);
+    let end = motion.advance(&lagging(), Planar::default(), 50 * MS, 250 * MS, None).pose;
+    // 0.25 m^2/s^2 over 10 m/s^2.
+    assert!((end.x - 0.025).abs() < 1e-4 && (motion.steering_rad - reached).abs() < 1e-12, "{end:?}");
+    assert_eq!((motion.speed_mps, motion.yaw_rate_radps), (0.0, 0.0));
+}
+
+#[test]
+fn a_drive_that_is_quicker_than_described_is_followed_and_the_difference_is_doubt() {
+    let mut motion = MotionState::default();
+    motion.note(&drive(0, 0.5, 0.0), 0);
+    motion.begin(&lagging(), 0, 0.5);
+    motion.note(&drive(1, 0.7, 0.0), 0);
+    let moved = motion.advance(&lagging(), Planar::default(), 0, 100 * MS, Some(0.7));
+    assert!((motion.speed_mps - 0.7).abs() < 1e-12);
+    // The lag explains 0.2 (1 - exp(-2/3)) m/s; the rest grew evenly, or at once: 0.289 times its distance in 0.1 s.
+    let explained = 0.7 - 0.2 * (-0.1_f64 / 0.15).exp();
+    assert!((motion.expected_mps - explained).abs() < 1e-8);
+    assert!((moved.ahead_m - 0.289 * (0.7 - explained) * 0.1).abs() < 1e-8 && moved.yaw_rad == 0.0);
+    let distance = 0.07 - 0.2 * 0.15 * (1.0 - (-0.1_f64 / 0.15).exp()) + (0.7 - explained) * 0.05;
+    assert!((moved.pose.x - distance).abs() < 1e-5, "{moved:?}");
+}
