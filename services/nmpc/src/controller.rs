@@ -43,6 +43,8 @@ const REST_MPS: f64 = 0.02;
 
 /// Blocked wheels that slide further than this are worth a slower plan [m].
 const SLIDE_M: f64 = 0.2;
+/// Distance in addition to the margin that a path at full speed keeps [m]: plans do not follow it exactly.
+const SPARE_M: f64 = 0.03;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -333,17 +335,17 @@ impl Controller {
         };
         if predicted.iter().any(in_the_way) {
             let scene = start.scene(config, predicted);
-            let mut find = |speed: f64| {
-                let query = Query { scene, speed, sides: &self.state.sides };
+            let mut find = |speed: f64, spare_m: f64| {
+                let query = Query { scene, speed, spare_m, sides: &self.state.sides };
                 self.search.find(&query, &mut self.reference_path);
                 self.reference_path.clear
             };
             if predicted.iter().any(PredictedObstacle::moves) {
-                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest)));
-            } else if !find(cruise) && find(slowest) {
+                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), 0.0));
+            } else if !find(cruise, SPARE_M) && find(slowest, 0.0) {
                 // Slow only where the margin of the full speed does not fit.
                 let deceleration = SLOWING_SHARE * config.vehicle.deceleration_max_mps2;
-                let allowed = |x: f64, y: f64| scene.fastest_at(x, y, [slowest, cruise]);
+                let allowed = |x: f64, y: f64, course: f64| scene.fastest_at(x, y, course, [slowest, cruise]);
                 self.reference_path.set_limits(deceleration, allowed);
             }
             if !self.reference_path.clear {

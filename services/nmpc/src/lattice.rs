@@ -22,6 +22,8 @@ const MIN_COSINE: f64 = 0.55;
 const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
 const CELL_M: f64 = 0.08;
+/// The same where every centimetre counts [m].
+const NARROW_CELL_M: f64 = 0.04;
 /// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
 const SHORTEST_M: f64 = 3.2;
 /// How far beyond the bounds cells reach, for a robot that is outside [m].
@@ -56,7 +58,7 @@ impl Search {
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
     pub(crate) fn find(&mut self, query: &Query, reference_path: &mut ReferencePath) {
         let start = query.scene.initial;
-        let grid = Grid::new(&query.scene);
+        let grid = Grid::new(&query.scene, if query.spare_m > 0.0 { CELL_M } else { NARROW_CELL_M });
         self.obstacle_cost.measure(query, grid.layers, grid.step);
         self.tabulate(&query.scene, &grid);
         self.reserve(&grid);
@@ -214,11 +216,12 @@ struct Grid {
     start_course: i32,
     courses: i32,
     low: f64,
+    cells_per_m: f64,
     cells: usize,
 }
 
 impl Grid {
-    fn new(scene: &Scene) -> Self {
+    fn new(scene: &Scene, cell_m: f64) -> Self {
         let Scene { config, initial: start, y_range, .. } = *scene;
         let length = (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m).min(needed(scene));
         let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
@@ -232,9 +235,20 @@ impl Grid {
         let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
         let low = y_range[0].min(start.y) - OUTSIDE_M;
         let high = y_range[1].max(start.y) + OUTSIDE_M;
-        let cells = ((high - low) / CELL_M).ceil().clamp(1.0, 2e3) as usize;
+        let cells = ((high - low) / cell_m).ceil().clamp(1.0, 2e3) as usize;
         let courses = right + left + 1;
-        Self { layers, step, bend, start_sine, sine_step, start_course: right, courses, low, cells }
+        Self {
+            layers,
+            step,
+            bend,
+            start_sine,
+            sine_step,
+            start_course: right,
+            courses,
+            low,
+            cells_per_m: 1.0 / cell_m,
+            cells,
+        }
     }
 
     fn layer_cells(&self) -> usize {
@@ -251,7 +265,7 @@ impl Grid {
     }
 
     fn cell(&self, y: f64) -> Option<usize> {
-        let cell = (y - self.low) * (1.0 / CELL_M);
+        let cell = (y - self.low) * self.cells_per_m;
         (cell >= 0.0 && cell < self.cells as f64).then_some(cell as usize)
     }
 
@@ -288,7 +302,7 @@ mod tests {
 
     fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
         let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
-        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, sides };
+        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, spare_m: 0.0, sides };
         let mut reference_path = ReferencePath::default();
         Search::default().find(&query, &mut reference_path);
         reference_path

@@ -18,6 +18,7 @@ mod query;
 mod reference;
 mod reference_path;
 mod rollout;
+mod sampled;
 mod scene;
 pub mod service;
 mod side;

@@ -25,6 +25,9 @@ settings! {
     }
 }
 
+/// The uncertainty grows for this time of a plan at most [s]: about the horizon. Later places are planned again before.
+const MAX_GROWTH_S: f64 = 2.7;
+
 /// The margin as a function of the time of the plan and the speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MarginModel {
@@ -66,7 +69,8 @@ impl MarginModel {
         let MarginSettings { pose_sigmas, pose_growth_m, age_share, model_m, perception_m } = self.settings;
         Margin {
             base_m: self.base_m,
-            pose_m: pose_sigmas * (self.variance_m2 + pose_growth_m * pose_growth_m * t).sqrt(),
+            pose_m: pose_sigmas
+                * (self.variance_m2 + pose_growth_m * pose_growth_m * t.min(MAX_GROWTH_S)).sqrt(),
             latency_m: speed * self.age_s * age_share,
             model_m,
             perception_m,
@@ -99,8 +103,8 @@ mod tests {
         assert!((margin.pose_m - 2.0 * 0.03).abs() < 1e-12);
         assert!((margin.latency_m - 0.075).abs() < 1e-12);
         assert!((margin.sum() - (0.05 + 0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
-        // Variances add up: 0.03^2 + 4 s * 0.006^2.
-        let later = model.at(4.0, 0.5).pose_m;
-        assert!((later - 2.0 * (9e-4 + 4.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
+        // Variances add up: 0.03^2 + 2 s * 0.006^2.
+        let later = model.at(2.0, 0.5).pose_m;
+        assert!((later - 2.0 * (9e-4 + 2.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
     }
 }

@@ -14,10 +14,12 @@ pub(crate) const HARD: f64 = 1e3;
 /// Share of its depth that a robot inside an ellipse must keep; the rest allows for rounding.
 const SHRINK: f64 = 0.995;
 
+/// Distance to the clearance of a straight box that is worth a detour [m].
+const SIDE_COMFORT_M: f64 = 0.06;
 /// A box is straight when the sine of twice its yaw is below this.
 const STRAIGHT: f64 = 0.2;
 /// Sine of the course up to which the length of the body along the track is right.
-const BODY_TURN: f64 = 0.35;
+const BODY_TURN: f64 = 0.2;
 
 /// The extent of one ellipse across the track at one x: with the clearance that a plan must keep, with the margin of the
 /// optimal control problem, and with the comfort distance.
@@ -61,10 +63,12 @@ impl ObstacleCost {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
-            let growth = query.scene.margin.growth(t, query.speed);
+            let growth = query.scene.margin.growth(t, query.speed) + query.spare_m;
             for obstacle in predicted {
                 // Around a robot already inside, the ellipse is shrunk until it is just outside: it must not go deeper.
-                let scale = obstacle.grown(growth).value(0.0, start.x, start.y).sqrt() * SHRINK;
+                // The box of a straight body has the clearance; the ellipses of others have it.
+                let grown = if is_straight(obstacle) { 0.0 } else { growth };
+                let scale = obstacle.grown(grown).value(0.0, start.x, start.y).sqrt() * SHRINK;
                 let scale = if scale < 1.0 { scale } else { 1.0 };
                 let [centre_x, centre_y] = obstacle.centre_at(t);
                 let across = |grown: f64, scale: f64| {
@@ -72,10 +76,9 @@ impl ObstacleCost {
                     (obstacle.b + grown) * scale * (1.0 - ratio * ratio).max(0.0).sqrt()
                 };
                 let comfort = across(growth + margin + config.guide.comfort_m, 1.0);
-                let side = side_of_box(&query.scene, obstacle, along, t, query.speed);
+                let side = side_of_box(query, obstacle, along, t);
                 if comfort > 0.0 {
-                    // The box of a straight body has the clearance; the ellipses of others have it.
-                    let hard = across(if is_straight(obstacle) { 0.0 } else { growth }, scale);
+                    let hard = across(grown, scale);
                     let margin = across(growth + margin, 1.0);
                     self.spans.push(Span { centre: centre_y, hard, side, margin, comfort });
                 }
@@ -108,7 +111,11 @@ impl ObstacleCost {
                 if offset < span.margin {
                     cost += 10.0 * settings.comfort_weight * length * (span.margin - offset);
                 }
-                let hard = span.hard.max(span.side + extent);
+                let side = span.side + extent;
+                if offset < side + SIDE_COMFORT_M {
+                    cost += 10.0 * settings.comfort_weight * length * (side + SIDE_COMFORT_M - offset);
+                }
+                let hard = span.hard.max(side);
                 if offset < hard {
                     cost += HARD * (1.0 + 10.0 * (hard - offset));
                 }
@@ -139,24 +146,34 @@ fn is_straight(obstacle: &PredictedObstacle) -> bool {
 
 /// Half the width of a straight box with the clearance that a plan keeps, `along` metres from the start, where the robot
 /// passes it; minus infinity elsewhere.
-fn side_of_box(scene: &Scene, obstacle: &PredictedObstacle, along: f64, t: f64, speed: f64) -> f64 {
+fn side_of_box(query: &Query, obstacle: &PredictedObstacle, along: f64, t: f64) -> f64 {
+    let scene = &query.scene;
     if !is_straight(obstacle) {
         return f64::NEG_INFINITY;
     }
     let Rectangle { centre, yaw, length, width } = obstacle.body_at(t);
     let (sin, cos) = (yaw.sin().abs(), yaw.cos().abs());
-    let margin = scene.margin.sum(t, speed);
+    let margin = scene.margin.sum(t, query.speed) + query.spare_m;
     let half = [length * cos + width * sin, length * sin + width * cos].map(|size| size / 2.0);
     let vehicle = &scene.config.vehicle;
-    let reach = half[0] + (vehicle.length_m + BODY_TURN * vehicle.width_m) / 2.0 + margin;
+    let reach = half[0] + (vehicle.length_m + BODY_TURN * vehicle.width_m) / 2.0;
     let State { x, y, yaw, sideslip, .. } = scene.initial;
-    if (x + along - centre.x).abs() > reach {
+    // Before and behind the box the clearance is that to its corners.
+    let beyond = ((x + along - centre.x).abs() - reach).max(0.0);
+    if beyond > margin {
         return f64::NEG_INFINITY;
     }
-    let side = half[1] + margin;
+    let side = half[1] + (margin * margin - beyond * beyond).sqrt();
+    if query.spare_m > 0.0 {
+        return side;
+    }
     // A robot that is nearer already must not come nearer.
     let extent = half_extent(scene, (yaw + sideslip).sin().clamp(-1.0, 1.0));
-    if (x - centre.x).abs() < reach { side.min((y - centre.y).abs() * SHRINK - extent) } else { side }
+    if (x - centre.x).abs() < reach + margin {
+        side.min((y - centre.y).abs() * SHRINK - extent)
+    } else {
+        side
+    }
 }
 
 /// How far the body reaches to either side across the track when its course has this sine [m].

@@ -229,6 +229,7 @@ impl Planner {
             return None;
         }
         warm::clamp(&task.scene.config.vehicle.bounds, &mut self.controls);
+        slow_down(task, &mut self.controls);
         let scene = &task.scene;
         let verdict = verify(scene, &self.controls, &mut self.rollout);
         let agrees =
@@ -242,6 +243,20 @@ impl Planner {
         let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
         Some(Choice { level, intervals: verdict.intervals })
+    }
+}
+
+/// Limits the velocity of each interval to that of the path: the objective only asks for it.
+fn slow_down(task: &Task, controls: &mut [Control]) {
+    if task.reference_path.limits.is_empty() {
+        return;
+    }
+    let (interval_s, slowest) = (task.scene.config.interval_s(), task.pace().slowest);
+    let mut x = task.scene.initial.x;
+    for control in controls {
+        let limit = task.reference_path.speed_over(x, control.velocity * interval_s);
+        control.velocity = control.velocity.min(limit.max(slowest));
+        x += control.velocity * interval_s;
     }
 }
 

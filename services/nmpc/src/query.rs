@@ -10,6 +10,8 @@ pub(crate) struct Query<'a> {
     pub(crate) scene: Scene<'a>,
     /// Velocity along the path [m/s].
     pub(crate) speed: f64,
+    /// Distance that the path keeps in addition to the margin [m]; with zero, a robot that is nearer may stay so near.
+    pub(crate) spare_m: f64,
     /// Sides on which the obstacles were passed before.
     pub(crate) sides: &'a Sides,
 }

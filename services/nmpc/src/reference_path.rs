@@ -12,6 +12,8 @@ use vehicle::settings;
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::side::Passing;
 
+/// In how many places per arc the velocity is limited.
+const LIMIT_PIECES: usize = 3;
 /// Largest sine of the course.
 pub(crate) const SINE_MAX: f64 = 0.8;
 
@@ -103,18 +105,36 @@ impl ReferencePath {
         self.limits[index] + share * (next - self.limits[index])
     }
 
+    /// Smallest velocity from `x` on over `length` metres [m/s].
+    pub(crate) fn speed_over(&self, x: f64, length: f64) -> f64 {
+        let pieces = (length / self.step * 2.0).ceil().max(1.0);
+        (0..=pieces as usize)
+            .map(|piece| self.speed_at(x + length * piece as f64 / pieces))
+            .fold(f64::INFINITY, f64::min)
+    }
+
     /// Sets the velocities along a path that was searched for the slowest one: at each point as fast as `allowed` says,
     /// and slowing down in time.
-    pub(crate) fn set_limits(&mut self, deceleration_mps2: f64, allowed: impl Fn(f64, f64) -> f64) {
-        self.limits.clear();
-        self.limits.extend(
-            self.y.iter().enumerate().map(|(index, y)| allowed(self.start_x + index as f64 * self.step, *y)),
-        );
-        for index in (0..self.limits.len().saturating_sub(1)).rev() {
-            let next = self.limits[index + 1];
-            let reachable = (next * next + 2.0 * deceleration_mps2 * self.step).sqrt();
-            self.limits[index] = self.limits[index].min(reachable);
+    pub(crate) fn set_limits(&mut self, deceleration_mps2: f64, allowed: impl Fn(f64, f64, f64) -> f64) {
+        let mut limits = std::mem::take(&mut self.limits);
+        limits.clear();
+        limits.resize(self.y.len(), f64::INFINITY);
+        for piece in 0..LIMIT_PIECES * self.y.len() {
+            let (index, x) =
+                (piece / LIMIT_PIECES, self.start_x + piece as f64 * self.step / LIMIT_PIECES as f64);
+            let (y, course, _) = self.at(x);
+            let limit = allowed(x, y, course);
+            // It holds at both ends of the arc.
+            for end in [index, (index + 1).min(self.y.len() - 1)] {
+                limits[end] = limits[end].min(limit);
+            }
         }
+        for index in (0..limits.len().saturating_sub(1)).rev() {
+            let next = limits[index + 1];
+            let reachable = (next * next + 2.0 * deceleration_mps2 * self.step).sqrt();
+            limits[index] = limits[index].min(reachable);
+        }
+        self.limits = limits;
     }
 
     /// Side on which the path passes the obstacle; `None` when it does not get there.

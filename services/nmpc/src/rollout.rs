@@ -7,6 +7,7 @@
 use vehicle::integrate::rk4;
 use vehicle::{Control, Parameters, State};
 
+use crate::sampled::Sampled;
 use crate::scene::Scene;
 
 /// Samples per interval: 5 cm apart at 1 m/s and N = 6.
@@ -16,17 +17,6 @@ pub(crate) const PIECES: usize = 9;
 const STEP_PER_VELOCITY: f64 = 0.02;
 /// Smallest velocity from which the step is computed [m/s].
 const SLOWEST_MPS: f64 = 0.02;
-
-/// A state at a time of the plan.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Sampled {
-    /// Time since the start of the plan [s].
-    pub(crate) t: f64,
-    /// Speed, at most [m/s].
-    pub(crate) speed: f64,
-    /// The state.
-    pub(crate) state: State,
-}
 
 /// The state after `duration` seconds under a constant control.
 #[must_use]

@@ -11,7 +11,7 @@ use vehicle::{Control, State};
 use crate::config::Config;
 use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
-use crate::rollout::Sampled;
+use crate::sampled::Sampled;
 
 /// How much deeper than now an ellipse may be entered, in units of (7.34).
 const DEEPER: f64 = 0.01;
@@ -151,12 +151,12 @@ impl<'a> Scene<'a> {
         distances.map(|obstacle| body.distance_to_rectangle(&obstacle.body)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Largest of the speeds between two at which a path at (`x`, `y`) stays outside of the ellipses with their margin.
-    pub(crate) fn fastest_at(&self, x: f64, y: f64, [slowest, fastest]: [f64; 2]) -> f64 {
+    /// Largest of the speeds between two at which the body keeps its clearance at (`x`, `y`), and a little more.
+    pub(crate) fn fastest_at(&self, x: f64, y: f64, course: f64, [slowest, fastest]: [f64; 2]) -> f64 {
+        let body = self.body_at(&State { x, y, yaw: course, ..State::default() });
         let outside = |speed: f64| {
             let near = |obstacle: &PredictedObstacle| {
-                let distance = obstacle.body.distance_to_point(Vector2::new(x, y));
-                distance < self.config.vehicle.width_m / 2.0 + self.margin.sum(0.0, speed) + SLOW_BEFORE_M
+                body.distance_to_rectangle(&obstacle.body) < self.margin.sum(0.0, speed) + SLOW_BEFORE_M
             };
             !self.predicted.iter().any(near)
         };

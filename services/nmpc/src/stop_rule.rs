@@ -12,7 +12,7 @@
 
 use vehicle::State;
 
-use crate::rollout::Sampled;
+use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
 
 /// Semi-axis b of a centred obstacle and the last centre distance at which full lock clears it in a corridor
@@ -41,17 +41,14 @@ pub(crate) fn latest_distance(b: f64) -> f64 {
 pub(crate) fn blocked_by(scene: &Scene, plan: &[Sampled], stop_m: f64, slack: f64) -> Option<usize> {
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
-    let Some(end_x) = scene
+    let end_x = scene
         .predicted
         .iter()
         .filter(|obstacle| {
             ahead(obstacle.centre[0]) && obstacle.centre[0] - obstacle.a < scene.config.goal.x_m
         })
         .map(|obstacle| obstacle.centre[0] + obstacle.a / 2.0)
-        .reduce(f64::max)
-    else {
-        return None;
-    };
+        .reduce(f64::max)?;
     let turns = Turns {
         scene,
         baseline: scene.baseline(),

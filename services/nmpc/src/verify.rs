@@ -11,7 +11,8 @@
 use vehicle::bounds::ROUNDING;
 use vehicle::{Control, State};
 
-use crate::rollout::{PIECES, Rollout, Sampled};
+use crate::rollout::{PIECES, Rollout};
+use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
 
 /// How far behind the goal the plan is still checked [m].

@@ -9,7 +9,8 @@ use vehicle::{Bounds, Control};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::Pace;
 use crate::reference_path::ReferencePath;
-use crate::rollout::{Sampled, advance};
+use crate::rollout::advance;
+use crate::sampled::Sampled;
 use crate::scene::Scene;
 use crate::side::Passing;
 
@@ -50,6 +51,8 @@ pub(crate) fn follow(
     let mut state = scene.initial;
     for _ in 0..intervals {
         let velocity = pace.along(reference_path, state.x);
+        let ahead = reference_path.speed_over(state.x, velocity * interval_s);
+        let velocity = velocity.min(ahead.max(pace.slowest));
         // The correction aims at the middle of the interval, where its effect is seen.
         let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
         let (_, _, curvature) = reference_path.at(middle);

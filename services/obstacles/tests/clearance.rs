@@ -3,7 +3,7 @@
 mod scene;
 
 use obstacles::ObstacleDetector;
-use scene::{Body, Robot, Scene, block, detector, with_walls};
+use scene::{Body, Robot, Scene, block, detector, tight, with_walls};
 use shared_types::Obstacles;
 use vehicle::geometry::Rectangle;
 
@@ -63,6 +63,15 @@ fn rectangle_of(body: Body) -> Rectangle {
 
 #[test]
 fn the_body_keeps_its_distance_to_boxes_that_are_long_or_turned() {
+    pass_boxes(detector, 0.1);
+}
+
+#[test]
+fn the_body_keeps_its_distance_outside_of_tight_ellipses() {
+    pass_boxes(tight, 0.05);
+}
+
+fn pass_boxes(detector: fn() -> ObstacleDetector, clearance_m: f64) {
     for (length, width, yaw) in [
         (0.1, 0.4, 0.0),
         (0.5, 0.4, 0.8),
@@ -79,7 +88,7 @@ fn the_body_keeps_its_distance_to_boxes_that_are_long_or_turned() {
                     scene = scene.noisy(seed);
                 }
                 let (nearest, widest) = drive(&mut detector(), &mut scene, &rectangle_of(body), 1.5);
-                assert!(nearest > 0.1, "{length} x {width} at {yaw}, y {y}, seed {seed}: {nearest}");
+                assert!(nearest > clearance_m, "{length} x {width} at {yaw}, y {y}, seed {seed}: {nearest}");
                 // Around a long turned box the planner of this test, two arcs without a memory, may swing wide.
                 let straight = yaw == 0.0 || length < 1.0;
                 assert!(

@@ -2,7 +2,6 @@
 
 mod scene;
 
-use obstacles::{Config, ObstacleDetector};
 use scene::{Body, Robot, Scene, block, detector, mover, run};
 use shared_types::Obstacles;
 
@@ -132,7 +131,7 @@ fn a_detector_that_resumes_continues_bit_by_bit() {
         robot = robot.after(0.1);
         if scan % 7 == 3 {
             let state = twin.state();
-            twin = ObstacleDetector::new(Config::default()).unwrap();
+            twin = detector();
             twin.resume(&state).unwrap();
         }
         let (one, two) = (first.step(&sample, &pose), twin.step(&sample, &pose));

@@ -8,7 +8,7 @@
 )]
 
 use nalgebra::Vector2;
-use obstacles::{Config, ObstacleDetector};
+use obstacles::{Config, CoverRule, ObstacleDetector};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use shared_types::{BEAMS, Header, Obstacles, Pose, Scan};
@@ -205,12 +205,19 @@ pub fn rectangle(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle
     Rectangle { centre: Vector2::new(x, y), yaw, length, width }
 }
 
+/// A detector with the ellipses of (7.35).
 pub fn detector() -> ObstacleDetector {
+    ObstacleDetector::new(Config { cover: CoverRule::Source, ..Config::default() }).unwrap()
+}
+
+/// A detector with the default ellipses.
+pub fn tight() -> ObstacleDetector {
     ObstacleDetector::new(Config::default()).unwrap()
 }
 
 pub fn with_walls() -> ObstacleDetector {
-    ObstacleDetector::new(Config { walls: true, ..Config::default() }).unwrap()
+    let config = Config { walls: true, cover: CoverRule::Source, ..Config::default() };
+    ObstacleDetector::new(config).unwrap()
 }
 
 /// Descriptions of `count` scans from a robot that moves on between them.
