@@ -2,6 +2,7 @@
 
 pub mod calibration_file;
 pub mod overrides;
+mod rate;
 pub mod reference;
 pub mod settings;
 pub mod system;
@@ -86,7 +87,10 @@ impl Plan {
         vehicle_table::adopt_robot(&scenario, &mut system);
         let scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
-        let warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
+        let mut warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
+        if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
+            warnings.push("controller.period_s has no effect: the scan period is 1 / rate_hz".to_owned());
+        }
         let system = System::from_table(system, &system_file)?;
         // What the stages take from the scenario may be allowed there and too much for them.
         let together = system.tuning().for_scenario(&scenario).validate();
