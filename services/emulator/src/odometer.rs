@@ -277,4 +277,83 @@ mod tests {
             assert!(((sum / 4000.0).sqrt() / expected - 1.0).abs() < 0.056);
         }
     }
+
+    fn encoders() -> Robot {
+        Robot { odometry_model: Some(OdometryModel::Encoders), ..Robot::default() }
+    }
+
+    /// Error of the position along and across and of the yaw after 20 m straight ahead in 20 s.
+    fn error_after_20_m(robot: Robot, seed: u64) -> [f64; 3] {
+        let mut reckoning = Reckoning::new(&Scenario { robot, seed, ..Scenario::default() });
+        for step in 0..20_000 {
+            let at = |step: u64| State { x: step as f64 * 1e-3, ..State::default() };
+            reckoning.step(step * 1_000_000, &at(step), &at(step + 1), 1e-3, 1e-3);
+        }
+        [reckoning.reported().x - 20.0, reckoning.reported().y, reckoning.yaw()]
+    }
+
+    #[test]
+    fn encoders_count_whole_millimetres_of_what_the_scale_leaves() {
+        let robot = Robot { encoder_slip_m: Some(0.0), gyro_noise_rad: Some(0.0), ..encoders() };
+        let robot = Robot { gyro_bias_walk_radps: Some(0.0), ..robot };
+        let mut reckoning = reckoning(robot);
+        straight(&mut reckoning, 0.0, 1.0);
+        // 0.99 m are measured, to the last pulse.
+        let counted = reckoning.encoder_m();
+        assert!((counted - 0.99).abs() < 1.1e-3 && (counted / PULSE_M).fract().abs() < 1e-9, "{counted}");
+        assert!((reckoning.reported().x - counted).abs() < 1e-9);
+        straight(&mut reckoning, 0.0, 9.0);
+        assert!((reckoning.reported().x - 9.9).abs() < 1.1e-3);
+    }
+
+    #[test]
+    fn errors_of_encoders_and_gyro_accumulate_to_three_centimetres_after_twenty_metres() {
+        let robot = Robot { odometry_longitudinal: Some(0.0), ..encoders() };
+        let errors: Vec<[f64; 3]> = (0..200).map(|seed| error_after_20_m(robot, seed)).collect();
+        let deviation = |index: usize| {
+            (errors.iter().map(|error| error[index] * error[index]).sum::<f64>() / errors.len() as f64).sqrt()
+        };
+        let [along, across, yaw] = [0, 1, 2].map(deviation);
+        eprintln!("along {along:.4} m, across {across:.4} m, yaw {yaw:.5} rad");
+        // 5 mm sqrt(20) = 22.4 mm; yaw: 2e-4 sqrt(20) = 8.9e-4 and 2e-5 sqrt(20^3 / 3) = 1.03e-3 rad, together 1.36e-3;
+        // across: 2e-4 sqrt(20^3 / 3) = 10.3 mm and 2e-5 sqrt(20^5 / 20) = 8 mm, together 13 mm.
+        // The standard error of a deviation from 200 samples is 5 %; four of them.
+        assert!((along / 0.0224 - 1.0).abs() < 0.2, "{along}");
+        assert!((across / 0.0131 - 1.0).abs() < 0.2, "{across}");
+        assert!((yaw / 1.36e-3 - 1.0).abs() < 0.2, "{yaw}");
+    }
+
+    #[test]
+    fn the_speed_of_encoders_is_the_counted_distance_over_the_time_between_samples() {
+        let mut odometer = Odometer::new(&Scenario { robot: encoders(), ..Scenario::default() });
+        let mut speeds = Vec::new();
+        for (scan, encoder_m) in [(1, 0.0), (2, 0.05), (3, 0.149), (5, 0.349)] {
+            let node = Node {
+                time_ns: scan * 100_000_000,
+                state: State::default(),
+                speed: 9.0,
+                steering: 0.0,
+                reported: Vector2::zeros(),
+                reported_yaw: 0.0,
+                encoder_m,
+            };
+            let mut odometry = Odometry::default();
+            odometer.report(scan, node.time_ns, &node, &mut odometry);
+            speeds.push(odometry.speed_mps);
+        }
+        let expected = [0.0, 0.5, 0.99, 1.0];
+        assert!(
+            speeds.iter().zip(expected).all(|(speed, expected)| (speed - expected).abs() < 1e-9),
+            "{speeds:?}"
+        );
+    }
+
+    #[test]
+    fn the_lateral_error_acts_on_top_of_encoders() {
+        let robot = Robot { odometry_lateral_rate: Some(0.053), encoder_slip_m: Some(0.0), ..encoders() };
+        let robot = Robot { gyro_noise_rad: Some(0.0), gyro_bias_walk_radps: Some(0.0), ..robot };
+        let mut reckoning = reckoning(robot);
+        straight(&mut reckoning, 0.0, 2.0);
+        assert!((reckoning.reported().y + 0.106).abs() < 6e-5, "{}", reckoning.reported().y);
+    }
 }

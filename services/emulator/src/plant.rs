@@ -137,9 +137,17 @@ impl Plant {
         if before <= 0.0 {
             return 0.0;
         }
-        self.speed = (before - deceleration * duration).max(0.0);
-        // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
-        self.roll((before + self.speed) / 2.0, duration.min(before / deceleration))
+        let (after, moving) =
+            ((before - deceleration * duration).max(0.0), duration.min(before / deceleration));
+        if self.follows_at_once() {
+            self.speed = after;
+            // The mean speed over the step gives the distance of a constant deceleration exactly: v^2 / (2 a).
+            return self.roll((before + after) / 2.0, moving);
+        }
+        let distance = self.follow(moving);
+        self.speed = after;
+        self.settle();
+        distance
     }
 
     fn sliding_mps2(&self) -> f64 {
@@ -163,7 +171,7 @@ impl Plant {
         speed * duration
     }
 
-    /// Moves while speed and steering angle follow what is asked for; returns the distance [m].
+    /// Moves while speed and steering angle follow what is asked for, or the wheels slide; returns the distance [m].
     ///
     /// One Runge-Kutta step over the state of the model, speed, steering angle and distance.
     fn follow(&mut self, duration: f64) -> f64 {
@@ -188,6 +196,11 @@ impl Plant {
         let motion = derivative_with_friction(&self.parameters, tyre_friction, &state, speed, steering);
         let mut rates = SVector::<f64, 8>::zeros();
         rates.fixed_rows_mut::<5>(0).copy_from(&motion);
+        rates[7] = speed;
+        if self.blocked {
+            rates[5] = -self.sliding_mps2();
+            return rates;
+        }
         if velocity_lag_s > 0.0 {
             let wanted = (self.target_speed - speed) / velocity_lag_s;
             rates[5] = wanted.clamp(-deceleration_max_mps2, acceleration_max_mps2);
@@ -196,7 +209,6 @@ impl Plant {
             let wanted = (self.wheels_target() - steering) / steering_lag_s;
             rates[6] = wanted.clamp(-steering_rate_max_radps, steering_rate_max_radps);
         }
-        rates[7] = speed;
         rates
     }
 
@@ -308,5 +320,112 @@ mod tests {
         plant.drive(1.0, 0.0);
         assert_eq!(run(&mut plant, 100), 0.0);
         assert_eq!(*plant.state(), state);
+    }
+
+    /// A robot with lags and nothing else.
+    fn lagging() -> Robot {
+        Robot {
+            velocity_lag_s: Some(0.15),
+            steering_lag_s: Some(0.1),
+            acceleration_max_mps2: Some(100.0),
+            deceleration_max_mps2: Some(100.0),
+            steering_rate_max_radps: Some(100.0),
+            ..ideal()
+        }
+    }
+
+    #[test]
+    fn velocity_and_steering_follow_with_their_time_constants() {
+        let mut plant = plant(lagging());
+        plant.drive(0.8, 0.05);
+        assert_eq!((plant.speed(), plant.steering()), (0.0, 0.0));
+        let distance = run(&mut plant, 150);
+        // One time constant of the velocity, 1.5 of the steering.
+        assert!((plant.speed() - 0.8 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
+        assert!((plant.steering() - 0.05 * (1.0 - (-1.5_f64).exp())).abs() < 1e-9);
+        // v t - v tau (1 - exp(-t / tau)).
+        assert!((distance - 0.8 * 0.15 * (-1.0_f64).exp()).abs() < 1e-9, "{distance}");
+    }
+
+    #[test]
+    fn acceleration_deceleration_and_steering_rate_are_limited() {
+        let limits = Robot {
+            acceleration_max_mps2: Some(2.0),
+            deceleration_max_mps2: Some(3.0),
+            steering_rate_max_radps: Some(0.2),
+            ..lagging()
+        };
+        let mut plant = plant(limits);
+        plant.drive(1.0, 0.06);
+        run(&mut plant, 100);
+        assert!((plant.speed() - 0.2).abs() < 1e-12, "2 m/s^2 for 0.1 s: {}", plant.speed());
+        assert!((plant.steering() - 0.02).abs() < 1e-12, "0.2 rad/s for 0.1 s: {}", plant.steering());
+        run(&mut plant, 3000);
+        plant.drive(0.1, 0.06);
+        run(&mut plant, 100);
+        assert!((plant.speed() - 0.7).abs() < 1e-6, "3 m/s^2 for 0.1 s: {}", plant.speed());
+    }
+
+    #[test]
+    fn a_robot_at_standstill_turns_its_wheels_before_it_rolls() {
+        let mut plant = plant(Robot { velocity_lag_s: Some(0.0), ..lagging() });
+        plant.drive(0.0, 0.06);
+        assert_eq!(run(&mut plant, 1000), 0.0);
+        assert!((plant.steering() - 0.06).abs() < 1e-5);
+        assert_eq!(*plant.state(), State::default());
+    }
+
+    #[test]
+    fn blocked_wheels_keep_the_angle_that_they_had_reached() {
+        let mut plant = plant(lagging());
+        plant.drive(1.0, 0.06);
+        run(&mut plant, 50);
+        let reached = plant.steering();
+        plant.block();
+        run(&mut plant, 300);
+        assert!(reached < 0.03);
+        assert_eq!((plant.steering(), plant.speed()), (reached, 0.0));
+    }
+
+    #[test]
+    fn blocked_wheels_slow_down_by_mu_g_at_most() {
+        let way = |friction| {
+            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
+            plant.drive(0.9, 0.0);
+            plant.block();
+            run(&mut plant, 2000)
+        };
+        assert!((way(0.1) - 0.81 / (2.0 * 0.981)).abs() < 1e-12);
+        assert!((way(0.8) - 0.081).abs() < 1e-12, "5 m/s^2 is less than 0.8 g");
+    }
+
+    #[test]
+    fn tyres_with_little_friction_turn_less() {
+        // How far the direction of motion turns in 5 s at 1 m/s.
+        let turn = |friction| {
+            let mut plant = plant(Robot { tyre_friction: Some(friction), ..ideal() });
+            plant.drive(1.0, 0.06);
+            run(&mut plant, 5000);
+            plant.state().yaw + plant.state().sideslip
+        };
+        // 0.32 rad/s without a limit, less the transient; the forces of 0.02 g give 0.196 m/s^2 at most, over the
+        // cosine of a sideslip up to 0.18 rad.
+        assert!((turn(0.0) - 1.6).abs() < 0.03, "{}", turn(0.0));
+        assert!((0.93..=0.998).contains(&turn(0.02)), "{}", turn(0.02));
+        assert!((turn(0.8) / turn(0.0) - 1.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn the_offset_is_added_after_map_and_play() {
+        let mut plant = plant(Robot {
+            steering_offset_rad: Some(0.01),
+            steering_backlash_rad: Some(0.006),
+            ..Robot::default()
+        });
+        assert_eq!(plant.steering(), 0.01);
+        plant.drive(0.5, 0.06);
+        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15);
+        plant.drive(0.5, 0.06);
+        assert!((plant.steering() - (nonlinear(0.06) - 0.006 + 0.01)).abs() < 1e-15, "it does not add up");
     }
 }

@@ -63,3 +63,67 @@ impl Schedule {
         (scan_id..).find(|scan_id| !self.is_missing(*scan_id)).unwrap_or(scan_id)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Robot;
+
+    const PERIOD: u64 = 100_000_000;
+
+    fn schedule(jitter_s: f64, missing_every: u64, period_ns: u64) -> Schedule {
+        let robot = Robot {
+            scan_stamp_jitter_s: Some(jitter_s),
+            scan_missing_every: Some(missing_every),
+            ..Robot::default()
+        };
+        Schedule::new(&Scenario { robot, ..Scenario::default() }, period_ns)
+    }
+
+    fn errors(schedule: &Schedule, count: u64) -> Vec<f64> {
+        let error = |scan_id| schedule.stamp_ns(scan_id) as f64 - schedule.acquired_ns(scan_id) as f64;
+        (1..=count).map(error).collect()
+    }
+
+    #[test]
+    fn stamps_err_as_asked_for_and_by_three_deviations_at_most() {
+        let errors = errors(&schedule(0.002, 0, PERIOD), 20_000);
+        let mean = errors.iter().sum::<f64>() / 2e4;
+        let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / 2e4).sqrt();
+        // The standard error of the mean is 14 us; cutting at three deviations takes 0.7 % of the deviation.
+        assert!(mean.abs() < 6e4, "{mean}");
+        assert!((deviation / 2e6 - 0.993).abs() < 0.02, "{deviation}");
+        let largest = errors.iter().fold(0.0, |largest: f64, error| largest.max(error.abs()));
+        assert!((5.9e6..=6e6).contains(&largest), "{largest}");
+    }
+
+    #[test]
+    fn stamps_ascend_however_large_their_errors() {
+        let schedule = schedule(1.0, 0, PERIOD);
+        let stamps: Vec<u64> = (1..5000).map(|scan_id| schedule.stamp_ns(scan_id)).collect();
+        assert!(stamps.windows(2).all(|pair| pair[1] >= pair[0] + PERIOD / 2));
+        assert!(errors(&self::schedule(0.0, 0, PERIOD), 100).iter().all(|error| *error == 0.0));
+    }
+
+    #[test]
+    fn one_scan_in_so_many_is_missing_but_none_of_the_first_ten() {
+        let schedule = schedule(0.0, 50, PERIOD);
+        let missing = (1..=100_000).filter(|scan_id| schedule.is_missing(*scan_id)).count();
+        // 2000 of them, with a standard deviation of 44.
+        assert!((1800..2200).contains(&missing), "{missing}");
+        assert!((0..=100_000).all(|scan_id| !self::schedule(0.0, 0, PERIOD).is_missing(scan_id)));
+        let all = self::schedule(0.0, 1, PERIOD);
+        assert_eq!((1..=20).filter(|scan_id| all.is_missing(*scan_id)).count(), 10);
+        assert_eq!((all.next_scan(3), all.next_scan(15)), (3, 15));
+    }
+
+    #[test]
+    fn the_next_scan_is_the_first_that_is_not_missing() {
+        let schedule = schedule(0.0, 2, PERIOD);
+        for scan_id in 1..200 {
+            let next = schedule.next_scan(scan_id);
+            assert!(!schedule.is_missing(next));
+            assert!((scan_id..next).all(|scan_id| schedule.is_missing(scan_id)));
+        }
+    }
+}

@@ -99,3 +99,79 @@ impl Way {
         (!is_lost).then(|| now_ns.saturating_add((travel_s * 1e9).round() as u64))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Robot;
+
+    fn way(delay_s: f64, jitter_s: f64, loss: f64) -> Way {
+        let robot = Robot {
+            command_delay_s: Some(delay_s),
+            command_jitter_s: Some(jitter_s),
+            command_loss: Some(loss),
+            ..Robot::default()
+        };
+        Way::new(&Scenario { robot, ..Scenario::default() })
+    }
+
+    fn answer(scan_id: u64) -> Actuation {
+        let mut actuation = Actuation { answers: 1, ..Actuation::default() };
+        actuation.header.scan_id = scan_id;
+        actuation
+    }
+
+    fn arriving(arrives_ns: u64) -> Travelling {
+        Travelling { arrives_ns, velocity_mps: arrives_ns as f64, ..Travelling::default() }
+    }
+
+    #[test]
+    fn the_time_is_the_delay_and_an_exponential_share_with_the_mean_asked_for() {
+        let way = way(0.02, 0.002, 0.0);
+        let times: Vec<f64> = (1..=20_000)
+            .map(|scan| (way.arrives_ns(&answer(scan), 1000).unwrap() - 1000) as f64 * 1e-9)
+            .collect();
+        let mean = times.iter().sum::<f64>() / 2e4;
+        let above = times.iter().filter(|time| **time > 0.02 + 2.0 * 0.002).count();
+        assert!(times.iter().all(|time| *time >= 0.02));
+        // The standard error of the mean is 14 us; exp(-2) of all exceed twice the mean, 2707 with a deviation of 48.
+        assert!((mean - 0.022).abs() < 6e-5, "{mean}");
+        assert!((2500..2900).contains(&above), "{above}");
+    }
+
+    #[test]
+    fn the_same_answer_takes_the_same_time_and_a_repetition_another() {
+        let way = way(0.02, 0.002, 0.0);
+        let time = |actuation: &Actuation, now_ns| way.arrives_ns(actuation, now_ns).unwrap() - now_ns;
+        assert_eq!(time(&answer(7), 100), time(&answer(7), 999));
+        assert_ne!(time(&answer(7), 100), time(&answer(8), 100));
+        assert_ne!(time(&Actuation::default(), 100), time(&Actuation::default(), 101));
+    }
+
+    #[test]
+    fn as_many_are_lost_as_asked_for() {
+        let lost = |loss| {
+            let way = way(0.0, 0.0, loss);
+            (1..=10_000).filter(|scan| way.arrives_ns(&answer(*scan), 0).is_none()).count()
+        };
+        assert_eq!((lost(0.0), lost(1.0)), (0, 10_000));
+        // 1000 with a deviation of 30.
+        assert!((870..1130).contains(&lost(0.1)));
+    }
+
+    #[test]
+    fn one_sent_later_never_arrives_earlier_and_the_newest_is_never_dropped() {
+        let mut queue = Travellings::default();
+        queue.push(arriving(50));
+        queue.push(Travelling { velocity_mps: 2.0, ..arriving(30) });
+        assert_eq!(queue.next_ns(), Some(50));
+        assert_eq!(queue.take_due(49), None);
+        assert_eq!(queue.take_due(50).map(|next| next.velocity_mps), Some(50.0));
+        assert_eq!(queue.take_due(50).map(|next| (next.velocity_mps, next.arrives_ns)), Some((2.0, 50)));
+        assert_eq!(queue, Travellings::default());
+        (1..=CAPACITY as u64 + 5).for_each(|ns| queue.push(arriving(ns)));
+        let arrivals: Vec<u64> = queue.list().iter().map(|item| item.arrives_ns).collect();
+        let kept = (1..CAPACITY as u64).chain([CAPACITY as u64 + 5]);
+        assert_eq!(arrivals, kept.collect::<Vec<_>>());
+    }
+}

@@ -249,3 +249,100 @@ fn name_hash(name: &str) -> u64 {
     name.bytes()
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(preset: Preset) -> Robot {
+        Robot { preset, ..Robot::default() }
+    }
+
+    fn resolved(preset: Preset, seed: u64) -> Values {
+        of(preset).resolved(&Description::default(), seed).values(0)
+    }
+
+    #[test]
+    fn an_ideal_robot_follows_at_once_and_a_summit_has_the_lags_of_its_description() {
+        let ideal = resolved(Preset::Ideal, 1);
+        let zeros = [ideal.velocity_lag_s, ideal.steering_lag_s, ideal.command_delay_s, ideal.tyre_friction];
+        assert_eq!(zeros, [0.0; 4]);
+        assert_eq!((ideal.odometry_model, ideal.velocity_factor), (OdometryModel::Source, 1.4));
+        let summit = resolved(Preset::Summit, 1);
+        let lags =
+            [summit.velocity_lag_s, summit.steering_lag_s, summit.command_delay_s, summit.command_jitter_s];
+        assert_eq!(lags, [0.15, 0.1, 0.02, 0.002]);
+        assert_eq!((summit.odometry_model, summit.scan_missing_every), (OdometryModel::Encoders, 500));
+        assert_eq!(
+            of(Preset::Summit).resolved(&Description::default(), 1).differences(&Description::default()),
+            []
+        );
+    }
+
+    #[test]
+    fn a_key_of_the_file_wins_and_a_resolved_robot_stays_as_it_is() {
+        for preset in [Preset::Ideal, Preset::Summit, Preset::Worn] {
+            let robot = Robot { mass_kg: Some(20.0), velocity_lag_s: Some(0.0), ..of(preset) };
+            let once = robot.resolved(&Description::default(), 5);
+            assert_eq!((once.mass_kg, once.velocity_lag_s), (Some(20.0), Some(0.0)));
+            let other = Description { stiffness_n_per_rad: 100.0, ..Description::default() };
+            assert_eq!(once.resolved(&other, 6), once);
+        }
+    }
+
+    #[test]
+    fn a_worn_robot_is_within_its_limits_once_per_seed_and_fills_them() {
+        let description = Description { mass_kg: 20.0, steering_lag_s: 0.3, ..Description::default() };
+        let middle = Values::summit(&description);
+        let mut extremes = [[f64::INFINITY, f64::NEG_INFINITY]; 5];
+        for seed in 0..500 {
+            let worn = of(Preset::Worn).resolved(&description, seed).values(0);
+            assert_eq!(worn, of(Preset::Worn).resolved(&description, seed).values(0));
+            let shares = [
+                (worn.mass_kg / 20.0 - 1.0) / 0.2,
+                (worn.steering_lag_s / 0.3 - 1.0) / 0.2,
+                (worn.velocity_factor / 1.4 - 1.0) / 0.05,
+                (worn.odometry_longitudinal - 0.01) / 0.01,
+                worn.steering_offset_rad / 0.01,
+            ];
+            for (extreme, share) in extremes.iter_mut().zip(shares) {
+                *extreme = [extreme[0].min(share), extreme[1].max(share)];
+            }
+            assert!((400..=600).contains(&worn.scan_missing_every));
+            let others = [
+                worn.tyre_friction / middle.tyre_friction,
+                worn.command_jitter_s / middle.command_jitter_s,
+                worn.encoder_slip_m / middle.encoder_slip_m,
+                worn.blocked_deceleration_mps2 / middle.blocked_deceleration_mps2,
+                worn.inertia_kgm2 / middle.inertia_kgm2,
+            ];
+            assert!(others.iter().all(|ratio| (0.8..=1.2).contains(ratio)), "{others:?}");
+        }
+        // 500 uniform draws reach within 5 % of both ends of their range but for one in 10^10 cases.
+        for [low, high] in extremes {
+            assert!(
+                (-1.0 - 1e-9..-0.95).contains(&low) && (0.95..1.0 + 1e-9).contains(&high),
+                "{low} {high}"
+            );
+        }
+    }
+
+    #[test]
+    fn no_key_of_a_worn_robot_depends_on_another() {
+        let description = Description::default();
+        let worn = of(Preset::Worn).resolved(&description, 7);
+        let given = Robot { mass_kg: Some(3.0), ..of(Preset::Worn) };
+        let expected = Robot { mass_kg: Some(3.0), ..worn };
+        assert_eq!(given.resolved(&description, 7), expected);
+        let shares = [worn.mass_kg.unwrap() / 14.695, worn.inertia_kgm2.unwrap() / 0.5024];
+        assert!((shares[0] - shares[1]).abs() > 1e-6, "two keys have two draws");
+        assert_ne!(of(Preset::Worn).resolved(&description, 8), worn);
+    }
+
+    #[test]
+    fn differences_name_key_truth_and_belief() {
+        let description = Description { width_m: 0.5, mass_kg: 20.0, ..Description::default() };
+        let robot = of(Preset::Summit).resolved(&description, 1);
+        assert_eq!(robot.differences(&description), [("width_m", 0.4, 0.5), ("mass_kg", 14.695, 20.0)]);
+    }
+}
