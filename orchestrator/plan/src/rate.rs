@@ -1,5 +1,6 @@
 //! Whether the robot can stop in time at a scan rate.
 
+use nmpc::speed_limit;
 use vehicle::{Description, Invalid};
 
 /// Rates that a system file may have [Hz].
@@ -43,14 +44,6 @@ fn smallest_rate(vehicle: &Description) -> Option<f64> {
         if has_safe_speed(vehicle, middle) { high = middle } else { low = middle }
     }
     Some((high * 1e3).ceil() / 1e3)
-}
-
-/// The largest velocity at which the robot stops in front of something that appears at `sudden_m` [m/s].
-fn speed_limit(vehicle: &Description, period_s: f64) -> f64 {
-    let Description { sudden_m, blocked_deceleration_mps2, command_delay_s, velocity_lag_s, .. } = *vehicle;
-    let (way_m, age_s) = (sudden_m - 0.05, period_s * 4.0 / 3.0 + command_delay_s + velocity_lag_s);
-    let reached = age_s * blocked_deceleration_mps2;
-    (reached * reached + 2.0 * blocked_deceleration_mps2 * way_m).max(0.0).sqrt() - reached
 }
 
 #[cfg(test)]
