@@ -1,5 +1,7 @@
 //! What the controller commands.
 
+use std::fmt;
+
 use crate::describe::layout;
 use crate::fault::finite;
 use crate::named::wire_enum;
@@ -193,7 +195,29 @@ impl Margin {
     }
 }
 
+impl fmt::Display for Blocking {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { x_m, y_m, gap_m, needed_m, id, .. } = *self;
+        write!(formatter, "obstacle {id} at ({x_m:.1}, {y_m:.1}): ")?;
+        if gap_m < 0.0 {
+            formatter.write_str("no gap")?
+        } else {
+            write!(formatter, "gap {gap_m:.2} m")?
+        }
+        write!(formatter, ", needs {needed_m:.2} m")
+    }
+}
+
 impl Command {
+    /// The obstacle that this command blocks the wheels for, if one is the reason and its figures are numbers.
+    pub fn stopped_for(&self) -> Option<Blocking> {
+        let reasons = [StopReason::Blocked, StopReason::Unverified].map(StopReason::wire);
+        let Blocking { x_m, y_m, gap_m, needed_m, id, .. } = self.blocking;
+        let is_named = id != 0 && [x_m, y_m, gap_m, needed_m].iter().all(|value| value.is_finite());
+        let stops = self.kind == CommandKind::Stop.wire() && reasons.contains(&self.reason);
+        (stops && is_named).then_some(self.blocking)
+    }
+
     /// The used nodes of the plan.
     pub fn nodes(&self) -> &[PlanNode] {
         &self.plan[..(self.plan_length as usize).min(PLAN_NODES)]
@@ -231,5 +255,29 @@ mod tests {
         assert_eq!(command.check(), Ok(()));
         command.steering_rad = f64::INFINITY;
         assert_eq!(command.check(), Err(Fault::NotFinite { field: "steering_rad" }));
+    }
+
+    #[test]
+    fn a_stop_names_its_obstacle_only_when_one_is_the_reason() {
+        let blocking = Blocking { x_m: 6.04, y_m: 0.1, gap_m: 0.12, needed_m: 0.62, id: 17, reserved: 0 };
+        let mut command = Command { reason: StopReason::Blocked.wire(), blocking, ..Command::default() };
+        let named = "obstacle 17 at (6.0, 0.1): gap 0.12 m, needs 0.62 m";
+        assert_eq!(command.stopped_for().unwrap().to_string(), named);
+        command.blocking.gap_m = -0.3;
+        assert_eq!(
+            command.stopped_for().unwrap().to_string(),
+            "obstacle 17 at (6.0, 0.1): no gap, needs 0.62 m"
+        );
+        command.blocking.gap_m = f64::NAN;
+        assert_eq!(command.stopped_for(), None);
+        command.blocking = blocking;
+        command.reason = StopReason::Unverified.wire();
+        assert_eq!(command.stopped_for(), Some(blocking));
+        command.kind = CommandKind::Drive.wire();
+        assert_eq!(command.stopped_for(), None);
+        (command.kind, command.reason) = (CommandKind::Stop.wire(), StopReason::Landed.wire());
+        assert_eq!(command.stopped_for(), None);
+        (command.reason, command.blocking.id) = (StopReason::Blocked.wire(), 0);
+        assert_eq!(command.stopped_for(), None);
     }
 }

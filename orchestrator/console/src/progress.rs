@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use runtime::{Priority, show_live_line, start_terminal};
-use shared_types::Role;
+use shared_types::{Blocking, Role};
 
 /// Width of a plain line.
 pub const COLUMNS: usize = 100;
@@ -36,6 +36,8 @@ pub struct View {
     pub reaction_ms: Option<[f64; 2]>,
     /// Whether time is simulated, so that reaction times mean nothing.
     pub lockstep: bool,
+    /// The obstacle that the wheels are blocked for.
+    pub blocking: Option<Blocking>,
 }
 
 /// The name of the state of one process.
@@ -188,6 +190,9 @@ fn figures(view: &View) -> String {
         (false, None) => "-/- ms".to_owned(),
         (false, Some([median, largest])) => format!("{median:.1}/{largest:.1} ms"),
     };
+    if let Some(blocking) = &view.blocking {
+        return format!("{goal}  blocked by {blocking}");
+    }
     format!("{goal}  {:.2} m/s  {:+.3} rad  {reaction}", view.speed_mps, view.steering_rad)
 }
 
@@ -217,6 +222,7 @@ mod tests {
         steering_rad: 0.0314,
         reaction_ms: Some([1.84, 2.91]),
         lockstep: false,
+        blocking: None,
     };
 
     #[test]
@@ -243,6 +249,17 @@ mod tests {
             line(&VIEW, &processes("ready"), TERMINAL_COLUMNS),
             "goal 7.46 m  0.82 m/s  +0.031 rad  1.8/2.9 ms  rob\u{25cf} est\u{25cf} obs\u{25cf} con\u{25cf} act\u{25cf}"
         );
+    }
+
+    #[test]
+    fn a_stop_for_an_obstacle_is_named_with_the_gap_it_sees_and_needs() {
+        let blocking = Blocking { x_m: 12.0, y_m: -0.1, gap_m: 0.12, needed_m: 0.62, id: 17, reserved: 0 };
+        let view = View { blocking: Some(blocking), ..VIEW };
+        let expected = "goal 7.46 m  blocked by obstacle 17 at (12.0, -0.1): gap 0.12 m, needs 0.62 m";
+        for columns in [COLUMNS, TERMINAL_COLUMNS] {
+            let text = line(&view, &processes("ready"), columns);
+            assert!(text.starts_with(expected), "{text}");
+        }
     }
 
     #[test]

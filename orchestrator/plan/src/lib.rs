@@ -1,7 +1,9 @@
 //! What is to be driven: scenario and system, read, overridden and checked before anything is started.
 
 pub mod calibration_file;
+pub mod difference;
 pub mod overrides;
+mod rate;
 pub mod reference;
 pub mod settings;
 pub mod system;
@@ -18,6 +20,7 @@ use supervision::realtime;
 use toml::{Table, Value};
 use vehicle::{Invalid, Setting};
 
+pub use difference::Difference;
 pub use system::System;
 
 /// Arguments that choose and change a scenario and a system.
@@ -53,7 +56,7 @@ pub struct Plan {
     pub scenario: Scenario,
     /// The system.
     pub system: System,
-    /// What a user should know before it is driven: old keys, and where the robot differs from its description.
+    /// Keys of the files that a user should replace.
     pub warnings: Vec<String>,
 }
 
@@ -84,14 +87,24 @@ impl Plan {
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
         vehicle_table::adopt_robot(&scenario, &mut system);
-        let scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
+        let mut scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
-        let warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
+        let mut warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
+        if system.get("controller").is_some_and(|table| table.get("period_s").is_some()) {
+            warnings.push("controller.period_s has no effect: the scan period is 1 / rate_hz".to_owned());
+        }
         let system = System::from_table(system, &system_file)?;
+        // From here on every reader of the scenario finds the values that the preset gives.
+        scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
         // What the stages take from the scenario may be allowed there and too much for them.
         let together = system.tuning().for_scenario(&scenario).validate();
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
         Ok(Self { scenario, system, warnings })
+    }
+
+    /// Where the emulated robot differs from the description that the stages read; the largest share first.
+    pub fn differences(&self) -> Vec<Difference> {
+        difference::sorted(self.scenario.robot.differences(&self.system.vehicle))
     }
 
     /// Writes the settings file of each process of a system.
@@ -129,4 +142,40 @@ fn read_scenario(name: &str) -> anyhow::Result<(Table, String)> {
         }
     };
     system::table_of(&text, file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(overrides: &[&str]) -> Plan {
+        let overrides = overrides.iter().map(ToString::to_string).collect();
+        Plan::read(Some("free"), &Choice { overrides, ..Choice::default() }).unwrap()
+    }
+
+    fn keys(plan: &Plan) -> Vec<&'static str> {
+        plan.differences().iter().map(|difference| difference.key).collect()
+    }
+
+    #[test]
+    fn the_preset_is_resolved_once_and_differences_are_those_to_the_description() {
+        let ideal = plan(&[]);
+        assert_eq!(ideal.scenario.robot.velocity_lag_s, Some(0.0));
+        assert!(keys(&ideal).contains(&"velocity_lag_s"), "{:?}", ideal.differences());
+        let summit = plan(&["robot.preset=summit"]);
+        assert_eq!(summit.scenario.robot.velocity_lag_s, Some(0.15));
+        assert_eq!(summit.differences(), []);
+        let worn = plan(&["robot.preset=worn"]);
+        assert!(keys(&worn).len() > 10);
+        assert_ne!(worn.scenario.robot, plan(&["robot.preset=worn", "seed=2"]).scenario.robot);
+    }
+
+    #[test]
+    fn an_explicit_key_of_the_robot_is_no_difference_unless_the_description_says_otherwise() {
+        let adopted = plan(&["robot.preset=summit", "robot.width_m=0.5"]);
+        assert_eq!((adopted.system.vehicle.width_m, adopted.differences()), (0.5, Vec::new()));
+        let wrong = plan(&["robot.preset=summit", "robot.width_m=0.5", "vehicle.width_m=0.4"]);
+        assert_eq!(keys(&wrong), ["width_m"]);
+        assert_eq!(wrong.differences()[0].to_string(), "robot.width_m = 0.5, vehicle.width_m = 0.4 (+25 %)");
+    }
 }

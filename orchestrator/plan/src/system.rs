@@ -11,6 +11,8 @@ use supervision::realtime;
 use toml::Table;
 use vehicle::{Description, Invalid, parse, read, require, settings};
 
+use crate::rate::require_safe_speed;
+
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
 
@@ -81,7 +83,8 @@ impl System {
             vehicle: self.vehicle,
             estimator: self.estimator.clone(),
             obstacles: self.obstacles,
-            controller: self.controller.clone(),
+            // The true period, so that no key can contradict the rate.
+            controller: nmpc::Config { period_s: 1.0 / self.rate_hz, ..self.controller.clone() },
             actuator: self.actuator.clone(),
         }
     }
@@ -116,6 +119,7 @@ impl System {
                 ));
             }
         }
+        require_safe_speed(&self.controller.vehicle, self.rate_hz)?;
         self.tuning().validate()
     }
 }
@@ -158,6 +162,22 @@ mod tests {
         let system = System::from_table(BUILT_IN.parse().unwrap(), "built-in").unwrap();
         assert_eq!(system.processes.len(), 5);
         assert_eq!(system.period_ns(), 100_000_000);
+    }
+
+    #[test]
+    fn the_controller_gets_the_true_period_at_every_rate() {
+        for (rate, period_s) in [(0.5, 2.0), (4.0, 0.25), (1000.0, 0.001)] {
+            let mut table: Table = BUILT_IN.parse().unwrap();
+            table.insert("rate_hz".to_owned(), Value::Float(rate));
+            let system = System::from_table(table, "lab.toml").unwrap();
+            assert_eq!(system.tuning().controller.period_s, period_s);
+        }
+    }
+
+    #[test]
+    fn a_rate_without_a_safe_speed_is_refused_with_the_keys_that_decide_it() {
+        let message = error_of("rate_hz = 0.5\n[controller.vehicle]\nsudden_m = 0.2");
+        assert!(message.starts_with("lab.toml: rate_hz = 0.5 is not allowed: at least "), "{message}");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //!
 //! The caller passes only samples that count: those of the incarnation with authority over its role.
 
+mod margins;
 mod rows;
 mod tally;
 
@@ -14,9 +15,10 @@ use std::collections::{BTreeMap, VecDeque};
 use audit::ledger::Ledger;
 use console::progress::View;
 use handover::swap::Certificate;
-use shared_types::{Actuation, BlockReason, Command, Obstacles, Pose, Role, Rule, Truth};
+use shared_types::{Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, Truth};
 
-use self::rows::Rows;
+use self::margins::Margins;
+use self::rows::{Estimate, Rows};
 use self::tally::Tally;
 use crate::latency::{self, Latencies};
 use crate::picture::{Drive, Ellipse, Moment};
@@ -70,6 +72,9 @@ pub struct Recorder {
     latencies: Latencies,
     rows: Rows,
     tally: Tally,
+    margins: Margins,
+    /// The obstacle of the last stop, and whether the newest command is that stop.
+    blocking: Option<(Blocking, bool)>,
     truth: Option<Truth>,
     pose: Option<Pose>,
     actuation: Option<Actuation>,
@@ -88,6 +93,8 @@ impl Recorder {
             tally: Tally::new(info.lockstep),
             info,
             rows: Rows::default(),
+            margins: Margins::default(),
+            blocking: None,
             truth: None,
             pose: None,
             actuation: None,
@@ -134,7 +141,7 @@ impl Recorder {
     pub fn pose(&mut self, pose: &Pose) {
         self.acquired(pose.header.acquired_ns);
         self.tally.pose(pose);
-        self.rows.put_estimate(pose.header.scan_id, [pose.x_m, pose.y_m]);
+        self.rows.put_estimate(pose.header.scan_id, Estimate::of(pose));
         self.pose = Some(*pose);
     }
 
@@ -152,6 +159,14 @@ impl Recorder {
     /// A command of the controller.
     pub fn command(&mut self, command: &Command) {
         self.tally.command(command);
+        self.margins.command(command);
+        let last = self.blocking.map(|(blocking, _)| (blocking, false));
+        self.blocking = command.stopped_for().map(|blocking| (blocking, true)).or(last);
+    }
+
+    /// The obstacle that the newest command blocks the wheels for.
+    pub fn stopped_for(&self) -> Option<Blocking> {
+        self.blocking.and_then(|(blocking, is_now)| is_now.then_some(blocking))
     }
 
     /// What was sent to the robot.
@@ -216,6 +231,7 @@ impl Recorder {
             steering_rad: self.truth.as_ref().map_or(sent, |truth| truth.steering_rad),
             reaction_ms,
             lockstep: self.info.lockstep,
+            blocking: self.stopped_for(),
         }
     }
 
@@ -245,6 +261,9 @@ impl Recorder {
             ledger: result.ledger.clone(),
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
+            margin_m: self.margins.means(),
+            blocking: self.blocking.map(|(blocking, _)| blocking.into()),
+            differences: Vec::new(),
             controller: self.tally.controller(),
             stop_reasons: self.tally.stops(),
             self_check: self.tally.self_check(),
@@ -265,6 +284,8 @@ impl Recorder {
             final_distance_m: self.goal_distance_m().unwrap_or(0.0),
             estimate_error_max_m: self.rows.error().max_m(),
             estimate_error_rms_m: self.rows.error().rms_m(),
+            covariance_coverage: self.rows.error().coverage(),
+            speed_limit_mps: self.margins.speed_limit_mps(),
             ..DriveReport::default()
         };
         let Some(truth) = &self.truth else { return report };
@@ -317,7 +338,7 @@ impl Recorder {
 mod tests {
     use super::*;
     use crate::latency::tests::chain;
-    use shared_types::{Header, Obstacle};
+    use shared_types::{Header, Obstacle, StopReason};
 
     fn info(lockstep: bool) -> RunInfo {
         RunInfo {
@@ -426,6 +447,20 @@ mod tests {
         assert_eq!(recorder.view().goal_distance_m, Some(5.0));
         let drive = recorder.report(&RunResult::default()).drive;
         assert_eq!((drive.final_distance_m, drive.min_clearance_m), (5.0, crate::report::NO_OBSTACLE_M));
+    }
+
+    #[test]
+    fn the_obstacle_of_the_last_stop_is_reported_and_shown_while_it_lasts() {
+        let mut recorder = drive(true);
+        let blocking = Blocking { x_m: 6.0, y_m: 0.1, gap_m: 0.12, needed_m: 0.62, id: 17, reserved: 0 };
+        let stop = Command { reason: StopReason::Blocked.wire(), blocking, ..Command::default() };
+        recorder.command(&stop);
+        assert_eq!((recorder.stopped_for(), recorder.view().blocking), (Some(blocking), Some(blocking)));
+        recorder.command(&Command { reason: StopReason::SelfCheck.wire(), ..Command::default() });
+        assert_eq!((recorder.stopped_for(), recorder.view().blocking), (None, None));
+        let report = recorder.report(&RunResult::default());
+        assert_eq!(report.blocking, Some(blocking.into()));
+        assert_eq!(drive(true).report(&RunResult::default()).blocking, None);
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! so a reader sees all of it or none. Equal runs give equal bytes in `trajectory`: numbers are printed with the
 //! digits that read back to the same bits.
 
+mod parts;
 mod write;
 
 use std::collections::BTreeMap;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use self::write::join_leaves;
 
+pub use self::parts::{BlockingReport, Difference, MarginReport};
 pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -57,6 +59,12 @@ pub struct Report {
     pub latency_us: LatencyReport,
     /// True motion of the robot.
     pub drive: DriveReport,
+    /// The clearance that the driven plans kept, by its parts [m].
+    pub margin_m: MarginReport,
+    /// The obstacle of the last stop that had one.
+    pub blocking: Option<BlockingReport>,
+    /// Where the robot differs from its description.
+    pub differences: Vec<Difference>,
     /// How the controller solved its problems.
     pub controller: ControllerReport,
     /// How often each reason blocked the wheels, commands and the actuator's own blocks by name.
@@ -165,6 +173,10 @@ pub struct DriveReport {
     pub estimate_error_max_m: f64,
     /// Root of the mean square of that distance [m].
     pub estimate_error_rms_m: f64,
+    /// Share of scans in which the 95 % ellipse of the estimated position contained the true one; `None` without a truth.
+    pub covariance_coverage: Option<f64>,
+    /// Smallest speed limit of all commands that drove; `None` when the controller states none [m/s].
+    pub speed_limit_mps: Option<f64>,
     /// Longest time that the wheels turned without a new actuation [s].
     pub longest_blind_s: f64,
     /// Whether the body touched something while the wheels turned.
@@ -186,6 +198,8 @@ impl Default for DriveReport {
             max_abs_lateral_m: 0.0,
             estimate_error_max_m: 0.0,
             estimate_error_rms_m: 0.0,
+            covariance_coverage: None,
+            speed_limit_mps: None,
             longest_blind_s: 0.0,
             collided: false,
             struck: false,
@@ -259,6 +273,7 @@ mod tests {
             scenario: "corridor {".to_owned(),
             seed: 7,
             outcome: Outcome::Reached,
+            differences: vec![Difference { key: "width_m".to_owned(), truth: 1.4, believed: 0.4 }],
             trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
             processes: vec![ProcessReport {
                 role: "controller".to_owned(),
@@ -321,7 +336,18 @@ mod tests {
             "/drive/max_abs_lateral_m",
             "/drive/estimate_error_max_m",
             "/drive/estimate_error_rms_m",
+            "/drive/covariance_coverage",
+            "/drive/speed_limit_mps",
             "/drive/collided",
+            "/margin_m/base",
+            "/margin_m/pose",
+            "/margin_m/latency",
+            "/margin_m/model",
+            "/margin_m/perception",
+            "/blocking",
+            "/differences/0/key",
+            "/differences/0/truth",
+            "/differences/0/believed",
             "/controller/solve_us/p50",
             "/controller/iterations/max",
             "/controller/status",

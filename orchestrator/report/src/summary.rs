@@ -17,11 +17,10 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     rows.push(("driven", format!("{:.1} s, {:.2} m", report.duration_s, report.drive.path_length_m)));
     rows.push(("to the goal", format!("{:.3} m", report.drive.final_distance_m)));
     rows.push(("clearance", clearance(&report.drive)));
-    let DriveReport { estimate_error_max_m, estimate_error_rms_m, .. } = report.drive;
-    rows.push((
-        "estimate error",
-        format!("at most {estimate_error_max_m:.3} m, rms {estimate_error_rms_m:.3} m"),
-    ));
+    if report.margin_m.sum() > 0.0 {
+        rows.push(("margin", report.margin_m.to_string()));
+    }
+    rows.push(("estimate error", estimate_error(&report.drive)));
     rows.push(("scans", scans(&report.scans)));
     rows.push(("samples", samples(&report.ledger)));
     rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
@@ -31,6 +30,8 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     if !report.stop_reasons.is_empty() {
         rows.push(("stops", counts(report.stop_reasons.iter())));
     }
+    let blocking = report.blocking.map(|blocking| blocking.to_string());
+    rows.extend(blocking.filter(|name| !report.reason.contains(name)).map(|name| ("blocked by", name)));
     let SelfCheckReport { alarms, suspect, alarm, first_scan, .. } = &report.self_check;
     if *alarms > 0 {
         let suspect = suspect.replace('_', " ");
@@ -69,6 +70,14 @@ fn clearance(drive: &DriveReport) -> String {
     } else {
         format!("smallest {:.3} m{touched}", drive.min_clearance_m)
     }
+}
+
+fn estimate_error(drive: &DriveReport) -> String {
+    let DriveReport { estimate_error_max_m, estimate_error_rms_m, covariance_coverage, .. } = drive;
+    let coverage = covariance_coverage.map_or_else(String::new, |share| {
+        format!(", in its 95 % ellipse in {:.1} % of scans", 100.0 * share)
+    });
+    format!("at most {estimate_error_max_m:.3} m, rms {estimate_error_rms_m:.3} m{coverage}")
 }
 
 fn scans(scans: &ScanReport) -> String {
@@ -174,7 +183,7 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Outcome;
+    use crate::report::{BlockingReport, MarginReport, Outcome};
     use std::collections::BTreeMap;
 
     fn report() -> Report {
@@ -182,6 +191,9 @@ mod tests {
         report.drive.path_length_m = 10.2;
         report.drive.final_distance_m = 0.0412;
         report.drive.min_clearance_m = 0.3514;
+        report.drive.covariance_coverage = Some(0.9534);
+        report.margin_m =
+            MarginReport { base: 0.05, pose: 0.021, latency: 0.0304, model: 0.01, perception: 0.02 };
         report.scans = ScanReport { published: 127, commanded: 126, lost: 1, ..ScanReport::default() };
         report.scans.lost_reasons = BTreeMap::from([("run_ended".to_owned(), 1)]);
         report.controller.status = BTreeMap::from([("converged".to_owned(), 127)]);
@@ -210,7 +222,8 @@ outcome         reached
 driven          12.7 s, 10.20 m
 to the goal     0.041 m
 clearance       smallest 0.351 m
-estimate error  at most 0.000 m, rms 0.000 m
+margin          13.1 cm: base 5.0 + pose 2.1 + latency 3.0 + model 1.0 + perception 2.0
+estimate error  at most 0.000 m, rms 0.000 m, in its 95 % ellipse in 95.3 % of scans
 scans           127 published, 126 commanded, 0 late, 1 lost (1 run ended)
 samples         127 published, 120 used, 4 replaced, 2 lost, 1 in flight
 solver          127 converged
@@ -255,6 +268,16 @@ files           out/corridor
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }
+    }
+
+    #[test]
+    fn the_obstacle_of_a_stop_is_named_once() {
+        let blocking = BlockingReport { id: 17, x_m: 6.0, y_m: 0.1, gap_m: -0.1, needed_m: 0.62 };
+        let mut report = Report { blocking: Some(blocking), ..report() };
+        let expected = "obstacle 17 at (6.0, 0.1): no gap, needs 0.62 m";
+        assert!(text(&report, None).contains(&format!("blocked by      {expected}\n")));
+        (report.outcome, report.reason) = (Outcome::Stopped, format!("wheels blocked: {expected}"));
+        assert_eq!(text(&report, None).matches(expected).count(), 1);
     }
 
     #[test]

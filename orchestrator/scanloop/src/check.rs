@@ -1,5 +1,6 @@
 //! `scanloop check`: validates files and prints the graph of processes and topics.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -8,9 +9,8 @@ use console::note;
 use console::output::data;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
-use plan::Choice;
-use plan::Plan;
 use plan::system::System;
+use plan::{Choice, Plan, difference};
 use runtime::printable;
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
@@ -29,11 +29,13 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     }
     let mut choice = arguments.choice.clone();
     let mut scenarios = Vec::new();
+    let mut shown = BTreeSet::new();
     for file in &arguments.files {
         if is_system(file)? {
             choice.system = Some(PathBuf::from(file));
-            Plan::read(None, &Choice { overrides: Vec::new(), ..choice.clone() })?;
+            let plan = Plan::read(None, &Choice { overrides: Vec::new(), ..choice.clone() })?;
             note!("{file}: a valid system");
+            warn(&plan, &mut shown);
         } else {
             scenarios.push(file.as_str());
         }
@@ -43,14 +45,32 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
         let checked = Plan::read(Some(scenario), &choice)?;
         let (obstacles, goal) = (checked.scenario.placed_obstacles().len(), &checked.scenario.goal);
         note!("{scenario}: a valid scenario, {obstacles} obstacles, goal at ({}, {})", goal.x_m, goal.y_m);
+        remark(&checked, &mut shown);
         plan = Some(checked);
     }
     let plan = match plan {
         Some(plan) => plan,
-        None => Plan::read(None, &choice)?,
+        None => {
+            let plan = Plan::read(None, &choice)?;
+            remark(&plan, &mut shown);
+            plan
+        }
     };
     data(&printable(&graph(&plan.system)))?;
     Ok(Exit::Done)
+}
+
+/// Prints the warnings of a plan, and where its robot differs from the description.
+fn remark(plan: &Plan, shown: &mut BTreeSet<String>) {
+    warn(plan, shown);
+    difference::list(&plan.differences()).iter().for_each(|line| note!("  {line}"));
+}
+
+/// Prints the warnings of a plan that were not shown before: those of a system belong to each of its scenarios.
+fn warn(plan: &Plan, shown: &mut BTreeSet<String>) {
+    for warning in plan.warnings.iter().filter(|warning| shown.insert((*warning).clone())) {
+        runtime::print(runtime::Priority::Warning, &format!("  warning: {warning}"));
+    }
 }
 
 /// The processes in the order of the data flow, each with what it reads and writes.

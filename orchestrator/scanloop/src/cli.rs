@@ -53,6 +53,9 @@ pub enum Command {
     /// Validate scenario and system files and print the graph of processes and topics.
     Check(CheckArguments),
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
+    ///
+    /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
+    /// needs. JSON keys: `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `processes`, `refused`.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]

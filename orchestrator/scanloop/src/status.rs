@@ -40,10 +40,20 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 
 fn table(status: &Status) -> String {
     let Status { system_id, state, scenario, scan, .. } = status;
+    let blocking = status.blocking.map(|blocking| format!("stopped: blocked by {blocking}\n"));
     let mut text = format!(
-        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n\
+        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n{}\
          {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
-        "role", "implementation", "pid", "state", "restarts", "rate/Hz", "age/ms", "cpu/%", "mem/KiB"
+        blocking.unwrap_or_default(),
+        "role",
+        "implementation",
+        "pid",
+        "state",
+        "restarts",
+        "rate/Hz",
+        "age/ms",
+        "cpu/%",
+        "mem/KiB"
     );
     for process in &status.processes {
         let _ = writeln!(
@@ -70,4 +80,23 @@ fn table(status: &Status) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use report::BlockingReport;
+
+    #[test]
+    fn a_stop_for_an_obstacle_has_a_line_of_its_own() {
+        let blocking = BlockingReport { id: 17, x_m: 6.0, y_m: 0.1, gap_m: 0.12, needed_m: 0.62 };
+        let status = Status { blocking: Some(blocking), ..Status::default() };
+        let expected = "stopped: blocked by obstacle 17 at (6.0, 0.1): gap 0.12 m, needs 0.62 m";
+        assert_eq!(table(&status).lines().nth(1), Some(expected));
+        assert!(!table(&Status::default()).contains("stopped"));
+        let json: serde_json::Value = serde_json::to_value(&status).unwrap();
+        let keys = serde_json::json!({"id": 17, "x_m": 6.0, "y_m": 0.1, "gap_m": 0.12, "needed_m": 0.62});
+        assert_eq!(json["blocking"], keys);
+        assert!(serde_json::to_value(Status::default()).unwrap()["blocking"].is_null());
+    }
 }

@@ -116,7 +116,7 @@ pub(crate) fn take_over(
     let startup = Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 0 };
     let mut session = Session::new(domain, &plan, &options, startup)?;
     session.resume_end(registry.outcome, registry.reason);
-    conclude(session, &plan.scenario, &options.out)
+    conclude(session, &plan, &options.out)
 }
 
 /// Fills each role with the process in charge, or else with the one before it. Returns the events for the supervisor,

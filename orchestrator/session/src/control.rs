@@ -16,6 +16,7 @@ use anyhow::Context;
 use audit::ledger::RefusedRow;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
+use report::BlockingReport;
 use runtime::{Domain, RuntimeError, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -70,6 +71,9 @@ pub struct Status {
     /// Whether time is simulated.
     #[serde(default)]
     pub lockstep: bool,
+    /// The obstacle that the wheels are blocked for now.
+    #[serde(default)]
+    pub blocking: Option<BlockingReport>,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.

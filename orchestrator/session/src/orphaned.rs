@@ -68,6 +68,8 @@ pub fn status(domain: &Domain) -> Option<Status> {
         scan,
         // A run in lock-step does not move without an orchestrator.
         lockstep: false,
+        // No process records the drive, so the obstacle of a stop is not known.
+        blocking: None,
         processes,
         refused: Vec::new(),
     })

@@ -7,18 +7,20 @@ use anyhow::Context;
 use console::exit::Exit;
 use emulator::Scenario;
 use emulator::scenario::{Obstacle, Shape};
+use plan::Plan;
 use report::recorder::Recorder;
-use report::{Report, picture, summary, write_atomically};
+use report::{Difference, Report, picture, summary, write_atomically};
 use vehicle::frame::to_track;
 
 use crate::session::Session;
 
 /// Drives to the end, writes the results and prints the summary.
-pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) -> anyhow::Result<Exit> {
+pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow::Result<Exit> {
     let result = session.drive()?;
     let (recorder, digests) = session.finish();
-    let report = Report { digests: digests.texts(), ..recorder.report(&result) };
-    let written = write_results(&report, scenario, &recorder, out);
+    let report =
+        Report { digests: digests.texts(), differences: differences(plan), ..recorder.report(&result) };
+    let written = write_results(&report, &plan.scenario, &recorder, out);
     runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
     if let Err(error) = written {
         // The drive is over: a full disk does not change its outcome.
@@ -30,6 +32,16 @@ pub(crate) fn conclude(mut session: Session, scenario: &Scenario, out: &Path) ->
         4 => Exit::ProcessFailed,
         _ => Exit::NotReached,
     })
+}
+
+/// Where the robot differs from its description, as the report has it.
+fn differences(plan: &Plan) -> Vec<Difference> {
+    let found = plan.differences().into_iter();
+    let row = |difference: plan::Difference| {
+        let plan::Difference { key, truth, believed } = difference;
+        Difference { key: key.to_owned(), truth, believed }
+    };
+    found.map(row).collect()
 }
 
 /// Writes report and picture. Those of an earlier run are removed when they can't be replaced.

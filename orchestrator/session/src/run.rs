@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use console::exit::Exit;
-use plan::Plan;
+use plan::{Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
 use supervision::lock::{Claim, clear};
 
@@ -52,6 +52,17 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         runtime::print(runtime::Priority::Warning, "interrupted before anything was started");
         return Ok(Exit::NotReached);
     }
+    announce(&plan, *quiet);
     let session = start(&domain, &plan, &options, lock, shutdown)?;
-    conclude(session, &plan.scenario, &options.out)
+    conclude(session, &plan, &options.out)
+}
+
+/// Prints what a user should know before the drive: warnings always, differences to the description unless `quiet`.
+fn announce(plan: &Plan, quiet: bool) {
+    let warn = |text: &str| runtime::print(runtime::Priority::Warning, &format!("warning: {text}"));
+    plan.warnings.iter().for_each(|warning| warn(warning));
+    if !quiet {
+        let lines = difference::summary(&plan.differences());
+        lines.iter().for_each(|line| runtime::print(runtime::Priority::Notice, line));
+    }
 }

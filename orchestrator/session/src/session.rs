@@ -23,7 +23,7 @@ use plan::Plan;
 use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
-use shared_types::{Authority, Phase, ProcessState, Role};
+use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
@@ -269,10 +269,20 @@ impl Session {
     fn decide(&mut self, outcome: Outcome, reason: &str) {
         if self.conclusion.is_open() {
             let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
-            let reason = if is_explained { reason.to_owned() } else { reason.to_owned() + &self.blame() };
+            let reason = match is_explained {
+                true => reason.to_owned(),
+                false => reason.to_owned() + &self.named_obstacle(reason) + &self.blame(),
+            };
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
         }
+    }
+
+    /// The obstacle that the wheels are blocked for now, as a continuation of the reason for the end of a run.
+    fn named_obstacle(&self, reason: &str) -> String {
+        let start = if reason.ends_with(StopReason::Blocked.name()) { " by" } else { "; blocked by" };
+        let blocking = self.recording.recorder.stopped_for();
+        blocking.map_or_else(String::new, |blocking| format!("{start} {blocking}"))
     }
 
     /// Ends the run when it was stopped from outside, or this process was asked to end.

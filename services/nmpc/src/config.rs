@@ -46,8 +46,8 @@ settings! {
         pub horizon_s: f64 = 2.72, 0.5..=10.0;
         /// Number of intervals of the horizon, N.
         pub intervals: usize = 6, 2.0..=MAX_INTERVALS as f64;
-        /// Scan period that is assumed until the stamps of two scans give the true one [s].
-        pub period_s: f64 = 0.1, 0.005..=1.0;
+        /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].
+        pub period_s: f64 = 0.1, 0.001..=2.0;
         /// Velocity on a free path [m/s].
         pub cruise_mps: f64 = 1.0, "within the velocities of `vehicle.bounds`";
         /// Velocity while the estimator suspects that its calibration is wrong [m/s].

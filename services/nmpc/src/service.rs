@@ -2,7 +2,7 @@
 
 use ocp::Budget;
 use runtime::{Handover, Process, join, monotonic_ns};
-use shared_types::{Command, Obstacles, Pose, Role};
+use shared_types::{Blocking, Command, Obstacles, Pose, Role};
 
 use crate::config::Config;
 use crate::controller::Controller;
@@ -36,6 +36,7 @@ pub fn run() -> anyhow::Result<()> {
         controller.resume(&state);
         poses.skip_to(scan_id);
     }
+    let mut stop = StopLog::default();
     let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
     while process.wait_joined()? {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
@@ -49,8 +50,27 @@ pub fn run() -> anyhow::Result<()> {
             let mut command = controller.step(&pose, &obstacles, &budget);
             command.solve_ns = if simulated { 0 } else { monotonic_ns() - started_ns };
             commands.publish(&mut command)?;
+            stop.follow(&command);
             process.save(&command.header, &controller.state())?;
         }
     }
     Ok(())
+}
+
+/// Logs when a stop for an obstacle begins and when it ends.
+#[derive(Debug, Default)]
+struct StopLog {
+    stopped_for: Option<Blocking>,
+}
+
+impl StopLog {
+    fn follow(&mut self, command: &Command) {
+        let scan_id = command.header.scan_id;
+        match (self.stopped_for, command.stopped_for()) {
+            (None, Some(blocking)) => tracing::warn!("scan {scan_id}: stopped: blocked by {blocking}"),
+            (Some(_), None) => tracing::info!("scan {scan_id}: no longer stopped for an obstacle"),
+            _ => {}
+        }
+        self.stopped_for = command.stopped_for();
+    }
 }

@@ -74,6 +74,11 @@ fn systems_and_options_are_checked() {
     refused(&system, &["run", "nowhere.toml"], &["nowhere.toml", "corridor"]);
     refused(&system, &["run", "--system", "nowhere.toml"], &["nowhere.toml"]);
     refused(&system, &["run", "--set", "rate_hz=0"], &["rate_hz", "0.5 to 1000"]);
+    refused(
+        &system,
+        &["run", "--set", "rate_hz=0.5", "--set", "vehicle.sudden_m=0.2"],
+        &["rate_hz = 0.5", "at least ", "vehicle.sudden_m = 0.2", "vehicle.blocked_deceleration_mps2 = 5"],
+    );
     refused(&system, &["run", "--set", "controller.horizon=1"], &["controller.horizon", "unknown"]);
     refused(&system, &["run", "--set", "robot.width_m=wide"], &["robot.width_m", "wide"]);
     refused(&system, &["run", "--set", "actuator.calibration=best"], &["actuator.calibration", "best"]);

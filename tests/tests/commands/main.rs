@@ -6,5 +6,6 @@ mod bench_latency;
 mod bench_solver;
 mod bench_transport;
 mod calibrate;
+mod description;
 mod reference;
 mod scenarios;

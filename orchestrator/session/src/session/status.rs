@@ -52,6 +52,7 @@ impl Session {
             scenario: self.run.scenario.clone(),
             scan: self.samples.newest_scan(),
             lockstep: self.run.lockstep,
+            blocking: self.recording.recorder.stopped_for().map(Into::into),
             processes,
             refused: self.audit.samples.refused().to_vec(),
         }

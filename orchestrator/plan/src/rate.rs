@@ -1,0 +1,76 @@
+//! Whether the robot can stop in time at a scan rate.
+
+use nmpc::speed_limit;
+use vehicle::{Description, Invalid};
+
+/// Rates that a system file may have [Hz].
+const RATES_HZ: [f64; 2] = [0.5, 1000.0];
+/// The smallest allowed rate is found to this share.
+const PRECISION: f64 = 1e-4;
+
+/// Passes when a safe speed is left at this rate.
+///
+/// # Errors
+/// [`Invalid`] with the rate, the smallest allowed one, and the other keys that decide it.
+pub(crate) fn require_safe_speed(vehicle: &Description, rate_hz: f64) -> Result<(), Invalid> {
+    if has_safe_speed(vehicle, rate_hz) {
+        return Ok(());
+    }
+    let Description { sudden_m, blocked_deceleration_mps2, bounds, .. } = vehicle;
+    let slowest_mps = bounds.velocity_min_mps;
+    let rates = match smallest_rate(vehicle) {
+        Some(rate_hz) => format!("at least {rate_hz}"),
+        None => "no rate".to_owned(),
+    };
+    let allowed = format!(
+        "{rates}, so that the robot can stop in time at vehicle.bounds.velocity_min_mps = {slowest_mps} with \
+         vehicle.sudden_m = {sudden_m} and vehicle.blocked_deceleration_mps2 = {blocked_deceleration_mps2}"
+    );
+    Err(Invalid::new("rate_hz", rate_hz, allowed))
+}
+
+fn has_safe_speed(vehicle: &Description, rate_hz: f64) -> bool {
+    speed_limit(vehicle, 1.0 / rate_hz) >= vehicle.bounds.velocity_min_mps
+}
+
+/// The smallest rate with a safe speed, rounded up to three decimals; the speed limit grows with the rate [Hz].
+fn smallest_rate(vehicle: &Description) -> Option<f64> {
+    let [mut low, mut high] = RATES_HZ;
+    if !has_safe_speed(vehicle, high) {
+        return None;
+    }
+    while high > low * (1.0 + PRECISION) {
+        let middle = (low * high).sqrt();
+        if has_safe_speed(vehicle, middle) { high = middle } else { low = middle }
+    }
+    Some((high * 1e3).ceil() / 1e3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_smallest_rate_in_the_message_is_the_limit() {
+        let vehicle = Description { sudden_m: 0.3, ..Description::default() };
+        assert_eq!(require_safe_speed(&vehicle, 10.0), Ok(()));
+        let refused = require_safe_speed(&vehicle, 0.5).unwrap_err();
+        let named: f64 =
+            refused.allowed.split(&[' ', ','][..]).find_map(|word| word.parse().ok()).expect("a rate");
+        assert_eq!(require_safe_speed(&vehicle, named), Ok(()));
+        assert!(require_safe_speed(&vehicle, 0.99 * named).is_err());
+        assert_eq!(refused.key, "rate_hz");
+        for name in ["vehicle.sudden_m = 0.3", "vehicle.blocked_deceleration_mps2 = 5"] {
+            assert!(refused.to_string().contains(name), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_can_stop_at_no_rate_is_told_so() {
+        let mut vehicle =
+            Description { sudden_m: 0.1, blocked_deceleration_mps2: 0.1, ..Description::default() };
+        vehicle.bounds.velocity_min_mps = 1.0;
+        let refused = require_safe_speed(&vehicle, 10.0).unwrap_err();
+        assert!(refused.allowed.starts_with("no rate, "), "{refused}");
+    }
+}

@@ -1,0 +1,80 @@
+//! Small parts of the report: margins, the obstacle of a stop, differences between robot and description.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use shared_types::Blocking;
+
+/// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MarginReport {
+    /// Distance kept in any case [m].
+    pub base: f64,
+    /// Uncertainty of the pose [m].
+    pub pose: f64,
+    /// Speed times the age of the data [m].
+    pub latency: f64,
+    /// Difference between the robot and its description [m].
+    pub model: f64,
+    /// Uncertainty of the described obstacles [m].
+    pub perception: f64,
+}
+
+impl MarginReport {
+    /// The clearance [m].
+    pub fn sum(&self) -> f64 {
+        let Self { base, pose, latency, model, perception } = *self;
+        base + pose + latency + model + perception
+    }
+}
+
+impl fmt::Display for MarginReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { base, pose, latency, model, perception } = self;
+        write!(formatter, "{:.1} cm: ", 100.0 * self.sum())?;
+        let parts = [("base", base), ("pose", pose), ("latency", latency), ("model", model)];
+        parts.iter().try_for_each(|(name, part)| write!(formatter, "{name} {:.1} + ", 100.0 * **part))?;
+        write!(formatter, "perception {:.1}", 100.0 * perception)
+    }
+}
+
+/// The obstacle that the wheels were blocked for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BlockingReport {
+    /// Identity of the obstacle.
+    pub id: u32,
+    /// Position of its centre along the track [m].
+    pub x_m: f64,
+    /// Lateral position of its centre [m].
+    pub y_m: f64,
+    /// The widest gap past it, negative when there is none [m].
+    pub gap_m: f64,
+    /// The gap that the robot needs there [m].
+    pub needed_m: f64,
+}
+
+impl From<Blocking> for BlockingReport {
+    fn from(blocking: Blocking) -> Self {
+        let Blocking { x_m, y_m, gap_m, needed_m, id, .. } = blocking;
+        Self { id, x_m, y_m, gap_m, needed_m }
+    }
+}
+
+impl fmt::Display for BlockingReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { id, x_m, y_m, gap_m, needed_m } = *self;
+        Blocking { x_m, y_m, gap_m, needed_m, id, reserved: 0 }.fmt(formatter)
+    }
+}
+
+/// A property in which the emulated robot differs from its description.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// Its key in both tables.
+    pub key: String,
+    /// `robot.KEY` of the scenario.
+    pub truth: f64,
+    /// `vehicle.KEY` of the system.
+    pub believed: f64,
+}
