@@ -20,6 +20,7 @@ use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
 use crate::correction::{CorrectionState, Planar};
+use crate::dead_reckoning::Step;
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::motion::{MotionState, Moved, plausible_speed};
 use crate::observability::motion_jacobian;
@@ -88,6 +89,7 @@ impl Estimator {
         }
         let acquired_ns = odometry.header.acquired_ns;
         let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+        let (from, from_mps) = (self.state.estimate, self.state.motion.speed_mps);
         let update = if self.state.initialised.is_set() {
             let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
@@ -102,10 +104,12 @@ impl Estimator {
                     (self.state, update) = (before, None);
                 }
             }
-            update.unwrap_or_else(|| {
+            let update = update.unwrap_or_else(|| {
                 self.restart(measured, odometry);
                 Update::default()
-            })
+            });
+            self.drift(from, from_mps, dt);
+            update
         } else {
             self.state.correction = CorrectionState::begin(reported, speed);
             self.begin(reported, odometry);
@@ -184,6 +188,19 @@ impl Estimator {
     fn restart(&mut self, measured: Planar, odometry: &Odometry) {
         self.begin(measured, odometry);
         self.state.restarts += 1;
+    }
+
+    /// Adds the drift of the odometry since the estimate before, [`crate::dead_reckoning`].
+    fn drift(&mut self, [yaw, x, y]: [f64; 3], from_mps: f64, seconds: f64) {
+        let [to_yaw, to_x, to_y] = self.state.estimate;
+        let step = Step {
+            seconds,
+            distance_m: f64::midpoint(from_mps, self.state.motion.speed_mps) * seconds,
+            dx_m: to_x - x,
+            dy_m: to_y - y,
+            yaw_rad: yaw + wrap_angle(to_yaw - yaw) / 2.0,
+        };
+        self.state.drift.grow(&self.settings.dead_reckoning, &step);
     }
 
     /// Time update (7.22), (7.23) from the last sample to this one. The process f of (7.14)-(7.19) is the motion of the robot.
@@ -327,6 +344,9 @@ impl Estimator {
         let mut ahead = motion;
         let predicted =
             ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
+        let mut covariance = self.state.covariance;
+        let drift = self.state.drift.of_pose();
+        covariance.iter_mut().zip(drift.as_slice()).for_each(|(sum, drift)| *sum += drift);
         let mut gain = [0.0; 9];
         // Row by row, where the matrix is stored column by column.
         gain.copy_from_slice(update.gain.transpose().as_slice());
@@ -335,7 +355,7 @@ impl Estimator {
             yaw_rad: yaw,
             x_m: x,
             y_m: y,
-            covariance: self.state.covariance,
+            covariance,
             local_covariance: self.state.covariance,
             speed_mps: motion.speed_mps,
             sideslip_rad: motion.sideslip_rad,
