@@ -59,7 +59,9 @@ impl DeadReckoning {
         let mut covariance = transition * self.matrix() * transition.transpose();
         covariance += slip * slip.transpose() * distance_m + turn * turn.transpose() * seconds;
         covariance[(3, 3)] += sources.bias_radps * sources.bias_radps * seconds;
-        self.covariance.copy_from_slice(covariance.as_slice());
+        // Rounding makes the two halves differ.
+        let symmetric = (covariance + covariance.transpose()) / 2.0;
+        self.covariance.copy_from_slice(symmetric.as_slice());
     }
 
     /// Covariance of (yaw, x, y).

@@ -45,6 +45,12 @@ const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
 
+/// Weight of the newest sample in the mean of the NIS.
+const MISFIT_WEIGHT: f64 = 0.05;
+
+/// Smallest factor on the covariance.
+const MIN_MISFIT: f64 = 0.2;
+
 /// Estimates pose and motion from odometry and actuations.
 #[derive(Debug, Clone)]
 pub struct Estimator {
@@ -181,7 +187,7 @@ impl Estimator {
         self.state.estimate = [measured.yaw, measured.x, measured.y];
         let covariance = Matrix3::from_diagonal(&Vector3::from(self.settings.measurement_noise));
         self.state.covariance.copy_from_slice(covariance.as_slice());
-        self.state.rejected_in_a_row = 0;
+        (self.state.rejected_in_a_row, self.state.misfit) = (0, 1.0);
         self.state.motion.begin(&self.settings.motion, odometry.header.acquired_ns, odometry.speed_mps);
     }
 
@@ -327,6 +333,7 @@ impl Estimator {
             filter.state[0] = wrap_angle(filter.state[0]);
             self.keep(&filter);
         }
+        self.state.misfit += MISFIT_WEIGHT * (innovation.nis / M as f64 - self.state.misfit);
         let update = Update {
             innovation: by_state.transpose() * innovation.value,
             gain: innovation.gain * by_state,
@@ -344,7 +351,8 @@ impl Estimator {
         let mut ahead = motion;
         let predicted =
             ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
-        let mut covariance = self.state.covariance;
+        let local_covariance = self.local_covariance();
+        let mut covariance = local_covariance;
         let drift = self.state.drift.of_pose();
         covariance.iter_mut().zip(drift.as_slice()).for_each(|(sum, drift)| *sum += drift);
         let mut gain = [0.0; 9];
@@ -356,7 +364,7 @@ impl Estimator {
             x_m: x,
             y_m: y,
             covariance,
-            local_covariance: self.state.covariance,
+            local_covariance,
             speed_mps: motion.speed_mps,
             sideslip_rad: motion.sideslip_rad,
             yaw_rate_radps: motion.yaw_rate_radps,
@@ -374,6 +382,12 @@ impl Estimator {
             suspect: self.state.self_check.suspect,
             alarm: self.state.self_check.alarm,
         }
+    }
+
+    /// Covariance of the filter, scaled by how large its innovations really are (the variance of unit weight).
+    fn local_covariance(&self) -> [f64; 9] {
+        let factor = if self.settings.gate { self.state.misfit.max(MIN_MISFIT) } else { 1.0 };
+        self.state.covariance.map(|entry| entry * factor)
     }
 
     fn filter(&self) -> Ekf<3> {
