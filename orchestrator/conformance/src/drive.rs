@@ -3,8 +3,9 @@
 use emulator::scenario::{Obstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Referee, Scenario};
-use pipeline::{Pipeline, Settings, Step};
+use pipeline::{Pipeline, Settings, Step, Tuning};
 use shared_types::{Role, Topic};
+use vehicle::Description;
 use vehicle::correction::Calibration;
 
 use super::message::Message;
