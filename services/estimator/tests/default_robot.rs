@@ -136,7 +136,7 @@ fn robots_that_drift_are_followed_by_the_correction_of_their_kind() {
         (Drift::Moving, Mode::Moving, 0.03),
     ] {
         let mut scenario = open_track();
-        scenario.robot.odometry_lateral_rate = 0.053;
+        scenario.robot.odometry_lateral_rate = Some(0.053);
         scenario.robot.odometry_drift = drift;
         let config = Config { profile: Profile::Source, correction: Some(mode), ..at_once() };
         let errors = drive(&scenario, &config, 100_000_000);
@@ -147,7 +147,7 @@ fn robots_that_drift_are_followed_by_the_correction_of_their_kind() {
 #[test]
 fn a_robot_without_calibration_is_followed_by_its_measured_speed() {
     let mut scenario = open_track();
-    scenario.robot.velocity_factor = 2.0;
+    scenario.robot.velocity_factor = Some(2.0);
     let errors = drive(&scenario, &at_once(), 100_000_000);
     assert!(errors.position_m < 1e-3 && errors.speed_mps < 1e-3, "{errors:?}");
 }
