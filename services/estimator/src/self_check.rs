@@ -21,7 +21,7 @@ pub const WINDOW: usize = 20;
 
 /// Share by which the median of the speed may differ from the one desired. A worn drive is up to 5 % off, which is
 /// tolerated; an error of kv by 10 % is to be detected.
-const SPEED_TOLERANCE: f64 = 0.085;
+const SPEED_TOLERANCE: f64 = 0.07;
 
 /// Largest median of an innovation, in standard deviations: 5.4 standard deviations of the median itself, about 1e-7 by
 /// chance.
