@@ -3,8 +3,9 @@
 use emulator::scenario::{Obstacle, Shape};
 use emulator::steering_map::SteeringMap;
 use emulator::{Referee, Scenario};
-use pipeline::{Pipeline, Settings, Step};
+use pipeline::{Pipeline, Settings, Step, Tuning};
 use shared_types::{Role, Topic};
+use vehicle::Description;
 use vehicle::correction::Calibration;
 
 use super::message::Message;
@@ -44,7 +45,9 @@ impl Course {
             Self::Barrier => vec![solid(4.0, 0.0, 0.1, 3.6)],
             Self::Two => vec![solid(4.5, 0.9, 0.1, 0.4), solid(6.0, -0.9, 0.1, 0.4)],
         };
-        let mut settings = Settings { period_ns, ..Settings::of(scenario) };
+        // The robot of the courses follows at once, and the stages know.
+        let tuning = Tuning::of(Description::default().without_lag());
+        let mut settings = Settings { scenario, tuning, period_ns };
         let Settings { scenario, tuning, .. } = &mut settings;
         if matches!(self, Self::Exact | Self::Drifting) {
             scenario.noise.range_m = 0.0;

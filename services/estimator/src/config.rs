@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::{Description, Invalid, Setting, settings};
 
 use crate::correction::{Drift, Mode};
+use crate::dead_reckoning::Sources;
 use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
@@ -55,6 +56,9 @@ settings! {
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
         /// Fraction of the steering lag by which the pose is predicted further than the delay of the command.
         pub lead_share: f64 = 1.0, 0.0..=1.0;
+        /// Factor on the standard deviations of slip, gyro noise and gyro bias in the covariance of the pose; 0 with profile
+        /// `source`.
+        pub drift_scale: f64 = 1.0, 0.0..=100.0;
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
         pub vehicle: Description = Description::default();
     }
@@ -77,6 +81,8 @@ pub struct Settings {
     pub measurement_noise: [f64; 3],
     /// Correction of measured data.
     pub drift: Drift,
+    /// What makes the odometry drift without being noticed.
+    pub dead_reckoning: Sources,
     /// Whether measurements that do not fit are refused.
     pub gate: bool,
     /// Whether a wrong calibration is noticed.
@@ -120,6 +126,7 @@ impl Config {
             noise_turns: !source,
             measurement_noise: self.measurement_noise.unwrap_or(measurement_noise),
             drift,
+            dead_reckoning: if source { Sources::default() } else { self.dead_reckoning() },
             gate: self.gate.unwrap_or(!source),
             self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
@@ -140,6 +147,15 @@ impl Config {
             ));
         }
         Ok(settings)
+    }
+
+    fn dead_reckoning(&self) -> Sources {
+        let vehicle = &self.vehicle;
+        Sources {
+            slip_m: self.drift_scale * vehicle.encoder_slip_m,
+            yaw_rad: self.drift_scale * vehicle.gyro_noise_rad,
+            bias_radps: self.drift_scale * vehicle.gyro_bias_walk_radps,
+        }
     }
 
     /// What the motion is computed with.

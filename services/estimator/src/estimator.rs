@@ -20,6 +20,7 @@ use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
 use crate::correction::{CorrectionState, Planar};
+use crate::dead_reckoning::Step;
 use crate::ekf::{Ekf, Innovation, NotPositive};
 use crate::motion::{MotionState, Moved, plausible_speed};
 use crate::observability::motion_jacobian;
@@ -43,6 +44,12 @@ const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
 
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
+
+/// Weight of the newest sample in the mean of the NIS.
+const MISFIT_WEIGHT: f64 = 0.05;
+
+/// Smallest factor on the covariance.
+const MIN_MISFIT: f64 = 0.2;
 
 /// Estimates pose and motion from odometry and actuations.
 #[derive(Debug, Clone)]
@@ -88,6 +95,7 @@ impl Estimator {
         }
         let acquired_ns = odometry.header.acquired_ns;
         let speed = plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps);
+        let (from, from_mps) = (self.state.estimate, self.state.motion.speed_mps);
         let update = if self.state.initialised.is_set() {
             let dt = (acquired_ns - self.state.acquired_ns) as f64 * 1e-9;
             let measured = self.state.correction.correct(&self.settings.drift, reported, speed, dt);
@@ -102,10 +110,12 @@ impl Estimator {
                     (self.state, update) = (before, None);
                 }
             }
-            update.unwrap_or_else(|| {
+            let update = update.unwrap_or_else(|| {
                 self.restart(measured, odometry);
                 Update::default()
-            })
+            });
+            self.drift(from, from_mps, dt);
+            update
         } else {
             self.state.correction = CorrectionState::begin(reported, speed);
             self.begin(reported, odometry);
@@ -177,13 +187,26 @@ impl Estimator {
         self.state.estimate = [measured.yaw, measured.x, measured.y];
         let covariance = Matrix3::from_diagonal(&Vector3::from(self.settings.measurement_noise));
         self.state.covariance.copy_from_slice(covariance.as_slice());
-        self.state.rejected_in_a_row = 0;
+        (self.state.rejected_in_a_row, self.state.misfit) = (0, 1.0);
         self.state.motion.begin(&self.settings.motion, odometry.header.acquired_ns, odometry.speed_mps);
     }
 
     fn restart(&mut self, measured: Planar, odometry: &Odometry) {
         self.begin(measured, odometry);
         self.state.restarts += 1;
+    }
+
+    /// Adds the drift of the odometry since the estimate before, [`crate::dead_reckoning`].
+    fn drift(&mut self, [yaw, x, y]: [f64; 3], from_mps: f64, seconds: f64) {
+        let [to_yaw, to_x, to_y] = self.state.estimate;
+        let step = Step {
+            seconds,
+            distance_m: f64::midpoint(from_mps, self.state.motion.speed_mps) * seconds,
+            dx_m: to_x - x,
+            dy_m: to_y - y,
+            yaw_rad: yaw + wrap_angle(to_yaw - yaw) / 2.0,
+        };
+        self.state.drift.grow(&self.settings.dead_reckoning, &step);
     }
 
     /// Time update (7.22), (7.23) from the last sample to this one. The process f of (7.14)-(7.19) is the motion of the robot.
@@ -310,6 +333,7 @@ impl Estimator {
             filter.state[0] = wrap_angle(filter.state[0]);
             self.keep(&filter);
         }
+        self.state.misfit += MISFIT_WEIGHT * (innovation.nis / M as f64 - self.state.misfit);
         let update = Update {
             innovation: by_state.transpose() * innovation.value,
             gain: innovation.gain * by_state,
@@ -327,6 +351,10 @@ impl Estimator {
         let mut ahead = motion;
         let predicted =
             ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
+        let local_covariance = self.local_covariance();
+        let mut covariance = local_covariance;
+        let drift = self.state.drift.of_pose();
+        covariance.iter_mut().zip(drift.as_slice()).for_each(|(sum, drift)| *sum += drift);
         let mut gain = [0.0; 9];
         // Row by row, where the matrix is stored column by column.
         gain.copy_from_slice(update.gain.transpose().as_slice());
@@ -335,8 +363,8 @@ impl Estimator {
             yaw_rad: yaw,
             x_m: x,
             y_m: y,
-            covariance: self.state.covariance,
-            local_covariance: self.state.covariance,
+            covariance,
+            local_covariance,
             speed_mps: motion.speed_mps,
             sideslip_rad: motion.sideslip_rad,
             yaw_rate_radps: motion.yaw_rate_radps,
@@ -354,6 +382,12 @@ impl Estimator {
             suspect: self.state.self_check.suspect,
             alarm: self.state.self_check.alarm,
         }
+    }
+
+    /// Covariance of the filter, scaled by how large its innovations really are (the variance of unit weight).
+    fn local_covariance(&self) -> [f64; 9] {
+        let factor = if self.settings.gate { self.state.misfit.max(MIN_MISFIT) } else { 1.0 };
+        self.state.covariance.map(|entry| entry * factor)
     }
 
     fn filter(&self) -> Ekf<3> {

@@ -6,6 +6,7 @@
 
 mod config;
 pub mod correction;
+pub mod dead_reckoning;
 pub mod ekf;
 mod estimator;
 pub mod forms;

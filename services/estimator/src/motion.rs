@@ -178,7 +178,7 @@ impl MotionState {
             y: pose.y,
         };
         let measured = measured_mps.and_then(plausible_speed);
-        self.expected_mps = self.speed_after(model, self.expected_mps, from_ns, to_ns);
+        (self.expected_mps, _) = self.speed_after(model, self.expected_mps, from_ns, to_ns);
         let (state, ahead_m, yaw_rad) = if model.lags() {
             self.follow(model, start, from_ns, to_ns, measured)
         } else {

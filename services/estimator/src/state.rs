@@ -4,6 +4,7 @@ use nalgebra::Matrix3;
 use shared_types::{Fault, Flag, finite, plain_state};
 
 use crate::correction::CorrectionState;
+use crate::dead_reckoning::DeadReckoning;
 use crate::motion::{HISTORY, MotionState};
 use crate::self_check::{SelfCheckState, WINDOW};
 
@@ -22,6 +23,10 @@ plain_state! {
         pub estimate: [f64; 3],
         /// Covariance of (yaw, x, y), column by column, which is row by row as it is symmetric
         pub covariance: [f64; 9],
+        /// Mean NIS per measured state: 1 when innovations are as large as Q and R make expect
+        pub misfit: f64,
+        /// Accumulated error of the odometry, which the filter cannot see
+        pub drift: DeadReckoning,
         /// Correction of measured data
         pub correction: CorrectionState,
         /// Speed, sideslip, yaw rate, and the controls in force
@@ -49,6 +54,8 @@ impl EstimatorState {
     pub fn check(&self) -> Result<(), Fault> {
         finite("estimate", &self.estimate)?;
         finite("covariance", &self.covariance)?;
+        finite("misfit", &[self.misfit])?;
+        finite("drift", &self.drift.covariance)?;
         finite("correction", bytemuck::cast_ref::<_, [f64; 9]>(&self.correction))?;
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
         finite("self_check", residuals)?;

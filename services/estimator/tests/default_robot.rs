@@ -6,7 +6,10 @@
 use actuation::Actuator;
 use emulator::{Emulator, Scenario};
 use estimator::{Config, Estimator, Profile};
-use shared_types::{Command, CommandKind, Header, Level, Odometry, Pose, Role, Scan, SolveStatus, Truth};
+use shared_types::{
+    Actuation, ActuationKind, Command, CommandKind, Header, Level, Odometry, Pose, Role, Scan, SolveStatus,
+    Truth,
+};
 use vehicle::Description;
 
 /// What is to be commanded at a scan: velocity and steering angle, or a stop.
@@ -147,4 +150,51 @@ fn a_robot_without_calibration_is_followed_by_its_measured_speed() {
     scenario.robot.velocity_factor = Some(2.0);
     let errors = drive(&scenario, &at_once(), 100_000_000);
     assert!(errors.position_m < 1e-3 && errors.speed_mps < 1e-3, "{errors:?}");
+}
+
+/// All numbers of a drive under settings without lag, as one number.
+fn fingerprint(config: &Config) -> u64 {
+    let mut estimator = Estimator::new(config).unwrap();
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for scan in 1..=120_u64 {
+        let (time_s, now_ns) = (0.1 * scan as f64, scan * 100_000_000 + 33_333_333);
+        let header =
+            Header { scan_id: scan, sequence: scan, acquired_ns: scan * 100_000_000, ..Header::default() };
+        // Not the way of any robot: it has to be the same numbers again, no more.
+        let odometry = Odometry {
+            header,
+            x_m: 0.05 * scan as f64 + 0.01 * (7.0 * time_s).sin(),
+            y_m: 0.02 * (3.0 * time_s).cos(),
+            yaw_rad: 0.05 * (2.0 * time_s).sin(),
+            speed_mps: 0.5 + 0.1 * time_s.sin(),
+            ..Odometry::default()
+        };
+        let pose = estimator.step(&odometry, None, now_ns).unwrap();
+        let kind = if scan % 40 > 35 { ActuationKind::Block } else { ActuationKind::Drive };
+        let mut actuation = Actuation {
+            header,
+            kind: kind.wire(),
+            desired_velocity_mps: 0.5 + 0.2 * (2.0 * time_s).sin(),
+            desired_steering_rad: 0.05 * (1.5 * time_s).sin(),
+            ..Actuation::default()
+        };
+        actuation.header.stage_mut(Role::Actuator).published_ns = now_ns;
+        estimator.note(&actuation, now_ns);
+        let state =
+            [pose.yaw_rad, pose.x_m, pose.y_m, pose.speed_mps, pose.sideslip_rad, pose.yaw_rate_radps];
+        let ahead =
+            [pose.predicted_x_m, pose.predicted_y_m, pose.predicted_yaw_rad, pose.predicted_speed_mps];
+        for number in state.iter().chain(&ahead).chain(&estimator.state().covariance) {
+            // A sine of another library may differ in its last bit.
+            let rounded = (number * 1e9).round() as i64;
+            hash = (hash ^ rounded.cast_unsigned()).wrapping_mul(0x0000_0100_0000_01b3);
+        }
+    }
+    hash
+}
+
+/// The number is that of the estimator before it knew lags, whose bits were the same.
+#[test]
+fn without_lag_the_estimate_has_the_numbers_that_it_had_before_lags_were_known() {
+    assert_eq!(fingerprint(&at_once()), 2679313922063031833);
 }

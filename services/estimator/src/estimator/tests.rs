@@ -8,6 +8,7 @@ use super::*;
 use crate::Profile;
 use crate::correction::Mode;
 
+mod drift;
 mod figures;
 
 const PERIOD_NS: u64 = 100_000_000;

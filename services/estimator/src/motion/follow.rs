@@ -46,22 +46,31 @@ fn speed_after(model: &MotionModel, control: Option<&ControlInForce>, speed: f64
 }
 
 impl MotionState {
-    /// The speed at the end of an interval by the controls alone.
-    pub(super) fn speed_after(&self, model: &MotionModel, speed: f64, from_ns: u64, to_ns: u64) -> f64 {
-        let (mut speed, mut start_ns) = (speed, from_ns);
+    /// The speed at the end of an interval by the controls alone, and the distance until then.
+    pub(super) fn speed_after(
+        &self,
+        model: &MotionModel,
+        speed: f64,
+        from_ns: u64,
+        to_ns: u64,
+    ) -> (f64, f64) {
+        let (mut speed, mut distance_m, mut start_ns) = (speed, 0.0, from_ns);
         while start_ns < to_ns {
             let (control, end_ns) = self.piece(start_ns, to_ns);
-            speed = speed_after(model, control.as_ref(), speed, (end_ns - start_ns) as f64 * 1e-9);
+            let (before, seconds) = (speed, (end_ns - start_ns) as f64 * 1e-9);
+            speed = speed_after(model, control.as_ref(), before, seconds);
+            distance_m += f64::midpoint(before, speed) * seconds;
             start_ns = end_ns;
         }
-        speed
+        (speed, distance_m)
     }
 
     /// The state at the end of an interval, and the standard deviations of the distance and the yaw because of what is
     /// not measured; leaves speed and steering angle in `self`.
     ///
-    /// The difference of measured and assumed speed is taken to have grown evenly over the interval. The distance may
-    /// differ by anything up to the difference times the interval, and the yaw by the angle between wheels and target.
+    /// Wheel encoders measure the mean speed of the interval, other sensors that at its end: what lies between the two is
+    /// as assumed. A difference beyond is taken to have grown evenly over the interval. The distance may differ by
+    /// anything up to the difference times the interval, and the yaw by the angle between wheels and target.
     pub(super) fn follow(
         &mut self,
         model: &MotionModel,
@@ -74,8 +83,11 @@ impl MotionState {
         if seconds <= 0.0 {
             return (state, 0.0, 0.0);
         }
-        let assumed = self.speed_after(model, self.speed_mps, from_ns, to_ns);
-        let growth = measured.map_or(0.0, |measured| model.speed_weight * (measured - assumed) / seconds);
+        let (end_mps, distance_m) = self.speed_after(model, self.speed_mps, from_ns, to_ns);
+        let mean_mps = distance_m / seconds;
+        let assumed = |measured: f64| measured.clamp(mean_mps.min(end_mps), mean_mps.max(end_mps));
+        let growth =
+            measured.map_or(0.0, |measured| model.speed_weight * (measured - assumed(measured)) / seconds);
         let mut wheels = Wheels { speed: self.speed_mps, steering: self.steering_rad };
         let (mut start_ns, mut turned) = (from_ns, 0.0);
         while start_ns < to_ns {

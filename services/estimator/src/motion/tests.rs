@@ -85,7 +85,7 @@ fn the_measured_speed_replaces_the_assumed_one_by_its_weight() {
         motion.begin(&model(weight), 0, 0.0);
         // The control begins within the first interval, so the speed is constant after it took effect.
         motion.note(&drive(1, 1.0, 0.01), 0);
-        motion.advance(&model(weight), Planar::default(), 0, 100 * MS, Some(0.7)).pose;
+        motion.advance(&model(weight), Planar::default(), 0, 100 * MS, Some(0.7));
         assert!((motion.speed_mps - expected).abs() < 1e-12);
     }
 }

@@ -66,7 +66,7 @@ impl Errors {
 }
 
 /// Standard normal numbers by Box and Muller.
-fn normal(generator: &mut Pcg64) -> f64 {
+pub(super) fn normal(generator: &mut Pcg64) -> f64 {
     let (radius, angle) = (1.0 - generator.random::<f64>(), generator.random::<f64>());
     (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * angle).cos()
 }
