@@ -3,11 +3,13 @@
 //! A condition is a list of overrides, as `--set` takes them. So it goes through the same checks as a run, and a
 //! condition that a run would refuse is refused here with the same message.
 
+use console::exit::Failure;
 use emulator::scenario::Robot;
 use plan::{Choice, Plan};
 use serde::Serialize;
 use vehicle::Setting;
 
+use super::course;
 use crate::cli::PriceArguments;
 
 /// Delays added between actuator and wheels [ms].
@@ -47,7 +49,11 @@ pub(super) struct Condition {
 /// # Errors
 /// One message with file, key, value and allowed range; exit code 2.
 pub(super) fn base(arguments: &PriceArguments) -> anyhow::Result<Plan> {
-    read(arguments, &[])
+    let plan = read(arguments, &[])?;
+    // The track may be too short for the course.
+    let course = course::gap(&plan.scenario, plan.scenario.robot.width_m, plan.scenario.seed);
+    course.validate().map_err(|invalid| Failure::bad_input(format!("course of `price`: {invalid}")))?;
+    Ok(plan)
 }
 
 /// Scenario and system with further overrides; the course is still empty.
@@ -135,6 +141,13 @@ mod tests {
             }
             assert_eq!(told[0], base.system.estimator.settings().unwrap().measurement_noise[0]);
         }
+    }
+
+    #[test]
+    fn a_track_that_ends_before_the_goal_is_refused() {
+        let choice = Choice { overrides: vec!["track.x_m=[0.0, 12.0]".to_owned()], ..Choice::default() };
+        let error = base(&PriceArguments { choice, ..PriceArguments::default() }).unwrap_err().to_string();
+        assert_eq!(error, "course of `price`: goal.x_m = 16 is not allowed: 0 to 12, the bounds track.x_m");
     }
 
     #[test]

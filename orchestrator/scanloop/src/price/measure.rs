@@ -18,9 +18,9 @@ use crate::cli::PriceArguments;
 /// Widest gap that is tried, beyond the width of the body [cm].
 const WIDEST_CM: u32 = 160;
 /// Spacing of the places at which the sudden box appears, as driven at the cruising speed of the settings [m].
-const SPACING_M: f64 = 0.01;
+const SPACING_M: f64 = 0.0025;
 /// Most such places per seed.
-const MAX_PLACES: u32 = 40;
+const MAX_PLACES: u32 = 80;
 
 /// What is driven under one condition.
 pub(super) struct Measurement {
