@@ -83,14 +83,13 @@ fn measured(arguments: &PriceArguments, base: &Plan) -> Price {
         costs: Costs::of(&rows, base.system.rate_hz),
         rows,
         body_width_m: base.scenario.robot.width_m,
-        contacts: figures.iter().map(|figures| figures.contacts.len()).sum(),
+        contacts: figures.iter().map(|figures| figures.contacts).sum(),
     }
 }
 
 fn row(condition: &Condition, figures: Figures) -> Row {
     let Condition { varied, latency_ms, rate_hz, pose_sigma_m, .. } = *condition;
-    let Figures { smallest_gap_m, stopping_distance_m, speed_mps, mut notes, contacts } = figures;
-    notes.extend(contacts);
+    let Figures { smallest_gap_m, stopping_distance_m, speed_mps, notes, .. } = figures;
     Row { varied, latency_ms, rate_hz, pose_sigma_m, smallest_gap_m, stopping_distance_m, speed_mps, notes }
 }
 

@@ -36,13 +36,14 @@ pub(super) struct Figures {
     pub(super) smallest_gap_m: Option<f64>,
     pub(super) stopping_distance_m: Option<f64>,
     pub(super) speed_mps: Option<f64>,
-    /// Why a figure is missing.
+    /// Why a figure is missing, and every contact.
     pub(super) notes: Vec<String>,
-    /// Drives in which the robot touched a box.
-    pub(super) contacts: Vec<String>,
+    /// Number of drives in which the robot touched a box.
+    pub(super) contacts: usize,
 }
 
 /// How the drive towards a sudden box ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Stop {
     /// Distance from the appearance to standstill [m], and speed at the appearance [m/s].
     Stands { distance_m: f64, speed_mps: f64 },
@@ -121,6 +122,44 @@ pub(super) fn on_all_cores(measurements: &[Measurement], mut done: impl FnMut())
     figures.into_iter().map(|(_, figures)| figures).collect()
 }
 
+impl Figures {
+    /// Takes the drives towards boxes that appear `ahead_m` in front of the robot.
+    fn stops(&mut self, stops: &[Stop], ahead_m: f64) {
+        let distances: Option<Vec<f64>> = stops.iter().map(Stop::distance_m).collect();
+        self.stopping_distance_m = distances.into_iter().flatten().reduce(f64::max);
+        self.speed_mps = stops.iter().filter_map(Stop::speed_mps).reduce(f64::max);
+        let count = |is: fn(&Stop) -> bool| stops.iter().filter(|stop| is(stop)).count();
+        let touches = count(|stop| matches!(stop, Stop::Touches { .. }));
+        let stays = count(|stop| matches!(stop, Stop::Stays));
+        self.contacts += touches;
+        for (drives, what) in
+            [(touches, "contact: a box that appeared was touched"), (stays, "no box was reached")]
+        {
+            if drives > 0 {
+                self.notes.push(format!("{what} in {drives} of {} drives, {ahead_m} m ahead", stops.len()));
+            }
+        }
+    }
+}
+
+impl Stop {
+    /// Distance until standstill [m].
+    fn distance_m(&self) -> Option<f64> {
+        match self {
+            Self::Stands { distance_m, .. } => Some(*distance_m),
+            Self::Touches { .. } | Self::Stays => None,
+        }
+    }
+
+    /// Speed at the appearance [m/s].
+    fn speed_mps(&self) -> Option<f64> {
+        match self {
+            Self::Stands { speed_mps, .. } | Self::Touches { speed_mps } => Some(*speed_mps),
+            Self::Stays => None,
+        }
+    }
+}
+
 /// The drives under one condition.
 struct Drives<'a> {
     plan: &'a Plan,
@@ -136,14 +175,14 @@ impl Drives<'_> {
     fn gap(&self, figures: &mut Figures) -> Result<(), Invalid> {
         let body_m = self.plan.scenario.robot.width_m;
         let width_m = |beyond_cm: u32| body_m + f64::from(beyond_cm) * 0.01;
-        let mut contacts = Vec::new();
         let found = smallest(0, WIDEST_CM, |beyond_cm| {
             for seed in self.seeds.clone() {
                 let scenario = course::gap(&self.plan.scenario, width_m(beyond_cm), seed);
                 let (passed, contact) = passes(&self.settings(scenario))?;
                 let note =
                     |reason| format!("contact: gap {:.2} m, seed {seed}: {reason}", width_m(beyond_cm));
-                contacts.extend(contact.map(note));
+                figures.contacts += usize::from(contact.is_some());
+                figures.notes.extend(contact.map(note));
                 if !passed {
                     return Ok(false);
                 }
@@ -156,40 +195,20 @@ impl Drives<'_> {
                 .push(format!("no gap up to {:.2} m was passed with every seed", width_m(WIDEST_CM)));
         }
         figures.smallest_gap_m = found.map(width_m);
-        figures.contacts.extend(contacts);
         Ok(())
     }
 
     /// The longest stopping distance over all seeds and over all times within a scan period.
     fn stopping(&self, figures: &mut Figures) -> Result<(), Invalid> {
-        let mut longest_m = Some(0.0_f64);
+        let ahead_m = self.plan.system.vehicle.sudden_m;
+        let mut stops = Vec::new();
         for seed in self.seeds.clone() {
             for shift_m in self.shifts_m() {
-                let ahead_m = self.plan.system.vehicle.sudden_m;
                 let (scenario, surface_m) = course::sudden(&self.plan.scenario, ahead_m, shift_m, seed);
-                let speed_mps = match stop(&self.settings(scenario), surface_m - ahead_m)? {
-                    Stop::Stands { distance_m, speed_mps } => {
-                        longest_m = longest_m.map(|longest| longest.max(distance_m));
-                        Some(speed_mps)
-                    }
-                    Stop::Touches { speed_mps } => {
-                        let note = format!(
-                            "contact: box suddenly {ahead_m} m ahead at {speed_mps:.2} m/s, seed {seed}"
-                        );
-                        figures.contacts.push(note);
-                        longest_m = None;
-                        Some(speed_mps)
-                    }
-                    Stop::Stays => {
-                        figures.notes.push(format!("the robot did not reach the sudden box, seed {seed}"));
-                        longest_m = None;
-                        None
-                    }
-                };
-                figures.speed_mps = speed_mps.into_iter().chain(figures.speed_mps).reduce(f64::max);
+                stops.push(stop(&self.settings(scenario), surface_m - ahead_m)?);
             }
         }
-        figures.stopping_distance_m = longest_m;
+        figures.stops(&stops, ahead_m);
         Ok(())
     }
 
@@ -260,13 +279,31 @@ mod tests {
     }
 
     #[test]
-    fn the_places_of_the_box_cover_one_scan_period_in_centimetres() {
-        let measurement = measurement(&["rate_hz=20"]);
+    fn the_places_of_the_box_cover_one_scan_period_evenly() {
+        let measurement = measurement(&["rate_hz=100"]);
         let drives = Drives { plan: measurement.plan.as_ref().unwrap(), seeds: 1..2 };
         let shifts: Vec<f64> = drives.shifts_m().collect();
-        let expected = [0.0, 0.01, 0.02, 0.03, 0.04];
+        let expected = [0.0, 0.0025, 0.005, 0.0075];
         assert_eq!(shifts.len(), expected.len());
         assert!(shifts.iter().zip(expected).all(|(shift, expected)| (shift - expected).abs() < 1e-12));
+    }
+
+    #[test]
+    fn the_longest_stop_counts_and_one_contact_leaves_no_distance() {
+        let stands = |distance_m, speed_mps| Stop::Stands { distance_m, speed_mps };
+        let mut figures = Figures::default();
+        figures.stops(&[stands(0.3, 1.0), stands(0.4, 0.9)], 1.2);
+        assert_eq!((figures.stopping_distance_m, figures.speed_mps), (Some(0.4), Some(1.0)));
+        assert_eq!((figures.contacts, figures.notes.len()), (0, 0));
+        figures.stops(&[stands(0.3, 0.8), Stop::Touches { speed_mps: 0.9 }, Stop::Stays], 1.2);
+        assert_eq!((figures.stopping_distance_m, figures.speed_mps, figures.contacts), (None, Some(0.9), 1));
+        assert_eq!(
+            figures.notes,
+            [
+                "contact: a box that appeared was touched in 1 of 3 drives, 1.2 m ahead",
+                "no box was reached in 1 of 3 drives, 1.2 m ahead"
+            ]
+        );
     }
 
     #[test]
