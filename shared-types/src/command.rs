@@ -72,6 +72,8 @@ wire_enum! {
         SelfCheck = 7 "self_check",
         /// The state of the process before was lost while the robot drove: it comes to rest first.
         StateLost = 8 "state_lost",
+        /// At no speed can the robot stop in time: scans are too rare or the data too old.
+        NoSafeSpeed = 9 "no_safe_speed",
     }
 }
 

@@ -3,6 +3,7 @@
 use ocp::SolverSettings;
 use vehicle::{Description, Goal, Invalid, Track, require, settings};
 
+use crate::margin::MarginSettings;
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
 
@@ -37,8 +38,10 @@ settings! {
         pub theta_m: f64 = 0.2, 0.0..=2.0;
         /// Distance by which the semi-axes of the ellipses are enlarged for planning [m].
         pub ellipse_margin_m: f64 = 0.02, 0.0..=0.5;
-        /// Smallest distance of the body to an obstacle along a verified plan [m].
+        /// Distance of the body to an obstacle that a verified plan keeps in any case [m].
         pub clearance_m: f64 = 0.05, 0.0..=1.0;
+        /// What is kept in addition to `clearance_m`.
+        pub margin: MarginSettings = MarginSettings::default();
         /// Length of the horizon, tf [s].
         pub horizon_s: f64 = 2.72, 0.5..=10.0;
         /// Number of intervals of the horizon, N.

@@ -14,9 +14,12 @@ use ocp::Budget;
 use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, PlanNode, Pose, StopReason};
 use vehicle::{Control, Invalid, State};
 
+use crate::blocking::blocking;
+use crate::braking::{STOP_MARGIN_M, Stopping};
 use crate::config::Config;
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
+use crate::margin::MarginModel;
 use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::{self, PredictedObstacle};
 use crate::query::Query;
@@ -24,7 +27,7 @@ use crate::reference_path::ReferencePath;
 use crate::scene::Scene;
 use crate::side::{self, Passing, held};
 use crate::state::{Arrival, ControllerState};
-use crate::stop_rule::is_blocked;
+use crate::stop_rule::blocked_by;
 use crate::warm;
 
 /// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
@@ -37,6 +40,35 @@ const FAR_OUTSIDE_M: f64 = 1.0;
 const OVERLAP_M: f64 = 0.03;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
+
+/// Blocked wheels that slide further than this are worth a slower plan [m].
+const SLIDE_M: f64 = 0.2;
+/// Share of the drive's largest deceleration with which a path slows down for a narrow place.
+const SLOWING_SHARE: f64 = 0.35;
+
+/// What all plans of one scan start from.
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    /// State when the command acts.
+    initial: State,
+    /// Speed then [m/s].
+    speed: f64,
+    margin: MarginModel,
+    stopping: Stopping,
+    /// Largest velocity to plan with [m/s].
+    limit_mps: f64,
+}
+
+impl Start {
+    fn scene<'a>(&self, config: &'a Config, predicted: &'a [PredictedObstacle]) -> Scene<'a> {
+        Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed)
+    }
+
+    /// Distance of the body to an obstacle at which the robot must begin to stop [m].
+    fn stop_m(&self) -> f64 {
+        self.stopping.distance(self.speed) + self.margin.base() + STOP_MARGIN_M
+    }
+}
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
@@ -139,25 +171,83 @@ impl Controller {
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        self.find_reference_path(&initial);
+        let mut start = self.start(pose, initial, period_s);
+        (command.speed_limit_mps, command.margin) =
+            (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
+        if start.limit_mps < self.config.vehicle.bounds.velocity_min_mps {
+            return Err(StopReason::NoSafeSpeed);
+        }
+        self.find_reference_path(&start);
         command.side = self.nearest_side(&initial);
-        self.wait_until_clear()?;
+        if !self.reference_path.clear {
+            let scene = start.scene(&self.config, &self.predicted);
+            let approach_mps = start.stopping.speed(scene.free_ahead() - start.margin.base() - STOP_MARGIN_M);
+            let slowest = self.config.vehicle.bounds.velocity_min_mps;
+            start.limit_mps =
+                start.limit_mps.min(self.config.stop.approach_mps).min(approach_mps).max(slowest);
+        }
+        self.wait_until_clear().inspect_err(|_| {
+            let scene = start.scene(&self.config, &self.predicted);
+            let index = blocked_by(&scene, &[], start.stop_m(), f64::INFINITY);
+            command.blocking = index.map(|index| blocking(&scene, index)).unwrap_or_default();
+        })?;
+        let choice = self.plan(&start, pose, budget, command)?;
+        command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
+        Ok(choice)
+    }
 
+    /// A plan that may be driven, unless the path is blocked.
+    fn plan(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Result<Choice, StopReason> {
         let Self { config, predicted, reference_path, state, planner, .. } = self;
-        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let scene = Scene::new(config, predicted, initial);
-        let task = Task { scene, reference_path, last: state, start_ns: pose.predicted_ns, fastest_mps };
-        let Some(choice) = planner.plan(&task, budget, command) else {
-            // Without a plan the robot stops at once; the reason is the path if it is blocked, else the plan.
-            let blocked = !reference_path.clear && is_blocked(&scene, &[], f64::INFINITY, 0.0);
-            return Err(if blocked { StopReason::Blocked } else { StopReason::Unverified });
+        let scene = start.scene(config, predicted);
+        let mut task = Task {
+            scene,
+            reference_path,
+            last: state,
+            start_ns: pose.predicted_ns,
+            fastest_mps: start.limit_mps,
         };
-        let plan = &planner.rollout.samples;
-        let follows_reference = reference_path.clear && warm::agrees(&scene, reference_path, plan);
-        if !follows_reference && is_blocked(&scene, plan, command.slack, config.stop.slack) {
+        let mut choice = planner.plan(&task, budget, command);
+        // Where blocked wheels slide far, a slower plan may keep clear although the fast one does not.
+        let slowest = config.vehicle.bounds.velocity_min_mps;
+        while choice.is_none()
+            && start.stopping.slide(task.fastest_mps) > SLIDE_M
+            && task.fastest_mps > slowest
+        {
+            task.fastest_mps = (task.fastest_mps / 2.0).max(slowest);
+            choice = planner.plan(&task, budget, command);
+        }
+        let plan = if choice.is_some() { planner.rollout.samples.as_slice() } else { &[] };
+        let follows_reference =
+            choice.is_some() && reference_path.clear && warm::agrees(&scene, reference_path, plan);
+        // Without a plan the robot stops at once, so no slack is accepted.
+        let slack = if choice.is_some() { command.slack - config.stop.slack } else { f64::INFINITY };
+        let is_open = follows_reference || (choice.is_none() && reference_path.clear);
+        let refused_for = planner.refused_for;
+        if !is_open && let Some(index) = blocked_by(&scene, plan, start.stop_m(), slack) {
+            command.blocking = blocking(&scene, index);
             return Err(StopReason::Blocked);
         }
-        Ok(choice)
+        choice.ok_or_else(|| {
+            command.blocking = refused_for.map(|index| blocking(&scene, index)).unwrap_or_default();
+            StopReason::Unverified
+        })
+    }
+
+    /// What all plans of this scan start from.
+    fn start(&self, pose: &Pose, initial: State, period_s: f64) -> Start {
+        let Config { vehicle, careful_mps, .. } = &self.config;
+        let margin = MarginModel::of(&self.config, pose);
+        let stopping = Stopping::new(vehicle, period_s, margin.age_s());
+        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { *careful_mps };
+        let limit_mps = stopping.speed(vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
+        Start { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
@@ -209,6 +299,7 @@ impl Controller {
             && initial.yaw_rate.abs() < 10.0
             && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
             && (0.0..=MAX_LEAD_S).contains(&lead_s)
+            && pose.local_covariance.iter().all(|value| value.is_finite())
             && pose.header.scan_id == obstacles.header.scan_id;
         if !sound || !predicted_obstacle::read(obstacles, lead_s, &mut self.predicted) {
             return Err(StopReason::BadInput);
@@ -224,12 +315,14 @@ impl Controller {
     }
 
     /// Finds the reference path, and with it the passing sides.
-    fn find_reference_path(&mut self, initial: &State) {
+    fn find_reference_path(&mut self, start: &Start) {
         let (config, predicted) = (&self.config, &self.predicted);
-        let goal = &config.goal;
+        let (goal, initial) = (&config.goal, &start.initial);
+        let cruise = config.cruise_mps.min(start.limit_mps);
+        let slowest = config.vehicle.bounds.velocity_min_mps;
         let reach = initial.x + config.guide.range_m;
         let (low, high) = (initial.y.min(goal.y_m) - 0.1, initial.y.max(goal.y_m) + 0.1);
-        let margin = config.ellipse_margin_m + config.guide.comfort_m;
+        let margin = config.ellipse_margin_m + config.guide.comfort_m + start.margin.growth(0.0, cruise);
         let in_the_way = |obstacle: &PredictedObstacle| {
             let [x, y] = obstacle.centre;
             obstacle.moves()
@@ -239,18 +332,26 @@ impl Controller {
                     && y + obstacle.b + margin > low)
         };
         if predicted.iter().any(in_the_way) {
-            let moving = predicted.iter().any(PredictedObstacle::moves);
-            let scene = Scene::new(config, predicted, *initial);
-            for share in SLOWER {
-                let speed = (config.cruise_mps * share).max(config.vehicle.bounds.velocity_min_mps);
+            let scene = start.scene(config, predicted);
+            let mut find = |speed: f64| {
                 let query = Query { scene, speed, sides: &self.state.sides };
                 self.search.find(&query, &mut self.reference_path);
-                if self.reference_path.clear || !moving {
-                    break;
-                }
+                self.reference_path.clear
+            };
+            if predicted.iter().any(PredictedObstacle::moves) {
+                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest)));
+            } else if !find(cruise) && find(slowest) {
+                // Slow only where the margin of the full speed does not fit.
+                let deceleration = SLOWING_SHARE * config.vehicle.deceleration_max_mps2;
+                let allowed = |x: f64, y: f64| scene.fastest_at(x, y, [slowest, cruise]);
+                self.reference_path.set_limits(deceleration, allowed);
+            }
+            if !self.reference_path.clear {
+                // It leads to what blocks it, as fast as that can be stopped for.
+                self.reference_path.speed = cruise;
             }
         } else {
-            self.reference_path.set_line(initial.x, goal.y_m, config.cruise_mps);
+            self.reference_path.set_line(initial.x, goal.y_m, cruise);
         }
         let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
         side::renew(&mut self.state.sides, &self.predicted, choose);

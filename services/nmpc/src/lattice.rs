@@ -10,7 +10,7 @@
 //! represented; a robot that stands across the track gets no clear path. Obstacles are checked twice per arc,
 //! every 0.2 m, so a corner of an ellipse may be cut by millimetres, which the margin covers.
 
-use crate::obstacle_cost::{HARD, ObstacleCost};
+use crate::obstacle_cost::{HARD, ObstacleCost, half_extent};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::{ReferencePath, SINE_MAX, rise};
@@ -45,6 +45,8 @@ pub(crate) struct Search {
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
     rises: Vec<f64>,
+    /// Half extents of the body across the track, per course.
+    extents: Vec<f64>,
     obstacle_cost: ObstacleCost,
 }
 
@@ -56,7 +58,7 @@ impl Search {
         let start = query.scene.initial;
         let grid = Grid::new(&query.scene);
         self.obstacle_cost.measure(query, grid.layers, grid.step);
-        self.tabulate(&grid);
+        self.tabulate(&query.scene, &grid);
         self.reserve(&grid);
         // Most searches find a clear path; only the others consider paths through obstacles.
         for hard in [false, true] {
@@ -96,7 +98,9 @@ impl Search {
         }
     }
 
-    fn tabulate(&mut self, grid: &Grid) {
+    fn tabulate(&mut self, scene: &Scene, grid: &Grid) {
+        self.extents.clear();
+        self.extents.extend((0..grid.courses).map(|course| half_extent(scene, grid.sine(course))));
         self.rises.clear();
         for course in 0..grid.courses {
             for bend in -BENDS..=BENDS {
@@ -129,6 +133,8 @@ impl Search {
                 let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
                 let (curvature, sine, offset) =
                     (f64::from(turn) * bend, grid.sine(next), y_next - config.goal.y_m);
+                let extent = self.extents[next as usize];
+                let from = self.extents[course as usize].max(extent);
                 let mut total = cost
                     + step
                         * (settings.lateral_weight * offset * offset
@@ -138,8 +144,8 @@ impl Search {
                 if total >= self.cells[target].cost {
                     continue;
                 }
-                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0);
-                total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0);
+                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0, from);
+                total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
                 if crossed {
                     total += settings.switch_cost * self.obstacle_cost.switches(layer, y, y_next);
                 }
@@ -180,6 +186,7 @@ impl Search {
         (reference_path.start_x, reference_path.step, reference_path.speed) =
             (start.x, grid.step, query.speed);
         reference_path.clear = best.0 < HARD && (start.yaw + start.sideslip).cos() > MIN_COSINE;
+        reference_path.limits.clear();
         reference_path.y.clear();
         reference_path.sine.clear();
         let mut cell = best.1;

@@ -4,10 +4,13 @@
 //! along that path, and every plan is verified before it is driven. [`Controller`] holds the order of these decisions;
 //! [`service`] is the process around it.
 
+mod blocking;
+mod braking;
 mod config;
 mod controller;
 mod landing;
 mod lattice;
+mod margin;
 mod obstacle_cost;
 mod planner;
 mod predicted_obstacle;
@@ -24,8 +27,10 @@ mod verify;
 mod warm;
 mod weights;
 
+pub use braking::speed_limit;
 pub use config::{Config, StopSettings};
 pub use controller::Controller;
+pub use margin::MarginSettings;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;
 pub use side::Side;

@@ -1,5 +1,8 @@
 //! The obstacle cost of the lattice search, tabulated per layer before the search begins.
 
+use vehicle::State;
+use vehicle::geometry::Rectangle;
+
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::LatticeSettings;
@@ -11,11 +14,19 @@ pub(crate) const HARD: f64 = 1e3;
 /// Share of its depth that a robot inside an ellipse must keep; the rest allows for rounding.
 const SHRINK: f64 = 0.995;
 
-/// The extent of one ellipse across the track at one x: as it is, with the margin, and with the comfort distance.
+/// A box is straight when the sine of twice its yaw is below this.
+const STRAIGHT: f64 = 0.2;
+/// Sine of the course up to which the length of the body along the track is right.
+const BODY_TURN: f64 = 0.35;
+
+/// The extent of one ellipse across the track at one x: with the clearance that a plan must keep, with the margin of the
+/// optimal control problem, and with the comfort distance.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     centre: f64,
-    bare: f64,
+    hard: f64,
+    /// Half the width of the box with the clearance; the robot's own half extent comes on top.
+    side: f64,
     margin: f64,
     comfort: f64,
 }
@@ -50,19 +61,23 @@ impl ObstacleCost {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
+            let growth = query.scene.margin.growth(t, query.speed);
             for obstacle in predicted {
                 // Around a robot already inside, the ellipse is shrunk until it is just outside: it must not go deeper.
-                let scale = obstacle.value(0.0, start.x, start.y).sqrt() * SHRINK;
+                let scale = obstacle.grown(growth).value(0.0, start.x, start.y).sqrt() * SHRINK;
                 let scale = if scale < 1.0 { scale } else { 1.0 };
                 let [centre_x, centre_y] = obstacle.centre_at(t);
                 let across = |grown: f64, scale: f64| {
-                    let ratio = (start.x + along - centre_x) / (obstacle.a * scale + grown);
-                    (obstacle.b * scale + grown) * (1.0 - ratio * ratio).max(0.0).sqrt()
+                    let ratio = (start.x + along - centre_x) / ((obstacle.a + grown) * scale);
+                    (obstacle.b + grown) * scale * (1.0 - ratio * ratio).max(0.0).sqrt()
                 };
-                let comfort = across(margin + config.guide.comfort_m, 1.0);
+                let comfort = across(growth + margin + config.guide.comfort_m, 1.0);
+                let side = side_of_box(&query.scene, obstacle, along, t, query.speed);
                 if comfort > 0.0 {
-                    let (bare, margin) = (across(0.0, scale), across(margin, 1.0));
-                    self.spans.push(Span { centre: centre_y, bare, margin, comfort });
+                    // The box of a straight body has the clearance; the ellipses of others have it.
+                    let hard = across(if is_straight(obstacle) { 0.0 } else { growth }, scale);
+                    let margin = across(growth + margin, 1.0);
+                    self.spans.push(Span { centre: centre_y, hard, side, margin, comfort });
                 }
             }
         }
@@ -76,8 +91,15 @@ impl ObstacleCost {
         }
     }
 
-    /// Cost of being at `y` for `length` along half layer `half`.
-    pub(crate) fn cost(&self, settings: &LatticeSettings, half: usize, y: f64, length: f64) -> f64 {
+    /// Cost of being at `y` for `length` along half layer `half`, with a body that reaches `extent` to either side.
+    pub(crate) fn cost(
+        &self,
+        settings: &LatticeSettings,
+        half: usize,
+        y: f64,
+        length: f64,
+        extent: f64,
+    ) -> f64 {
         let mut cost = 0.0;
         for span in &self.spans[self.offsets[half]..self.offsets[half + 1]] {
             let offset = (y - span.centre).abs();
@@ -86,8 +108,9 @@ impl ObstacleCost {
                 if offset < span.margin {
                     cost += 10.0 * settings.comfort_weight * length * (span.margin - offset);
                 }
-                if offset < span.bare {
-                    cost += HARD * (1.0 + 10.0 * (span.bare - offset));
+                let hard = span.hard.max(span.side + extent);
+                if offset < hard {
+                    cost += HARD * (1.0 + 10.0 * (hard - offset));
                 }
             }
         }
@@ -107,6 +130,39 @@ impl ObstacleCost {
         };
         self.crossings.iter().filter(switched).count() as f64
     }
+}
+
+/// Whether the box of the body lies along the track, so that its sides are straight.
+fn is_straight(obstacle: &PredictedObstacle) -> bool {
+    (2.0 * obstacle.body.yaw).sin().abs() < STRAIGHT
+}
+
+/// Half the width of a straight box with the clearance that a plan keeps, `along` metres from the start, where the robot
+/// passes it; minus infinity elsewhere.
+fn side_of_box(scene: &Scene, obstacle: &PredictedObstacle, along: f64, t: f64, speed: f64) -> f64 {
+    if !is_straight(obstacle) {
+        return f64::NEG_INFINITY;
+    }
+    let Rectangle { centre, yaw, length, width } = obstacle.body_at(t);
+    let (sin, cos) = (yaw.sin().abs(), yaw.cos().abs());
+    let margin = scene.margin.sum(t, speed);
+    let half = [length * cos + width * sin, length * sin + width * cos].map(|size| size / 2.0);
+    let vehicle = &scene.config.vehicle;
+    let reach = half[0] + (vehicle.length_m + BODY_TURN * vehicle.width_m) / 2.0 + margin;
+    let State { x, y, yaw, sideslip, .. } = scene.initial;
+    if (x + along - centre.x).abs() > reach {
+        return f64::NEG_INFINITY;
+    }
+    let side = half[1] + margin;
+    // A robot that is nearer already must not come nearer.
+    let extent = half_extent(scene, (yaw + sideslip).sin().clamp(-1.0, 1.0));
+    if (x - centre.x).abs() < reach { side.min((y - centre.y).abs() * SHRINK - extent) } else { side }
+}
+
+/// How far the body reaches to either side across the track when its course has this sine [m].
+pub(crate) fn half_extent(scene: &Scene, sine: f64) -> f64 {
+    let vehicle = &scene.config.vehicle;
+    (vehicle.length_m * sine.abs() + vehicle.width_m * (1.0 - sine * sine).sqrt()) / 2.0
 }
 
 fn crossing_of(

@@ -46,10 +46,8 @@ pub(crate) struct Task<'a> {
 impl Task<'_> {
     fn pace(&self) -> Pace {
         let config = self.scene.config;
-        let speed =
-            if self.reference_path.clear { self.reference_path.speed } else { config.stop.approach_mps };
         Pace {
-            cruise: speed.min(config.cruise_mps).min(self.fastest_mps),
+            cruise: config.cruise_mps.min(self.fastest_mps),
             slowest: config.vehicle.bounds.velocity_min_mps,
             goal_x: config.goal.x_m,
             landing_time: config.landing_time_s,
@@ -82,6 +80,8 @@ pub(crate) struct Planner {
     problem: Problem,
     guess: Trajectory,
     solution: Solution,
+    /// The obstacle for which a plan was refused last.
+    pub(crate) refused_for: Option<usize>,
     /// Controls of the plan.
     pub(crate) controls: Vec<Control>,
     /// The trajectory of `controls`.
@@ -109,6 +109,7 @@ impl Planner {
             problem,
             guess: Trajectory::default(),
             solution: Solution::default(),
+            refused_for: None,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
         }
@@ -117,6 +118,7 @@ impl Planner {
     /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
         self.build_problem(task);
+        self.refused_for = None;
         let mut used = 0;
         if let Some(elapsed_s) = task.elapsed()
             && self.start_from_plan(task, elapsed_s)
@@ -159,7 +161,8 @@ impl Planner {
             config.intervals,
             &mut problem.references,
         );
-        fill_ellipses(config, predicted, &initial, &mut problem.ellipses);
+        let margin = config.ellipse_margin_m + task.scene.margin.growth(0.0, task.reference_path.slowest());
+        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses);
     }
 
     /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
@@ -193,6 +196,7 @@ impl Planner {
     fn verify_guess(&mut self, task: &Task) -> Option<usize> {
         let verdict = verify(&task.scene, &self.guess.controls, &mut self.rollout);
         self.controls.clone_from(&self.guess.controls);
+        self.refused_for = self.refused_for.or(verdict.obstacle());
         verdict.holds().then_some(verdict.intervals)
     }
 
@@ -229,6 +233,7 @@ impl Planner {
         let verdict = verify(scene, &self.controls, &mut self.rollout);
         let agrees =
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
+        self.refused_for = self.refused_for.or(verdict.obstacle());
         if !verdict.holds() || !agrees {
             return None;
         }
@@ -253,6 +258,7 @@ fn fill_ellipses(
     config: &Config,
     predicted: &[PredictedObstacle],
     initial: &State,
+    margin: f64,
     ellipses: &mut Vec<EllipsePath>,
 ) {
     let reach = config.vehicle.bounds.velocity_max_mps * config.horizon_s;
@@ -280,7 +286,7 @@ fn fill_ellipses(
             ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
         }
         let (obstacle, ellipse) = (&predicted[index], &mut ellipses[count]);
-        (ellipse.a, ellipse.b) = (obstacle.a + config.ellipse_margin_m, obstacle.b + config.ellipse_margin_m);
+        (ellipse.a, ellipse.b) = (obstacle.a + margin, obstacle.b + margin);
         ellipse.centres.clear();
         let interval_s = config.interval_s();
         ellipse
@@ -340,7 +346,7 @@ mod tests {
             [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
         let config = Config { max_ellipses: 2, ..Config::default() };
         let mut ellipses = Vec::new();
-        fill_ellipses(&config, &predicted, &State::default(), &mut ellipses);
+        fill_ellipses(&config, &predicted, &State::default(), 0.02, &mut ellipses);
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
         assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);

@@ -45,6 +45,11 @@ impl PredictedObstacle {
         ((x - centre_x) / self.a).powi(2) + ((y - centre_y) / self.b).powi(2)
     }
 
+    /// The same with both semi-axes enlarged.
+    pub(crate) fn grown(&self, growth: f64) -> Self {
+        Self { a: self.a + growth, b: self.b + growth, ..*self }
+    }
+
     /// Box of the body `t` seconds after the start of the plan.
     pub(crate) fn body_at(&self, t: f64) -> Rectangle {
         let travel = Vector2::new(self.velocity[0] * t, self.velocity[1] * t);

@@ -27,6 +27,11 @@ impl Pace {
     pub(crate) fn velocity(&self, x: f64) -> f64 {
         ((self.goal_x - x) / self.landing_time).clamp(self.slowest, self.cruise.max(self.slowest))
     }
+
+    /// The same where the path allows less [m/s].
+    pub(crate) fn along(&self, reference_path: &ReferencePath, x: f64) -> f64 {
+        self.velocity(x).min(reference_path.speed_at(x).max(self.slowest))
+    }
 }
 
 /// Steps per interval with which the point is moved.
@@ -47,12 +52,18 @@ pub(crate) fn fill(
     for _ in 0..intervals {
         for _ in 0..STEPS {
             let (_, course, _) = reference_path.at(x);
-            x += pace.velocity(x) * course.cos() * step;
+            x += pace.along(reference_path, x) * course.cos() * step;
         }
         let (y, course, curvature) = reference_path.at(x);
-        references.push(State { sideslip: 0.0, yaw: course, yaw_rate: curvature * pace.velocity(x), x, y });
+        references.push(State {
+            sideslip: 0.0,
+            yaw: course,
+            yaw_rate: curvature * pace.along(reference_path, x),
+            x,
+            y,
+        });
     }
-    Control { velocity: pace.velocity(start_x), steering: 0.0 }
+    Control { velocity: pace.along(reference_path, start_x), steering: 0.0 }
 }
 
 #[cfg(test)]

@@ -32,11 +32,11 @@ settings! {
         /// Weight of the squared sine of the course angle, per metre of the path [1/m].
         pub course_weight: f64 = 0.1, 0.0..=100.0;
         /// Extra distance to an ellipse that is worth a detour [m].
-        pub comfort_m: f64 = 0.10, 0.0..=0.5;
+        pub comfort_m: f64 = 0.20, 0.0..=0.5;
         /// Weight of each metre by which the path misses `comfort_m`, per metre of the path [1/m^2].
         pub comfort_weight: f64 = 30.0, 0.0..=100.0;
         /// Cost of a path that passes an obstacle on another side than the one chosen before.
-        pub switch_cost: f64 = 0.5, 0.0..=100.0;
+        pub switch_cost: f64 = 1.0, 0.0..=100.0;
         /// Weight of the squared lateral distance at the goal [1/m^2].
         pub goal_weight: f64 = 20.0, 0.0..=100.0;
     }
@@ -51,6 +51,8 @@ pub(crate) struct ReferencePath {
     pub(crate) sine: Vec<f64>,
     /// Velocity that the path was searched for [m/s].
     pub(crate) speed: f64,
+    /// Largest velocity at each of its points [m/s]; empty where `speed` holds everywhere.
+    pub(crate) limits: Vec<f64>,
     /// Whether the path enters no ellipse (deeper than now) and leaves no bound.
     pub(crate) clear: bool,
 }
@@ -60,6 +62,7 @@ impl ReferencePath {
     pub(crate) fn set_line(&mut self, start_x: f64, line: f64, speed: f64) {
         self.y.clear();
         self.sine.clear();
+        self.limits.clear();
         self.y.push(line);
         self.sine.push(0.0);
         (self.start_x, self.step, self.speed, self.clear) = (start_x, 1.0, speed, true);
@@ -82,6 +85,36 @@ impl ReferencePath {
             sine.asin(),
             curvature,
         )
+    }
+
+    /// Smallest velocity along the path [m/s].
+    pub(crate) fn slowest(&self) -> f64 {
+        self.limits
+            .iter()
+            .fold(self.speed.max(*self.limits.first().unwrap_or(&0.0)), |slowest, limit| slowest.min(*limit))
+    }
+
+    /// Largest velocity at `x` [m/s].
+    pub(crate) fn speed_at(&self, x: f64) -> f64 {
+        let Some(last) = self.limits.len().checked_sub(1) else { return self.speed };
+        let along = ((x - self.start_x) / self.step).clamp(0.0, last as f64);
+        let (index, share) = (along as usize, along.fract());
+        let next = self.limits[(index + 1).min(last)];
+        self.limits[index] + share * (next - self.limits[index])
+    }
+
+    /// Sets the velocities along a path that was searched for the slowest one: at each point as fast as `allowed` says,
+    /// and slowing down in time.
+    pub(crate) fn set_limits(&mut self, deceleration_mps2: f64, allowed: impl Fn(f64, f64) -> f64) {
+        self.limits.clear();
+        self.limits.extend(
+            self.y.iter().enumerate().map(|(index, y)| allowed(self.start_x + index as f64 * self.step, *y)),
+        );
+        for index in (0..self.limits.len().saturating_sub(1)).rev() {
+            let next = self.limits[index + 1];
+            let reachable = (next * next + 2.0 * deceleration_mps2 * self.step).sqrt();
+            self.limits[index] = self.limits[index].min(reachable);
+        }
     }
 
     /// Side on which the path passes the obstacle; `None` when it does not get there.

@@ -22,6 +22,8 @@ const SLOWEST_MPS: f64 = 0.02;
 pub(crate) struct Sampled {
     /// Time since the start of the plan [s].
     pub(crate) t: f64,
+    /// Speed, at most [m/s].
+    pub(crate) speed: f64,
     /// The state.
     pub(crate) state: State,
 }
@@ -49,15 +51,20 @@ impl Rollout {
     pub(crate) fn drive(&mut self, scene: &Scene, controls: &[Control]) {
         let interval_s = scene.config.interval_s();
         let piece = interval_s / PIECES as f64;
+        let slowing = scene.config.vehicle.deceleration_max_mps2;
         let mut state = scene.initial;
         self.nodes.clear();
         self.samples.clear();
         self.nodes.push(state);
-        self.samples.push(Sampled { t: 0.0, state });
+        let mut speed = scene.speed;
+        self.samples.push(Sampled { t: 0.0, speed, state });
         for (interval, control) in controls.iter().enumerate() {
             for part in 1..=PIECES {
                 state = advance(&scene.config.vehicle.parameters(), &state, control, piece);
-                self.samples.push(Sampled { t: interval as f64 * interval_s + part as f64 * piece, state });
+                // A robot that is faster than planned slows down at the rate of its drive.
+                speed = control.velocity.max(speed - slowing * piece);
+                let t = interval as f64 * interval_s + part as f64 * piece;
+                self.samples.push(Sampled { t, speed, state });
             }
             self.nodes.push(state);
         }

@@ -4,11 +4,14 @@
 //! make it worse.
 
 use nalgebra::Vector2;
+use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
 use vehicle::{Control, State};
 
 use crate::config::Config;
+use crate::margin::MarginModel;
 use crate::predicted_obstacle::PredictedObstacle;
+use crate::rollout::Sampled;
 
 /// How much deeper than now an ellipse may be entered, in units of (7.34).
 const DEEPER: f64 = 0.01;
@@ -16,6 +19,9 @@ const DEEPER: f64 = 0.01;
 const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
+
+/// How much further than the margin a robot is from an obstacle when it need not slow down for it [m].
+const SLOW_BEFORE_M: f64 = 0.05;
 
 /// What a plan must respect.
 #[derive(Debug, Clone, Copy)]
@@ -28,6 +34,10 @@ pub(crate) struct Scene<'a> {
     pub(crate) initial: State,
     /// Bounds across the track, (7.46) [m].
     pub(crate) y_range: [f64; 2],
+    /// Clearance to obstacles.
+    pub(crate) margin: MarginModel,
+    /// Speed at the start of the plan [m/s].
+    pub(crate) speed: f64,
 }
 
 /// The limit that a plan violates.
@@ -37,8 +47,10 @@ pub(crate) enum Violation {
     NotFinite,
     /// A control is outside its hard bounds.
     Control,
-    /// The body comes too near to an obstacle or a wall.
-    Clearance,
+    /// The body comes too near to the obstacle with this index.
+    Obstacle(usize),
+    /// The body comes too near to a wall.
+    Wall,
     /// An ellipse is entered, or deeper than now; its index.
     Ellipse(usize),
     /// The position leaves its bounds.
@@ -48,22 +60,34 @@ pub(crate) enum Violation {
 impl<'a> Scene<'a> {
     /// What plans from `initial` must respect.
     pub(crate) fn new(config: &'a Config, predicted: &'a [PredictedObstacle], initial: State) -> Self {
-        Self { config, predicted, initial, y_range: config.y_range() }
+        Self {
+            config,
+            predicted,
+            initial,
+            y_range: config.y_range(),
+            margin: MarginModel::certain(config),
+            speed: 0.0,
+        }
+    }
+
+    /// The same with another margin, for a robot with this speed at the start.
+    #[must_use]
+    pub(crate) fn keeping(self, margin: MarginModel, speed: f64) -> Self {
+        Self { margin, speed, ..self }
     }
 
     /// Limits as they are at the start of the plan.
     pub(crate) fn baseline(&self) -> Baseline {
         let mut baseline = Baseline {
             values: [1.0; shared_types::MAX_OBSTACLES],
-            gaps: [self.config.clearance_m; shared_types::MAX_OBSTACLES],
+            gaps: [f64::INFINITY; shared_types::MAX_OBSTACLES],
             wall_gap: self.config.clearance_m,
             outside: [OUTSIDE_M; 2],
         };
         let State { x, y, .. } = self.initial;
         for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
             baseline.values[index] = obstacle.value(0.0, x, y).min(1.0) - DEEPER;
-            let gap = self.body_at(&self.initial).distance_to_rectangle(&obstacle.body);
-            baseline.gaps[index] = gap.min(self.config.clearance_m) - TOLERANCE_M;
+            baseline.gaps[index] = self.body_at(&self.initial).distance_to_rectangle(&obstacle.body);
         }
         baseline.wall_gap = self.wall_gap(&self.initial).min(self.config.clearance_m) - TOLERANCE_M;
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
@@ -71,8 +95,9 @@ impl<'a> Scene<'a> {
         baseline
     }
 
-    /// The first limit that the robot violates at `state`, `t` seconds after the start of the plan.
-    pub(crate) fn check(&self, baseline: &Baseline, t: f64, state: &State) -> Option<Violation> {
+    /// The first limit that the robot violates at a sample of the plan.
+    pub(crate) fn check(&self, baseline: &Baseline, sample: &Sampled) -> Option<Violation> {
+        let Sampled { t, speed, ref state } = *sample;
         if !state.is_finite() {
             return Some(Violation::NotFinite);
         }
@@ -81,24 +106,69 @@ impl<'a> Scene<'a> {
         {
             return Some(Violation::Outside);
         }
+        let entered =
+            |index: &usize| self.predicted[*index].value(t, state.x, state.y) < baseline.values[*index];
+        (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
+            .find(entered)
+            .map(Violation::Ellipse)
+            .or_else(|| self.touched(baseline, self.margin.sum(t, speed), t, state))
+    }
+
+    /// The first obstacle or wall that the body comes nearer to than `margin` or than it is now.
+    pub(crate) fn touched(
+        &self,
+        baseline: &Baseline,
+        margin: f64,
+        t: f64,
+        state: &State,
+    ) -> Option<Violation> {
         if self.config.track.walls && self.wall_gap(state) < baseline.wall_gap {
-            return Some(Violation::Clearance);
+            return Some(Violation::Wall);
         }
-        let reach =
-            self.config.vehicle.length_m.hypot(self.config.vehicle.width_m) / 2.0 + self.config.clearance_m;
-        for (index, obstacle) in self.predicted.iter().enumerate().take(shared_types::MAX_OBSTACLES) {
-            if obstacle.value(t, state.x, state.y) < baseline.values[index] {
-                return Some(Violation::Ellipse(index));
-            }
-            let body = obstacle.body_at(t);
-            let distance = (body.centre - Vector2::new(state.x, state.y)).norm();
-            if distance < reach + body.length.hypot(body.width) / 2.0
-                && self.body_at(state).distance_to_rectangle(&body) < baseline.gaps[index]
-            {
-                return Some(Violation::Clearance);
-            }
+        let body = self.body_at(state);
+        let near = |index: usize| {
+            let (other, limit) =
+                (self.predicted[index].body_at(t), baseline.gaps[index].min(margin) - TOLERANCE_M);
+            let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + margin;
+            (other.centre - body.centre).norm() < reach && body.distance_to_rectangle(&other) < limit
+        };
+        (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
+            .find(|&index| near(index))
+            .map(Violation::Obstacle)
+    }
+
+    /// Distance from the body to the nearest obstacle that is not behind it [m]; infinite when there is none.
+    pub(crate) fn free_ahead(&self) -> f64 {
+        let body = self.body_at(&self.initial);
+        let is_ahead = |obstacle: &&PredictedObstacle| {
+            let forward = |corner: Vector2<f64>| {
+                let offset = corner - body.centre;
+                to_robot(body.yaw, offset.x, offset.y).x
+            };
+            obstacle.body.corners().map(forward).into_iter().any(|x| x > 0.0)
+        };
+        let distances = self.predicted.iter().filter(is_ahead);
+        distances.map(|obstacle| body.distance_to_rectangle(&obstacle.body)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Largest of the speeds between two at which a path at (`x`, `y`) stays outside of the ellipses with their margin.
+    pub(crate) fn fastest_at(&self, x: f64, y: f64, [slowest, fastest]: [f64; 2]) -> f64 {
+        let outside = |speed: f64| {
+            let near = |obstacle: &PredictedObstacle| {
+                let distance = obstacle.body.distance_to_point(Vector2::new(x, y));
+                distance < self.config.vehicle.width_m / 2.0 + self.margin.sum(0.0, speed) + SLOW_BEFORE_M
+            };
+            !self.predicted.iter().any(near)
+        };
+        let (mut slow, mut fast) = (slowest, fastest);
+        if outside(fast) {
+            return fast;
         }
-        None
+        for _ in 0..5 {
+            let middle = f64::midpoint(slow, fast);
+            if outside(middle) { slow = middle } else { fast = middle }
+        }
+        slow
     }
 
     /// The body at a state.
@@ -114,8 +184,12 @@ impl<'a> Scene<'a> {
 
     /// Curvature of a steady turn at full lock [1/m].
     pub(crate) fn full_lock_curvature(&self, velocity: f64) -> f64 {
-        let control = Control { velocity, steering: self.config.vehicle.bounds.steering_max_rad };
-        vehicle::model::steady_turn(&self.config.vehicle.parameters(), &control).1 / velocity
+        self.curvature(&Control { velocity, steering: self.config.vehicle.bounds.steering_max_rad })
+    }
+
+    /// Curvature of a steady turn [1/m].
+    pub(crate) fn curvature(&self, control: &Control) -> f64 {
+        vehicle::model::steady_turn(&self.config.vehicle.parameters(), control).1 / control.velocity
     }
 
     fn wall_gap(&self, state: &State) -> f64 {

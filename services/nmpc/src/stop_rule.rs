@@ -34,10 +34,11 @@ pub(crate) fn latest_distance(b: f64) -> f64 {
     d0 + (b - b0) * (d1 - d0) / (b1 - b0)
 }
 
-/// Whether to stop: no continuation of the plan passes the obstacles, and there is no time to wait.
+/// The obstacle to stop for: no continuation of the plan passes the obstacles, and there is no time to wait.
 ///
-/// `plan` is the trajectory of the verified plan, `slack` what the solver needed, `largest_slack` what is accepted.
-pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_slack: f64) -> bool {
+/// `plan` is the trajectory of the verified plan, `stop_m` the distance until the robot rests, `slack` what the solver
+/// needed beyond what is accepted.
+pub(crate) fn blocked_by(scene: &Scene, plan: &[Sampled], stop_m: f64, slack: f64) -> Option<usize> {
     let here = scene.initial;
     let ahead = |x: f64| x > here.x && x < here.x + SIGHT_M;
     let Some(end_x) = scene
@@ -49,7 +50,7 @@ pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_sl
         .map(|obstacle| obstacle.centre[0] + obstacle.a / 2.0)
         .reduce(f64::max)
     else {
-        return false;
+        return None;
     };
     let turns = Turns {
         scene,
@@ -59,11 +60,14 @@ pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_sl
         speed: scene.config.vehicle.bounds.velocity_max_mps,
     };
     let mut best = (f64::NEG_INFINITY, None);
-    for start in [plan.last().copied(), Some(Sampled { t: 0.0, state: here })].into_iter().flatten() {
+    for start in [plan.last().copied(), Some(Sampled { t: 0.0, speed: scene.speed, state: here })]
+        .into_iter()
+        .flatten()
+    {
         for side in [0.0, 1.0, -1.0] {
             for &length in &TURNS_M[if side == 0.0 { 7 } else { 0 }..] {
                 match turns.drive(start, side, length) {
-                    Reach::Past => return false,
+                    Reach::Past => return None,
                     Reach::Hit { x, obstacle } if x > best.0 => best = (x, obstacle),
                     Reach::Hit { .. } => {}
                 }
@@ -76,8 +80,12 @@ pub(crate) fn is_blocked(scene: &Scene, plan: &[Sampled], slack: f64, largest_sl
         (x - here.x).hypot(y - here.y)
     };
     let hit = best.1.or_else(|| nearest().min_by(|&a, &b| distance(a).total_cmp(&distance(b))));
-    let too_near = hit.is_some_and(|index| distance(index) < latest_distance(scene.predicted[index].b));
-    slack > largest_slack || too_near
+    let body = scene.body_at(&here);
+    let too_near = |index: usize| {
+        let obstacle = &scene.predicted[index];
+        distance(index) < latest_distance(obstacle.b) || body.distance_to_rectangle(&obstacle.body) < stop_m
+    };
+    hit.filter(|&index| slack > 0.0 || too_near(index))
 }
 
 /// How far a continuation gets.
@@ -97,7 +105,7 @@ struct Turns<'a> {
 impl Turns<'_> {
     /// Follows a turn to `side` of `length`, then the opposite lock until along the track, then straight.
     fn drive(&self, start: Sampled, side: f64, length: f64) -> Reach {
-        let Sampled { mut t, mut state } = start;
+        let Sampled { mut t, mut state, .. } = start;
         let mut course = state.yaw + state.sideslip;
         let mut driven = 0.0;
         // Longest distance: past the furthest obstacle in sight with a detour.
@@ -105,9 +113,11 @@ impl Turns<'_> {
             if state.x >= self.end_x {
                 return Reach::Past;
             }
-            if let Some(violation) = self.scene.check(&self.baseline, t, &state) {
+            if let Some(violation) =
+                self.scene.check(&self.baseline, &Sampled { t, speed: self.speed, state })
+            {
                 let obstacle = match violation {
-                    Violation::Ellipse(index) => Some(index),
+                    Violation::Ellipse(index) | Violation::Obstacle(index) => Some(index),
                     _ => None,
                 };
                 return Reach::Hit { x: state.x, obstacle };
@@ -164,7 +174,7 @@ mod tests {
             ..Config::default()
         };
         let scene = Scene::new(&config, &predicted, State::default());
-        is_blocked(&scene, &[], slack, 0.05)
+        blocked_by(&scene, &[], 0.1, slack - 0.05).is_some()
     }
 
     #[test]

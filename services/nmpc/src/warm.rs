@@ -49,7 +49,7 @@ pub(crate) fn follow(
     let (gain, interval_s) = (parameters.yaw_rate_gain(), scene.config.interval_s());
     let mut state = scene.initial;
     for _ in 0..intervals {
-        let velocity = pace.velocity(state.x);
+        let velocity = pace.along(reference_path, state.x);
         // The correction aims at the middle of the interval, where its effect is seen.
         let middle = state.x + velocity * state.yaw.cos() * interval_s / 2.0;
         let (_, _, curvature) = reference_path.at(middle);

@@ -1,6 +1,20 @@
 //! Settings of the description.
 
-use vehicle::{Description, Invalid, settings};
+use serde::{Deserialize, Serialize};
+use vehicle::{Description, Invalid, Setting, settings};
+
+/// How large the ellipses are that cover an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CoverRule {
+    /// As small as the body of the robot and `tight_clearance_m` allow; the controller adds its margin.
+    #[default]
+    Tight,
+    /// (7.35) as printed: the semi-axis across the track is the whole width and twice the safety distance.
+    Source,
+}
+
+impl Setting for CoverRule {}
 
 settings! {
     /// Settings of the obstacle detector; the defaults are the source's values where it has any.
@@ -15,7 +29,11 @@ settings! {
         pub wall_band_m: f64 = 0.12, 0.02..=0.5;
         /// Without walls, returns farther than this outside of the track are ignored [m].
         pub beside_m: f64 = 0.6, 0.0..=10.0;
-        /// Safety distance theta of (7.35) [m].
+        /// Size of the ellipses: `tight` leaves gaps open that the robot fits through, `source` is (7.35) as printed.
+        pub cover: CoverRule = CoverRule::Tight;
+        /// With `tight`: distance that the body keeps from an obstacle while its centre is outside of the ellipses [m].
+        pub tight_clearance_m: f64 = 0.05, 0.0..=1.0;
+        /// Safety distance theta of (7.35), for `source` [m].
         pub safety_distance_m: f64 = 0.2, 0.05..=1.0;
         /// Smallest semi-axis of an ellipse along the track, a of (7.35) [m].
         pub long_axis_m: f64 = 1.2, 0.5..=5.0;
@@ -23,7 +41,8 @@ settings! {
         pub long_axis_ratio: f64 = 1.15, 1.0..=3.0;
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
         pub vehicle: Description = Description::default();
-        /// Distance that the body keeps from big or turned obstacles while its centre is outside of the ellipses [m].
+        /// With `source`: distance that the body keeps from big or turned obstacles while its centre is outside of the
+        /// ellipses [m].
         pub clearance_m: f64 = 0.1, 0.0..=1.0;
         /// Assumed depth of a body of which only the front was seen [m].
         pub unseen_depth_m: f64 = 0.1, 0.01..=1.0;

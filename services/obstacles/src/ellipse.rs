@@ -17,8 +17,8 @@ use nalgebra::Vector2;
 use vehicle::frame::to_track;
 use vehicle::geometry::Rectangle;
 
-use crate::Config;
 use crate::shape::{DIRECTIONS, Directions};
+use crate::{Config, CoverRule};
 
 /// Most ellipses that cover one body.
 pub(crate) const MAX_PIECES: usize = 6;
@@ -34,6 +34,8 @@ const TURNED: f64 = 1.5;
 const KEEP: f64 = 0.1;
 /// Largest yaw at which the robot passes an ellipse [rad].
 const PASSING_YAW: f64 = 0.4;
+/// The same for tight ellipses: at the widest place the robot drives along the track.
+const TIGHT_YAW: f64 = 0.12;
 /// Semi-axis across the track per reach of a piece: 1 would need an endless a.
 const ROOM: f64 = 1.05;
 
@@ -79,8 +81,7 @@ pub(crate) fn cover(
     let Some(count) = pieces(rectangle, &single, before) else { return Cover { ellipses, count: 1 } };
     for (index, ellipse) in ellipses.iter_mut().enumerate().take(count) {
         let piece = piece(rectangle, index, count);
-        let b = ROOM * (spans(&piece)[1] / 2.0 + sizing.across);
-        *ellipse = sizing.ellipse(piece.centre, &piece, b);
+        *ellipse = sizing.around(piece.centre, &piece, spans(&piece)[1]);
     }
     Cover { ellipses, count }
 }
@@ -125,37 +126,69 @@ struct Sizing<'a> {
 
 impl<'a> Sizing<'a> {
     fn of(config: &'a Config, directions: &'a Directions) -> Self {
-        let (sin, cos) = PASSING_YAW.sin_cos();
+        let (yaw, clearance) = match config.cover {
+            CoverRule::Tight => (TIGHT_YAW, config.tight_clearance_m),
+            CoverRule::Source => (PASSING_YAW, config.clearance_m),
+        };
+        let (sin, cos) = yaw.sin_cos();
         let (length, width) = (config.vehicle.length_m, config.vehicle.width_m);
-        let along = length.hypot(width) / 2.0 + config.clearance_m;
-        let across = (length * sin + width * cos) / 2.0 + config.clearance_m;
+        let along = length.hypot(width) / 2.0 + clearance;
+        let across = (length * sin + width * cos) / 2.0 + clearance;
         Self { config, directions, along, across }
     }
 
     /// The one ellipse of a body: its centre, see the source note on (7.32) and (7.33), and b of (7.35).
     fn single(&self, rectangle: &Rectangle, [low, high]: &[Vector2<f64>; 2]) -> Ellipse {
         let width = high.y - low.y;
+        if self.config.cover == CoverRule::Tight {
+            return self.around((low + high) / 2.0, rectangle, width);
+        }
         let b = (width + 2.0 * self.config.safety_distance_m).max(1.03 * (width / 2.0 + self.across));
         self.ellipse((low + high) / 2.0, rectangle, b)
+    }
+
+    /// The ellipse around a rectangle of this width across the track.
+    fn around(&self, centre: Vector2<f64>, rectangle: &Rectangle, width: f64) -> Ellipse {
+        let room: &[f64] = match self.config.cover {
+            CoverRule::Tight => &[1.01, 1.02, 1.03, 1.04],
+            CoverRule::Source => &[],
+        };
+        let fitting = |ratio: &&f64| {
+            let b = *ratio * (width / 2.0 + self.across);
+            self.needed(centre, rectangle, b) <= self.rule(b)
+        };
+        let ratio = room.iter().find(fitting).unwrap_or(&ROOM);
+        self.ellipse(centre, rectangle, ratio * (width / 2.0 + self.across))
+    }
+
+    /// a of (7.35) [m].
+    fn rule(&self, b: f64) -> f64 {
+        let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
+        if b < long_axis_m { long_axis_m } else { long_axis_ratio * b }
     }
 
     /// The ellipse with semi-axis `b` and a of (7.35), enlarged so that it holds the rectangle with the distance to
     /// keep.
     fn ellipse(&self, centre: Vector2<f64>, rectangle: &Rectangle, b: f64) -> Ellipse {
-        let Config { long_axis_m, long_axis_ratio, .. } = *self.config;
         let b = b.clamp(0.01, 80.0);
-        let rule = if b < long_axis_m { long_axis_m } else { long_axis_ratio * b };
+        let a = self.rule(b).max(self.needed(centre, rectangle, b)).min(100.0);
+        Ellipse { centre, a, b }
+    }
+
+    /// Semi-axis along the track of the smallest ellipse with `b` that holds the rectangle with the distance to keep [m].
+    fn needed(&self, centre: Vector2<f64>, rectangle: &Rectangle, b: f64) -> f64 {
+        let highest = if self.config.cover == CoverRule::Tight { 0.999 } else { 0.98 };
         let mut needed = 0.0_f64;
         for corner in rectangle.corners() {
             for index in (0..DIRECTIONS).step_by(3) {
                 let unit = self.directions.unit(index);
                 let reach = corner - centre + Vector2::new(unit.x * self.along, unit.y * self.across);
-                // Beyond 0.98 b, which needs 5 times the x, the neighbour or the bound on the ratio covers the rest.
-                let height = (reach.y / b).clamp(-0.98, 0.98);
+                // Near b the ellipse needs a multiple of the x; the neighbour or the bound on the ratio covers the rest.
+                let height = (reach.y / b).clamp(-highest, highest);
                 needed = needed.max(reach.x.abs() / (1.0 - height * height).sqrt());
             }
         }
-        Ellipse { centre, a: rule.max(needed).min(100.0), b }
+        needed
     }
 }
 
@@ -174,17 +207,21 @@ mod tests {
         Rectangle { centre: Vector2::new(5.0, 0.3), yaw, length, width }
     }
 
-    fn covered(rectangle: &Rectangle) -> Cover {
+    fn source() -> Config {
+        Config { cover: CoverRule::Source, ..Config::default() }
+    }
+
+    fn covered(config: &Config, rectangle: &Rectangle) -> Cover {
         let [dx, dy] = spans(rectangle);
         let half = Vector2::new(dx, dy) / 2.0;
         let extent = [rectangle.centre - half, rectangle.centre + half];
-        cover(&Config::default(), rectangle, &extent, 0, &Directions::new())
+        cover(config, rectangle, &extent, 0, &Directions::new())
     }
 
     /// Smallest distance of the robot's body to the rectangle while its centre moves around the ellipses,
     /// heading along them, by at most 0.8 rad off the track.
-    fn smallest_clearance(rectangle: &Rectangle) -> f64 {
-        let cover = covered(rectangle);
+    fn smallest_clearance(config: &Config, rectangle: &Rectangle) -> f64 {
+        let cover = covered(config, rectangle);
         let mut smallest = f64::INFINITY;
         for (index, ellipse) in cover.list().iter().enumerate() {
             for step in 0..720 {
@@ -207,11 +244,11 @@ mod tests {
 
     #[test]
     fn a_small_obstacle_has_the_printed_ellipse() {
-        let cover = covered(&body(0.1, 0.4, 0.0));
+        let cover = covered(&source(), &body(0.1, 0.4, 0.0));
         let [ellipse] = cover.list() else { panic!("{cover:?}") };
         assert!((ellipse.b - 0.8).abs() < 1e-12 && ellipse.a == 1.2);
         assert_eq!(ellipse.centre, Vector2::new(5.0, 0.3));
-        let wide = covered(&body(0.1, 1.0, 0.0));
+        let wide = covered(&source(), &body(0.1, 1.0, 0.0));
         assert!((wide.list()[0].a - 1.15 * 1.4).abs() < 1e-12, "a = 1.15 b for b of 1.2 m or more");
     }
 
@@ -220,8 +257,11 @@ mod tests {
         for length in [0.05, 0.3, 0.5, 0.8, 1.2, 2.0, 3.5] {
             for width in [0.05, 0.2, 0.4, 0.8, 1.2] {
                 for yaw in [0.0, 0.1, 0.3, 0.8, -0.8, 1.2] {
-                    let clearance = smallest_clearance(&body(length, width, yaw));
+                    let body = body(length, width, yaw);
+                    let clearance = smallest_clearance(&source(), &body);
                     assert!(clearance >= 0.1, "{length} x {width} at {yaw}: {clearance}");
+                    let clearance = smallest_clearance(&Config::default(), &body);
+                    assert!(clearance >= 0.05, "tight, {length} x {width} at {yaw}: {clearance}");
                 }
             }
         }
@@ -229,10 +269,10 @@ mod tests {
 
     #[test]
     fn a_long_turned_body_in_the_middle_leaves_room_to_pass() {
-        let cover = covered(&Rectangle { centre: Vector2::new(5.0, 0.0), ..body(2.0, 0.3, 0.8) });
+        let cover = covered(&source(), &Rectangle { centre: Vector2::new(5.0, 0.0), ..body(2.0, 0.3, 0.8) });
         let reach = cover.list().iter().map(|ellipse| ellipse.centre.y + ellipse.b).fold(0.0, f64::max);
         assert!(cover.list().len() > 1 && reach < 1.4, "{cover:?}");
-        let straight = covered(&body(2.0, 0.4, 0.0));
+        let straight = covered(&source(), &body(2.0, 0.4, 0.0));
         assert!(straight.list().len() == 1 && straight.list()[0].a < 1.9, "{straight:?}");
     }
 
@@ -241,7 +281,7 @@ mod tests {
         let near = body(0.78, 0.2, 0.8);
         let [dx, dy] = spans(&near);
         let extent = [near.centre - Vector2::new(dx, dy) / 2.0, near.centre + Vector2::new(dx, dy) / 2.0];
-        let count = |before| cover(&Config::default(), &near, &extent, before, &Directions::new()).count;
+        let count = |before| cover(&source(), &near, &extent, before, &Directions::new()).count;
         assert_eq!((count(0), count(1), count(2)), (1, 1, 2));
     }
 }

@@ -22,7 +22,7 @@ mod track;
 mod visibility;
 mod walls;
 
-pub use config::Config;
+pub use config::{Config, CoverRule};
 pub use detector::ObstacleDetector;
 pub use shape::DIRECTIONS;
 pub use state::{ObstaclesState, TRACKS, TrackState};

@@ -1,0 +1,106 @@
+//! The clearance that a verified plan keeps between the body and obstacles: a sum of what is uncertain.
+//!
+//! base + k sigma of the pose along the plan + speed times age of the data + model + perception. Each part stands in
+//! the command, so a report can tell which of them closes a gap.
+
+use shared_types::{Margin, Pose};
+use vehicle::settings;
+
+use crate::config::Config;
+
+settings! {
+    /// The parts of the margin that the plan's samples do not contain.
+    #[derive(Copy)]
+    pub struct MarginSettings {
+        /// How many standard deviations of the pose are kept, k.
+        pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
+        /// Growth of the pose's standard deviation along the plan, after one second [m].
+        pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
+        /// Fraction of the age of the data that counts: speed times age is kept whole with 1.
+        pub age_share: f64 = 1.0, 0.0..=1.0;
+        /// Difference between the path of the robot and that of the model [m].
+        pub model_m: f64 = 0.015, 0.0..=1.0;
+        /// Uncertainty of the outline of a described obstacle [m].
+        pub perception_m: f64 = 0.015, 0.0..=1.0;
+    }
+}
+
+/// The margin as a function of the time of the plan and the speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct MarginModel {
+    base_m: f64,
+    settings: MarginSettings,
+    /// Largest variance of the position relative to the obstacles, at the start of the plan [m^2].
+    variance_m2: f64,
+    /// Age of the data when the command acts [s].
+    age_s: f64,
+}
+
+impl MarginModel {
+    /// The margin of a certain pose and data without age.
+    pub(crate) fn certain(config: &Config) -> Self {
+        Self { base_m: config.clearance_m, settings: config.margin, variance_m2: 0.0, age_s: 0.0 }
+    }
+
+    /// The margin for a pose.
+    pub(crate) fn of(config: &Config, pose: &Pose) -> Self {
+        let [xx, xy, yy] = [4, 5, 8].map(|index| pose.local_covariance[index]);
+        // The larger eigenvalue of the covariance of x and y.
+        let variance = f64::midpoint(xx, yy) + ((xx - yy) / 2.0).hypot(xy);
+        let age_s = pose.predicted_ns.saturating_sub(pose.header.acquired_ns) as f64 * 1e-9;
+        Self { variance_m2: variance.max(0.0), age_s, ..Self::certain(config) }
+    }
+
+    /// Age of the data when the command acts [s].
+    pub(crate) fn age_s(&self) -> f64 {
+        self.age_s
+    }
+
+    /// The part that is kept at any speed and time [m].
+    pub(crate) fn base(&self) -> f64 {
+        self.base_m
+    }
+
+    /// The parts of the margin `t` seconds after the start of the plan at `speed`.
+    pub(crate) fn at(&self, t: f64, speed: f64) -> Margin {
+        let MarginSettings { pose_sigmas, pose_growth_m, age_share, model_m, perception_m } = self.settings;
+        Margin {
+            base_m: self.base_m,
+            pose_m: pose_sigmas * (self.variance_m2 + pose_growth_m * pose_growth_m * t).sqrt(),
+            latency_m: speed * self.age_s * age_share,
+            model_m,
+            perception_m,
+        }
+    }
+
+    /// The margin [m].
+    pub(crate) fn sum(&self, t: f64, speed: f64) -> f64 {
+        self.at(t, speed).sum()
+    }
+
+    /// How far the ellipses, which contain the base, are enlarged [m].
+    pub(crate) fn growth(&self, t: f64, speed: f64) -> f64 {
+        self.sum(t, speed) - self.base_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_margin_is_the_sum_of_its_parts() {
+        let mut pose = Pose { predicted_ns: 150_000_000, ..Pose::default() };
+        // Standard deviations 0.03 and 0.01 m along axes that are turned by 45 degrees.
+        (pose.local_covariance[4], pose.local_covariance[8]) = (5e-4, 5e-4);
+        (pose.local_covariance[5], pose.local_covariance[7]) = (4e-4, 4e-4);
+        let model = MarginModel::of(&Config::default(), &pose);
+        let margin = model.at(0.0, 0.5);
+        assert!((margin.pose_m - 2.0 * 0.03).abs() < 1e-12);
+        assert!((margin.latency_m - 0.075).abs() < 1e-12);
+        assert!((margin.sum() - (0.05 + 0.06 + 0.075 + 0.015 + 0.015)).abs() < 1e-12);
+        // Variances add up: 0.03^2 + 4 s * 0.006^2.
+        let later = model.at(4.0, 0.5).pose_m;
+        assert!((later - 2.0 * (9e-4 + 4.0 * 3.6e-5_f64).sqrt()).abs() < 1e-12);
+    }
+}
