@@ -48,11 +48,11 @@ impl Course {
         let Settings { scenario, tuning, .. } = &mut settings;
         if matches!(self, Self::Exact | Self::Drifting) {
             scenario.noise.range_m = 0.0;
-            scenario.robot.velocity_factor = 1.0;
+            scenario.robot.velocity_factor = Some(1.0);
             scenario.robot.steering_map = SteeringMap::Identity;
             tuning.actuator.calibration = Calibration::Identity;
             let missed = if self == Self::Drifting { 0.1 } else { 0.0 };
-            scenario.robot.odometry_longitudinal = missed;
+            scenario.robot.odometry_longitudinal = Some(missed);
             tuning.estimator.odometry_longitudinal = Some(missed);
         }
         tuning.controller.period_s = period_ns as f64 * 1e-9;

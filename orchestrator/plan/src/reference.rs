@@ -3,15 +3,16 @@
 use std::fmt::Write as _;
 
 use emulator::Scenario;
+use emulator::scenario::{Preset, Robot};
 use estimator::Profile;
 use toml::Table;
-use vehicle::{Key, Setting, toml_text};
+use vehicle::{Description, Key, Setting, toml_text};
 
 use crate::System;
 
 /// The page `docs/scenario-file.md`.
 pub fn scenario_page() -> String {
-    page(include_str!("reference/scenario.md"), &Scenario::keys())
+    page(include_str!("reference/scenario.md"), &scenario_keys())
 }
 
 /// The page `docs/system-file.md`.
@@ -22,10 +23,20 @@ pub fn system_page() -> String {
 /// All keys whose name or meaning contains `text`, two lines each, named as `--set` takes them.
 pub fn find(text: &str) -> String {
     let mut found = String::new();
-    for keys in [Scenario::keys(), system_keys()] {
+    for keys in [scenario_keys(), system_keys()] {
         collect(&mut found, "", &keys, &text.to_lowercase());
     }
     found
+}
+
+/// Keys of the scenario file; those of the robot with the defaults that its presets give them.
+fn scenario_keys() -> Vec<Key> {
+    let defaults = |preset| {
+        let robot = Robot { preset, ..Robot::default() };
+        Table::try_from(robot.resolved(&Description::default(), 0)).unwrap_or_default()
+    };
+    let presets = [defaults(Preset::Ideal), defaults(Preset::Summit)];
+    with_defaults(Scenario::keys(), "robot", presets, "preset `summit`")
 }
 
 /// Keys of the system file; those of the estimator with the defaults that its profiles give them.
@@ -34,15 +45,20 @@ fn system_keys() -> Vec<Key> {
         let config = estimator::Config { profile, ..estimator::Config::default() };
         config.complete().ok().and_then(|config| Table::try_from(config).ok()).unwrap_or_default()
     };
-    let (scaled, source) = (defaults(Profile::Scaled), defaults(Profile::Source));
-    let of = |table: &Table, name: &str| table.get(name).map(toml_text).unwrap_or_default();
+    let profiles = [defaults(Profile::Scaled), defaults(Profile::Source)];
     let mut keys = System::keys();
     // The copies of `[vehicle]` that the stages have are no keys of the file.
     keys.iter_mut().for_each(|table| table.keys.retain(|key| key.name != "vehicle"));
-    let estimator = keys.iter_mut().filter(|key| key.name == "estimator").flat_map(|key| &mut key.keys);
-    for key in estimator.filter(|key| key.default.is_empty()) {
-        let (scaled, source) = (of(&scaled, key.name), of(&source, key.name));
-        key.default = if scaled == source { scaled } else { format!("{scaled}; profile `source`: {source}") };
+    with_defaults(keys, "estimator", profiles, "profile `source`")
+}
+
+/// The keys with defaults for those keys of `table` that have none: of its first set, and of the set `other`.
+fn with_defaults(mut keys: Vec<Key>, table: &str, sets: [Table; 2], other: &str) -> Vec<Key> {
+    let of = |set: &Table, name: &str| set.get(name).map(toml_text).unwrap_or_default();
+    let open = keys.iter_mut().filter(|key| key.name == table).flat_map(|key| &mut key.keys);
+    for key in open.filter(|key| key.default.is_empty()) {
+        let [first, second] = [0, 1].map(|index| of(&sets[index], key.name));
+        key.default = if first == second { first } else { format!("{first}; {other}: {second}") };
     }
     keys
 }
@@ -115,6 +131,12 @@ mod tests {
     }
 
     #[test]
+    fn defaults_that_depend_on_the_preset_of_the_robot_are_both_shown() {
+        let row = "| `velocity_lag_s` | 0.0; preset `summit`: 0.15 | 0 to 2 |";
+        assert!(scenario_page().contains(row), "{}", scenario_page());
+    }
+
+    #[test]
     fn every_key_of_every_table_has_a_meaning_that_is_a_sentence() {
         fn check(around: &str, keys: &[Key]) {
             for key in keys {
@@ -123,7 +145,7 @@ mod tests {
                 check(&format!("{}.", key.name), &key.keys);
             }
         }
-        check("", &Scenario::keys());
+        check("", &scenario_keys());
         check("", &system_keys());
     }
 }

@@ -74,7 +74,7 @@ fn the_imperfect_robot_reaches_its_goal_and_tracks_velocity_and_steering_five_ti
     // With the play of the scenario, with none, and with 30 % more.
     for play in [0.006, 0.0, 0.0078] {
         let mut scenario = imperfect();
-        scenario.robot.steering_backlash_rad = play;
+        scenario.robot.steering_backlash_rad = Some(play);
         let [without, with] = compare(scenario);
         assert_eq!(with.0, Outcome::Reached);
         assert!(5.0 * with.1 < without.1 && 5.0 * with.2 < without.2, "{play:?}: {with:?} {without:?}");
@@ -88,10 +88,10 @@ fn hidden_robots_miss_the_goal_without_calibration_and_reach_it_with_their_own()
     let mut off = |value: f64| value * random.between(0.7, 1.3);
     for _ in 0..10 {
         let mut scenario = imperfect();
-        scenario.robot.velocity_factor = off(1.4);
-        scenario.robot.steering_backlash_rad = off(0.006);
-        scenario.robot.odometry_longitudinal = off(0.012);
-        scenario.robot.odometry_lateral_rate = off(0.053);
+        scenario.robot.velocity_factor = Some(off(1.4));
+        scenario.robot.steering_backlash_rad = Some(off(0.006));
+        scenario.robot.odometry_longitudinal = Some(off(0.012));
+        scenario.robot.odometry_lateral_rate = Some(off(0.053));
         let [without, with] = compare(scenario);
         assert!(without.0 != Outcome::Reached, "{without:?}");
         assert_eq!(with.0, Outcome::Reached);

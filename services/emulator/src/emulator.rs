@@ -4,10 +4,13 @@
 //! actuation or the dead-man splits a step. Asking for a measurement or moving the clock in smaller portions
 //! splits nothing, so the result does not depend on how often a caller asks.
 //!
-//! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation. An
+//! An actuation travels to the robot for a while, or gets lost, see [`way`]; then it acts at its exact time.
+//!
+//! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation arrived. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
 
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
+use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 use vehicle::frame::wrap_angle;
 
@@ -17,6 +20,8 @@ use crate::odometer::{Odometer, Reckoning};
 use crate::plant::{Plant, STEP_NS};
 use crate::scenario::{Goal, Scenario, Start};
 use crate::scene::Scene;
+use crate::schedule::Schedule;
+use way::Way;
 
 /// The dead-man blocks the wheels this many scan periods after the last actuation.
 const DEAD_MAN_PERIODS: u64 = 2;
@@ -49,11 +54,17 @@ pub struct Emulator {
     history: History,
     laser: Laser,
     odometer: Odometer,
+    schedule: Schedule,
+    way: Way,
 }
 
 impl Emulator {
     /// The robot at its start, with blocked wheels, scanning each `period_ns`.
+    ///
+    /// Values of the robot that the scenario leaves open are those of its preset, around the default description.
     pub fn new(scenario: &Scenario, period_ns: u64) -> Self {
+        let robot = scenario.robot.resolved(&Description::default(), scenario.seed);
+        let scenario = &Scenario { robot, ..scenario.clone() };
         let period_ns = period_ns.max(STEP_NS);
         let (plant, reckoning) = (Plant::new(scenario), Reckoning::new(scenario));
         let history = History::new(node(0, &plant, &reckoning), HISTORY_PERIODS.saturating_mul(period_ns));
@@ -70,13 +81,30 @@ impl Emulator {
             history,
             laser: Laser::new(scenario),
             odometer: Odometer::new(scenario),
+            schedule: Schedule::new(scenario, period_ns),
+            way: Way::new(scenario),
             scenario: scenario.clone(),
         }
     }
 
     /// Time of the front beam of a scan [ns]. The first scan, 1, is taken one period after the start.
     pub fn acquired_ns(&self, scan_id: u64) -> u64 {
-        scan_id.saturating_mul(self.period_ns)
+        self.schedule.acquired_ns(scan_id)
+    }
+
+    /// The time stamp of a scan, which may differ from [`Self::acquired_ns`] [ns]. Stamps ascend strictly.
+    pub fn stamp_ns(&self, scan_id: u64) -> u64 {
+        self.schedule.stamp_ns(scan_id)
+    }
+
+    /// Whether the scanner and the odometer give no sample of this scan.
+    pub fn is_missing(&self, scan_id: u64) -> bool {
+        self.schedule.is_missing(scan_id)
+    }
+
+    /// The first scan from `scan_id` on that is not missing.
+    pub fn next_scan(&self, scan_id: u64) -> u64 {
+        self.schedule.next_scan(scan_id)
     }
 
     /// How long the sweep over all beams lasts: two thirds of the period [ns].
@@ -108,6 +136,7 @@ impl Emulator {
     pub fn advance_to(&mut self, ns: u64) {
         self.state.clock_ns = self.state.clock_ns.max(ns);
         loop {
+            self.receive_due();
             let end = self.step_end();
             if end > self.state.clock_ns {
                 return;
@@ -116,7 +145,7 @@ impl Emulator {
         }
     }
 
-    /// Receives an actuation now.
+    /// Sends an actuation to the robot now; it acts when it arrives, if it does.
     pub fn actuate(&mut self, actuation: &Actuation) -> Received {
         let kind = ActuationKind::try_from(actuation.kind);
         let (velocity, steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
@@ -124,21 +153,58 @@ impl Emulator {
         let is_possible = (-LIMIT_SLACK..=SENT_VELOCITY_MAX_MPS + LIMIT_SLACK).contains(&velocity)
             && steering.abs() <= SENT_STEERING_MAX_RAD + LIMIT_SLACK;
         self.step_to(self.state.clock_ns);
-        match kind {
-            Ok(ActuationKind::Block) => self.plant.block(),
-            Ok(ActuationKind::Drive) if is_possible => self.plant.drive(velocity.max(0.0), steering),
+        let blocks = match kind {
+            Ok(ActuationKind::Block) => true,
+            Ok(ActuationKind::Drive) if is_possible => false,
             Ok(ActuationKind::Drive) | Err(_) => {
                 self.state.refused += 1;
                 return Received::Refused;
             }
-        }
-        // Speed and steering jump: the node of this moment holds the new ones.
-        self.history.push(node(self.state.plant_ns, &self.plant, &self.reckoning));
-        self.state.last_actuation_ns = self.state.clock_ns;
-        if actuation.answers == 1 {
-            self.state.actuation_scan = actuation.header.scan_id;
+        };
+        // The numbers of a block may be anything.
+        let (velocity_mps, steering_rad) = if blocks { (0.0, 0.0) } else { (velocity.max(0.0), steering) };
+        if let Some(arrives_ns) = self.way.arrives_ns(actuation, self.state.clock_ns) {
+            let answered_scan = if actuation.answers == 1 { actuation.header.scan_id } else { 0 };
+            let travelling = Travelling {
+                arrives_ns,
+                velocity_mps,
+                steering_rad,
+                answered_scan,
+                blocks: blocks.into(),
+                answers: (actuation.answers == 1).into(),
+            };
+            self.state.travelling.push(travelling);
+            self.receive_due();
         }
         Received::Accepted
+    }
+
+    /// Blocks the wheels now, and forgets what is on its way: the process of the robot does this when it must stop.
+    pub fn block_at_once(&mut self) {
+        self.step_to(self.state.clock_ns);
+        self.state.travelling = Travellings::default();
+        self.receive(&Travelling { blocks: true.into(), ..Travelling::default() });
+    }
+
+    /// Receives what has arrived by the time that the plant has reached.
+    fn receive_due(&mut self) {
+        while let Some(arrived) = self.state.travelling.take_due(self.state.plant_ns) {
+            self.receive(&arrived);
+        }
+    }
+
+    fn receive(&mut self, arrived: &Travelling) {
+        if arrived.blocks.is_set() {
+            self.plant.block();
+        } else {
+            self.plant.drive(arrived.velocity_mps, arrived.steering_rad);
+        }
+        // Speed and steering may jump: the node of this moment holds the new ones.
+        self.history.push(node(self.state.plant_ns, &self.plant, &self.reckoning));
+        self.state.last_actuation_ns = self.state.plant_ns;
+        if arrived.answers.is_set() {
+            self.state.actuation_scan = arrived.answered_scan;
+        }
     }
 
     /// Fills scan, odometry and truth of a scan, but for their headers.
@@ -157,7 +223,7 @@ impl Emulator {
         if self.odometer.last.is_none() {
             self.reckoning.begin(seconds(self.state.plant_ns.saturating_sub(sweep.front_ns)));
         }
-        self.odometer.report(scan_id, &front, odometry);
+        self.odometer.report(scan_id, self.stamp_ns(scan_id), &front, odometry);
         self.fill_truth(&front, truth);
         // The plant has not made this part of a step: a measurement leaves no trace.
         self.history.forget_after(self.state.plant_ns);
@@ -166,7 +232,7 @@ impl Emulator {
     /// The robot now, including the part of a step that the plant has not made yet.
     fn present(&self) -> Node {
         let (mut plant, mut reckoning) = (self.plant, self.reckoning);
-        move_on(&mut plant, &mut reckoning, seconds(self.state.clock_ns - self.state.plant_ns));
+        move_on(&mut plant, &mut reckoning, self.state.plant_ns, self.state.clock_ns);
         node(self.state.clock_ns, &plant, &reckoning)
     }
 
@@ -199,9 +265,10 @@ impl Emulator {
         truth.reserved = 0;
     }
 
-    /// End of the next step: the next point of the grid, or the dead-man's deadline if that comes first.
+    /// End of the next step: the next point of the grid, or before it the dead-man's deadline or an arrival.
     fn step_end(&self) -> u64 {
         let grid = (self.state.plant_ns / STEP_NS).saturating_add(1).saturating_mul(STEP_NS);
+        let grid = self.state.travelling.next_ns().map_or(grid, |arrives_ns| grid.min(arrives_ns));
         let deadline = self.dead_man_ns();
         if !self.plant.is_blocked() && deadline > self.state.plant_ns { grid.min(deadline) } else { grid }
     }
@@ -220,7 +287,7 @@ impl Emulator {
             self.state.dead_man = true.into();
         }
         let turned = !self.plant.is_blocked() && self.plant.speed() > 0.0;
-        let distance = move_on(&mut self.plant, &mut self.reckoning, seconds(end_ns - self.state.plant_ns));
+        let distance = move_on(&mut self.plant, &mut self.reckoning, self.state.plant_ns, end_ns);
         self.state.plant_ns = end_ns;
         self.state.steps += 1;
         self.state.path_length_m += distance;
@@ -254,10 +321,10 @@ impl Emulator {
 }
 
 /// Moves the robot and its odometry; returns the distance driven [m].
-fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, duration: f64) -> f64 {
-    let before = *plant.state();
+fn move_on(plant: &mut Plant, reckoning: &mut Reckoning, start_ns: u64, end_ns: u64) -> f64 {
+    let (before, duration) = (*plant.state(), seconds(end_ns - start_ns));
     let distance = plant.step(duration);
-    reckoning.step(&before, plant.state(), distance, duration);
+    reckoning.step(start_ns, &before, plant.state(), distance, duration);
     distance
 }
 
@@ -268,6 +335,8 @@ fn node(time_ns: u64, plant: &Plant, reckoning: &Reckoning) -> Node {
         speed: plant.speed(),
         steering: plant.steering(),
         reported: reckoning.reported(),
+        reported_yaw: reckoning.yaw(),
+        encoder_m: reckoning.encoder_m(),
     }
 }
 
@@ -278,5 +347,7 @@ fn seconds(ns: u64) -> f64 {
 mod state;
 #[cfg(test)]
 mod tests;
+mod way;
 
 pub use state::{APPEARING, EmulatorState};
+pub use way::{Travelling, Travellings};

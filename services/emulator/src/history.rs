@@ -20,6 +20,10 @@ pub struct Node {
     pub steering: f64,
     /// Position that the odometer reports, without noise [m].
     pub reported: Vector2<f64>,
+    /// Yaw that the odometer reports, without noise; it counts full turns [rad].
+    pub reported_yaw: f64,
+    /// Distance that the wheel encoders have counted [m].
+    pub encoder_m: f64,
 }
 
 /// The last nodes, oldest first; never empty.
@@ -94,6 +98,8 @@ impl Node {
             speed: self.speed,
             steering: self.steering,
             reported: self.reported + (next.reported - self.reported) * share,
+            reported_yaw: mix(self.reported_yaw, next.reported_yaw),
+            encoder_m: mix(self.encoder_m, next.encoder_m),
         }
     }
 }
@@ -109,6 +115,8 @@ mod tests {
             speed: x,
             steering: 0.0,
             reported: Vector2::new(x, 0.0),
+            reported_yaw: 0.0,
+            encoder_m: x,
         }
     }
 

@@ -1,6 +1,6 @@
 //! The emulated Hokuyo URG-04LX.
 //!
-//! The scanner sits at the robot's centre and covers 240 deg. Its beams are taken one after the other: each starts
+//! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it, and covers 240 deg. Its beams are taken one after the other: each starts
 //! where the robot is at that beam's time, and hits what is there at that time, so the scan of a moving robot is
 //! skewed. The body of the robot is not seen.
 //!
@@ -13,11 +13,12 @@ use std::ops::RangeInclusive;
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FRONT_BEAM, MIN_RANGE_MM, PITCH_RAD, Scan};
-use vehicle::frame::{heading, wrap_angle};
+use vehicle::State;
+use vehicle::frame::{heading, to_track, wrap_angle};
 
 use crate::history::History;
 use crate::noise::{Purpose, Stream};
-use crate::scenario::{Noise, Scenario};
+use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
 
 /// Largest range that the scanner reports [m].
@@ -72,6 +73,7 @@ struct Beam {
 pub struct Laser {
     seed: u64,
     noise: Noise,
+    mount: Mount,
     beams: Vec<Beam>,
     ranges: Vec<f64>,
     mixed: Vec<f64>,
@@ -83,6 +85,7 @@ impl Laser {
         Self {
             seed: scenario.seed,
             noise: scenario.noise,
+            mount: Mount::new(&scenario.robot_values()),
             beams: Vec::with_capacity(BEAMS),
             ranges: Vec::with_capacity(BEAMS),
             mixed: Vec::with_capacity(BEAMS),
@@ -121,20 +124,19 @@ impl Laser {
     /// Computes where all beams start and go, and how far the robot moves meanwhile.
     fn aim(&mut self, sweep: &Sweep, history: &History) -> Motion {
         let front = history.at(sweep.front_ns).state;
-        let origin = Vector2::new(front.x, front.y);
-        let mut motion =
-            Motion { origin, yaw: front.yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
+        let (origin, yaw) = self.mount.pose(&front);
+        let mut motion = Motion { origin, yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
         let mut walk = history.walk();
         self.beams.clear();
         for index in 0..BEAMS {
             let time_ns = sweep.beam_ns(index);
             let state = walk(time_ns).state;
-            let origin = Vector2::new(state.x, state.y);
+            let (origin, yaw) = self.mount.pose(&state);
             motion.travel = motion.travel.max((origin - motion.origin).norm());
-            motion.turn = motion.turn.max((state.yaw - motion.yaw).abs());
+            motion.turn = motion.turn.max((yaw - motion.yaw).abs());
             self.beams.push(Beam {
                 origin,
-                direction: heading(state.yaw + Scan::beam_yaw_rad(index)),
+                direction: heading(yaw + Scan::beam_yaw_rad(index)),
                 time_s: time_ns as f64 * 1e-9,
             });
         }
@@ -170,6 +172,30 @@ impl Laser {
                 self.mixed[index] = stream.between(before.min(after), before.max(after));
             }
         }
+    }
+}
+
+/// Where the scanner is on the robot.
+#[derive(Debug, Clone, Copy)]
+struct Mount {
+    forward_m: f64,
+    left_m: f64,
+    yaw_rad: f64,
+}
+
+impl Mount {
+    fn new(robot: &Values) -> Self {
+        let Values { scanner_x_m, scanner_y_m, scanner_yaw_rad, .. } = *robot;
+        Self { forward_m: scanner_x_m, left_m: scanner_y_m, yaw_rad: scanner_yaw_rad }
+    }
+
+    /// Position and yaw of the scanner on a robot.
+    fn pose(&self, robot: &State) -> (Vector2<f64>, f64) {
+        let centre = Vector2::new(robot.x, robot.y);
+        if self.forward_m == 0.0 && self.left_m == 0.0 {
+            return (centre, robot.yaw + self.yaw_rad);
+        }
+        (centre + to_track(robot.yaw, self.forward_m, self.left_m), robot.yaw + self.yaw_rad)
     }
 }
 
@@ -242,12 +268,19 @@ fn reading_of(range: f64, noise: &Noise, stream: &mut Stream) -> u16 {
 mod tests {
     use super::*;
     use crate::history::Node;
-    use vehicle::State;
 
     const SWEEP: Sweep = Sweep { scan_id: 1, front_ns: 100_000_000, duration_ns: 66_666_666 };
 
     fn node(time_ns: u64, state: State) -> Node {
-        Node { time_ns, state, speed: 0.0, steering: 0.0, reported: Vector2::zeros() }
+        Node {
+            time_ns,
+            state,
+            speed: 0.0,
+            steering: 0.0,
+            reported: Vector2::zeros(),
+            reported_yaw: 0.0,
+            encoder_m: 0.0,
+        }
     }
 
     fn standing() -> History {
@@ -409,5 +442,22 @@ mod tests {
             (1..=2).contains(&between),
             "one at each edge of the post unless it lands near a side: {between}"
         );
+    }
+
+    #[test]
+    fn beams_start_at_the_scanner_and_turn_with_it() {
+        let post = circle(2.0, 0.0, 0.1, "");
+        let mounted = |keys: &str| readings(&quiet(&format!("{post}\n[robot]\n{keys}")), &standing());
+        assert_eq!(mounted("scanner_x_m = 0.25")[FRONT_BEAM], 1650);
+        // 0.05 m to the left of the line, the post is hit 2 - sqrt(0.01 - 0.0025) ahead.
+        assert_eq!(mounted("scanner_y_m = 0.05")[FRONT_BEAM], 1913);
+        // A quarter turn to the left is 256 pitches: the post comes 256 beams earlier.
+        let turned = mounted("scanner_yaw_rad = 1.5707963267948966");
+        assert_eq!((turned[FRONT_BEAM], turned[FRONT_BEAM - 256]), (NO_RETURN, 1900));
+        // Ahead of a robot that looks to the left is to the left of the track.
+        let mut history = History::new(node(0, State::default()), 1_000_000_000);
+        history.push(node(1, State { yaw: std::f64::consts::FRAC_PI_2, ..State::default() }));
+        let scenario = quiet("[track]\nwalls = true\ny_m = [-2.0, 2.0]\n[robot]\nscanner_x_m = 0.25");
+        assert_eq!(readings(&scenario, &history)[FRONT_BEAM], 1750);
     }
 }

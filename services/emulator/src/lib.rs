@@ -1,7 +1,7 @@
 //! The emulated robot: a SUMMIT with a Hokuyo URG-04LX on a track with obstacles, and the referee of a drive.
 //!
-//! The plant is the model (7.27)-(7.31) with true imperfections: a velocity factor, a bent steering map,
-//! backlash, and an odometer that drifts. The laser takes its beams one after the other while the robot moves.
+//! The plant is the model (7.27)-(7.31) with true imperfections: a velocity factor, a bent steering map, backlash, lags,
+//! delays, slipping tyres, and an odometer that drifts. The laser takes its beams one after the other while the robot moves.
 //! Everything is a pure function of scenario, seed and the actuations received: no clock, no files, no processes.
 //!
 //! Read [`emulator`] first; it puts [`plant`], [`odometer`], [`laser`] and [`scene`] together.
@@ -17,6 +17,7 @@ pub mod plant;
 pub mod referee;
 pub mod scenario;
 pub mod scene;
+pub mod schedule;
 pub mod service;
 pub mod steering_map;
 

@@ -17,6 +17,16 @@ pub enum Purpose {
     Placement = 3,
     /// Random courses.
     Course = 4,
+    /// Values of a worn robot, one stream for each key.
+    Wear = 5,
+    /// Time and loss of a command on its way.
+    Command = 6,
+    /// Errors of encoders and gyro.
+    Encoders = 7,
+    /// Errors of time stamps.
+    Stamp = 8,
+    /// Scans that are missing.
+    Missing = 9,
 }
 
 /// A stream of random numbers.
@@ -48,6 +58,11 @@ impl Stream {
     /// Whether an event of this probability happens.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.uniform() < probability
+    }
+
+    /// A number from the exponential distribution with mean 1.
+    pub fn exponential(&mut self) -> f64 {
+        -(1.0 - self.uniform()).ln()
     }
 
     /// A number from the normal distribution with mean 0 and standard deviation 1.

@@ -7,6 +7,7 @@
 mod endless;
 mod obstacle;
 mod places;
+mod preset;
 mod read;
 mod robot;
 mod shipped;
@@ -18,7 +19,8 @@ use vehicle::{Invalid, settings};
 pub use endless::Endless;
 pub use obstacle::{Obstacle, Shape};
 pub use places::Start;
-pub use robot::{Drift, Noise, Robot};
+pub use preset::Values;
+pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
 pub use vehicle::{Goal, Track};
 
 /// What the name of a scenario may be.
@@ -131,6 +133,11 @@ impl Scenario {
                 .map_err(|error| error.within(&format!("obstacle[{index}]")))?;
         }
         Ok(())
+    }
+
+    /// What the robot of this scenario really is.
+    pub fn robot_values(&self) -> Values {
+        self.robot.values(self.seed)
     }
 
     /// The body of the robot with its centre at a pose.

@@ -145,7 +145,7 @@ impl Robot {
         if !self.stopped {
             (self.stopped, self.rest_published) = (true, false);
             tracing::info!(speed_mps = self.emulator.plant().speed(), "the robot blocks its wheels");
-            self.emulator.actuate(&Actuation { kind: ActuationKind::Block.wire(), ..Actuation::default() });
+            self.emulator.block_at_once();
         }
     }
 
@@ -222,8 +222,9 @@ impl Robot {
         }
         let (scan_id, acts_ns) = if simulated {
             let granted_scan = process.directive().granted_scan;
-            let granted =
-                self.state.answered + 1 == self.state.next_scan && self.state.next_scan <= granted_scan;
+            // A grant for a missing scan holds for the next one.
+            let first = self.state.answered + 1;
+            let granted = self.emulator.next_scan(first) == self.state.next_scan && first <= granted_scan;
             // The answer to a scan that is yet to be published here waits for it.
             let waits = |actuation: &Taken<Actuation>| actuation.header.scan_id >= self.state.next_scan;
             let acts = self.pending.as_ref().filter(|actuation| !waits(actuation));
@@ -231,10 +232,14 @@ impl Robot {
         } else {
             // One period is left for the stages between scanner and wheels.
             let max_age_ns = process.max_age_ns() - process.period_ns();
-            let is_young = |scan_id| now_ns.saturating_sub(self.emulator.acquired_ns(scan_id)) < max_age_ns;
+            let is_present = |scan_id: &u64| !self.emulator.is_missing(*scan_id);
+            let is_young = |scan_id| {
+                is_present(&scan_id) && now_ns.saturating_sub(self.emulator.acquired_ns(scan_id)) < max_age_ns
+            };
             let due = (self.state.next_scan..)
                 .take_while(|scan_id| self.emulator.scan_ready_ns(*scan_id) <= now_ns);
-            let scan_id = due.last().map(|newest| next_due(self.state.next_scan, newest, is_young));
+            let scan_id =
+                due.filter(is_present).last().map(|newest| next_due(self.state.next_scan, newest, is_young));
             (scan_id, self.pending.as_ref().map(|actuation| self.acts_ns(actuation, now_ns)))
         };
         let scan_id = scan_id.filter(|_| may_publish(process));
@@ -289,14 +294,14 @@ impl Robot {
         self.emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
         for header in [&mut scan.header, &mut odometry.header, &mut truth.header] {
             header.scan_id = scan_id;
-            header.acquired_ns = self.state.origin_ns + self.emulator.acquired_ns(scan_id);
+            header.acquired_ns = self.state.origin_ns + self.emulator.stamp_ns(scan_id);
         }
         (self.change)(&mut scan, &mut odometry, &mut truth);
         self.rest_published |= self.stopped && truth.speed_mps <= 0.0;
         self.truths.publish_silently(&mut truth)?;
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
-        self.state.next_scan = scan_id + 1;
+        self.state.next_scan = self.emulator.next_scan(scan_id + 1);
         self.save(process, &odometry.header)
     }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::{Description, Invalid, Setting, settings};
 
 use crate::correction::{Drift, Mode};
-use crate::motion::MotionModel;
+use crate::motion::{Lag, MotionModel};
 use crate::observability::{Measured, require_observable};
 
 /// A set of values for noise and correction that go together.
@@ -53,6 +53,8 @@ settings! {
         pub max_gap_s: f64 = 2.0, 0.1..=60.0;
         /// Weight of the speed measured at the wheels; the desired speed has the remaining weight.
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
+        /// Fraction of the steering lag by which the pose is predicted further than the delay of the command.
+        pub lead_share: f64 = 1.0, 0.0..=1.0;
         /// The robot as this stage knows it; `run` takes it from the table `[vehicle]`.
         pub vehicle: Description = Description::default();
     }
@@ -83,8 +85,8 @@ pub struct Settings {
     pub recover_after: u64,
     /// Time without odometry after which the estimate begins anew [s].
     pub max_gap_s: f64,
-    /// Time added to the age of the scan [ns].
-    pub extra_latency_ns: u64,
+    /// Time after which a command acts, counted from its computation [ns].
+    pub lead_ns: u64,
     /// What the motion is computed with.
     pub motion: MotionModel,
 }
@@ -122,12 +124,10 @@ impl Config {
             self_check: self.self_check,
             recover_after: u64::from(self.recover_after),
             max_gap_s: self.max_gap_s,
-            extra_latency_ns: (self.vehicle.command_delay_s * 1e9) as u64,
-            motion: MotionModel {
-                parameters: self.vehicle.parameters(),
-                blocked_deceleration_mps2: self.vehicle.blocked_deceleration_mps2,
-                speed_weight: self.speed_weight,
-            },
+            lead_ns: nanoseconds(
+                self.vehicle.command_delay_s + self.lead_share * self.vehicle.steering_lag_s,
+            ),
+            motion: self.motion(),
         };
 
         require_observable(&self.measure)?;
@@ -140,6 +140,27 @@ impl Config {
             ));
         }
         Ok(settings)
+    }
+
+    /// What the motion is computed with.
+    fn motion(&self) -> MotionModel {
+        let vehicle = &self.vehicle;
+        MotionModel {
+            parameters: vehicle.parameters(),
+            blocked_deceleration_mps2: vehicle.blocked_deceleration_mps2,
+            speed_weight: self.speed_weight,
+            delay_ns: nanoseconds(vehicle.command_delay_s),
+            velocity_lag: Lag {
+                time_constant_s: vehicle.velocity_lag_s,
+                rise_per_s: vehicle.acceleration_max_mps2,
+                fall_per_s: vehicle.deceleration_max_mps2,
+            },
+            steering_lag: Lag {
+                time_constant_s: vehicle.steering_lag_s,
+                rise_per_s: vehicle.steering_rate_max_radps,
+                fall_per_s: vehicle.steering_rate_max_radps,
+            },
+        }
     }
 
     /// The same with every key set: those that are not come from the profile.
@@ -166,6 +187,10 @@ impl Config {
     pub fn validate(&self) -> Result<(), Invalid> {
         self.settings().map(|_| ())
     }
+}
+
+fn nanoseconds(seconds: f64) -> u64 {
+    (seconds * 1e9) as u64
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ use vehicle::frame::wrap_angle;
 
 use crate::correction::{CorrectionState, Planar};
 use crate::ekf::{Ekf, Innovation, NotPositive};
-use crate::motion::{MotionState, plausible_speed};
+use crate::motion::{MotionState, Moved, plausible_speed};
 use crate::observability::motion_jacobian;
 use crate::self_check::Evidence;
 use crate::{Config, EstimatorState, Settings};
@@ -124,7 +124,7 @@ impl Estimator {
     pub fn note(&mut self, actuation: &Actuation, now_ns: u64) {
         let published_ns = actuation.header.stage(Role::Actuator).published_ns;
         if published_ns.max(actuation.header.acquired_ns) <= latest(now_ns) {
-            self.state.motion.note(actuation);
+            self.state.motion.note(actuation, self.settings.motion.delay_ns);
         }
     }
 
@@ -191,7 +191,7 @@ impl Estimator {
         let mut filter = self.filter();
         let before = Planar { yaw: filter.state[0], x: filter.state[1], y: filter.state[2] };
         let (from_ns, to_ns) = (self.state.acquired_ns, odometry.header.acquired_ns);
-        let after = self.state.motion.advance(
+        let Moved { pose: after, ahead_m, yaw_rad } = self.state.motion.advance(
             &self.settings.motion,
             before,
             from_ns,
@@ -206,7 +206,10 @@ impl Estimator {
         } else {
             Matrix3::identity()
         };
-        let noise = Vector3::from(self.settings.process_noise) * (dt / NOISE_INTERVAL_S);
+        let mut noise = Vector3::from(self.settings.process_noise) * (dt / NOISE_INTERVAL_S);
+        if self.settings.noise_turns {
+            noise += Vector3::new(yaw_rad * yaw_rad, ahead_m * ahead_m, 0.0);
+        }
         let predicted = Vector3::new(wrap_angle(after.yaw), after.x, after.y);
         filter.predict(predicted, &by_state, &by_noise, &Matrix3::from_diagonal(&noise));
         self.keep(&filter);
@@ -225,6 +228,7 @@ impl Estimator {
                 desired_mps: in_force
                     .filter(|control| control.drives == 1)
                     .map(|control| control.velocity_mps),
+                expected_mps: self.state.motion.expected_mps,
                 innovation: self.settings.gate.then(|| self.normalised(&expected, &update.innovation)),
                 refused: self.state.rejected > refused,
                 restarted: self.state.restarts > restarts,
@@ -318,11 +322,11 @@ impl Estimator {
         let [yaw, x, y] = self.state.estimate;
         let motion: MotionState = self.state.motion;
         let acquired_ns = self.state.acquired_ns;
-        let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.extra_latency_ns);
+        let age_ns = now_ns.saturating_sub(acquired_ns).saturating_add(self.settings.lead_ns);
         let predicted_ns = acquired_ns.saturating_add(age_ns.min(MAX_AHEAD_NS));
         let mut ahead = motion;
         let predicted =
-            ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None);
+            ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let mut gain = [0.0; 9];
         // Row by row, where the matrix is stored column by column.
         gain.copy_from_slice(update.gain.transpose().as_slice());

@@ -1,7 +1,8 @@
 //! Detects while driving that a calibration is wrong, and which one.
 //!
 //! A filter with a correct model has innovations that scatter about zero. Four residuals are monitored: speed at the
-//! wheels against the speed desired, and the innovations of the filter ahead, to the left and in yaw, each in units of
+//! wheels against the speed desired (while it changes, against the range from the speed that the lag explains to the
+//! desired one), and the innovations of the filter ahead, to the left and in yaw, each in units of
 //! its expected standard deviation. The median over the last [`WINDOW`] scans decides: it ignores single outliers (a
 //! command that came late, a wheel that slipped), and with a correct model it has a standard deviation of 0.28. A sudden
 //! jump is detected earlier: three measurements in a row that the gate refuses are enough.
@@ -10,7 +11,7 @@
 //! estimate had to restart from refused measurements, it is [`Alarm::Stop`] and stays: the position is not known then.
 //!
 //! Assumptions: the noise is at most that of R (less noise delays the detection, more causes false alarms); the speed
-//! follows the command within a scan or two. A wrong steering map shows in the yaw only while the robot turns to one side.
+//! follows the command no more slowly than the vehicle description says. A wrong steering map shows in the yaw only while the robot turns to one side.
 //! With the printed noise of the profile `source` the innovations are not normalised, and only the speed is monitored.
 
 use shared_types::{Alarm, Suspect, plain_state};
@@ -18,8 +19,9 @@ use shared_types::{Alarm, Suspect, plain_state};
 /// Scans that a median is taken over.
 pub const WINDOW: usize = 20;
 
-/// Share by which the median of the speed may differ from the one desired: half of the error of kv to be detected.
-const SPEED_TOLERANCE: f64 = 0.05;
+/// Share by which the median of the speed may differ from the one desired. A worn drive is up to 5 % off, which is
+/// tolerated; an error of kv by 10 % is to be detected.
+const SPEED_TOLERANCE: f64 = 0.07;
 
 /// Largest median of an innovation, in standard deviations: 5.4 standard deviations of the median itself, about 1e-7 by
 /// chance.
@@ -72,6 +74,8 @@ pub struct Evidence {
     pub speed_mps: f64,
     /// Speed desired by the control in force; `None` while wheels are blocked [m/s].
     pub desired_mps: Option<f64>,
+    /// Speed that the controls and the lag of the drive explain [m/s].
+    pub expected_mps: f64,
     /// Innovation ahead, to the left and in yaw, in standard deviations; `None` where it is not normalised.
     pub innovation: Option<[f64; 3]>,
     /// Whether the gate refused the measurement.
@@ -80,13 +84,22 @@ pub struct Evidence {
     pub restarted: bool,
 }
 
+impl Evidence {
+    /// Share by which the speed is beyond the range from the expected to the desired one, where both are large enough.
+    ///
+    /// A drive that is quicker than described is no fault, so a speed within that range is as it should be.
+    fn speed_residual(&self) -> Option<f64> {
+        let desired = self.desired_mps?;
+        let (low, high) = (desired.min(self.expected_mps), desired.max(self.expected_mps));
+        (low >= SLOWEST_MPS).then(|| self.speed_mps / self.speed_mps.clamp(low, high) - 1.0)
+    }
+}
+
 impl SelfCheckState {
     /// Takes the evidence of one scan and decides about the alarm.
     pub fn observe(&mut self, evidence: &Evidence) {
-        if let Some(desired) = evidence.desired_mps
-            && desired >= SLOWEST_MPS
-        {
-            self.push(SPEED, evidence.speed_mps / desired - 1.0);
+        if let Some(residual) = evidence.speed_residual() {
+            self.push(SPEED, residual);
         }
         // At standstill odometry measures no motion, so it is no evidence.
         if let Some([ahead, left, yaw]) = evidence.innovation.filter(|_| evidence.speed_mps > 0.0) {
@@ -182,6 +195,7 @@ mod tests {
         acquired_ns: 0,
         speed_mps: 0.9,
         desired_mps: Some(0.9),
+        expected_mps: 0.9,
         innovation: Some([0.1, -0.1, 0.2]),
         refused: false,
         restarted: false,
@@ -209,6 +223,18 @@ mod tests {
         assert_eq!(check.suspect(), Suspect::VelocityFactor);
         alarms(&mut check, 80, 40, GOOD);
         assert_eq!(check.alarm(), Alarm::Stop, "the place is not known any more");
+    }
+
+    #[test]
+    fn while_the_speed_changes_a_quicker_drive_and_the_described_one_are_both_right() {
+        let ramp = Evidence { desired_mps: Some(1.0), expected_mps: 0.6, ..GOOD };
+        for speed_mps in [0.6, 0.8, 1.0] {
+            assert_eq!(Evidence { speed_mps, ..ramp }.speed_residual(), Some(0.0));
+        }
+        // 0.54 is a tenth below what the lag explains, 1.1 a tenth above what is desired.
+        let off = |speed_mps| Evidence { speed_mps, ..ramp }.speed_residual().unwrap();
+        assert!((off(0.54) + 0.1).abs() < 1e-12 && (off(1.1) - 0.1).abs() < 1e-12);
+        assert_eq!(Evidence { expected_mps: 0.1, ..ramp }.speed_residual(), None);
     }
 
     #[test]

@@ -53,7 +53,8 @@ impl EstimatorState {
         let residuals: &[f64; 4 * WINDOW] = bytemuck::cast_ref(&self.self_check.residuals);
         finite("self_check", residuals)?;
         let motion = &self.motion;
-        finite("motion", &[motion.speed_mps, motion.sideslip_rad, motion.yaw_rate_radps])?;
+        let MotionState { speed_mps, expected_mps, steering_rad, sideslip_rad, yaw_rate_radps, .. } = *motion;
+        finite("motion", &[speed_mps, expected_mps, steering_rad, sideslip_rad, yaw_rate_radps])?;
         for control in &motion.controls {
             finite("controls", &[control.velocity_mps, control.steering_rad])?;
         }

@@ -7,6 +7,7 @@ use actuation::Actuator;
 use emulator::{Emulator, Scenario};
 use estimator::{Config, Estimator, Profile};
 use shared_types::{Command, CommandKind, Header, Level, Odometry, Pose, Role, Scan, SolveStatus, Truth};
+use vehicle::Description;
 
 /// What is to be commanded at a scan: velocity and steering angle, or a stop.
 fn desired(scan: u64, period_s: f64) -> Option<(f64, f64)> {
@@ -82,6 +83,11 @@ fn compare(pose: &Pose, truth: &Truth, errors: &mut Errors) {
     errors.rejected = pose.rejected;
 }
 
+/// The default settings for a robot that follows at once.
+fn at_once() -> Config {
+    Config { vehicle: Description::default().without_lag(), ..Config::default() }
+}
+
 fn open_track() -> Scenario {
     let mut scenario = Scenario::default();
     scenario.obstacles.clear();
@@ -92,7 +98,7 @@ fn open_track() -> Scenario {
 #[test]
 fn the_estimate_of_the_default_robot_is_exact_at_any_scan_rate() {
     for period_ns in [100_000_000, 50_000_000, 25_000_000] {
-        let errors = drive(&open_track(), &Config::default(), period_ns);
+        let errors = drive(&open_track(), &at_once(), period_ns);
         // What remains: the network undoes the steering map to 2e-6 rad, and 1 % of the way is put back by the
         // trapezoid of speeds.
         assert!(errors.position_m < 1e-3 && errors.yaw_rad < 1e-3, "{errors:?}");
@@ -109,7 +115,7 @@ fn noise_of_the_odometry_is_reduced_to_a_centimetre_or_two() {
     (scenario.noise.odometry_m, scenario.noise.odometry_rad) = (0.02, 0.01);
     for seed in 1..=3 {
         scenario.seed = seed;
-        let errors = drive(&scenario, &Config::default(), 100_000_000);
+        let errors = drive(&scenario, &at_once(), 100_000_000);
         // The first report counts in full: 20 mm in x and in y.
         assert!(errors.position_m < 0.06 && errors.yaw_rad < 0.04, "{errors:?}");
         assert!(errors.rejected <= 2, "{errors:?}");
@@ -127,9 +133,9 @@ fn robots_that_drift_are_followed_by_the_correction_of_their_kind() {
         (Drift::Moving, Mode::Moving, 0.03),
     ] {
         let mut scenario = open_track();
-        scenario.robot.odometry_lateral_rate = 0.053;
+        scenario.robot.odometry_lateral_rate = Some(0.053);
         scenario.robot.odometry_drift = drift;
-        let config = Config { profile: Profile::Source, correction: Some(mode), ..Config::default() };
+        let config = Config { profile: Profile::Source, correction: Some(mode), ..at_once() };
         let errors = drive(&scenario, &config, 100_000_000);
         assert!(errors.position_m < limit_m, "{mode:?}: {errors:?}");
     }
@@ -138,7 +144,7 @@ fn robots_that_drift_are_followed_by_the_correction_of_their_kind() {
 #[test]
 fn a_robot_without_calibration_is_followed_by_its_measured_speed() {
     let mut scenario = open_track();
-    scenario.robot.velocity_factor = 2.0;
-    let errors = drive(&scenario, &Config::default(), 100_000_000);
+    scenario.robot.velocity_factor = Some(2.0);
+    let errors = drive(&scenario, &at_once(), 100_000_000);
     assert!(errors.position_m < 1e-3 && errors.speed_mps < 1e-3, "{errors:?}");
 }

@@ -54,6 +54,8 @@ pub struct Pipeline {
     actuator: Actuator,
     iterations: u32,
     scan_id: u64,
+    /// Scans so far: the sequence number of all samples.
+    sequence: u64,
     step: Box<Step>,
 }
 
@@ -73,21 +75,23 @@ impl Pipeline {
             controller: Controller::new(tuning.controller).map_err(|error| error.within("controller"))?,
             actuator: Actuator::new(tuning.actuator, *period_ns).map_err(|error| error.within("actuator"))?,
             scan_id: 0,
+            sequence: 0,
             step: Box::default(),
         })
     }
 
-    /// One scan: measure, estimate, describe, control, actuate.
+    /// One scan that is not missing: measure, estimate, describe, control, actuate.
     pub fn step(&mut self) -> &Step {
-        self.scan_id += 1;
+        self.scan_id = self.emulator.next_scan(self.scan_id + 1);
+        self.sequence += 1;
         let now_ns = self.emulator.scan_ready_ns(self.scan_id);
-        let publish = Publisher { scan_id: self.scan_id, now_ns };
+        let publish = Publisher { sequence: self.sequence, now_ns };
         let step = &mut *self.step;
         (step.pose, step.obstacles, step.command, step.actuation) = (None, None, None, None);
 
         self.emulator.advance_to(now_ns);
         self.emulator.measure(self.scan_id, &mut step.scan, &mut step.odometry, &mut step.truth);
-        let acquired_ns = self.emulator.acquired_ns(self.scan_id);
+        let acquired_ns = self.emulator.stamp_ns(self.scan_id);
         for header in [&mut step.scan.header, &mut step.odometry.header, &mut step.truth.header] {
             *header = Header { scan_id: self.scan_id, acquired_ns, ..Header::default() };
         }
@@ -119,7 +123,7 @@ impl Pipeline {
 
 /// Completes headers as the bus does: one incarnation per role, one sample per topic and scan, simulated stamps.
 struct Publisher {
-    scan_id: u64,
+    sequence: u64,
     now_ns: u64,
 }
 
@@ -128,7 +132,7 @@ impl Publisher {
         let header = sample.header_mut();
         header.layout = S::LAYOUT;
         header.incarnation = incarnation(role);
-        header.sequence = self.scan_id;
+        header.sequence = self.sequence;
         let now = self.now_ns;
         *header.stage_mut(role) =
             StageStamps { woken_ns: now, taken_ns: now, computed_ns: now, published_ns: now };

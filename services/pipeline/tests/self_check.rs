@@ -61,7 +61,7 @@ fn a_velocity_factor_off_by_ten_percent_slows_stops_and_is_named() {
     for factor in [1.4 * 1.1, 1.4 * 0.9] {
         for name in ["corridor", "noisy"] {
             let mut scenario = shipped(name);
-            scenario.robot.velocity_factor = factor;
+            scenario.robot.velocity_factor = Some(factor);
             let seen = watch(&Settings::of(scenario));
             let (first_s, suspect) = seen.first.unwrap();
             assert_eq!((seen.outcome, suspect), (Outcome::Stopped, Suspect::VelocityFactor));
@@ -76,7 +76,7 @@ fn a_velocity_factor_off_by_ten_percent_slows_stops_and_is_named() {
 fn a_drift_gradient_of_twice_the_calibrated_one_slows_stops_and_is_named() {
     for (rate, sign) in [(0.053, 1.0), (0.053, -1.0), (0.03, 1.0)] {
         let mut scenario = shipped("free");
-        scenario.robot.odometry_lateral_rate = 2.0 * rate * sign;
+        scenario.robot.odometry_lateral_rate = Some(2.0 * rate * sign);
         (scenario.noise.odometry_m, scenario.noise.odometry_rad) = (0.005, 0.003);
         let mut settings = Settings::of(scenario);
         settings.tuning.estimator.odometry_lateral_rate = Some(rate * sign);

@@ -28,13 +28,22 @@ pub fn rk4(parameters: &Parameters, state: &State, control: &Control, step: f64)
 /// One step of the classical Runge-Kutta method for any time derivative of the state.
 #[must_use]
 pub fn runge_kutta(state: &State, step: f64, derivative: impl Fn(&State) -> SVector<f64, 5>) -> State {
-    let start = state.to_vector();
-    let slope = |vector| derivative(&State::from_vector(&vector));
+    let end = runge_kutta_vector(state.to_vector(), step, |vector| derivative(&State::from_vector(&vector)));
+    State::from_vector(&end)
+}
+
+/// One step of the classical Runge-Kutta method.
+#[must_use]
+pub fn runge_kutta_vector<const N: usize>(
+    start: SVector<f64, N>,
+    step: f64,
+    slope: impl Fn(SVector<f64, N>) -> SVector<f64, N>,
+) -> SVector<f64, N> {
     let k1 = slope(start);
     let k2 = slope(start + k1 * (step / 2.0));
     let k3 = slope(start + k2 * (step / 2.0));
     let k4 = slope(start + k3 * step);
-    State::from_vector(&(start + (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (step / 6.0)))
+    start + (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (step / 6.0)
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ pub mod network;
 mod parameters;
 mod state;
 mod track;
+pub mod tyre;
 
 pub use bounds::Bounds;
 pub use description::Description;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::{drift, steering, velocity};
-use emulator::scenario::{Noise, Robot};
+use emulator::scenario::{Noise, Robot, Values};
 
 /// A robot whose hidden parameters differ by up to 30 % from those of scenario `imperfect-robot`.
 fn hidden(trial: u64) -> Scenario {
@@ -8,10 +8,10 @@ fn hidden(trial: u64) -> Scenario {
     let mut off = |value: f64| value * stream.between(0.7, 1.3);
     Scenario {
         robot: Robot {
-            velocity_factor: off(1.4),
-            steering_backlash_rad: off(0.006),
-            odometry_longitudinal: off(0.012),
-            odometry_lateral_rate: off(0.0003),
+            velocity_factor: Some(off(1.4)),
+            steering_backlash_rad: Some(off(0.006)),
+            odometry_longitudinal: Some(off(0.012)),
+            odometry_lateral_rate: Some(off(0.0003)),
             ..Robot::default()
         },
         noise: Noise { odometry_m: 0.005, odometry_rad: 0.003, ..Noise::default() },
@@ -35,7 +35,7 @@ fn kv_of_unseen_robots_is_found_within_1_percent_and_covered() {
     let results = trials(50, |trial| {
         let robot = hidden(trial);
         let fit = velocity::fit(&straight_runs(&robot, trial)).unwrap();
-        let truth = robot.robot.velocity_factor;
+        let truth = robot.robot_values().velocity_factor;
         (fit.factor.value / truth - 1.0, fit.factor.covers(truth))
     });
     let worst = results.iter().map(|result| result.0.abs()).fold(0.0, f64::max);
@@ -50,7 +50,8 @@ fn df_dds_and_play_of_unseen_robots_are_found_within_10_percent_and_covered() {
         let robot = hidden(trial);
         let fit = drift::fit(&sine_runs(&robot, trial)).unwrap();
         let play = fit.play.unwrap();
-        let Robot { odometry_longitudinal, odometry_lateral_rate, steering_backlash_rad, .. } = robot.robot;
+        let Values { odometry_longitudinal, odometry_lateral_rate, steering_backlash_rad, .. } =
+            robot.robot_values();
         let pairs = [
             (fit.longitudinal, odometry_longitudinal),
             (fit.lateral_rate, odometry_lateral_rate),
@@ -79,7 +80,7 @@ fn the_steering_map_of_unseen_robots_is_found_within_2_mrad_and_covered() {
         let covered =
             fit.points.iter().filter(|point| point.realised_rad.covers(map.realised(point.sent_rad))).count();
         let play = fit.play.unwrap();
-        let truth = robot.robot.steering_backlash_rad;
+        let truth = robot.robot_values().steering_backlash_rad;
         (
             worst,
             covered,

@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use shared_types::{Fault, Flag, finite, plain_state};
 use vehicle::State;
 
-use super::{Emulator, HISTORY_PERIODS, node};
+use super::{Emulator, HISTORY_PERIODS, Travellings, node};
 use crate::history::History;
 use crate::odometer::Reported;
 
@@ -26,12 +26,18 @@ plain_state! {
         pub plant_ns: u64,
         /// When the last actuation arrived [ns]
         pub last_actuation_ns: u64,
+        /// Actuations that have not arrived yet
+        pub travelling: Travellings,
         /// State of the model: sideslip, yaw, yaw rate, x, y [rad, rad, rad/s, m, m]
         pub motion: [f64; 5],
         /// Speed over ground [m/s]
         pub speed_mps: f64,
         /// Steering angle of the wheels [rad]
         pub steering_rad: f64,
+        /// Speed that the drive is to reach [m/s]
+        pub target_speed_mps: f64,
+        /// Angle of the wheels that the shaft asks for, without the offset [rad]
+        pub target_steering_rad: f64,
         /// 1 while the wheels are blocked
         pub blocked: Flag,
         /// 1 when it has run into something
@@ -40,6 +46,14 @@ plain_state! {
         pub odometry_lateral: f64,
         /// Position that the odometer reports, without noise [m]
         pub odometry_m: [f64; 2],
+        /// Yaw that the odometer reports, without noise; it counts full turns [rad]
+        pub odometry_yaw: f64,
+        /// Bias of the gyro [rad/s]
+        pub gyro_bias_radps: f64,
+        /// Distance that the wheels have measured, before it is counted in pulses [m]
+        pub wheels_m: f64,
+        /// Distance counted by the encoders at the last report [m]
+        pub reported_encoder_m: f64,
         /// Position and yaw reported last, noise included [m, m, rad]
         pub reported: [f64; 3],
         /// Time of that report [ns]
@@ -94,10 +108,16 @@ impl Emulator {
             motion: [sideslip, yaw, yaw_rate, x, y],
             speed_mps: plant.speed(),
             steering_rad: plant.steering(),
+            target_speed_mps: plant.target_speed,
+            target_steering_rad: plant.target_steering,
             blocked: plant.is_blocked().into(),
             wrecked: plant.wrecked.into(),
             odometry_lateral: reckoning.lateral,
             odometry_m: reckoning.reported().into(),
+            odometry_yaw: reckoning.yaw,
+            gyro_bias_radps: reckoning.bias,
+            wheels_m: reckoning.wheels_m,
+            reported_encoder_m: last.map_or(0.0, |last| last.encoder_m),
             reported: last.map_or([0.0; 3], |last| [last.x, last.y, last.yaw]),
             reported_ns: last.map_or(0, |last| last.time_ns),
             has_reported: u64::from(last.is_some()),
@@ -121,11 +141,15 @@ impl Emulator {
         let plant = &mut self.plant;
         plant.state = State { sideslip, yaw, yaw_rate, x, y };
         (plant.speed, plant.steering) = (state.speed_mps, state.steering_rad);
+        (plant.target_speed, plant.target_steering) = (state.target_speed_mps, state.target_steering_rad);
         (plant.blocked, plant.wrecked) = (state.blocked.is_set(), state.wrecked.is_set());
         self.reckoning.lateral = state.odometry_lateral;
         self.reckoning.reported = Vector2::from(state.odometry_m);
+        self.reckoning.yaw = state.odometry_yaw;
+        self.reckoning.bias = state.gyro_bias_radps;
+        self.reckoning.wheels_m = state.wheels_m;
         let [x, y, yaw] = state.reported;
-        let last = Reported { time_ns: state.reported_ns, x, y, yaw };
+        let last = Reported { time_ns: state.reported_ns, x, y, yaw, encoder_m: state.reported_encoder_m };
         self.odometer.last = (state.has_reported == 1).then_some(last);
         let appeared = state.appeared_s.iter().map(|appeared_s| (*appeared_s >= 0.0).then_some(*appeared_s));
         self.scene.set_appearances(appeared);
@@ -142,6 +166,12 @@ impl EmulatorState {
             ("motion", &self.motion[..]),
             ("speed_mps", &[self.speed_mps]),
             ("steering_rad", &[self.steering_rad]),
+            ("target_speed_mps", &[self.target_speed_mps]),
+            ("target_steering_rad", &[self.target_steering_rad]),
+            ("odometry_yaw", &[self.odometry_yaw]),
+            ("gyro_bias_radps", &[self.gyro_bias_radps]),
+            ("wheels_m", &[self.wheels_m]),
+            ("reported_encoder_m", &[self.reported_encoder_m]),
             ("odometry_lateral", &[self.odometry_lateral]),
             ("odometry_m", &self.odometry_m),
             ("reported", &self.reported),
@@ -151,6 +181,7 @@ impl EmulatorState {
             ("appeared_s", &self.appeared_s),
         ];
         numbers.into_iter().try_for_each(|(field, values)| finite(field, values))?;
+        self.travelling.check()?;
         if self.plant_ns > self.clock_ns {
             return Err(Fault::OutOfRange { field: "plant_ns", value: self.plant_ns as f64 });
         }

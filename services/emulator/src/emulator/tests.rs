@@ -376,3 +376,158 @@ fn a_state_of_another_scene_or_with_impossible_numbers_is_refused() {
     assert!(emulator.resume(&bad).is_err());
     assert_eq!(emulator.state(1), Some(good), "unchanged");
 }
+
+/// A robot whose commands take exactly 25 ms.
+fn delayed(more: &str) -> Emulator {
+    let way =
+        "command_delay_s = 0.025\ncommand_jitter_s = 0.0\nvelocity_factor = 1.0\nsteering_map = \"identity\"";
+    Emulator::new(&parse(&format!("[robot]\n{way}\n{more}")), PERIOD)
+}
+
+#[test]
+fn a_command_acts_when_it_arrives_to_the_nanosecond_and_feeds_the_dead_man_then() {
+    let mut emulator = delayed("");
+    emulator.advance_to(133_333_333);
+    assert_eq!(emulator.actuate(&drive(1.0, 0.0)), Received::Accepted);
+    emulator.advance_to(158_333_332);
+    assert!(emulator.plant().is_blocked());
+    emulator.advance_to(200_000_000);
+    // 200 - 158.333333 ms at 1 m/s.
+    assert!((emulator.plant().state().x - 0.041_666_667).abs() < 1e-12, "{}", emulator.plant().state().x);
+    emulator.advance_to(1_000_000_000);
+    let truth = measure(&mut emulator, 9).2;
+    assert_eq!((truth.dead_man, truth.blocked), (1, 1));
+    assert!((truth.longest_blind_s - 0.2).abs() < 1e-12, "{}", truth.longest_blind_s);
+    assert!((truth.actuation_age_s - (1.0 - 0.158_333_333)).abs() < 1e-12);
+    assert!((truth.path_length_m - 0.3).abs() < 1e-9, "{}", truth.path_length_m);
+}
+
+#[test]
+fn a_block_travels_as_well_but_a_stop_of_the_process_acts_at_once_and_for_all() {
+    let mut emulator = delayed("");
+    lockstep(&mut emulator, 1..=5, &drive(0.9, 0.0));
+    emulator.actuate(&block());
+    emulator.advance_to(emulator.now_ns() + 24_999_999);
+    assert!(!emulator.plant().is_blocked());
+    emulator.advance_to(emulator.now_ns() + 1);
+    assert!(emulator.plant().is_blocked());
+    emulator.actuate(&drive(0.9, 0.0));
+    emulator.advance_to(emulator.now_ns() + 25_000_000);
+    assert!(!emulator.plant().is_blocked());
+    emulator.actuate(&drive(0.9, 0.0));
+    emulator.block_at_once();
+    assert!(emulator.plant().is_blocked());
+    emulator.advance_to(emulator.now_ns() + 50_000_000);
+    assert!(emulator.plant().is_blocked(), "the command that was on its way never arrives");
+}
+
+#[test]
+fn after_lost_commands_the_last_one_stays_in_force_until_the_dead_man_acts() {
+    let mut emulator = ideal("");
+    lockstep(&mut emulator, 1..=5, &drive(0.9, 0.0));
+    let lossy = "[robot]\ncommand_loss = 1.0\nvelocity_factor = 1.0";
+    let mut deaf = Emulator::new(&parse(lossy), PERIOD);
+    deaf.resume(&emulator.state(5).unwrap()).unwrap();
+    deaf.advance_to(deaf.scan_ready_ns(6));
+    assert_eq!(deaf.actuate(&drive(0.2, 0.0)), Received::Accepted);
+    deaf.advance_to(deaf.scan_ready_ns(6) + 50_000_000);
+    assert_eq!((deaf.plant().speed(), deaf.plant().is_blocked()), (0.9, false));
+    deaf.actuate(&block());
+    deaf.advance_to(deaf.scan_ready_ns(7) + 1_000_000);
+    assert!(deaf.plant().is_blocked(), "two periods after the last that arrived");
+    assert_eq!(measure(&mut deaf, 7).2.dead_man, 1);
+}
+
+#[test]
+fn the_scan_that_was_answered_is_known_when_the_answer_arrives() {
+    let mut emulator = delayed("");
+    emulator.advance_to(emulator.scan_ready_ns(1));
+    let mut answer = Actuation { answers: 1, ..drive(0.5, 0.0) };
+    answer.header.scan_id = 1;
+    emulator.actuate(&answer);
+    assert_eq!(measure(&mut emulator, 1).2.actuation_scan, 0);
+    emulator.advance_to(emulator.scan_ready_ns(2));
+    assert_eq!(measure(&mut emulator, 2).2.actuation_scan, 1);
+}
+
+#[test]
+fn measured_speed_and_time_are_those_of_encoders_and_stamps() {
+    let scenario = parse("[robot]\npreset = \"summit\"");
+    let mut emulator = Emulator::new(&scenario, PERIOD);
+    let mut last = emulator.stamp_ns(1);
+    let mut differs = false;
+    for scan_id in 1..=40 {
+        emulator.advance_to(emulator.scan_ready_ns(scan_id));
+        let (_, odometry, truth) = measure(&mut emulator, scan_id);
+        let stamp_ns = emulator.stamp_ns(scan_id);
+        assert!((odometry.dt_s - (stamp_ns - last) as f64 * 1e-9).abs() < 1e-12);
+        assert!((truth.time_s - 0.1 * scan_id as f64).abs() < 1e-12);
+        differs |= (odometry.speed_mps - truth.speed_mps).abs() > 1e-3;
+        last = stamp_ns;
+        emulator.actuate(&drive(1.2, 0.0));
+    }
+    assert!(differs);
+    assert!(emulator.plant().speed() > 0.8);
+}
+
+/// A robot with everything that differs from the model, and the scene with everything that is remembered.
+fn eventful_summit() -> Scenario {
+    let mut scenario = eventful();
+    scenario.robot.preset = crate::scenario::Preset::Summit;
+    scenario.robot.command_delay_s = Some(0.13);
+    scenario.robot.command_jitter_s = Some(0.02);
+    scenario.robot.command_loss = Some(0.05);
+    scenario
+}
+
+#[test]
+fn with_commands_on_their_way_a_successor_measures_the_same_to_the_last_bit_however_time_is_cut() {
+    let scenario = eventful_summit();
+    let (mut old, mut parts) = (Emulator::new(&scenario, PERIOD), Emulator::new(&scenario, PERIOD));
+    let mut new = None::<Emulator>;
+    for scan_id in 1..=40 {
+        let ready = old.scan_ready_ns(scan_id);
+        old.advance_to(ready);
+        (0..9).rev().for_each(|part| {
+            parts.advance_to(ready - part * 3_333_337);
+            parts.present();
+        });
+        let (one, other) = (measure(&mut old, scan_id), measure(&mut parts, scan_id));
+        assert_eq!(bytemuck_bytes(&one), bytemuck_bytes(&other), "scan {scan_id}");
+        if let Some(new) = &mut new {
+            new.advance_to(ready);
+            assert_eq!(bytemuck_bytes(&one), bytemuck_bytes(&measure(new, scan_id)), "scan {scan_id}");
+        }
+        let steering = 0.06 * (scan_id as f64 * 0.7).sin();
+        let mut actuation = if scan_id % 11 == 0 { block() } else { drive(1.2, steering) };
+        (actuation.header.scan_id, actuation.answers) = (scan_id, 1);
+        for robot in [&mut old, &mut parts].into_iter().chain(&mut new) {
+            robot.advance_to(ready + 700_123);
+            robot.actuate(&actuation);
+        }
+        if scan_id == 12 {
+            let state = old.state(12).unwrap();
+            assert!(!state.travelling.list().is_empty());
+            let mut robot = Emulator::new(&scenario, PERIOD);
+            robot.resume(&state).unwrap();
+            new = Some(robot);
+        }
+    }
+    let way_m = measure(&mut old, 40).2.path_length_m;
+    assert!(way_m > 1.0, "it drove: {way_m}");
+    assert_eq!(Some(old.state(40).unwrap()), new.and_then(|new| new.state(40)));
+}
+
+#[test]
+fn a_state_with_commands_out_of_order_is_refused() {
+    let mut emulator = delayed("");
+    emulator.advance_to(emulator.scan_ready_ns(1));
+    emulator.actuate(&drive(0.5, 0.0));
+    emulator.actuate(&drive(0.6, 0.0));
+    let mut bad = emulator.state(1).unwrap();
+    bad.travelling.items[1].arrives_ns = 1;
+    assert!(emulator.resume(&bad).is_err());
+    let mut bad = emulator.state(1).unwrap();
+    bad.travelling.items[0].velocity_mps = f64::NAN;
+    assert!(emulator.resume(&bad).is_err());
+}

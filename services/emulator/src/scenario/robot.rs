@@ -18,34 +18,112 @@ pub enum Drift {
     Time,
 }
 
+/// A set of values for the robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// The model as printed: it follows every command at once.
+    #[default]
+    Ideal,
+    /// A believable robot, with delays, lags, slipping tyres, wheel encoders and a gyro.
+    Summit,
+    /// Each value drawn once from the seed, around what the vehicle description states.
+    Worn,
+}
+
+/// What the odometry is measured with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OdometryModel {
+    /// The true speed and heading, with the errors of (7.36)-(7.40).
+    #[default]
+    Source,
+    /// Wheel encoders and a gyro, whose errors accumulate.
+    Encoders,
+}
+
 impl Setting for Drift {}
+impl Setting for Preset {}
+impl Setting for OdometryModel {}
 
 settings! {
-    /// Body and imperfections of the emulated robot.
+    /// Body and imperfections of the emulated robot; the preset sets what the file does not.
     #[derive(Copy)]
     pub struct Robot {
+        /// Set of values for the keys below: `ideal` follows every command at once, `summit` is a believable robot, and
+        /// `worn` draws each value once from the seed, around what the vehicle description states.
+        pub preset: Preset = Preset::Ideal;
         /// Length of the body [m].
         pub length_m: f64 = 0.56, 0.05..=5.0;
         /// Width of the body [m].
         pub width_m: f64 = 0.40, 0.05..=5.0;
+        /// Mass m [kg].
+        pub mass_kg: Option<f64> = None, 1e-3..=1e6;
+        /// Distance of the rear axle from the centre of mass, lh [m].
+        pub rear_m: Option<f64> = None, 1e-3..=1e6;
+        /// Distance of the front axle from the centre of mass, lv [m].
+        pub front_m: Option<f64> = None, 1e-3..=1e6;
+        /// Lateral tyre stiffness of one axle, c [N/rad].
+        pub stiffness_n_per_rad: Option<f64> = None, 1e-3..=1e6;
+        /// Moment of inertia about the vertical axis, J [kg m^2].
+        pub inertia_kgm2: Option<f64> = None, 1e-3..=1e6;
+        /// Friction coefficient of the tyres, mu; 0 for forces without a limit.
+        pub tyre_friction: Option<f64> = None, 0.0..=5.0;
         /// Velocity sent divided by the true velocity, kv.
-        pub velocity_factor: f64 = 1.4, 0.1..=10.0;
+        pub velocity_factor: Option<f64> = None, 0.1..=10.0;
         /// Half the play between steering shaft and wheels, nu [rad].
-        pub steering_backlash_rad: f64 = 0.0, 0.0..=0.1;
+        pub steering_backlash_rad: Option<f64> = None, 0.0..=0.1;
         /// True steering angle of the shaft as a function of the angle sent: a fixed curve, or the same angle.
         pub steering_map: SteeringMap = SteeringMap::Nonlinear;
-        /// Deceleration while the wheels are blocked [m/s^2].
-        pub blocked_deceleration_mps2: f64 = 5.0, 0.1..=50.0;
+        /// Constant angle that is added to the wheels after map and play [rad].
+        pub steering_offset_rad: Option<f64> = None, -0.1..=0.1;
+        /// Deceleration while the wheels are blocked, at most what the friction of the tyres allows [m/s^2].
+        pub blocked_deceleration_mps2: Option<f64> = None, 0.1..=50.0;
+        /// Time constant with which the velocity follows; 0 for at once, without a limit of the acceleration [s].
+        pub velocity_lag_s: Option<f64> = None, 0.0..=2.0;
+        /// Largest acceleration of the drive, if it has a lag [m/s^2].
+        pub acceleration_max_mps2: Option<f64> = None, 0.05..=100.0;
+        /// Largest deceleration of the drive with turning wheels, if it has a lag [m/s^2].
+        pub deceleration_max_mps2: Option<f64> = None, 0.05..=100.0;
+        /// Time constant with which the steering angle follows; 0 for at once, without a limit of the rate [s].
+        pub steering_lag_s: Option<f64> = None, 0.0..=2.0;
+        /// Largest rate of the steering angle, if it has a lag [rad/s].
+        pub steering_rate_max_radps: Option<f64> = None, 0.01..=100.0;
+        /// Shortest time from the actuator to the wheels [s].
+        pub command_delay_s: Option<f64> = None, 0.0..=0.5;
+        /// Mean of the random time on top of it, which is distributed exponentially [s].
+        pub command_jitter_s: Option<f64> = None, 0.0..=0.5;
+        /// Probability that an actuation never reaches the robot.
+        pub command_loss: Option<f64> = None, 0.0..=1.0;
+        /// What the odometry is measured with: `source` knows the true speed and heading, `encoders` are wheel encoders
+        /// and a gyro, whose error accumulates.
+        pub odometry_model: Option<OdometryModel> = None;
         /// Odometry scale error: fraction of the travelled distance that is not reported, df.
-        pub odometry_longitudinal: f64 = 0.01, -0.5..=0.5;
+        pub odometry_longitudinal: Option<f64> = None, -0.5..=0.5;
         /// Growth of the lateral odometry error, dds of (7.38) [1/s].
-        pub odometry_lateral_rate: f64 = 0.0, -1.0..=1.0;
+        pub odometry_lateral_rate: Option<f64> = None, -1.0..=1.0;
         /// When the lateral odometry error grows: while the robot moves, or with time, also at standstill.
         pub odometry_drift: Drift = Drift::Moving;
         /// Error of the reported yaw from `odometry_jump_s` on [rad].
         pub odometry_jump_rad: f64 = 0.0, -PI..=PI;
         /// Time at which the reported yaw jumps [s].
         pub odometry_jump_s: f64 = 0.0, 0.0..=1e6;
+        /// Slip of the wheel encoders: standard deviation of the measured distance after one metre [m].
+        pub encoder_slip_m: Option<f64> = None, 0.0..=1.0;
+        /// White noise of the gyro: standard deviation of the integrated yaw after one second [rad].
+        pub gyro_noise_rad: Option<f64> = None, 0.0..=1.0;
+        /// Random walk of the gyro's bias: standard deviation after one second [rad/s].
+        pub gyro_bias_walk_radps: Option<f64> = None, 0.0..=1.0;
+        /// Standard deviation of the error of a scan's time stamp [s].
+        pub scan_stamp_jitter_s: Option<f64> = None, 0.0..=1.0;
+        /// One scan in this many is missing, at random and not among the first ten; 0 for none.
+        pub scan_missing_every: Option<u64> = None, 0.0..=1e9;
+        /// Position of the scanner ahead of the robot's centre [m].
+        pub scanner_x_m: Option<f64> = None, -2.0..=2.0;
+        /// Position of the scanner to the left of the robot's centre [m].
+        pub scanner_y_m: Option<f64> = None, -2.0..=2.0;
+        /// Direction of the scanner's front beam, counter-clockwise from straight ahead [rad].
+        pub scanner_yaw_rad: Option<f64> = None, -PI..=PI;
     }
 }
 

@@ -12,8 +12,13 @@ mod figures;
 
 const PERIOD_NS: u64 = 100_000_000;
 
+/// The default settings for a robot that follows at once.
+fn at_once() -> Config {
+    Config { vehicle: Description::default().without_lag(), ..Config::default() }
+}
+
 fn source() -> Config {
-    Config { profile: Profile::Source, ..Config::default() }
+    Config { profile: Profile::Source, ..at_once() }
 }
 
 fn header(scan: u64) -> Header {
@@ -43,7 +48,7 @@ fn odometry(scan: u64, x: f64, speed: f64) -> Odometry {
 }
 
 fn ideal() -> Config {
-    Config { correction: Some(Mode::Off), ..Config::default() }
+    Config { correction: Some(Mode::Off), ..at_once() }
 }
 
 /// An estimator of a robot that drives straight at 1 m/s, after `scans` samples.
@@ -62,7 +67,7 @@ fn at(scan: u64) -> u64 {
 
 #[test]
 fn the_first_odometry_is_the_first_estimate() {
-    let mut estimator = Estimator::new(&Config::default()).unwrap();
+    let mut estimator = Estimator::new(&at_once()).unwrap();
     let sample = Odometry { x_m: 1.5, y_m: -0.25, yaw_rad: 0.1, ..odometry(1, 0.0, 0.0) };
     let pose = estimator.step(&sample, None, at(1)).unwrap();
     assert_eq!((pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps), (1.5, -0.25, 0.1, 0.0));
@@ -83,6 +88,15 @@ fn the_prediction_ends_when_the_command_would_act() {
     let (mut estimator, _) = straight(&ideal(), 5);
     let late = estimator.step(&odometry(6, 0.6, 1.0), None, at(600)).unwrap();
     assert_eq!(late.predicted_ns, 6 * PERIOD_NS + 500_000_000, "an hour is not looked ahead");
+}
+
+#[test]
+fn the_lead_contains_the_delay_and_the_share_of_the_steering_lag() {
+    let lead = |lead_share| {
+        let config = Config { lead_share, vehicle: Description::default(), ..ideal() };
+        straight(&config, 20).1.unwrap().predicted_ns - at(20)
+    };
+    assert_eq!((lead(0.0), lead(0.5), lead(1.0)), (20_000_000, 70_000_000, 120_000_000));
 }
 
 #[test]

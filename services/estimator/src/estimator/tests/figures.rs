@@ -200,7 +200,7 @@ fn on_matched_noise_the_nis_lies_in_its_95_percent_band_in_90_to_99_percent_of_s
         Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, matched: true, ..PERFECT };
     let (mut lowest, mut highest) = (1.0f64, 0.0f64);
     for seed in 1..=50 {
-        let errors = run(&Config::default(), robot, 40, seed, sine);
+        let errors = run(&at_once(), robot, 40, seed, sine);
         let share = errors.nis_in_band / errors.count;
         assert!((0.90..=0.99).contains(&share), "seed {seed}: {share}");
         (lowest, highest) = (lowest.min(share), highest.max(share));
@@ -211,7 +211,7 @@ fn on_matched_noise_the_nis_lies_in_its_95_percent_band_in_90_to_99_percent_of_s
 #[test]
 fn without_noise_the_scaled_profile_is_nearly_exact() {
     let robot = Robot { odometry_longitudinal: 0.01, ..PERFECT };
-    let errors = run(&Config::default(), robot, 20, 1, sine);
+    let errors = run(&at_once(), robot, 20, 1, sine);
     // What remains: the yaw of the correction is the mean over 100 ms, 1 % of a few millimetres.
     assert!(errors.max < 1e-4 && errors.predicted_max < 1e-4, "{errors:?}");
     assert!(errors.yaw_max < 1e-6);
@@ -222,7 +222,7 @@ fn the_scaled_profile_keeps_a_noisy_estimate_within_3_cm_and_1_cm_on_average_and
     let robot = Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.01, ..PERFECT };
     let mut total = Errors::default();
     for seed in 1..=5 {
-        let errors = run(&Config::default(), robot, 40, seed, sine);
+        let errors = run(&at_once(), robot, 40, seed, sine);
         assert!(errors.settled_max < 0.03, "seed {seed}: {errors:?}");
         total.sum_of_squares += errors.sum_of_squares;
         total.nis_sum += errors.nis_sum;
@@ -247,7 +247,7 @@ fn the_turning_drift_follows_a_steering_offset_for_longer_than_the_printed_one()
 
 #[test]
 fn position_alone_determines_yaw_while_driving() {
-    let config = Config { measure: vec![Measured::X, Measured::Y], ..Config::default() };
+    let config = Config { measure: vec![Measured::X, Measured::Y], ..at_once() };
     let robot = Robot { odometry_longitudinal: 0.01, noise_m: 0.02, noise_rad: 0.5, ..PERFECT };
     let errors = run(&config, robot, 40, 3, sine);
     assert!(errors.end < 0.06, "{errors:?}");
@@ -255,7 +255,7 @@ fn position_alone_determines_yaw_while_driving() {
 
 #[test]
 fn yaw_alone_is_refused() {
-    let config = Config { measure: vec![Measured::Yaw], ..Config::default() };
+    let config = Config { measure: vec![Measured::Yaw], ..at_once() };
     assert!(Estimator::new(&config).unwrap_err().to_string().contains("rank 1 of 3"));
 }
 
@@ -263,6 +263,6 @@ fn yaw_alone_is_refused() {
 fn a_steering_offset_that_odometry_sees_costs_3_cm_in_the_scaled_profile() {
     // Play of 0.006 rad, used up on one side: 0.032 rad/s that the model does not know.
     let robot = Robot { steering_offset: 0.006, odometry_longitudinal: 0.01, ..PERFECT };
-    let errors = run(&Config::default(), robot, 20, 1, sine);
+    let errors = run(&at_once(), robot, 20, 1, sine);
     assert!(errors.max < 0.03, "{errors:?}");
 }

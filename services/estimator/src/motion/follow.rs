@@ -1,0 +1,131 @@
+//! The motion of a robot whose speed and steering angle lag behind the desired ones.
+
+use vehicle::State;
+use vehicle::integrate::MAX_STEP_S;
+
+use super::{ControlInForce, MotionModel, MotionState, runge_kutta};
+
+/// Step per speed [s^2/m]: the lateral motion settles at 35 1/s times 1 m/s over the speed, so a step is a third of that.
+const STEP_PER_SPEED: f64 = 0.01;
+
+/// Longest step [s]: the lags are a straight line in it to 1e-4 of a step of the target.
+const LONGEST_STEP_S: f64 = 0.005;
+
+/// Standard deviation of a number that is anywhere between two bounds, as share of their distance.
+const UNIFORM: f64 = 0.289;
+
+/// Speed and steering angle of the wheels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Wheels {
+    speed: f64,
+    steering: f64,
+}
+
+impl Wheels {
+    /// The wheels some seconds later under one control; without a control they stay as they are.
+    fn after(self, model: &MotionModel, control: Option<&ControlInForce>, seconds: f64) -> Self {
+        let speed = speed_after(model, control, self.speed, seconds);
+        let steering = match control {
+            Some(control) if control.drives == 1 => {
+                model.steering_lag.after(self.steering, control.steering_rad, seconds)
+            }
+            _ => self.steering,
+        };
+        Self { speed, steering }
+    }
+}
+
+fn speed_after(model: &MotionModel, control: Option<&ControlInForce>, speed: f64, seconds: f64) -> f64 {
+    match control {
+        Some(control) if control.drives == 1 => {
+            model.velocity_lag.after(speed, control.velocity_mps.max(0.0), seconds)
+        }
+        Some(_) => (speed - model.blocked_deceleration_mps2 * seconds).max(0.0),
+        None => speed,
+    }
+}
+
+impl MotionState {
+    /// The speed at the end of an interval by the controls alone.
+    pub(super) fn speed_after(&self, model: &MotionModel, speed: f64, from_ns: u64, to_ns: u64) -> f64 {
+        let (mut speed, mut start_ns) = (speed, from_ns);
+        while start_ns < to_ns {
+            let (control, end_ns) = self.piece(start_ns, to_ns);
+            speed = speed_after(model, control.as_ref(), speed, (end_ns - start_ns) as f64 * 1e-9);
+            start_ns = end_ns;
+        }
+        speed
+    }
+
+    /// The state at the end of an interval, and the standard deviations of the distance and the yaw because of what is
+    /// not measured; leaves speed and steering angle in `self`.
+    ///
+    /// The difference of measured and assumed speed is taken to have grown evenly over the interval. The distance may
+    /// differ by anything up to the difference times the interval, and the yaw by the angle between wheels and target.
+    pub(super) fn follow(
+        &mut self,
+        model: &MotionModel,
+        mut state: State,
+        from_ns: u64,
+        to_ns: u64,
+        measured: Option<f64>,
+    ) -> (State, f64, f64) {
+        let seconds = to_ns.saturating_sub(from_ns) as f64 * 1e-9;
+        if seconds <= 0.0 {
+            return (state, 0.0, 0.0);
+        }
+        let assumed = self.speed_after(model, self.speed_mps, from_ns, to_ns);
+        let growth = measured.map_or(0.0, |measured| model.speed_weight * (measured - assumed) / seconds);
+        let mut wheels = Wheels { speed: self.speed_mps, steering: self.steering_rad };
+        let (mut start_ns, mut turned) = (from_ns, 0.0);
+        while start_ns < to_ns {
+            let (control, end_ns) = self.piece(start_ns, to_ns);
+            let control = control.as_ref();
+            let duration = (end_ns - start_ns) as f64 * 1e-9;
+            let offset = |at_s: f64| growth * ((start_ns - from_ns) as f64 * 1e-9 + at_s);
+            let steps = steps(
+                wheels.speed + offset(0.0),
+                wheels.after(model, control, duration).speed + offset(duration),
+                duration,
+            );
+            let step_s = duration / steps;
+            for step in 0..steps as usize {
+                let next = wheels.after(model, control, step_s);
+                let speed = (wheels.speed + next.speed) / 2.0 + offset((step as f64 + 0.5) * step_s);
+                let steering = (wheels.steering + next.steering) / 2.0;
+                if speed > 0.0 {
+                    state = runge_kutta(&model.parameters, &state, speed, steering, step_s);
+                    turned += speed
+                        * step_s
+                        * control.map_or(0.0, |control| (control.steering_rad - steering).abs());
+                } else {
+                    (state.sideslip, state.yaw_rate) = (0.0, 0.0);
+                }
+                wheels = next;
+            }
+            start_ns = end_ns;
+        }
+        self.speed_mps = (wheels.speed + growth * seconds).max(0.0);
+        self.steering_rad = wheels.steering;
+        if self.speed_mps <= 0.0 {
+            (state.sideslip, state.yaw_rate) = (0.0, 0.0);
+        }
+        let ahead_m = UNIFORM * growth.abs() * seconds * seconds;
+        (state, ahead_m, UNIFORM * curvature_per_angle(model) * turned)
+    }
+}
+
+/// Number of equal steps for a piece between two speeds; one where the robot stands throughout.
+fn steps(from_mps: f64, to_mps: f64, duration: f64) -> f64 {
+    if from_mps <= 0.0 && to_mps <= 0.0 {
+        return 1.0;
+    }
+    let longest = (STEP_PER_SPEED * from_mps.min(to_mps)).clamp(MAX_STEP_S, LONGEST_STEP_S);
+    (duration / longest).ceil()
+}
+
+/// Curvature of the path per steering angle for small angles [1/m].
+fn curvature_per_angle(model: &MotionModel) -> f64 {
+    let parameters = &model.parameters;
+    (parameters.rear_m + parameters.front_m) / (parameters.rear_m.powi(2) + parameters.front_m.powi(2))
+}
