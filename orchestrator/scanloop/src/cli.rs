@@ -202,9 +202,9 @@ pub struct PriceArguments {
     /// Number of seeds under each condition; a gap counts as passed if the robot passes it with every seed.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
     pub seeds: u64,
-    /// Preset of the robot.
-    #[arg(long, value_enum, value_name = "PRESET")]
-    pub robot: Option<RobotPreset>,
+    /// Preset of the true robot.
+    #[arg(long, value_enum, value_name = "PRESET", default_value_t)]
+    pub robot: RobotPreset,
     /// Print JSON to standard output.
     #[arg(long)]
     pub json: bool,
@@ -217,11 +217,12 @@ pub struct PriceArguments {
 }
 
 /// A set of values for the true robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
 pub enum RobotPreset {
     /// Follows every command at once.
     Ideal,
-    /// A believable robot.
+    /// A believable robot, with delays, lags and slipping tyres.
+    #[default]
     Summit,
 }
 

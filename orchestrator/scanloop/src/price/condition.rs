@@ -4,10 +4,8 @@
 //! condition that a run would refuse is refused here with the same message.
 
 use console::exit::Failure;
-use emulator::scenario::Robot;
 use plan::{Choice, Plan};
 use serde::Serialize;
-use vehicle::Setting;
 
 use super::course;
 use crate::cli::PriceArguments;
@@ -61,7 +59,7 @@ pub(super) fn base(arguments: &PriceArguments) -> anyhow::Result<Plan> {
 /// # Errors
 /// As [`base`].
 pub(super) fn read(arguments: &PriceArguments, overrides: &[String]) -> anyhow::Result<Plan> {
-    let preset = arguments.robot.iter().map(|robot| format!("robot.preset={}", robot.name()));
+    let preset = std::iter::once(format!("robot.preset={}", arguments.robot.name()));
     let own = preset.chain(arguments.choice.overrides.iter().cloned());
     let overrides = own.chain(overrides.iter().cloned()).collect();
     Plan::read(Some("free"), &Choice { overrides, ..arguments.choice.clone() })
@@ -86,11 +84,11 @@ fn of_latency(base: &Plan, latency_ms: f64) -> Condition {
     if latency_ms == 0.0 {
         return unchanged;
     }
-    let described_s = base.system.vehicle.command_delay_s + latency_ms * 1e-3;
-    let mut overrides = vec![format!("vehicle.command_delay_s={described_s:?}")];
-    if Robot::keys().iter().any(|key| key.name == "command_delay_s") {
-        overrides.push(format!("robot.command_delay_s={:?}", latency_ms * 1e-3));
-    }
+    let added_s = latency_ms * 1e-3;
+    let described_s = base.system.vehicle.command_delay_s + added_s;
+    let true_s = base.scenario.robot_values().command_delay_s + added_s;
+    let overrides =
+        vec![format!("vehicle.command_delay_s={described_s:?}"), format!("robot.command_delay_s={true_s:?}")];
     Condition { latency_ms, overrides, ..unchanged }
 }
 
@@ -119,6 +117,8 @@ fn of_pose_sigma(base: &Plan, pose_sigma_m: f64) -> Condition {
 
 #[cfg(test)]
 mod tests {
+    use emulator::scenario::Values;
+
     use super::*;
 
     #[test]
@@ -132,6 +132,10 @@ mod tests {
             let plan = read(&arguments, &condition.overrides).unwrap();
             let added_s = plan.system.vehicle.command_delay_s - base.system.vehicle.command_delay_s;
             assert!((added_s - condition.latency_ms * 1e-3).abs() < 1e-12);
+            let [truth, unchanged] = [&plan, &base].map(|plan| plan.scenario.robot_values());
+            let added_s = truth.command_delay_s - unchanged.command_delay_s;
+            assert!((added_s - condition.latency_ms * 1e-3).abs() < 1e-12);
+            assert_eq!(Values { command_delay_s: unchanged.command_delay_s, ..truth }, unchanged);
             assert_eq!(plan.system.rate_hz, condition.rate_hz);
             assert!((plan.system.controller.period_s - condition.rate_hz.recip()).abs() < 1e-12);
             assert_eq!(plan.scenario.noise.odometry_m, condition.pose_sigma_m);
