@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use conformance::ConformanceArguments;
 use plan::Choice;
 use session::arguments::{AdoptArguments, RunArguments};
@@ -113,6 +113,15 @@ pub enum Command {
     /// ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`,
     /// `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
+    /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
+    ///
+    /// Under each condition the robot drives through gaps between two boxes, which are bisected to 1 cm, and towards a box
+    /// that closes the track suddenly. The drives run in one process, in simulated time, on all cores. The picture
+    /// `price.svg` shows the figures. Exit code 3 if the robot touched a box. JSON keys: `rows` with `varied` (`latency`,
+    /// `rate`, `pose_sigma`), `latency_ms` (added), `rate_hz`, `pose_sigma_m`, `smallest_gap_m` and `stopping_distance_m`
+    /// (null if there is none), `speed_mps`, `notes`; `costs` with `latency_10_ms`, `half_rate` and `pose_sigma_1_cm`, each
+    /// with `gap_m` and `stopping_distance_m`; `body_width_m`, `contacts`.
+    Price(PriceArguments),
     /// Measure parts of the loop.
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -188,6 +197,46 @@ pub struct CampaignArguments {
     /// Folder for the scenario files of bad courses.
     #[arg(long, value_name = "DIR", default_value = "out/campaign", value_parser = console::output::folder())]
     pub out: PathBuf,
+}
+
+/// Arguments of `price`.
+#[derive(Debug, Args, Default)]
+pub struct PriceArguments {
+    /// Number of seeds under each condition; a gap counts as passed if the robot passes it with every seed.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    pub seeds: u64,
+    /// Preset of the true robot.
+    #[arg(long, value_enum, value_name = "PRESET", default_value_t)]
+    pub robot: RobotPreset,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Folder for the picture.
+    #[arg(long, value_name = "DIR", default_value = "out/price", value_parser = console::output::folder())]
+    pub out: PathBuf,
+    /// The choice of robot and system.
+    #[command(flatten)]
+    pub choice: Choice,
+}
+
+/// A set of values for the true robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum RobotPreset {
+    /// Follows every command at once.
+    Ideal,
+    /// A believable robot, with delays, lags and slipping tyres.
+    #[default]
+    Summit,
+}
+
+impl RobotPreset {
+    /// Its name as value of `robot.preset`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ideal => "ideal",
+            Self::Summit => "summit",
+        }
+    }
 }
 
 /// What to show of the topics.

@@ -7,6 +7,7 @@ mod campaign;
 mod check;
 pub mod cli;
 mod live_latency;
+mod price;
 mod reference;
 mod service;
 pub mod shadow;
@@ -86,6 +87,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),
+        Command::Price(arguments) => price::price(arguments),
         Command::Bench(command) => {
             runtime::start_logging();
             bench::bench(&cli.system_id, command)

@@ -228,6 +228,7 @@ fn a_folder_that_cannot_be_written_to_is_refused_before_anything_is_started() {
         &["run"][..],
         &["adopt"],
         &["campaign", "--runs", "1"],
+        &["price"],
         &["calibrate", "velocity", "--drive"],
         &["analyse", "observability"],
         &["bench", "latency"],

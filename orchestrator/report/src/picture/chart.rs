@@ -14,6 +14,10 @@ const HEIGHT: u32 = 560;
 const HEAD: u32 = 84;
 /// Height of a further row of the legend [pixels].
 const ROW: u32 = 22;
+/// Height of a row of charts with its head [pixels].
+const ROW_HEIGHT: u32 = 420;
+/// Width for one number at the horizontal axis [pixels].
+const LABEL: u32 = 85;
 /// Limits.
 const LIMIT: RGBColor = RGBColor(190, 60, 30);
 /// One colour per curve, distinguishable in grey too.
@@ -76,28 +80,55 @@ pub fn draw(chart: &Chart) -> Result<String> {
         text(&top, &chart.title, 19, LEFT, 20)?;
         text(&top, &chart.subtitle, 13, LEFT, 44)?;
         legend.draw(&top)?;
-        curves(&below, chart)
+        curves(&below, chart, std::slice::from_ref(chart))
     })
 }
 
-fn curves(area: &Area<'_>, chart: &Chart) -> Result<()> {
-    let place = |point: &[f64; 2]| {
-        let value = if chart.logarithmic { point[1].log10() } else { point[1] };
-        let x = if chart.logarithmic_x { point[0].log10() } else { point[0] };
+/// Draws charts side by side as the text of an SVG file: the same curves over several quantities.
+///
+/// The charts have one vertical range, and the legend of the first one.
+///
+/// # Errors
+/// [`super::PictureError`] when the drawing library refuses.
+pub fn draw_row(title: &str, subtitle: &str, charts: &[Chart]) -> Result<String> {
+    svg(ROW_HEIGHT, |root| {
+        let (top, below) = root.split_vertically(fine(HEAD));
+        text(&top, title, 19, LEFT, 20)?;
+        text(&top, subtitle, 13, LEFT, 44)?;
+        charts.first().map_or(Ok(()), |chart| Legend::of(chart).draw(&top))?;
+        let areas = below.split_evenly((1, charts.len().max(1)));
+        areas.iter().zip(charts).try_for_each(|(area, chart)| curves(area, chart, charts))
+    })
+}
+
+impl Chart {
+    /// A point as it is drawn, if it can be.
+    fn place(&self, point: &[f64; 2]) -> Option<(f64, f64)> {
+        let value = if self.logarithmic { point[1].log10() } else { point[1] };
+        let x = if self.logarithmic_x { point[0].log10() } else { point[0] };
         (x.is_finite() && value.is_finite()).then_some((x, value))
-    };
-    let all: Vec<(f64, f64)> = chart
-        .curves
-        .iter()
-        .flat_map(|curve| &curve.points)
-        .chain(chart.mark.iter().map(|mark| &mark.1))
-        .filter_map(place)
-        .collect();
-    let limits: Vec<f64> =
-        chart.limits.iter().filter_map(|(_, value)| place(&[1.0, *value])).map(|(_, value)| value).collect();
-    let (left, right) = range(all.iter().map(|point| point.0), 0.0);
-    let heights = all.iter().map(|point| point.1).chain(limits.iter().copied());
+    }
+
+    /// All points of curves and mark.
+    fn points(&self) -> impl Iterator<Item = (f64, f64)> {
+        let points = self.curves.iter().flat_map(|curve| &curve.points);
+        points.chain(self.mark.iter().map(|mark| &mark.1)).filter_map(|point| self.place(point))
+    }
+
+    /// Heights of the limits.
+    fn heights(&self) -> impl Iterator<Item = f64> {
+        self.limits.iter().filter_map(|(_, value)| self.place(&[1.0, *value])).map(|(_, value)| value)
+    }
+}
+
+/// Draws a chart with the vertical range of several.
+fn curves(area: &Area<'_>, chart: &Chart, together: &[Chart]) -> Result<()> {
+    let place = |point: &[f64; 2]| chart.place(point);
+    let (left, right) = range(chart.points().map(|point| point.0), 0.0);
+    let heights =
+        together.iter().flat_map(|chart| chart.points().map(|point| point.1).chain(chart.heights()));
     let (low, high) = range(heights, if chart.logarithmic { 0.15 } else { 0.06 });
+    let across = area.dim_in_pixel().0 as usize / fine(LABEL) as usize;
     let mut axes = ChartBuilder::on(area)
         .margin_top(fine(6))
         .margin_bottom(fine(8))
@@ -109,7 +140,7 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<()> {
     let decimals = if right - left < 1.0 { 2 } else { usize::from(right - left < 5.0) };
     let logarithmic = chart.logarithmic;
     mesh(&mut axes)
-        .x_labels(14)
+        .x_labels(across)
         .y_labels(8)
         .x_label_formatter(&|value| match value.fract().abs() > 1e-6 {
             _ if chart.logarithmic_x => significant(10f64.powf(*value)),
@@ -123,7 +154,7 @@ fn curves(area: &Area<'_>, chart: &Chart) -> Result<()> {
         .x_desc(&chart.x)
         .y_desc(&chart.y)
         .draw()?;
-    for limit in limits {
+    for limit in chart.heights() {
         let (ends, style) = ([(left, limit), (right, limit)], LIMIT.stroke_width(fine(1) as u32));
         axes.draw_series(DashedLineSeries::new(ends, fine(8), fine(5), style))?;
     }
@@ -231,6 +262,25 @@ mod tests {
             assert!(svg.contains(name), "{name}");
         }
         assert!(Legend::of(&chart).rows > 1);
+    }
+
+    #[test]
+    fn charts_in_a_row_have_one_vertical_range() {
+        let chart = |x: &str, highest: f64| Chart {
+            x: x.to_owned(),
+            curves: vec![Curve { points: vec![[0.0, 0.0], [1.0, highest]], ..Curve::default() }],
+            ..Chart::default()
+        };
+        let curve = |highest: f64| {
+            let svg = draw_row("costs", "three", &[chart("latency", 1.0), chart("rate", highest)]).unwrap();
+            assert!(["costs", "three", "latency", "rate"].iter().all(|text| svg.contains(text)));
+            let line = svg.split("stroke=\"#005C9E\" stroke-width=\"8\" points=\"").nth(2).unwrap();
+            line.split('"').next().unwrap().to_owned()
+        };
+        // The first panel alone would look the same in both pictures.
+        assert_eq!(curve(1.0), curve(1.0));
+        assert_ne!(curve(1.0), curve(100.0));
+        draw_row("", "", &[]).unwrap();
     }
 
     #[test]
