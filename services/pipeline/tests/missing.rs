@@ -1,4 +1,5 @@
 //! Scans that are missing at the scanner, and stamps that err, in the loop of one process.
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 use emulator::{Outcome, Scenario};
 use pipeline::{Settings, drive};
