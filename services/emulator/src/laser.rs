@@ -1,8 +1,8 @@
 //! The emulated Hokuyo URG-04LX.
 //!
-//! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it, and covers 240 deg. Its beams are taken one after the other: each starts
-//! where the robot is at that beam's time, and hits what is there at that time, so the scan of a moving robot is
-//! skewed. The body of the robot is not seen.
+//! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it, and covers 240 deg.
+//! Its beams are taken one after the other: each starts where the scanner is at that beam's time, and hits what is there
+//! at that time, so the scan of a moving robot is skewed. The body of the robot is not seen.
 //!
 //! Noise, in this order: a beam across an edge may mix both distances (`noise.mixed_pixels`), the range gets
 //! normal noise of `noise.range_m` or of the share `noise.range_share` of the range, whichever is larger, and a

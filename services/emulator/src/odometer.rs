@@ -1,9 +1,10 @@
 //! The emulated odometry: the true motion with the errors that (7.36)-(7.40) correct, or wheel encoders and a gyro.
 //!
 //! (7.39) and (7.40) correct a reported increment by v dt R(yaw) (df, ds), with ds growing at the rate dds (7.38).
-//! The odometer of `odometry_model = "source"` has exactly this error: true increment = reported + v dt R(yaw) (df, ds).
-//! The error accumulates; noise does not: it is white on the reported pose. Yaw has noise only, and may be off by a
-//! constant from some moment on, like a compass that passes a magnet. The speed is the true one.
+//! The odometer of `odometry_model = "source"` has exactly this error:
+//! true increment = reported + v dt R(yaw) (df, ds). The error accumulates; noise does not: it is white on the reported
+//! pose. Yaw has noise only, and may be off by a constant from some moment on, like a compass that passes a magnet. The
+//! speed is the true one.
 //!
 //! With `"encoders"`, the distance comes from wheel encoders in steps of 1 mm, with the scale error df and slip, and the
 //! yaw is the integral of a gyro with white noise and a bias that walks at random. The reported position is integrated
