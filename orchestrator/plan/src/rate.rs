@@ -1,6 +1,6 @@
 //! Whether the robot can stop in time at a scan rate.
 
-use nmpc::speed_limit;
+use nmpc::{Config, speed_limit};
 use vehicle::{Description, Invalid};
 
 /// Rates that a system file may have [Hz].
@@ -12,13 +12,13 @@ const PRECISION: f64 = 1e-4;
 ///
 /// # Errors
 /// [`Invalid`] with the rate, the smallest allowed one, and the other keys that decide it.
-pub(crate) fn require_safe_speed(vehicle: &Description, rate_hz: f64) -> Result<(), Invalid> {
-    if has_safe_speed(vehicle, rate_hz) {
+pub(crate) fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<(), Invalid> {
+    if has_safe_speed(controller, rate_hz) {
         return Ok(());
     }
-    let Description { sudden_m, blocked_deceleration_mps2, bounds, .. } = vehicle;
+    let Description { sudden_m, blocked_deceleration_mps2, bounds, .. } = &controller.vehicle;
     let slowest_mps = bounds.velocity_min_mps;
-    let rates = match smallest_rate(vehicle) {
+    let rates = match smallest_rate(controller) {
         Some(rate_hz) => format!("at least {rate_hz}"),
         None => "no rate".to_owned(),
     };
@@ -29,19 +29,20 @@ pub(crate) fn require_safe_speed(vehicle: &Description, rate_hz: f64) -> Result<
     Err(Invalid::new("rate_hz", rate_hz, allowed))
 }
 
-fn has_safe_speed(vehicle: &Description, rate_hz: f64) -> bool {
-    speed_limit(vehicle, 1.0 / rate_hz) >= vehicle.bounds.velocity_min_mps
+fn has_safe_speed(controller: &Config, rate_hz: f64) -> bool {
+    let controller = Config { period_s: 1.0 / rate_hz, ..controller.clone() };
+    speed_limit(&controller) >= controller.vehicle.bounds.velocity_min_mps
 }
 
 /// The smallest rate with a safe speed, rounded up to three decimals; the speed limit grows with the rate [Hz].
-fn smallest_rate(vehicle: &Description) -> Option<f64> {
+fn smallest_rate(controller: &Config) -> Option<f64> {
     let [mut low, mut high] = RATES_HZ;
-    if !has_safe_speed(vehicle, high) {
+    if !has_safe_speed(controller, high) {
         return None;
     }
     while high > low * (1.0 + PRECISION) {
         let middle = (low * high).sqrt();
-        if has_safe_speed(vehicle, middle) { high = middle } else { low = middle }
+        if has_safe_speed(controller, middle) { high = middle } else { low = middle }
     }
     Some((high * 1e3).ceil() / 1e3)
 }
@@ -53,12 +54,13 @@ mod tests {
     #[test]
     fn the_smallest_rate_in_the_message_is_the_limit() {
         let vehicle = Description { sudden_m: 0.3, ..Description::default() };
-        assert_eq!(require_safe_speed(&vehicle, 10.0), Ok(()));
-        let refused = require_safe_speed(&vehicle, 0.5).unwrap_err();
+        let controller = Config { vehicle, ..Config::default() };
+        assert_eq!(require_safe_speed(&controller, 10.0), Ok(()));
+        let refused = require_safe_speed(&controller, 0.5).unwrap_err();
         let named: f64 =
             refused.allowed.split(&[' ', ','][..]).find_map(|word| word.parse().ok()).expect("a rate");
-        assert_eq!(require_safe_speed(&vehicle, named), Ok(()));
-        assert!(require_safe_speed(&vehicle, 0.99 * named).is_err());
+        assert_eq!(require_safe_speed(&controller, named), Ok(()));
+        assert!(require_safe_speed(&controller, 0.99 * named).is_err());
         assert_eq!(refused.key, "rate_hz");
         for name in ["vehicle.sudden_m = 0.3", "vehicle.blocked_deceleration_mps2 = 5"] {
             assert!(refused.to_string().contains(name), "{refused}");
@@ -70,7 +72,7 @@ mod tests {
         let mut vehicle =
             Description { sudden_m: 0.1, blocked_deceleration_mps2: 0.1, ..Description::default() };
         vehicle.bounds.velocity_min_mps = 1.0;
-        let refused = require_safe_speed(&vehicle, 10.0).unwrap_err();
+        let refused = require_safe_speed(&Config { vehicle, ..Config::default() }, 10.0).unwrap_err();
         assert!(refused.allowed.starts_with("no rate, "), "{refused}");
     }
 }

@@ -119,7 +119,7 @@ impl System {
                 ));
             }
         }
-        require_safe_speed(&self.controller.vehicle, self.rate_hz)?;
+        require_safe_speed(&self.controller, self.rate_hz)?;
         self.tuning().validate()
     }
 }

@@ -55,7 +55,7 @@ settings! {
         /// Weight of the speed measured at the wheels; the desired speed has the remaining weight.
         pub speed_weight: f64 = 1.0, 0.0..=1.0;
         /// Fraction of the steering lag by which the pose is predicted further than the delay of the command.
-        pub lead_share: f64 = 1.0, 0.0..=1.0;
+        pub lead_share: f64 = 0.5, 0.0..=1.0;
         /// Factor on the standard deviations of slip, gyro noise and gyro bias in the covariance of the pose; 0 with profile
         /// `source`.
         pub drift_scale: f64 = 1.0, 0.0..=100.0;

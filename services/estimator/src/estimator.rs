@@ -19,6 +19,7 @@ use vehicle::Invalid;
 use vehicle::correction::SENT_STEERING_MAX_RAD;
 use vehicle::frame::wrap_angle;
 
+use crate::config::SCALED_NOISE;
 use crate::correction::{CorrectionState, Planar};
 use crate::dead_reckoning::Step;
 use crate::ekf::{Ekf, Innovation, NotPositive};
@@ -31,7 +32,7 @@ use crate::{Config, EstimatorState, Settings};
 const FARTHEST_M: f64 = 1e6;
 
 /// Longest prediction ahead [ns]: commands for older scans are not driven.
-const MAX_AHEAD_NS: u64 = 500_000_000;
+const MAX_AHEAD_NS: u64 = 1_000_000_000;
 
 /// 99.9 % quantiles of the chi-squared distribution with one, two and three degrees of freedom.
 const GATE: [f64; 3] = [10.828, 13.816, 16.266];
@@ -352,7 +353,7 @@ impl Estimator {
         let predicted =
             ahead.advance(&self.settings.motion, Planar { yaw, x, y }, acquired_ns, predicted_ns, None).pose;
         let local_covariance = self.local_covariance();
-        let mut covariance = local_covariance;
+        let mut covariance = if self.settings.noise_turns { local_covariance } else { self.state.covariance };
         let drift = self.state.drift.of_pose();
         covariance.iter_mut().zip(drift.as_slice()).for_each(|(sum, drift)| *sum += drift);
         let mut gain = [0.0; 9];
@@ -385,9 +386,16 @@ impl Estimator {
     }
 
     /// Covariance of the filter, scaled by how large its innovations really are (the variance of unit weight).
+    ///
+    /// The noise of profile `source` has no unit: its covariance is expressed in units in which the measurement has the noise
+    /// of the scaled profile.
     fn local_covariance(&self) -> [f64; 9] {
-        let factor = if self.settings.gate { self.state.misfit.max(MIN_MISFIT) } else { 1.0 };
-        self.state.covariance.map(|entry| entry * factor)
+        if self.settings.noise_turns {
+            let factor = if self.settings.gate { self.state.misfit.max(MIN_MISFIT) } else { 1.0 };
+            return self.state.covariance.map(|entry| entry * factor);
+        }
+        let unit = |index: usize| (SCALED_NOISE.1[index] / self.settings.measurement_noise[index]).sqrt();
+        std::array::from_fn(|index| self.state.covariance[index] * unit(index / 3) * unit(index % 3))
     }
 
     fn filter(&self) -> Ekf<3> {

@@ -2,9 +2,10 @@
 //!
 //! A stop begins when the obstacle is measured, which is up to one scan period after it appeared, and acts when the data
 //! have their full age. Until then the robot moves on at its speed, and then it slides with blocked wheels. The largest
-//! speed v for a distance d solves v (T + age) + v^2 / (2 a) = d.
+//! speed v for a distance d solves v (T + age) + v^2 / (2 a) = d, where v is a little more than desired and a less than
+//! described.
 
-use vehicle::Description;
+use crate::config::Config;
 
 /// Distance that is left in front of what the robot stops for [m].
 pub(crate) const STOP_MARGIN_M: f64 = 0.05;
@@ -16,24 +17,31 @@ const SWEEP_SHARE: f64 = 1.0 / 3.0;
 pub(crate) struct Stopping {
     /// Time from the appearance of an obstacle until the wheels are blocked, at most [s].
     pub(crate) reaction_s: f64,
-    /// Deceleration while the wheels are blocked [m/s^2].
+    /// Deceleration while the wheels are blocked, at least [m/s^2].
     pub(crate) deceleration_mps2: f64,
+    /// True speed per desired speed, at most.
+    pub(crate) speed_ratio: f64,
 }
 
 impl Stopping {
     /// A stop with data of age `age_s` when they act, and scans every `period_s`.
-    pub(crate) fn new(vehicle: &Description, period_s: f64, age_s: f64) -> Self {
-        Self { reaction_s: period_s + age_s, deceleration_mps2: vehicle.blocked_deceleration_mps2 }
+    pub(crate) fn new(config: &Config, period_s: f64, age_s: f64) -> Self {
+        Self {
+            reaction_s: period_s + age_s,
+            deceleration_mps2: config.vehicle.blocked_deceleration_mps2
+                * (1.0 - config.stop.deceleration_error),
+            speed_ratio: 1.0 + config.stop.speed_error,
+        }
     }
 
     /// Distance until the robot rests [m].
     pub(crate) fn distance(&self, speed: f64) -> f64 {
-        speed * self.reaction_s + self.slide(speed)
+        speed * self.speed_ratio * self.reaction_s + self.slide(speed)
     }
 
     /// Distance that blocked wheels slide [m].
     pub(crate) fn slide(&self, speed: f64) -> f64 {
-        speed * speed / (2.0 * self.deceleration_mps2)
+        (speed * self.speed_ratio).powi(2) / (2.0 * self.deceleration_mps2)
     }
 
     /// Largest speed from which the robot rests within `distance` [m/s]; zero for none.
@@ -42,24 +50,25 @@ impl Stopping {
             return 0.0;
         }
         let delayed = self.reaction_s * self.deceleration_mps2;
-        (delayed * delayed + 2.0 * self.deceleration_mps2 * distance).sqrt() - delayed
+        ((delayed * delayed + 2.0 * self.deceleration_mps2 * distance).sqrt() - delayed) / self.speed_ratio
     }
 }
 
-/// Largest speed at which the robot can stop for something that appears unseen at `vehicle.sudden_m`, with scans every
-/// `period_s` whose commands act as soon as they can [m/s].
-pub fn speed_limit(vehicle: &Description, period_s: f64) -> f64 {
-    let age_s = SWEEP_SHARE * period_s + vehicle.command_delay_s;
-    Stopping::new(vehicle, period_s, age_s).speed(vehicle.sudden_m - STOP_MARGIN_M)
+/// Largest speed at which the robot can stop for something that appears unseen at `config.vehicle.sudden_m`, with scans
+/// every `config.period_s` whose commands act as soon as they can [m/s].
+pub fn speed_limit(config: &Config) -> f64 {
+    let age_s = SWEEP_SHARE * config.period_s + config.vehicle.command_delay_s;
+    Stopping::new(config, config.period_s, age_s).speed(config.vehicle.sudden_m - STOP_MARGIN_M)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vehicle::Description;
 
     #[test]
     fn the_speed_for_a_distance_needs_just_that_distance() {
-        let stopping = Stopping { reaction_s: 0.25, deceleration_mps2: 5.0 };
+        let stopping = Stopping { reaction_s: 0.25, deceleration_mps2: 5.0, speed_ratio: 1.0 };
         // 1 m/s: 0.25 m until the wheels are blocked and 0.1 m until they rest.
         assert!((stopping.distance(1.0) - 0.35).abs() < 1e-12);
         assert!((stopping.speed(0.35) - 1.0).abs() < 1e-12);
@@ -70,10 +79,12 @@ mod tests {
     #[test]
     fn the_limit_contains_braking_period_age_delay_and_sudden_distance() {
         let vehicle = Description::default();
-        let limit = speed_limit(&vehicle, 0.1);
-        // v (0.1 + 0.0333 + 0.02) + v^2 / 10 = 1.15.
-        assert!((limit * (0.4 / 3.0 + 0.02) + limit * limit / 10.0 - 1.15).abs() < 1e-12);
-        let slower = |changed: Description, period_s| speed_limit(&changed, period_s) < limit;
+        let of = |vehicle, period_s| speed_limit(&Config { vehicle, period_s, ..Config::default() });
+        let limit = of(vehicle, 0.1);
+        // v (0.1 + 0.0333 + 0.02) + v^2 / (2 * 0.8 * 5) = 1.15, with a true speed v 5 % above the limit.
+        let fast = 1.05 * limit;
+        assert!((fast * (0.4 / 3.0 + 0.02) + fast * fast / 8.0 - 1.15).abs() < 1e-12);
+        let slower = |changed: Description, period_s| of(changed, period_s) < limit;
         assert!(slower(Description { blocked_deceleration_mps2: 4.0, ..vehicle }, 0.1));
         assert!(slower(Description { command_delay_s: 0.03, ..vehicle }, 0.1));
         assert!(slower(Description { sudden_m: 1.1, ..vehicle }, 0.1));

@@ -16,6 +16,10 @@ settings! {
     pub struct StopSettings {
         /// If the slack of a blocked path is at least this, the robot stops at any distance from it.
         pub slack: f64 = 0.05, 0.0..=1.0;
+        /// How much faster than desired the robot may be, as a fraction.
+        pub speed_error: f64 = 0.05, 0.0..=1.0;
+        /// How much less than described blocked wheels may decelerate, as a fraction.
+        pub deceleration_error: f64 = 0.2, 0.0..=0.9;
         /// Velocity towards a blocked path until the rule stops the robot [m/s].
         pub approach_mps: f64 = 0.6, 0.1..=1.0;
         /// Smallest number of scans for which a stop is held.

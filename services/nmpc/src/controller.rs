@@ -246,7 +246,7 @@ impl Controller {
     fn start(&self, pose: &Pose, initial: State, period_s: f64) -> Start {
         let Config { vehicle, careful_mps, .. } = &self.config;
         let margin = MarginModel::of(&self.config, pose);
-        let stopping = Stopping::new(vehicle, period_s, margin.age_s());
+        let stopping = Stopping::new(&self.config, period_s, margin.age_s());
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { *careful_mps };
         let limit_mps = stopping.speed(vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
         Start { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
