@@ -248,7 +248,7 @@ impl Estimator {
             let in_force = self.state.motion.in_force(acquired_ns);
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
-                speed_mps: self.state.motion.speed_mps,
+                speed_mps: plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps),
                 desired_mps: in_force
                     .filter(|control| control.drives == 1)
                     .map(|control| control.velocity_mps),

@@ -107,8 +107,8 @@ impl ObstacleDetector {
             track.predict(elapsed);
         }
         let mut overflow = 0;
-        if let Some(place) = &Place::of(pose) {
-            self.pose = [place.at.x, place.at.y, place.yaw];
+        if let Some(place) = &Place::of(pose, &self.config.vehicle) {
+            self.pose = [pose.x_m, pose.y_m, pose.yaw_rad];
             self.outline(scan, place);
             self.associate(place);
             self.sight(place, elapsed);

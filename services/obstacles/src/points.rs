@@ -5,11 +5,12 @@
 //! accurate to a millimetre. Error codes are no returns. All 240 deg are placed: the window of the source decides
 //! only which points may start an obstacle, the rest keeps track of bodies beside the robot.
 //!
-//! The scanner is assumed to be at the robot's reference point, as in (7.32) and (7.33).
+//! (7.32) and (7.33) have the scanner at the robot's reference point; here it may be anywhere on the body.
 
 use nalgebra::Vector2;
 use shared_types::{BEAMS, Pose, Scan};
-use vehicle::frame::heading;
+use vehicle::Description;
+use vehicle::frame::{heading, to_track};
 
 /// Longest reading that is a return [m]; the device measures to 5.6 m, noise may add to that.
 pub(crate) const MAX_RANGE_M: f64 = 5.75;
@@ -25,12 +26,12 @@ pub(crate) struct Point {
     pub(crate) beam: usize,
 }
 
-/// A usable pose with the velocities that placing needs.
+/// A usable pose of the scanner with the velocities that placing needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
-    /// Position at the front beam [m].
+    /// Position of the scanner at the front beam [m].
     pub(crate) at: Vector2<f64>,
-    /// Yaw at the front beam [rad].
+    /// Direction of the front beam [rad].
     pub(crate) yaw: f64,
     /// Velocity over ground at the front beam [m/s].
     velocity: Vector2<f64>,
@@ -42,7 +43,7 @@ impl Place {
     /// The pose, `None` when it is not finite or far out of bounds.
     ///
     /// Speeds above 5 m/s and yaw rates above 3 rad/s are impossible for this robot and replaced by zero.
-    pub(crate) fn of(pose: &Pose) -> Option<Self> {
+    pub(crate) fn of(pose: &Pose, vehicle: &Description) -> Option<Self> {
         let Pose { x_m, y_m, yaw_rad, speed_mps, sideslip_rad, yaw_rate_radps, .. } = *pose;
         let usable = x_m.abs() < 1e6 && y_m.abs() < 1e6 && yaw_rad.abs() < 1e3;
         if !usable {
@@ -52,8 +53,11 @@ impl Place {
         let yaw_rate = if yaw_rate_radps.abs() <= 3.0 { yaw_rate_radps } else { 0.0 };
         let sideslip = if sideslip_rad.abs() <= 1.6 { sideslip_rad } else { 0.0 };
         let (sin, cos) = (yaw_rad + sideslip).sin_cos();
-        let at = Vector2::new(x_m, y_m);
-        Some(Self { at, yaw: yaw_rad, velocity: Vector2::new(speed * cos, speed * sin), yaw_rate })
+        let offset = to_track(yaw_rad, vehicle.scanner_x_m, vehicle.scanner_y_m);
+        // The scanner moves with the centre of the robot and around it.
+        let velocity = Vector2::new(speed * cos - yaw_rate * offset.y, speed * sin + yaw_rate * offset.x);
+        let at = Vector2::new(x_m, y_m) + offset;
+        Some(Self { at, yaw: yaw_rad + vehicle.scanner_yaw_rad, velocity, yaw_rate })
     }
 
     /// A robot that stands still.
@@ -115,7 +119,7 @@ mod tests {
         scan.ranges_mm[0] = 2000;
         scan.ranges_mm[340] = 2000;
         scan.ranges_mm[5] = 19;
-        let place = Place::of(&Pose { speed_mps: 1.0, ..Pose::default() }).unwrap();
+        let place = Place::of(&Pose { speed_mps: 1.0, ..Pose::default() }, &Description::default()).unwrap();
         let mut points = Vec::new();
         Beams::new().place(&scan, &place, &mut points);
         assert_eq!(points.len(), 2, "an error code is no return");
@@ -127,8 +131,30 @@ mod tests {
 
     #[test]
     fn an_impossible_pose_is_refused() {
-        assert_eq!(Place::of(&Pose { x_m: f64::NAN, ..Pose::default() }), None);
-        assert_eq!(Place::of(&Pose { yaw_rad: f64::INFINITY, ..Pose::default() }), None);
-        assert!(Place::of(&Pose { speed_mps: f64::NAN, ..Pose::default() }).is_some());
+        assert_eq!(Place::of(&Pose { x_m: f64::NAN, ..Pose::default() }, &Description::default()), None);
+        assert_eq!(
+            Place::of(&Pose { yaw_rad: f64::INFINITY, ..Pose::default() }, &Description::default()),
+            None
+        );
+        assert!(
+            Place::of(&Pose { speed_mps: f64::NAN, ..Pose::default() }, &Description::default()).is_some()
+        );
+    }
+
+    #[test]
+    fn returns_are_placed_from_where_the_scanner_is_mounted() {
+        let mut scan = Scan { sweep_ns: 66_666_667, period_ns: 100_000_000, ..Scan::default() };
+        scan.ranges_mm[340] = 2000;
+        let vehicle = Description {
+            scanner_x_m: 0.2,
+            scanner_y_m: 0.1,
+            scanner_yaw_rad: std::f64::consts::FRAC_PI_2,
+            ..Description::default()
+        };
+        let pose = Pose { x_m: 1.0, yaw_rad: std::f64::consts::FRAC_PI_2, ..Pose::default() };
+        let mut points = Vec::new();
+        Beams::new().place(&scan, &Place::of(&pose, &vehicle).unwrap(), &mut points);
+        // The robot faces left, so 0.2 m ahead is +y and 0.1 m left is -x; the front beam points backwards along x.
+        assert!((points[0].at - Vector2::new(1.0 - 0.1 - 2.0, 0.2)).norm() < 1e-12, "{:?}", points[0].at);
     }
 }

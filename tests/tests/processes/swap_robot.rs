@@ -51,9 +51,10 @@ fn a_swapped_robot_continues_where_it_is() {
     let report = system.report();
     assert_eq!(report.trajectory.len() as u64, report.scans.published, "one truth per scan");
     for certificate in &certificates {
-        // At most the effect of another speed or direction during one scan period.
+        // At most the effect of another speed or direction during one scan period; the drive of the robot changes its speed
+        // by at most 3 m/s^2, which is 3 cm in two periods of 0.1 s.
         let leap_m = leap_at(&report, certificate.first_scan_new.unwrap());
-        assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.01, "{leap_m} {certificate:?}");
+        assert!(leap_m < 0.1 * certificate.command_jump_mps + 0.03, "{leap_m} {certificate:?}");
     }
     assert_eq!(report.outcome, emulator::Outcome::Reached, "{}", report.reason);
     assert_eq!(report.swaps, certificates);

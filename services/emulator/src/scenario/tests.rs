@@ -30,7 +30,9 @@ fn every_shipped_scenario_is_valid_named_as_its_file_and_reads_back_identically(
 fn the_shipped_corridor_is_the_default_with_one_box() {
     let scenario = Scenario::parse(Scenario::shipped("corridor").unwrap(), "corridor").unwrap();
     let shape = Shape::Box { length_m: 0.1, width_m: 0.4, yaw_rad: 0.0 };
-    let expected = Scenario { obstacles: vec![Obstacle::fixed(shape, 5.0, 0.0)], ..Scenario::default() };
+    let robot = Robot { preset: Preset::Summit, ..Robot::default() };
+    let expected =
+        Scenario { obstacles: vec![Obstacle::fixed(shape, 5.0, 0.0)], robot, ..Scenario::default() };
     // The file repeats some values of the preset.
     let resolved = |scenario: Scenario| Scenario {
         robot: scenario.robot.resolved(&vehicle::Description::default(), scenario.seed),

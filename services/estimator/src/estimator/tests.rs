@@ -88,7 +88,7 @@ fn the_prediction_ends_when_the_command_would_act() {
     );
     let (mut estimator, _) = straight(&ideal(), 5);
     let late = estimator.step(&odometry(6, 0.6, 1.0), None, at(600)).unwrap();
-    assert_eq!(late.predicted_ns, 6 * PERIOD_NS + 500_000_000, "an hour is not looked ahead");
+    assert_eq!(late.predicted_ns, 6 * PERIOD_NS + 1_000_000_000, "an hour is not looked ahead");
 }
 
 #[test]

@@ -110,5 +110,9 @@ fn the_printed_profile_has_the_covariance_of_the_filter() {
     let (estimator, pose) = straight(&source(), 100);
     let pose = pose.unwrap();
     assert_eq!(pose.covariance, estimator.state().covariance);
-    assert_eq!(pose.local_covariance, estimator.state().covariance);
+    // In units in which the measured yaw, 1 rad^2, has the noise of the scaled profile, 1e-4 rad^2.
+    assert!((pose.local_covariance[0] / pose.covariance[0] - 1e-4).abs() < 1e-16);
+    // x: 4e-4 m^2 in place of 1, y: 4e-4 in place of 10.
+    assert!((pose.local_covariance[4] / pose.covariance[4] - 4e-4).abs() < 1e-15);
+    assert!((pose.local_covariance[8] / pose.covariance[8] - 4e-5).abs() < 1e-16);
 }
