@@ -21,7 +21,7 @@ const MIN_COSINE: f64 = 0.55;
 /// Curvatures of an arc: this many to each side, and straight.
 const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
-const CELL_M: f64 = 0.08;
+const CELL_M: f64 = 0.1;
 /// The same where every centimetre counts [m].
 const NARROW_CELL_M: f64 = 0.04;
 /// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
@@ -41,14 +41,27 @@ impl Cell {
     const UNREACHED: Self = Self { cost: f64::INFINITY, y: 0.0, parent: 0 };
 }
 
+/// An arc from one course to another.
+#[derive(Debug, Clone, Copy)]
+struct Arc {
+    /// Its lateral rise [m].
+    rise: f64,
+    /// Its cost without that of the lateral position and of obstacles.
+    cost: f64,
+    /// Half extent of the body across the track at its end, and the larger one of both ends [m].
+    extents: [f64; 2],
+    /// First cell of the course at its end.
+    row: usize,
+}
+
 /// The search with its buffers.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Search {
     cells: Vec<Cell>,
     active: Vec<Vec<u32>>,
-    rises: Vec<f64>,
-    /// Half extents of the body across the track, per course.
-    extents: Vec<f64>,
+    arcs: Vec<Arc>,
+    /// Where the arcs of each course begin.
+    arc_offsets: Vec<usize>,
     obstacle_cost: ObstacleCost,
 }
 
@@ -101,52 +114,58 @@ impl Search {
     }
 
     fn tabulate(&mut self, scene: &Scene, grid: &Grid) {
-        self.extents.clear();
-        self.extents.extend((0..grid.courses).map(|course| half_extent(scene, grid.sine(course))));
-        self.rises.clear();
+        let settings = &scene.config.guide;
+        self.arcs.clear();
+        self.arc_offsets.clear();
         for course in 0..grid.courses {
-            for bend in -BENDS..=BENDS {
-                let (from, to) = (grid.sine(course), grid.sine(course + bend));
-                self.rises.push(if to.abs() <= SINE_MAX { rise(from, to, grid.step) } else { f64::NAN });
+            self.arc_offsets.push(self.arcs.len());
+            let from = grid.sine(course);
+            for turn in -BENDS..=BENDS {
+                let (next, curvature) = (course + turn, f64::from(turn) * grid.bend);
+                let to = grid.sine(next);
+                if next < 0 || next >= grid.courses || to.abs() > SINE_MAX {
+                    continue;
+                }
+                let cost =
+                    settings.curvature_weight * curvature * curvature + settings.course_weight * to * to;
+                let extent = half_extent(scene, to);
+                self.arcs.push(Arc {
+                    rise: rise(from, to, grid.step),
+                    cost: grid.step * cost,
+                    extents: [extent, extent.max(half_extent(scene, from))],
+                    row: next as usize * grid.cells,
+                });
             }
         }
+        self.arc_offsets.push(self.arcs.len());
     }
 
     /// Extends every path of one layer by all arcs; with `hard` also by those through obstacles.
     fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, hard: bool) {
         let Scene { config, initial, y_range, .. } = query.scene;
-        let (settings, Grid { step, bend, .. }) = (config.guide, *grid);
+        let (settings, step) = (config.guide, grid.step);
         // How far the robot is outside of its bounds already.
         let allowed = excess(initial.y, y_range);
         let sources = std::mem::take(&mut self.active[layer]);
-        let base = layer * grid.layer_cells();
+        let base = (layer + 1) * grid.layer_cells();
         let crossed = self.obstacle_cost.has_crossing(layer);
         for &source in &sources {
             let Cell { cost, y, .. } = self.cells[source as usize];
-            let course = grid.course(source as usize);
-            for turn in -BENDS..=BENDS {
-                let next = course + turn;
-                if next < 0 || next >= grid.courses {
-                    continue;
-                }
-                let rise = self.rises[(course * (2 * BENDS + 1) + turn + BENDS) as usize];
-                let y_next = y + rise;
+            let course = grid.course(source as usize) as usize;
+            for arc in &self.arcs[self.arc_offsets[course]..self.arc_offsets[course + 1]] {
+                let y_next = y + arc.rise;
                 let Some(cell) = grid.cell(y_next) else { continue };
-                let target = base + grid.layer_cells() + next as usize * grid.cells + cell;
-                let (curvature, sine, offset) =
-                    (f64::from(turn) * bend, grid.sine(next), y_next - config.goal.y_m);
-                let extent = self.extents[next as usize];
-                let from = self.extents[course as usize].max(extent);
-                let mut total = cost
-                    + step
-                        * (settings.lateral_weight * offset * offset
-                            + settings.curvature_weight * curvature * curvature
-                            + settings.course_weight * sine * sine);
+                let target = base + arc.row + cell;
+                let known = self.cells[target].cost;
+                let offset = y_next - config.goal.y_m;
+                let mut total = cost + arc.cost + step * settings.lateral_weight * offset * offset;
                 // All further costs are positive: most arcs end here.
-                if total >= self.cells[target].cost {
+                if total >= known {
                     continue;
                 }
-                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, y + rise / 2.0, step / 2.0, from);
+                let [extent, larger] = arc.extents;
+                let middle = y + arc.rise / 2.0;
+                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
                 total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
                 if crossed {
                     total += settings.switch_cost * self.obstacle_cost.switches(layer, y, y_next);
@@ -155,10 +174,10 @@ impl Search {
                 if outside > 1e-9 {
                     total += HARD * (1.0 + 10.0 * outside);
                 }
-                if (total >= HARD && !hard) || total >= self.cells[target].cost {
+                if (total >= HARD && !hard) || total >= known {
                     continue;
                 }
-                if self.cells[target].cost == f64::INFINITY {
+                if known == f64::INFINITY {
                     self.active[layer + 1].push(target as u32);
                 }
                 self.cells[target] = Cell { cost: total, y: y_next, parent: source };
