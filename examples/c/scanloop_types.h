@@ -110,6 +110,7 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_NO_INPUT = 6, /* No input came in time. */
     SCANLOOP_STOP_REASON_SELF_CHECK = 7, /* The estimator suspects a wrong calibration. */
     SCANLOOP_STOP_REASON_STATE_LOST = 8, /* The state of the process before was lost while the robot drove: it comes to rest first. */
+    SCANLOOP_STOP_REASON_NO_SAFE_SPEED = 9, /* At no speed can the robot stop in time: scans are too rare or the data too old. */
 };
 
 /* What the robot is told. */
@@ -210,6 +211,38 @@ _Static_assert(offsetof(scanloop_obstacle, box_width_m) == 104, "scanloop_obstac
 _Static_assert(offsetof(scanloop_obstacle, box_yaw_rad) == 112, "scanloop_obstacle.box_yaw_rad");
 _Static_assert(offsetof(scanloop_obstacle, unseen_s) == 120, "scanloop_obstacle.unseen_s");
 _Static_assert(offsetof(scanloop_obstacle, sightings) == 128, "scanloop_obstacle.sightings");
+
+/* A part of samples. */
+typedef struct scanloop_margin {
+    double base_m; /* Distance kept in any case [m] */
+    double pose_m; /* Uncertainty of the pose relative to the obstacles, along the plan [m] */
+    double latency_m; /* Speed times the age of the data when the command acts [m] */
+    double model_m; /* Difference between the robot and its description [m] */
+    double perception_m; /* Uncertainty of the described obstacles [m] */
+} scanloop_margin;
+_Static_assert(sizeof(scanloop_margin) == 40, "scanloop_margin");
+_Static_assert(offsetof(scanloop_margin, base_m) == 0, "scanloop_margin.base_m");
+_Static_assert(offsetof(scanloop_margin, pose_m) == 8, "scanloop_margin.pose_m");
+_Static_assert(offsetof(scanloop_margin, latency_m) == 16, "scanloop_margin.latency_m");
+_Static_assert(offsetof(scanloop_margin, model_m) == 24, "scanloop_margin.model_m");
+_Static_assert(offsetof(scanloop_margin, perception_m) == 32, "scanloop_margin.perception_m");
+
+/* A part of samples. */
+typedef struct scanloop_blocking {
+    double x_m; /* Position of its centre along the track [m] */
+    double y_m; /* Lateral position of its centre [m] */
+    double gap_m; /* The widest gap past it that the robot's body could use, negative when there is none [m] */
+    double needed_m; /* The gap that the robot needs there: its body and the margin on both sides [m] */
+    uint32_t id; /* Identity of the ellipse, 0 when no obstacle is the reason */
+    uint32_t reserved; /* Unused, zero */
+} scanloop_blocking;
+_Static_assert(sizeof(scanloop_blocking) == 40, "scanloop_blocking");
+_Static_assert(offsetof(scanloop_blocking, x_m) == 0, "scanloop_blocking.x_m");
+_Static_assert(offsetof(scanloop_blocking, y_m) == 8, "scanloop_blocking.y_m");
+_Static_assert(offsetof(scanloop_blocking, gap_m) == 16, "scanloop_blocking.gap_m");
+_Static_assert(offsetof(scanloop_blocking, needed_m) == 24, "scanloop_blocking.needed_m");
+_Static_assert(offsetof(scanloop_blocking, id) == 32, "scanloop_blocking.id");
+_Static_assert(offsetof(scanloop_blocking, reserved) == 36, "scanloop_blocking.reserved");
 
 /* A part of samples. */
 typedef struct scanloop_plan_node {
@@ -358,7 +391,8 @@ typedef struct scanloop_pose {
     double yaw_rad; /* Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad] */
     double x_m; /* Estimated position along the track at the acquisition of the scan, x4 of (7.30) [m] */
     double y_m; /* Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m] */
-    double covariance[9]; /* Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2] */
+    double covariance[9]; /* Covariance of (yaw, x, y) on the track, row by row [rad^2, rad m, m^2] */
+    double local_covariance[9]; /* Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry */
     double speed_mps; /* Speed over ground at the acquisition of the scan [m/s] */
     double sideslip_rad; /* Sideslip at the acquisition of the scan, x1 of (7.27) [rad] */
     double yaw_rate_radps; /* Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s] */
@@ -376,28 +410,29 @@ typedef struct scanloop_pose {
     uint32_t suspect; /* Part of the calibration that is suspected to be wrong, `Suspect` */
     uint32_t alarm; /* Reaction that the estimator asks for because of it, `Alarm` */
 } scanloop_pose;
-_Static_assert(sizeof(scanloop_pose) == 488, "scanloop_pose");
+_Static_assert(sizeof(scanloop_pose) == 560, "scanloop_pose");
 _Static_assert(offsetof(scanloop_pose, header) == 0, "scanloop_pose.header");
 _Static_assert(offsetof(scanloop_pose, yaw_rad) == 192, "scanloop_pose.yaw_rad");
 _Static_assert(offsetof(scanloop_pose, x_m) == 200, "scanloop_pose.x_m");
 _Static_assert(offsetof(scanloop_pose, y_m) == 208, "scanloop_pose.y_m");
 _Static_assert(offsetof(scanloop_pose, covariance) == 216, "scanloop_pose.covariance");
-_Static_assert(offsetof(scanloop_pose, speed_mps) == 288, "scanloop_pose.speed_mps");
-_Static_assert(offsetof(scanloop_pose, sideslip_rad) == 296, "scanloop_pose.sideslip_rad");
-_Static_assert(offsetof(scanloop_pose, yaw_rate_radps) == 304, "scanloop_pose.yaw_rate_radps");
-_Static_assert(offsetof(scanloop_pose, predicted_ns) == 312, "scanloop_pose.predicted_ns");
-_Static_assert(offsetof(scanloop_pose, predicted_sideslip_rad) == 320, "scanloop_pose.predicted_sideslip_rad");
-_Static_assert(offsetof(scanloop_pose, predicted_yaw_rad) == 328, "scanloop_pose.predicted_yaw_rad");
-_Static_assert(offsetof(scanloop_pose, predicted_yaw_rate_radps) == 336, "scanloop_pose.predicted_yaw_rate_radps");
-_Static_assert(offsetof(scanloop_pose, predicted_x_m) == 344, "scanloop_pose.predicted_x_m");
-_Static_assert(offsetof(scanloop_pose, predicted_y_m) == 352, "scanloop_pose.predicted_y_m");
-_Static_assert(offsetof(scanloop_pose, predicted_speed_mps) == 360, "scanloop_pose.predicted_speed_mps");
-_Static_assert(offsetof(scanloop_pose, innovation) == 368, "scanloop_pose.innovation");
-_Static_assert(offsetof(scanloop_pose, gain) == 392, "scanloop_pose.gain");
-_Static_assert(offsetof(scanloop_pose, nis) == 464, "scanloop_pose.nis");
-_Static_assert(offsetof(scanloop_pose, rejected) == 472, "scanloop_pose.rejected");
-_Static_assert(offsetof(scanloop_pose, suspect) == 480, "scanloop_pose.suspect");
-_Static_assert(offsetof(scanloop_pose, alarm) == 484, "scanloop_pose.alarm");
+_Static_assert(offsetof(scanloop_pose, local_covariance) == 288, "scanloop_pose.local_covariance");
+_Static_assert(offsetof(scanloop_pose, speed_mps) == 360, "scanloop_pose.speed_mps");
+_Static_assert(offsetof(scanloop_pose, sideslip_rad) == 368, "scanloop_pose.sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, yaw_rate_radps) == 376, "scanloop_pose.yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_ns) == 384, "scanloop_pose.predicted_ns");
+_Static_assert(offsetof(scanloop_pose, predicted_sideslip_rad) == 392, "scanloop_pose.predicted_sideslip_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rad) == 400, "scanloop_pose.predicted_yaw_rad");
+_Static_assert(offsetof(scanloop_pose, predicted_yaw_rate_radps) == 408, "scanloop_pose.predicted_yaw_rate_radps");
+_Static_assert(offsetof(scanloop_pose, predicted_x_m) == 416, "scanloop_pose.predicted_x_m");
+_Static_assert(offsetof(scanloop_pose, predicted_y_m) == 424, "scanloop_pose.predicted_y_m");
+_Static_assert(offsetof(scanloop_pose, predicted_speed_mps) == 432, "scanloop_pose.predicted_speed_mps");
+_Static_assert(offsetof(scanloop_pose, innovation) == 440, "scanloop_pose.innovation");
+_Static_assert(offsetof(scanloop_pose, gain) == 464, "scanloop_pose.gain");
+_Static_assert(offsetof(scanloop_pose, nis) == 536, "scanloop_pose.nis");
+_Static_assert(offsetof(scanloop_pose, rejected) == 544, "scanloop_pose.rejected");
+_Static_assert(offsetof(scanloop_pose, suspect) == 552, "scanloop_pose.suspect");
+_Static_assert(offsetof(scanloop_pose, alarm) == 556, "scanloop_pose.alarm");
 
 /* Topic obstacles, published once per scan, when scan and pose are there. */
 typedef struct scanloop_obstacles {
@@ -432,11 +467,14 @@ typedef struct scanloop_command {
     uint64_t solve_ns; /* Time the solver used, zero in lock-step [ns] */
     uint64_t plan_start_ns; /* Time of the first node of the plan [ns] */
     double plan_interval_s; /* Time between two nodes of the plan [s] */
+    double speed_limit_mps; /* Largest velocity at which the robot can still stop in time [m/s] */
+    scanloop_margin margin; /* The clearance that the plan keeps */
+    scanloop_blocking blocking; /* The obstacle that a stop is for */
     uint32_t plan_length; /* How many of `plan` are used */
     uint32_t reserved; /* Unused, zero */
     scanloop_plan_node plan[25]; /* The planned nodes */
 } scanloop_command;
-_Static_assert(sizeof(scanloop_command) == 1704, "scanloop_command");
+_Static_assert(sizeof(scanloop_command) == 1792, "scanloop_command");
 _Static_assert(offsetof(scanloop_command, header) == 0, "scanloop_command.header");
 _Static_assert(offsetof(scanloop_command, kind) == 192, "scanloop_command.kind");
 _Static_assert(offsetof(scanloop_command, level) == 196, "scanloop_command.level");
@@ -455,9 +493,12 @@ _Static_assert(offsetof(scanloop_command, objective) == 264, "scanloop_command.o
 _Static_assert(offsetof(scanloop_command, solve_ns) == 272, "scanloop_command.solve_ns");
 _Static_assert(offsetof(scanloop_command, plan_start_ns) == 280, "scanloop_command.plan_start_ns");
 _Static_assert(offsetof(scanloop_command, plan_interval_s) == 288, "scanloop_command.plan_interval_s");
-_Static_assert(offsetof(scanloop_command, plan_length) == 296, "scanloop_command.plan_length");
-_Static_assert(offsetof(scanloop_command, reserved) == 300, "scanloop_command.reserved");
-_Static_assert(offsetof(scanloop_command, plan) == 304, "scanloop_command.plan");
+_Static_assert(offsetof(scanloop_command, speed_limit_mps) == 296, "scanloop_command.speed_limit_mps");
+_Static_assert(offsetof(scanloop_command, margin) == 304, "scanloop_command.margin");
+_Static_assert(offsetof(scanloop_command, blocking) == 344, "scanloop_command.blocking");
+_Static_assert(offsetof(scanloop_command, plan_length) == 384, "scanloop_command.plan_length");
+_Static_assert(offsetof(scanloop_command, reserved) == 388, "scanloop_command.reserved");
+_Static_assert(offsetof(scanloop_command, plan) == 392, "scanloop_command.plan");
 
 /* Topic actuation, published once per command, and when the actuator blocks the wheels by itself. */
 typedef struct scanloop_actuation {
@@ -696,7 +737,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dyaw_rad", dyaw_rad),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "dt_s", dt_s),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "speed_mps", speed_mps),
-    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v1"),
+    SCANLOOP_SAMPLE("pose", scanloop_pose, "scanloop.Pose.v2"),
     SCANLOOP_STRUCT("pose", scanloop_pose, "header", "Header", header),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.layout", header.layout),
     SCANLOOP_VALUE("pose", scanloop_pose, "header.incarnation", header.incarnation),
@@ -712,6 +753,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("pose", scanloop_pose, "x_m", x_m),
     SCANLOOP_VALUE("pose", scanloop_pose, "y_m", y_m),
     SCANLOOP_VALUES("pose", scanloop_pose, "covariance", covariance),
+    SCANLOOP_VALUES("pose", scanloop_pose, "local_covariance", local_covariance),
     SCANLOOP_VALUE("pose", scanloop_pose, "speed_mps", speed_mps),
     SCANLOOP_VALUE("pose", scanloop_pose, "sideslip_rad", sideslip_rad),
     SCANLOOP_VALUE("pose", scanloop_pose, "yaw_rate_radps", yaw_rate_radps),
@@ -759,7 +801,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_yaw_rad", items[0].box_yaw_rad),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.unseen_s", items[0].unseen_s),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.sightings", items[0].sightings),
-    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v1"),
+    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v2"),
     SCANLOOP_STRUCT("command", scanloop_command, "header", "Header", header),
     SCANLOOP_VALUE("command", scanloop_command, "header.layout", header.layout),
     SCANLOOP_VALUE("command", scanloop_command, "header.incarnation", header.incarnation),
@@ -788,6 +830,20 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("command", scanloop_command, "solve_ns", solve_ns),
     SCANLOOP_VALUE("command", scanloop_command, "plan_start_ns", plan_start_ns),
     SCANLOOP_VALUE("command", scanloop_command, "plan_interval_s", plan_interval_s),
+    SCANLOOP_VALUE("command", scanloop_command, "speed_limit_mps", speed_limit_mps),
+    SCANLOOP_STRUCT("command", scanloop_command, "margin", "Margin", margin),
+    SCANLOOP_VALUE("command", scanloop_command, "margin.base_m", margin.base_m),
+    SCANLOOP_VALUE("command", scanloop_command, "margin.pose_m", margin.pose_m),
+    SCANLOOP_VALUE("command", scanloop_command, "margin.latency_m", margin.latency_m),
+    SCANLOOP_VALUE("command", scanloop_command, "margin.model_m", margin.model_m),
+    SCANLOOP_VALUE("command", scanloop_command, "margin.perception_m", margin.perception_m),
+    SCANLOOP_STRUCT("command", scanloop_command, "blocking", "Blocking", blocking),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.x_m", blocking.x_m),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.y_m", blocking.y_m),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.gap_m", blocking.gap_m),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.needed_m", blocking.needed_m),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.id", blocking.id),
+    SCANLOOP_VALUE("command", scanloop_command, "blocking.reserved", blocking.reserved),
     SCANLOOP_VALUE("command", scanloop_command, "plan_length", plan_length),
     SCANLOOP_VALUE("command", scanloop_command, "reserved", reserved),
     SCANLOOP_STRUCTS("command", scanloop_command, "plan", "PlanNode", plan),

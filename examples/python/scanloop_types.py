@@ -106,6 +106,7 @@ class StopReason(enum.IntEnum):
     NO_INPUT = 6  # No input came in time.
     SELF_CHECK = 7  # The estimator suspects a wrong calibration.
     STATE_LOST = 8  # The state of the process before was lost while the robot drove: it comes to rest first.
+    NO_SAFE_SPEED = 9  # At no speed can the robot stop in time: scans are too rare or the data too old.
 
 
 class ActuationKind(enum.IntEnum):
@@ -187,6 +188,31 @@ class Obstacle(ctypes.Structure):
         ("box_yaw_rad", ctypes.c_double),  # Direction of the box's length axis [rad]
         ("unseen_s", ctypes.c_double),  # Time since the body was last seen; zero when this scan shows it [s]
         ("sightings", ctypes.c_uint64),  # Scans that showed the body since it was first seen
+    ]
+
+
+class Margin(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("base_m", ctypes.c_double),  # Distance kept in any case [m]
+        ("pose_m", ctypes.c_double),  # Uncertainty of the pose relative to the obstacles, along the plan [m]
+        ("latency_m", ctypes.c_double),  # Speed times the age of the data when the command acts [m]
+        ("model_m", ctypes.c_double),  # Difference between the robot and its description [m]
+        ("perception_m", ctypes.c_double),  # Uncertainty of the described obstacles [m]
+    ]
+
+
+class Blocking(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("x_m", ctypes.c_double),  # Position of its centre along the track [m]
+        ("y_m", ctypes.c_double),  # Lateral position of its centre [m]
+        ("gap_m", ctypes.c_double),  # The widest gap past it that the robot's body could use, negative when there is none [m]
+        ("needed_m", ctypes.c_double),  # The gap that the robot needs there: its body and the margin on both sides [m]
+        ("id", ctypes.c_uint32),  # Identity of the ellipse, 0 when no obstacle is the reason
+        ("reserved", ctypes.c_uint32),  # Unused, zero
     ]
 
 
@@ -308,13 +334,14 @@ class Pose(ctypes.Structure):
     """Topic pose, published once per odometry sample."""
 
     TOPIC = "pose"
-    LAYOUT = 0xe513fa2d
+    LAYOUT = 0x695f97de
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("yaw_rad", ctypes.c_double),  # Estimated yaw at the acquisition of the scan, x2 of (7.28) [rad]
         ("x_m", ctypes.c_double),  # Estimated position along the track at the acquisition of the scan, x4 of (7.30) [m]
         ("y_m", ctypes.c_double),  # Estimated lateral position at the acquisition of the scan, x5 of (7.31) [m]
-        ("covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y), row by row [rad^2, rad m, m^2]
+        ("covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y) on the track, row by row [rad^2, rad m, m^2]
+        ("local_covariance", ctypes.c_double * 9),  # Covariance of (yaw, x, y) relative to what the scanner sees now, row by row: without the drift of the odometry
         ("speed_mps", ctypes.c_double),  # Speed over ground at the acquisition of the scan [m/s]
         ("sideslip_rad", ctypes.c_double),  # Sideslip at the acquisition of the scan, x1 of (7.27) [rad]
         ("yaw_rate_radps", ctypes.c_double),  # Yaw rate at the acquisition of the scan, x3 of (7.29) [rad/s]
@@ -335,7 +362,7 @@ class Pose(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Pose.v1"
+        return "scanloop.Pose.v2"
 
 
 class Obstacles(ctypes.Structure):
@@ -359,7 +386,7 @@ class Command(ctypes.Structure):
     """Topic command, published once per scan, when pose and obstacles are there."""
 
     TOPIC = "command"
-    LAYOUT = 0x2587ca67
+    LAYOUT = 0xeb8f54b7
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("kind", ctypes.c_uint32),  # What the controller asks for, `CommandKind`
@@ -379,6 +406,9 @@ class Command(ctypes.Structure):
         ("solve_ns", ctypes.c_uint64),  # Time the solver used, zero in lock-step [ns]
         ("plan_start_ns", ctypes.c_uint64),  # Time of the first node of the plan [ns]
         ("plan_interval_s", ctypes.c_double),  # Time between two nodes of the plan [s]
+        ("speed_limit_mps", ctypes.c_double),  # Largest velocity at which the robot can still stop in time [m/s]
+        ("margin", Margin),  # The clearance that the plan keeps
+        ("blocking", Blocking),  # The obstacle that a stop is for
         ("plan_length", ctypes.c_uint32),  # How many of `plan` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("plan", PlanNode * 25),  # The planned nodes
@@ -386,7 +416,7 @@ class Command(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Command.v1"
+        return "scanloop.Command.v2"
 
 
 class Actuation(ctypes.Structure):
