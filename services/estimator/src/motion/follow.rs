@@ -9,7 +9,7 @@ use super::{ControlInForce, MotionModel, MotionState, runge_kutta};
 const STEP_PER_SPEED: f64 = 0.01;
 
 /// Longest step [s]: the lags are a straight line in it to 1e-4 of a step of the target.
-const LONGEST_STEP_S: f64 = 0.005;
+const MAX_LAG_STEP_S: f64 = 0.005;
 
 /// Standard deviation of a number that is anywhere between two bounds, as share of their distance.
 const UNIFORM: f64 = 0.289;
@@ -132,7 +132,7 @@ fn steps(from_mps: f64, to_mps: f64, duration: f64) -> f64 {
     if from_mps <= 0.0 && to_mps <= 0.0 {
         return 1.0;
     }
-    let longest = (STEP_PER_SPEED * from_mps.min(to_mps)).clamp(MAX_STEP_S, LONGEST_STEP_S);
+    let longest = (STEP_PER_SPEED * from_mps.min(to_mps)).clamp(MAX_STEP_S, MAX_LAG_STEP_S);
     (duration / longest).ceil()
 }
 
