@@ -38,6 +38,18 @@ fn corridor_is_reached() {
 }
 
 #[test]
+fn a_drive_continues_after_missing_scans() {
+    let system = System::new(EXECUTABLE);
+    let drive = || system.lockstep(&["corridor", "--set", "robot.scan_missing_every=10"]);
+    let (report, again) = (drive(), drive());
+    assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
+    assert!(report.scans.lost >= 3, "about one in ten: {:?}", report.scans);
+    assert_eq!(report.scans.published, report.scans.commanded + report.scans.lost);
+    assert_eq!(report.scans.unaccounted, 0);
+    assert_eq!(again.digests, report.digests);
+}
+
+#[test]
 fn free_is_reached() {
     reach("free");
 }

@@ -37,7 +37,7 @@ const MAX_FAULTS: usize = 1000;
 /// The sample audit of one run.
 #[derive(Debug, Clone, Default)]
 pub struct SampleAudit {
-    lockstep: bool,
+    skips_are_faults: bool,
     midway: bool,
     driving: bool,
     run_ended: bool,
@@ -77,10 +77,10 @@ struct Debt {
 }
 
 impl SampleAudit {
-    /// An empty audit; in lock-step a robot never skips a scan.
-    pub fn new(lockstep: bool) -> Self {
+    /// An empty audit. A robot that is held up skips scans; in lock-step only one whose scanner misses some does.
+    pub fn new(skips_are_faults: bool) -> Self {
         Self {
-            lockstep,
+            skips_are_faults,
             topics: AUDITED_TOPICS
                 .map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic))))
                 .into(),
@@ -290,7 +290,9 @@ impl SampleAudit {
                     // It may have died between two topics.
                     Lack::Sample(..) if is_dead => {}
                     Lack::Sample(topic, scan_id) => found.push(missing(topic, scan_id)),
-                    Lack::Skipped(scan_id) if self.lockstep => found.push(missing(Topic::Scan, scan_id)),
+                    Lack::Skipped(scan_id) if self.skips_are_faults => {
+                        found.push(missing(Topic::Scan, scan_id))
+                    }
                     Lack::Skipped(scan_id) => self.excused.push((scan_id, ROBOT_HELD_UP)),
                 }
             }
