@@ -262,7 +262,9 @@ impl ObstacleDetector {
                 elapsed: 0.0,
             };
             let mut track = Track::start(self.last_body, &view, &self.config, &self.directions);
-            track.confirmed = nearest < self.config.near_m;
+            // A wall may be near although its ends, the only vertices, are not.
+            let distance = track.rectangle(&self.directions).distance_to_point(place.at);
+            track.confirmed = distance < self.config.first_sight_m();
             self.tracks.push(track);
         }
         overflow

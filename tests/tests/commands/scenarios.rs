@@ -123,6 +123,79 @@ fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
     system.assert_nothing_left();
 }
 
+/// Drives and passes when the exit code goes with the outcome; nothing is touched.
+fn untouched(system: &System, arguments: &[&str]) -> Report {
+    let report = system.lockstep(arguments);
+    assert!(
+        !report.drive.collided && report.drive.min_clearance_m > 0.0,
+        "{arguments:?}: {:?}",
+        report.drive
+    );
+    report
+}
+
+/// `arguments` and one `--set` for each of `keys`.
+fn set<'a>(scenario: &'a str, keys: &[&'a str]) -> Vec<&'a str> {
+    [scenario].into_iter().chain(keys.iter().flat_map(|key| ["--set", *key])).collect()
+}
+
+#[test]
+fn every_stage_knows_a_body_that_one_key_sets() {
+    let system = System::new(EXECUTABLE);
+    for body in ["robot.width_m=1.4", "robot.width_m=1.2", "robot.length_m=1.2"] {
+        let report = untouched(&system, &set("corridor", &[body]));
+        let ended = [Outcome::Reached, Outcome::Stopped].contains(&report.outcome);
+        assert!(ended, "{body}: {:?}, {}", report.outcome, report.reason);
+        assert!(report.drive.min_clearance_m >= 0.05, "{body}: {} m", report.drive.min_clearance_m);
+        let output = system.run(&[&["run", "--lockstep", "--quiet"][..], &set("corridor", &[body])].concat());
+        let code = i32::from(report.outcome != Outcome::Reached);
+        assert_eq!(output.status.code(), Some(code), "{body}");
+    }
+}
+
+#[test]
+fn the_speed_limit_contains_braking_way_and_age_of_the_data() {
+    let system = System::new(EXECUTABLE);
+    for keys in [&["robot.blocked_deceleration_mps2=0.3"][..], &["rate_hz=0.5"]] {
+        for preset in ["robot.preset=ideal", "robot.preset=summit"] {
+            let report = untouched(&system, &set("sudden", &[keys, &[preset]].concat()));
+            assert_eq!(report.outcome, Outcome::Stopped, "{keys:?} {preset}: {}", report.reason);
+        }
+    }
+}
+
+#[test]
+fn a_rate_without_a_safe_speed_is_refused_and_the_keys_are_named() {
+    let system = System::new(EXECUTABLE);
+    for command in [&["run", "--lockstep"][..], &["check"]] {
+        let arguments = set("sudden", &["vehicle.sudden_m=0.2", "rate_hz=0.5"]);
+        let output = system.run(&[command, &arguments].concat());
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{command:?}: {message}");
+        assert!(message.contains("rate_hz") && message.contains("vehicle.sudden_m"), "{message}");
+    }
+}
+
+#[test]
+fn gaps_of_120_centimetres_are_driven_through() {
+    let system = System::new(EXECUTABLE);
+    let course = ["goal.x_m=16", "obstacle.0.x_m=8"];
+    let centred = untouched(&system, &set("corridor", &[&course[..], &["obstacle.0.width_m=1.6"]].concat()));
+    assert_eq!(centred.outcome, Outcome::Reached, "{}", centred.reason);
+    let two = [
+        "obstacle.0.x_m=8",
+        "obstacle.0.y_m=1.2",
+        "obstacle.0.width_m=1.2",
+        "obstacle.1.x_m=8",
+        "obstacle.1.y_m=-1.2",
+        "obstacle.1.width_m=1.2",
+        "goal.x_m=16",
+    ];
+    let gap = untouched(&system, &set("two-obstacles", &two));
+    assert_eq!(gap.outcome, Outcome::Reached, "{}", gap.reason);
+    system.assert_nothing_left();
+}
+
 #[test]
 fn processes_and_pipeline_give_the_same_bits() {
     let system = System::new(EXECUTABLE);

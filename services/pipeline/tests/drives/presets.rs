@@ -1,0 +1,66 @@
+//! Every shipped scenario with every preset.
+
+use std::ops::RangeInclusive;
+
+use emulator::scenario::Preset;
+use emulator::{Outcome, Scenario};
+use pipeline::Settings;
+
+use crate::{End, end, seeds, shipped};
+
+/// What a scenario is shipped for.
+fn expected(name: &str) -> Outcome {
+    if ["blocked", "sudden"].contains(&name) { Outcome::Stopped } else { Outcome::Reached }
+}
+
+fn names() -> impl Iterator<Item = &'static str> {
+    Scenario::names().filter(|name| *name != "endless")
+}
+
+fn ends(name: &str, preset: Preset, seeds: RangeInclusive<u64>) -> Vec<(u64, End)> {
+    seeds::each(seeds, |seed| {
+        let mut scenario = shipped(name);
+        (scenario.robot.preset, scenario.seed) = (preset, seed);
+        // A robot that rests for a second does not start again in these scenarios.
+        scenario.stop_final_s = 1.0;
+        end(&Settings::of(scenario))
+    })
+}
+
+/// Drives all scenarios; the seeds in which one is touched or ends otherwise.
+fn assert_outcomes(preset: Preset) {
+    for name in names() {
+        let wrong = |(_, end): &(u64, End)| end.outcome != expected(name) || end.clearance_m < 0.05;
+        let wrong: Vec<_> = ends(name, preset, 1..=20).into_iter().filter(wrong).collect();
+        assert!(wrong.is_empty(), "{name}: {wrong:?}");
+    }
+}
+
+fn assert_untouched(seeds: RangeInclusive<u64>) {
+    for name in names() {
+        let touched = |(_, end): &(u64, End)| !end.is_untouched();
+        let touched: Vec<_> = ends(name, Preset::Worn, seeds.clone()).into_iter().filter(touched).collect();
+        assert!(touched.is_empty(), "{name}: {touched:?}");
+    }
+}
+
+#[test]
+fn an_ideal_robot_ends_every_scenario_as_it_should() {
+    assert_outcomes(Preset::Ideal);
+}
+
+#[test]
+fn a_believable_robot_ends_every_scenario_as_it_should() {
+    assert_outcomes(Preset::Summit);
+}
+
+#[test]
+fn a_worn_robot_touches_nothing() {
+    assert_untouched(1..=20);
+}
+
+#[test]
+#[ignore = "2200 drives"]
+fn two_hundred_worn_robots_touch_nothing() {
+    assert_untouched(1..=200);
+}
