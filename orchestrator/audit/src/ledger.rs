@@ -101,8 +101,11 @@ impl Ledger {
         }
     }
 
-    /// Notes the reason of a scan in case it stays without an answer.
+    /// Notes the reason of a scan in case it stays without an answer; after the end of the run none needs one.
     pub fn excused(&mut self, scan_id: u64, reason: &'static str) {
+        if self.ended_at.is_some_and(|end| scan_id > end) {
+            return;
+        }
         if let Some(entry) = self.entry(scan_id) {
             entry.excuse = Some(reason);
         }
@@ -376,6 +379,15 @@ mod tests {
         ledger.answered(499, 5);
         let report = ledger.report();
         assert_eq!((report.published, report.commanded, report.unaccounted), (1, 1, 0));
+    }
+
+    #[test]
+    fn a_scan_that_was_skipped_after_the_end_is_no_scan_of_the_run() {
+        let mut ledger = ledger(3, &[]);
+        ledger.run_ended();
+        ledger.excused(5, ROBOT_HELD_UP);
+        let report = ledger.report();
+        assert_eq!((report.published, report.lost, report.unaccounted), (3, 0, 0));
     }
 
     #[test]

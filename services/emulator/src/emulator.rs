@@ -4,7 +4,7 @@
 //! actuation or the dead-man splits a step. Asking for a measurement or moving the clock in smaller portions
 //! splits nothing, so the result does not depend on how often a caller asks.
 //!
-//! An actuation travels to the robot for a while, or gets lost, see [`way`]; then it acts at its exact time.
+//! An actuation travels to the robot for a while, or gets lost, see the module `way`; then it acts at its exact time.
 //!
 //! The robot has a dead-man of its own: it blocks the wheels two scan periods after the last actuation arrived. An
 //! actuation that is not finite or beyond the limits of the drive is refused and does not feed the dead-man.
