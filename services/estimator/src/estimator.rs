@@ -40,8 +40,8 @@ const GATE: [f64; 3] = [10.828, 13.816, 16.266];
 /// Tolerance of the distance [m] and the turn [rad] that a robot can have driven in a gap: five standard deviations.
 const REACH_MARGIN: (f64, f64) = (0.1, 0.05);
 
-/// Upper bound of the curvature of any path [1/m]: per steering angle 5.4 by the geometry, and 8 % more.
-const REACH_CURVATURE: f64 = SENT_STEERING_MAX_RAD * (35.0 / 6.0);
+/// How much sharper than by the geometry of its axles a robot may turn.
+const SHARPER: f64 = 1.08;
 
 /// The interval of Q in the settings [s].
 const NOISE_INTERVAL_S: f64 = 0.1;
@@ -179,9 +179,10 @@ impl Estimator {
         let (way_m, [yaw, x, y]) = (fastest * dt, self.state.estimate);
         let (dx, dy) = (place.x - x, place.y - y);
         let ahead_m = dx * yaw.cos() + dy * yaw.sin();
+        let sharpest = SENT_STEERING_MAX_RAD * SHARPER * self.settings.motion.parameters.yaw_rate_gain();
         ahead_m >= -REACH_MARGIN.0
             && dx.hypot(dy) <= way_m + REACH_MARGIN.0
-            && wrap_angle(place.yaw - yaw).abs() <= way_m * REACH_CURVATURE + REACH_MARGIN.1
+            && wrap_angle(place.yaw - yaw).abs() <= way_m * sharpest + REACH_MARGIN.1
     }
 
     fn begin(&mut self, measured: Planar, odometry: &Odometry) {

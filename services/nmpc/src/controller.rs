@@ -2,10 +2,11 @@
 //!
 //! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
-//! 3. The lattice planner chooses the passing sides, and shows whether the path is clear.
-//! 4. The optimal control problem is solved from the best guess, then from others.
-//! 5. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
-//! 6. The stop rule checks what comes behind the end of the plan.
+//! 3. The speed is limited to what can be stopped for something that appears unseen.
+//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly.
+//! 5. The optimal control problem is solved from the best guess, then from others.
+//! 6. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
+//! 7. The stop rule checks what comes behind the end of the plan.
 //!
 //! Pure: the time comes with the samples, the clock of the budget is handed in. After [`Controller::resume`] a
 //! controller gives the same commands as the one that [`Controller::state`] was taken from.
@@ -15,29 +16,22 @@ use shared_types::{Alarm, Command, CommandKind, Level, Obstacles, PLAN_NODES, Pl
 use vehicle::{Control, Invalid, State};
 
 use crate::blocking::blocking;
-use crate::braking::{STOP_MARGIN_M, Stopping};
+use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
-use crate::margin::MarginModel;
 use crate::planner::{Choice, Planner, Task};
-use crate::predicted_obstacle::{self, PredictedObstacle};
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
-use crate::scene::Scene;
 use crate::side::{self, Passing, held};
+use crate::start::{self, Start};
 use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::blocked_by;
 use crate::warm;
 
 /// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
-/// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
-const MAX_LEAD_S: f64 = 1.0;
-/// How far outside of its bounds a robot may start [m]. Further out, track and pose contradict each other.
-const FAR_OUTSIDE_M: f64 = 1.0;
-/// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
-const OVERLAP_M: f64 = 0.03;
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
 
@@ -47,30 +41,6 @@ const SLIDE_M: f64 = 0.2;
 const SPARE_M: f64 = 0.03;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
-
-/// What all plans of one scan start from.
-#[derive(Debug, Clone, Copy)]
-struct Start {
-    /// State when the command acts.
-    initial: State,
-    /// Speed then [m/s].
-    speed: f64,
-    margin: MarginModel,
-    stopping: Stopping,
-    /// Largest velocity to plan with [m/s].
-    limit_mps: f64,
-}
-
-impl Start {
-    fn scene<'a>(&self, config: &'a Config, predicted: &'a [PredictedObstacle]) -> Scene<'a> {
-        Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed)
-    }
-
-    /// Distance of the body to an obstacle at which the robot must begin to stop [m].
-    fn stop_m(&self) -> f64 {
-        self.stopping.distance(self.speed) + self.margin.base() + STOP_MARGIN_M
-    }
-}
 
 /// The controller of the robot.
 #[derive(Debug, Clone)]
@@ -168,12 +138,12 @@ impl Controller {
             }
             Arrival::OnTheWay | Arrival::Passed => {}
         }
-        let initial = self.read(pose, obstacles)?;
+        let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        let mut start = self.start(pose, initial, period_s);
+        let mut start = Start::new(&self.config, pose, initial, period_s);
         (command.speed_limit_mps, command.margin) =
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
         if start.limit_mps < self.config.vehicle.bounds.velocity_min_mps {
@@ -242,16 +212,6 @@ impl Controller {
         })
     }
 
-    /// What all plans of this scan start from.
-    fn start(&self, pose: &Pose, initial: State, period_s: f64) -> Start {
-        let Config { vehicle, careful_mps, .. } = &self.config;
-        let margin = MarginModel::of(&self.config, pose);
-        let stopping = Stopping::new(&self.config, period_s, margin.age_s());
-        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { *careful_mps };
-        let limit_mps = stopping.speed(vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
-        Start { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
-    }
-
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
     fn arrive(&self, initial: &State, speed: f64, period_s: f64) -> Result<(), StopReason> {
         let goal = &self.config.goal;
@@ -276,44 +236,6 @@ impl Controller {
         } else {
             self.config.period_s
         }
-    }
-
-    /// The state at the start of the plan; the obstacles are read into `predicted`.
-    fn read(&mut self, pose: &Pose, obstacles: &Obstacles) -> Result<State, StopReason> {
-        let initial = State {
-            sideslip: pose.predicted_sideslip_rad,
-            yaw: pose.predicted_yaw_rad,
-            yaw_rate: pose.predicted_yaw_rate_radps,
-            x: pose.predicted_x_m,
-            y: pose.predicted_y_m,
-        };
-        let lead_s = (pose.predicted_ns as f64 - pose.header.acquired_ns as f64) * 1e-9;
-        let track = &self.config.track;
-        let [low, high] = self.config.y_range();
-        let inside = initial.x > track.x_m[0] - FAR_OUTSIDE_M
-            && initial.x < track.x_m[1] + FAR_OUTSIDE_M
-            && initial.y > low - FAR_OUTSIDE_M
-            && initial.y < high + FAR_OUTSIDE_M;
-        let sound = initial.is_finite()
-            && inside
-            && initial.sideslip.abs() < 1.0
-            && initial.yaw.abs() < 10.0
-            && initial.yaw_rate.abs() < 10.0
-            && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
-            && (0.0..=MAX_LEAD_S).contains(&lead_s)
-            && pose.local_covariance.iter().all(|value| value.is_finite())
-            && pose.header.scan_id == obstacles.header.scan_id;
-        if !sound || !predicted_obstacle::read(obstacles, lead_s, &mut self.predicted) {
-            return Err(StopReason::BadInput);
-        }
-        let body = Scene::new(&self.config, &self.predicted, initial).body_at(&initial);
-        let reach = body.length + body.width;
-        let overlaps = |obstacle: &PredictedObstacle| {
-            let distance = (obstacle.body.centre - body.centre).norm();
-            distance < reach + obstacle.body.length + obstacle.body.width
-                && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
-        };
-        if self.predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
     }
 
     /// Finds the reference path, and with it the passing sides.

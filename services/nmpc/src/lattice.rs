@@ -10,24 +10,21 @@
 //! represented; a robot that stands across the track gets no clear path. Obstacles are checked twice per arc,
 //! every 0.2 m, so a corner of an ellipse may be cut by millimetres, which the margin covers.
 
+mod grid;
+
+use grid::{BENDS, Grid};
+
 use crate::obstacle_cost::{HARD, ObstacleCost, half_extent};
-use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::{ReferencePath, SINE_MAX, rise};
 use crate::scene::{Scene, excess};
 
 /// Cosine of the largest course from which a path may start, a little beyond that of [`SINE_MAX`].
 const MIN_COSINE: f64 = 0.55;
-/// Curvatures of an arc: this many to each side, and straight.
-const BENDS: i32 = 2;
 /// Width of a lateral cell [m].
 const CELL_M: f64 = 0.1;
 /// The same where every centimetre counts [m].
 const NARROW_CELL_M: f64 = 0.04;
-/// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
-const SHORTEST_M: f64 = 3.2;
-/// How far beyond the bounds cells reach, for a robot that is outside [m].
-const OUTSIDE_M: f64 = 0.6;
 
 /// The cheapest path that ends in one cell of a layer.
 #[derive(Debug, Clone, Copy)]
@@ -222,93 +219,11 @@ impl Search {
     }
 }
 
-/// Layers along the track, each with courses and lateral cells.
-#[derive(Debug, Clone, Copy)]
-struct Grid {
-    layers: usize,
-    /// Length of an arc along x [m].
-    step: f64,
-    /// Smallest curvature that is not zero [1/m].
-    bend: f64,
-    start_sine: f64,
-    sine_step: f64,
-    start_course: i32,
-    courses: i32,
-    low: f64,
-    cells_per_m: f64,
-    cells: usize,
-}
-
-impl Grid {
-    fn new(scene: &Scene, cell_m: f64) -> Self {
-        let Scene { config, initial: start, y_range, .. } = *scene;
-        let length = (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m).min(needed(scene));
-        let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
-        let step = length / layers as f64;
-        let curvature = scene.full_lock_curvature(config.cruise_mps);
-        let bend = curvature * config.guide.curvature_share / f64::from(BENDS);
-        let sine_step = bend * step;
-        let (sin, cos) = (start.yaw + start.sideslip).sin_cos();
-        let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
-        let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor() as i32;
-        let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
-        let low = y_range[0].min(start.y) - OUTSIDE_M;
-        let high = y_range[1].max(start.y) + OUTSIDE_M;
-        let cells = ((high - low) / cell_m).ceil().clamp(1.0, 2e3) as usize;
-        let courses = right + left + 1;
-        Self {
-            layers,
-            step,
-            bend,
-            start_sine,
-            sine_step,
-            start_course: right,
-            courses,
-            low,
-            cells_per_m: 1.0 / cell_m,
-            cells,
-        }
-    }
-
-    fn layer_cells(&self) -> usize {
-        self.courses as usize * self.cells
-    }
-
-    /// Course of a cell of any layer.
-    fn course(&self, cell: usize) -> i32 {
-        (cell % self.layer_cells() / self.cells) as i32
-    }
-
-    fn sine(&self, course: i32) -> f64 {
-        self.start_sine + self.sine_step * f64::from(course - self.start_course)
-    }
-
-    fn cell(&self, y: f64) -> Option<usize> {
-        let cell = (y - self.low) * self.cells_per_m;
-        (cell >= 0.0 && cell < self.cells as f64).then_some(cell as usize)
-    }
-
-    fn start_cell(&self, y: f64) -> usize {
-        self.start_course as usize * self.cells + self.cell(y).unwrap_or(0)
-    }
-}
-
-/// Distance over which there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
-fn needed(scene: &Scene) -> f64 {
-    let Scene { config, predicted, initial: start, .. } = *scene;
-    if config.goal.x_m - start.x < config.guide.range_m {
-        return f64::INFINITY;
-    }
-    let behind = |obstacle: &PredictedObstacle| {
-        if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - start.x }
-    };
-    predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::predicted_obstacle::PredictedObstacle;
     use crate::side::{Passing, Sides, hold};
     use nalgebra::Vector2;
     use vehicle::geometry::Rectangle;

@@ -1,4 +1,7 @@
 //! The obstacle cost of the lattice search, tabulated per layer before the search begins.
+//!
+//! A path stays outside of all ellipses. Where a body is a box along the track, the clearance is kept between the body of
+//! the robot, turned as its course, and the box; other bodies have the clearance in their ellipse.
 
 use vehicle::State;
 use vehicle::geometry::Rectangle;

@@ -9,12 +9,12 @@
 
 use std::sync::Arc;
 
-use ocp::{Budget, EllipsePath, Problem, Solution, Solver, Status, Trajectory};
+use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
 use shared_types::{Command, Level, PlanNode, SolveStatus};
 use vehicle::{Control, State};
 
 use crate::config::Config;
-use crate::predicted_obstacle::PredictedObstacle;
+use crate::ellipses::fill_ellipses;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
 use crate::rollout::Rollout;
@@ -268,50 +268,6 @@ fn read_plan(last: &ControllerState, controls: &mut Vec<Control>) {
     controls.extend(last.plan[..intervals].iter().map(control));
 }
 
-/// Fills the ellipses that the horizon can reach, nearest first.
-fn fill_ellipses(
-    config: &Config,
-    predicted: &[PredictedObstacle],
-    initial: &State,
-    margin: f64,
-    ellipses: &mut Vec<EllipsePath>,
-) {
-    let reach = config.vehicle.bounds.velocity_max_mps * config.horizon_s;
-    let in_reach = |obstacle: &PredictedObstacle| {
-        let [x, y] = obstacle.centre;
-        let travel = obstacle.velocity[0].hypot(obstacle.velocity[1]) * config.horizon_s;
-        (x - initial.x).abs() < reach + obstacle.a + travel
-            && (y - initial.y).abs() < reach + obstacle.b + travel
-            && x + obstacle.a + travel > initial.x
-    };
-    let distance =
-        |obstacle: &PredictedObstacle| (obstacle.centre[0] - initial.x).hypot(obstacle.centre[1] - initial.y);
-    let mut count = 0;
-    let mut farthest = None;
-    // Selection in place of a sort: there are at most sixteen, and nothing is allocated.
-    while count < config.max_ellipses {
-        let next = (0..predicted.len())
-            .filter(|&index| in_reach(&predicted[index]))
-            .map(|index| (distance(&predicted[index]), index))
-            .filter(|&candidate| farthest.is_none_or(|last| candidate > last))
-            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let Some((_, index)) = next else { break };
-        farthest = next;
-        if ellipses.len() <= count {
-            ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
-        }
-        let (obstacle, ellipse) = (&predicted[index], &mut ellipses[count]);
-        (ellipse.a, ellipse.b) = (obstacle.a + margin, obstacle.b + margin);
-        ellipse.centres.clear();
-        let interval_s = config.interval_s();
-        ellipse
-            .centres
-            .extend((0..=config.intervals).map(|node| obstacle.centre_at(node as f64 * interval_s)));
-        count += 1;
-    }
-    ellipses.truncate(count);
-}
-
 fn report(solution: &Solution, iterations: u32, command: &mut Command) {
     command.status = wire_status(solution.status);
     command.iterations = iterations;
@@ -339,31 +295,4 @@ fn largest_distance(planned: &[State], driven: &[State]) -> f64 {
         return f64::MAX;
     }
     planned.iter().zip(driven).map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).fold(0.0, f64::max)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::Vector2;
-    use vehicle::geometry::Rectangle;
-
-    #[test]
-    fn the_nearest_ellipses_are_taken_and_those_behind_left_out() {
-        let obstacle = |id: u32, x: f64| PredictedObstacle {
-            id,
-            centre: [x, 0.0],
-            velocity: [0.0, 0.0],
-            a: 1.2,
-            b: 0.5,
-            body: Rectangle { centre: Vector2::new(x, 0.0), yaw: 0.0, length: 0.1, width: 0.1 },
-        };
-        let predicted =
-            [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
-        let config = Config { max_ellipses: 2, ..Config::default() };
-        let mut ellipses = Vec::new();
-        fill_ellipses(&config, &predicted, &State::default(), 0.02, &mut ellipses);
-        let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
-        assert_eq!(centres, [1.0, 2.0]);
-        assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);
-    }
 }

@@ -1,0 +1,95 @@
+//! The grid of the lattice: layers along the track, with courses and lateral cells.
+
+use crate::predicted_obstacle::PredictedObstacle;
+use crate::reference_path::SINE_MAX;
+use crate::scene::Scene;
+
+/// Curvatures of an arc: this many to each side, and straight.
+pub(super) const BENDS: i32 = 2;
+/// Shortest path that is searched, unless the goal is nearer [m]: a little longer than the horizon.
+const SHORTEST_M: f64 = 3.2;
+/// How far beyond the bounds cells reach, for a robot that is outside [m].
+const OUTSIDE_M: f64 = 0.6;
+
+/// Layers along the track, each with courses and lateral cells.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grid {
+    pub(super) layers: usize,
+    /// Length of an arc along x [m].
+    pub(super) step: f64,
+    /// Smallest curvature that is not zero [1/m].
+    pub(super) bend: f64,
+    pub(super) start_sine: f64,
+    pub(super) sine_step: f64,
+    pub(super) start_course: i32,
+    pub(super) courses: i32,
+    pub(super) low: f64,
+    pub(super) cells_per_m: f64,
+    pub(super) cells: usize,
+}
+
+impl Grid {
+    pub(super) fn new(scene: &Scene, cell_m: f64) -> Self {
+        let Scene { config, initial: start, y_range, .. } = *scene;
+        let length = (config.goal.x_m - start.x).clamp(0.05, config.guide.range_m).min(needed(scene));
+        let layers = (length / config.guide.step_m).ceil().max(1.0) as usize;
+        let step = length / layers as f64;
+        let curvature = scene.full_lock_curvature(config.cruise_mps);
+        let bend = curvature * config.guide.curvature_share / f64::from(BENDS);
+        let sine_step = bend * step;
+        let (sin, cos) = (start.yaw + start.sideslip).sin_cos();
+        let start_sine = if cos > 0.0 { sin.clamp(-SINE_MAX, SINE_MAX) } else { SINE_MAX.copysign(sin) };
+        let right = ((start_sine + SINE_MAX) / sine_step + 1e-9).floor() as i32;
+        let left = ((SINE_MAX - start_sine) / sine_step + 1e-9).floor() as i32;
+        let low = y_range[0].min(start.y) - OUTSIDE_M;
+        let high = y_range[1].max(start.y) + OUTSIDE_M;
+        let cells = ((high - low) / cell_m).ceil().clamp(1.0, 2e3) as usize;
+        let courses = right + left + 1;
+        Self {
+            layers,
+            step,
+            bend,
+            start_sine,
+            sine_step,
+            start_course: right,
+            courses,
+            low,
+            cells_per_m: 1.0 / cell_m,
+            cells,
+        }
+    }
+
+    pub(super) fn layer_cells(&self) -> usize {
+        self.courses as usize * self.cells
+    }
+
+    /// Course of a cell of any layer.
+    pub(super) fn course(&self, cell: usize) -> i32 {
+        (cell % self.layer_cells() / self.cells) as i32
+    }
+
+    pub(super) fn sine(&self, course: i32) -> f64 {
+        self.start_sine + self.sine_step * f64::from(course - self.start_course)
+    }
+
+    pub(super) fn cell(&self, y: f64) -> Option<usize> {
+        let cell = (y - self.low) * self.cells_per_m;
+        (cell >= 0.0 && cell < self.cells as f64).then_some(cell as usize)
+    }
+
+    pub(super) fn start_cell(&self, y: f64) -> usize {
+        self.start_course as usize * self.cells + self.cell(y).unwrap_or(0)
+    }
+}
+
+/// Distance over which there is something to decide [m]: up to behind the last obstacle, or to the goal in sight.
+fn needed(scene: &Scene) -> f64 {
+    let Scene { config, predicted, initial: start, .. } = *scene;
+    if config.goal.x_m - start.x < config.guide.range_m {
+        return f64::INFINITY;
+    }
+    let behind = |obstacle: &PredictedObstacle| {
+        if obstacle.moves() { f64::INFINITY } else { obstacle.centre[0] + obstacle.a - start.x }
+    };
+    predicted.iter().map(behind).fold(SHORTEST_M, f64::max)
+}

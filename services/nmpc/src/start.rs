@@ -1,0 +1,100 @@
+//! What all plans of one scan start from: the state when the command acts, the margin, and how fast the robot may be.
+
+use shared_types::{Alarm, Obstacles, Pose, StopReason};
+use vehicle::State;
+
+use crate::braking::{STOP_MARGIN_M, Stopping};
+use crate::config::Config;
+use crate::margin::MarginModel;
+use crate::predicted_obstacle::{self, PredictedObstacle};
+use crate::scene::Scene;
+
+/// Longest time from the scan to the start of the plan [s]: an older pose is contradictory.
+const MAX_LEAD_S: f64 = 1.0;
+/// How far outside of its bounds a robot may start [m]. Further out, track and pose contradict each other.
+const FAR_OUTSIDE_M: f64 = 1.0;
+/// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
+const OVERLAP_M: f64 = 0.03;
+
+/// What all plans of one scan start from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Start {
+    /// State when the command acts.
+    pub(crate) initial: State,
+    /// Speed then [m/s].
+    pub(crate) speed: f64,
+    /// Clearance to obstacles.
+    pub(crate) margin: MarginModel,
+    /// What a stop takes.
+    pub(crate) stopping: Stopping,
+    /// Largest velocity to plan with [m/s].
+    pub(crate) limit_mps: f64,
+}
+
+impl Start {
+    /// The start from `initial`, with the period between the last two scans.
+    pub(crate) fn new(config: &Config, pose: &Pose, initial: State, period_s: f64) -> Self {
+        let margin = MarginModel::of(config, pose);
+        let stopping = Stopping::new(config, period_s, margin.age_s());
+        let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
+        let limit_mps = stopping.speed(config.vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
+        Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
+    }
+
+    /// What plans from here must respect.
+    pub(crate) fn scene<'a>(&self, config: &'a Config, predicted: &'a [PredictedObstacle]) -> Scene<'a> {
+        Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed)
+    }
+
+    /// Distance of the body to an obstacle at which the robot must begin to stop [m].
+    pub(crate) fn stop_m(&self) -> f64 {
+        self.stopping.distance(self.speed) + self.margin.base() + STOP_MARGIN_M
+    }
+}
+
+/// The state at the start of the plan; the obstacles are read into `predicted`.
+///
+/// # Errors
+/// [`StopReason::BadInput`] when a number is impossible or the inputs contradict each other.
+pub(crate) fn read(
+    config: &Config,
+    pose: &Pose,
+    obstacles: &Obstacles,
+    predicted: &mut Vec<PredictedObstacle>,
+) -> Result<State, StopReason> {
+    let initial = State {
+        sideslip: pose.predicted_sideslip_rad,
+        yaw: pose.predicted_yaw_rad,
+        yaw_rate: pose.predicted_yaw_rate_radps,
+        x: pose.predicted_x_m,
+        y: pose.predicted_y_m,
+    };
+    let lead_s = (pose.predicted_ns as f64 - pose.header.acquired_ns as f64) * 1e-9;
+    let sound = is_inside(config, &initial)
+        && initial.sideslip.abs() < 1.0
+        && initial.yaw.abs() < 10.0
+        && initial.yaw_rate.abs() < 10.0
+        && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
+        && (0.0..=MAX_LEAD_S).contains(&lead_s)
+        && pose.local_covariance.iter().all(|value| value.is_finite())
+        && pose.header.scan_id == obstacles.header.scan_id;
+    if !sound || !predicted_obstacle::read(obstacles, lead_s, predicted) {
+        return Err(StopReason::BadInput);
+    }
+    let body = Scene::new(config, predicted, initial).body_at(&initial);
+    let reach = body.length + body.width;
+    let overlaps = |obstacle: &PredictedObstacle| {
+        let distance = (obstacle.body.centre - body.centre).norm();
+        distance < reach + obstacle.body.length + obstacle.body.width
+            && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
+    };
+    if predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
+}
+
+/// Whether a state is finite and not far outside of the bounds.
+fn is_inside(config: &Config, state: &State) -> bool {
+    let [low, high] = config.y_range();
+    let within =
+        |value: f64, [low, high]: [f64; 2]| value > low - FAR_OUTSIDE_M && value < high + FAR_OUTSIDE_M;
+    state.is_finite() && within(state.x, config.track.x_m) && within(state.y, [low, high])
+}
