@@ -23,7 +23,6 @@ pub use places::Start;
 pub use preset::Values;
 pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
 pub use scanner::Scanner;
-pub(crate) use scanner::min_range_m;
 pub use vehicle::{Goal, Track};
 
 /// What the name of a scenario may be.

@@ -1,14 +1,18 @@
 //! What a faulty scanner makes of its readings.
 //!
 //! The order is that of the light's way: a surface that is too black, dropouts, dust and salt, a covered part of the
-//! window, and last an electronics that repeats old ranges. Each fault draws from a stream of its own, and draws for all
-//! beams. So a fault never changes the noise or another fault, and more of it disturbs the same beams and others.
+//! window, and last electronics that repeat old ranges. Each fault draws from a stream of its own, and draws for all
+//! beams. So a fault never changes the noise or another fault, and more of it disturbs the same beams and others. Only a
+//! scanner that is turned sees other surfaces, with other noise.
 
 use shared_types::{BEAMS, MIN_RANGE_MM, Scan};
 
 use super::{MAX_RANGE_M, NO_RETURN, Sweep};
 use crate::noise::{Purpose, Stream};
-use crate::scenario::{Scanner, Scenario, min_range_m};
+use crate::scenario::{Scanner, Scenario};
+
+/// Nearest random range of dust and salt [m].
+const MIN_RANGE_M: f64 = MIN_RANGE_MM as f64 * 1e-3;
 
 /// Farthest random range of dust [m].
 const DUST_M: f64 = 1.0;
@@ -130,7 +134,7 @@ fn scatter(share: f64, reach_m: f64, mut stream: Stream, ranges_mm: &mut [u16; B
         return;
     }
     for reading in ranges_mm {
-        let (is_hit, range) = (stream.chance(share), stream.between(min_range_m(), reach_m));
+        let (is_hit, range) = (stream.chance(share), stream.between(MIN_RANGE_M, reach_m));
         if is_hit {
             *reading = (range * 1000.0).round() as u16;
         }

@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 
-use shared_types::MIN_RANGE_MM;
 use vehicle::{Invalid, Rule, settings};
 
 use crate::laser::MAX_RANGE_M;
@@ -24,12 +23,12 @@ settings! {
         pub stuck_s: Option<f64> = None, 0.0..=1e6;
         /// Probability that a beam gives no return, from each of these times on, in addition to `noise.dropout`.
         pub dropout_steps: Vec<[f64; 2]> = Vec::new(), Steps;
-        /// Reported range divided by the measured one.
+        /// Reported range divided by the true one.
         pub range_factor: f64 = 1.0, 0.1..=10.0;
         /// Length that is added to each range, after `range_factor` [m].
         pub range_offset_m: f64 = 0.0, -MAX_RANGE_M..=MAX_RANGE_M;
-        /// Mounting error: the scanner is turned by this angle, counter-clockwise, in addition to
-        /// `robot.scanner_yaw_rad` [rad].
+        /// Mounting error that the vehicle description does not know: the scanner is turned by this angle,
+        /// counter-clockwise, in addition to `robot.scanner_yaw_rad` [rad].
         pub yaw_rad: f64 = 0.0, -PI..=PI;
         /// Share of the beams that report a random range from 0.02 to 5.6 m.
         pub salt: f64 = 0.0, 0.0..=1.0;
@@ -86,11 +85,6 @@ impl Scanner {
 
 fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
-}
-
-/// The smallest range that is no error code [m].
-pub(crate) fn min_range_m() -> f64 {
-    f64::from(MIN_RANGE_MM) * 1e-3
 }
 
 /// Pairs of angles in ascending order.
@@ -216,11 +210,13 @@ mod tests {
     }
 
     #[test]
-    fn a_table_with_all_keys_reads_back_identically() {
+    fn a_table_with_all_keys_and_a_black_obstacle_read_back_identically() {
         let keys = "from_s = 1\nto_s = 9\ndead_rad = [[-0.5, 0.1], [1, 2]]\nstuck_s = 2\n\
                     dropout_steps = [[1, 0.5], [2, 1]]\nrange_factor = 1.1\nrange_offset_m = -0.1\nyaw_rad = 0.05\n\
                     salt = 0.01\ndust = 0.02\nblack_range_m = 1\nstamp_jitter_s = 0.02\nlate_s = 0.05\nmissing_every = 5";
-        let scenario = Scenario::parse(&format!("[scanner]\n{keys}"), "test").unwrap();
+        let post = "[[obstacle]]\nshape = \"circle\"\nx_m = 5\ny_m = 0\nradius_m = 0.1\nblack = true";
+        let scenario = Scenario::parse(&format!("[scanner]\n{keys}\n{post}"), "test").unwrap();
+        assert!(scenario.obstacles[0].black && scenario.scanner.dead_rad.len() == 2);
         assert_eq!(Scenario::parse(&scenario.to_toml(), "written").unwrap(), scenario);
     }
 }
