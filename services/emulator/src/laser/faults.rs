@@ -1,9 +1,9 @@
 //! What a faulty scanner makes of its readings.
 //!
 //! The order is that of the light's way: a surface that is too black, dropouts, dust and salt, a covered part of the
-//! window, and last electronics that repeat old ranges. Each fault draws from a stream of its own, and draws for all
-//! beams. So a fault never changes the noise or another fault, and more of it disturbs the same beams and others. Only a
-//! scanner that is turned sees other surfaces, with other noise.
+//! window, and last electronics that repeat old ranges. Each fault draws from a stream of its own, for all beams. So a
+//! fault never changes the noise or another fault, and more of it disturbs the same beams and others. Only a scanner
+//! that is turned sees other surfaces, with other noise.
 
 use shared_types::{BEAMS, MIN_RANGE_MM, Scan};
 

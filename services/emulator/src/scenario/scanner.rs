@@ -213,7 +213,8 @@ mod tests {
     fn a_table_with_all_keys_and_a_black_obstacle_read_back_identically() {
         let keys = "from_s = 1\nto_s = 9\ndead_rad = [[-0.5, 0.1], [1, 2]]\nstuck_s = 2\n\
                     dropout_steps = [[1, 0.5], [2, 1]]\nrange_factor = 1.1\nrange_offset_m = -0.1\nyaw_rad = 0.05\n\
-                    salt = 0.01\ndust = 0.02\nblack_range_m = 1\nstamp_jitter_s = 0.02\nlate_s = 0.05\nmissing_every = 5";
+                    salt = 0.01\ndust = 0.02\nblack_range_m = 1\nstamp_jitter_s = 0.02\nlate_s = 0.05\n\
+                    missing_every = 5";
         let post = "[[obstacle]]\nshape = \"circle\"\nx_m = 5\ny_m = 0\nradius_m = 0.1\nblack = true";
         let scenario = Scenario::parse(&format!("[scanner]\n{keys}\n{post}"), "test").unwrap();
         assert!(scenario.obstacles[0].black && scenario.scanner.dead_rad.len() == 2);
