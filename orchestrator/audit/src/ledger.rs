@@ -101,13 +101,10 @@ impl Ledger {
         }
     }
 
-    /// Notes the reason of a scan in case it stays without an answer; after the end of the run none needs one.
+    /// Notes the reason of a scan in case it stays without an answer. It counts as soon as a later scan is published.
     pub fn excused(&mut self, scan_id: u64, reason: &'static str) {
-        if self.ended_at.is_some_and(|end| scan_id > end) {
-            return;
-        }
-        if let Some(entry) = self.entry(scan_id) {
-            entry.excuse = Some(reason);
+        if scan_id >= self.oldest_stored() {
+            self.entries.entry(scan_id).or_default().excuse = Some(reason);
         }
     }
 
@@ -155,7 +152,7 @@ impl Ledger {
     /// The counts as if the run had ended now, or when [`Ledger::run_ended`] was called.
     pub fn report(&self) -> ScanReport {
         let mut report = self.settled.clone();
-        for (&scan_id, &entry) in &self.entries {
+        for (&scan_id, &entry) in self.entries.range(..=self.newest) {
             self.settle(scan_id, entry, &mut report);
         }
         report.published = if self.newest >= self.first.max(1) { self.newest - self.first + 1 } else { 0 };
@@ -248,6 +245,18 @@ mod tests {
         let report = ledger(127, &[]).report();
         assert_eq!((report.published, report.commanded, report.late, report.lost), (127, 127, 0, 0));
         assert_eq!((report.unaccounted, report.duplicates), (0, 0));
+    }
+
+    #[test]
+    fn a_scan_that_was_skipped_after_the_last_one_of_the_run_is_not_counted() {
+        let mut ledger = ledger(3, &[]);
+        ledger.excused(5, ROBOT_HELD_UP);
+        let report = ledger.report();
+        assert_eq!((report.published, report.commanded, report.lost, report.unaccounted), (3, 3, 0, 0));
+        ledger.published(6, 6 * PERIOD_NS);
+        ledger.answered(6, 6 * PERIOD_NS);
+        let report = ledger.report();
+        assert_eq!((report.published, report.commanded, report.lost, report.unaccounted), (6, 4, 1, 1));
     }
 
     #[test]

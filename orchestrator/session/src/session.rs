@@ -94,7 +94,7 @@ impl Session {
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
         let supervisor = Supervisor::new(entries.map(|entry| entry.policy(period_ns)).collect());
-        let misses_scans = plan.scenario.robot.values(plan.scenario.seed).scan_missing_every > 0;
+        let misses_scans = plan.scenario.misses_scans();
         let audit = match first_scan {
             0 => SampleAudit::midway(),
             _ => SampleAudit::new(lockstep && !misses_scans),

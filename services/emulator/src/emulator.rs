@@ -67,7 +67,7 @@ impl Emulator {
         let scenario = &Scenario { robot, ..scenario.clone() };
         let period_ns = period_ns.max(STEP_NS);
         let (plant, reckoning) = (Plant::new(scenario), Reckoning::new(scenario));
-        let history = History::new(node(0, &plant, &reckoning), HISTORY_PERIODS.saturating_mul(period_ns));
+        let history = History::new(node(0, &plant, &reckoning), history_ns(scenario, period_ns));
         let mut scene = Scene::new(scenario);
         let body = scenario.start_body();
         scene.trigger(&body, 0.0);
@@ -112,9 +112,10 @@ impl Emulator {
         self.period_ns / 3 * 2 + self.period_ns % 3 * 2 / 3
     }
 
-    /// When a scan is complete and can be published: a third of the period after its front beam [ns].
+    /// When a scan can be published: when its sweep is complete, a third of the period after its front beam, or later
+    /// where the scanner is late [ns].
     pub fn scan_ready_ns(&self, scan_id: u64) -> u64 {
-        self.acquired_ns(scan_id).saturating_add(self.period_ns / 3)
+        self.schedule.ready_ns(scan_id)
     }
 
     /// The time that [`Self::advance_to`] reached [ns].
@@ -338,6 +339,12 @@ fn node(time_ns: u64, plant: &Plant, reckoning: &Reckoning) -> Node {
         reported_yaw: reckoning.yaw(),
         encoder_m: reckoning.encoder_m(),
     }
+}
+
+/// How long past poses are kept [ns].
+fn history_ns(scenario: &Scenario, period_ns: u64) -> u64 {
+    let late_ns = (scenario.scanner.late_s * 1e9) as u64;
+    HISTORY_PERIODS.saturating_mul(period_ns).saturating_add(late_ns)
 }
 
 fn seconds(ns: u64) -> f64 {

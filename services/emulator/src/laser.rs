@@ -8,6 +8,10 @@
 //! normal noise of `noise.range_m` or of the share `noise.range_share` of the range, whichever is larger, and a
 //! beam may be lost (`noise.dropout`). The data sheet's +-10 mm below 1 m and +-1 % above are bounds, about three
 //! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is harsher up to 3 m.
+//!
+//! Then come the [`faults`]. A beam without a return, for whatever reason, reports an error code drawn from the seed.
+
+mod faults;
 
 use std::ops::RangeInclusive;
 
@@ -20,18 +24,13 @@ use crate::history::History;
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
+use faults::{Faults, Scale};
 
 /// Largest range that the scanner reports [m].
 pub const MAX_RANGE_M: f64 = 5.6;
 
-/// Error code where nothing came back, or from too far away.
-pub const NO_RETURN: u16 = 0;
-
-/// Error code where too little light came back: a dropout.
-const LOW_INTENSITY: u16 = 1;
-
-/// Error code of a surface nearer than 20 mm.
-const TOO_NEAR: u16 = 19;
+/// A beam without a usable return, until it gets its error code.
+const NO_RETURN: u16 = 0;
 
 /// Neighbouring beams whose ranges differ by more than this lie on two sides of an edge [m].
 const EDGE_M: f64 = 0.1;
@@ -74,8 +73,11 @@ pub struct Laser {
     seed: u64,
     noise: Noise,
     mount: Mount,
+    faults: Faults,
     beams: Vec<Beam>,
     ranges: Vec<f64>,
+    /// Whether the surface that a beam hits is black.
+    black: Vec<bool>,
     mixed: Vec<f64>,
 }
 
@@ -86,8 +88,10 @@ impl Laser {
             seed: scenario.seed,
             noise: scenario.noise,
             mount: Mount::new(&scenario.robot_values()),
+            faults: Faults::new(scenario),
             beams: Vec::with_capacity(BEAMS),
             ranges: Vec::with_capacity(BEAMS),
+            black: Vec::with_capacity(BEAMS),
             mixed: Vec::with_capacity(BEAMS),
         }
     }
@@ -97,9 +101,24 @@ impl Laser {
         self.cast(sweep, history, scene);
         let mut stream = Stream::new(self.seed, Purpose::Laser, sweep.scan_id);
         self.mix_edges(&mut stream);
+        let scale = self.faults.scale_at(sweep.front_ns);
         for (reading, range) in ranges_mm.iter_mut().zip(&self.mixed) {
-            *reading = reading_of(*range, &self.noise, &mut stream);
+            *reading = reading_of(*range, &self.noise, scale, &mut stream);
         }
+        self.faults.absorb(sweep.front_ns, &self.ranges, &self.black, ranges_mm);
+        self.faults.disturb(sweep, ranges_mm);
+        faults::draw_codes(self.seed, sweep.scan_id, ranges_mm);
+        self.faults.hold(sweep.front_ns, ranges_mm);
+    }
+
+    /// The ranges that a stuck scanner repeats.
+    pub(crate) fn repeated(&self) -> Option<&[u16; BEAMS]> {
+        self.faults.held.as_ref()
+    }
+
+    /// Continues with the ranges that another scanner repeats.
+    pub(crate) fn repeat(&mut self, ranges_mm: Option<[u16; BEAMS]>) {
+        self.faults.held = ranges_mm;
     }
 
     /// True ranges of one sweep [m], infinite where a beam hits nothing within reach.
@@ -107,6 +126,8 @@ impl Laser {
         let motion = self.aim(sweep, history);
         self.ranges.clear();
         self.ranges.resize(BEAMS, f64::INFINITY);
+        self.black.clear();
+        self.black.resize(BEAMS, false);
         if let Some(walls) = scene.walls() {
             for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
                 *range = wall_range(beam, walls);
@@ -124,14 +145,15 @@ impl Laser {
     /// Computes where all beams start and go, and how far the robot moves meanwhile.
     fn aim(&mut self, sweep: &Sweep, history: &History) -> Motion {
         let front = history.at(sweep.front_ns).state;
-        let (origin, yaw) = self.mount.pose(&front);
+        let mount = self.mount.turned(self.faults.yaw_at(sweep.front_ns));
+        let (origin, yaw) = mount.pose(&front);
         let mut motion = Motion { origin, yaw, travel: 0.0, turn: 0.0, time_s: sweep.front_ns as f64 * 1e-9 };
         let mut walk = history.walk();
         self.beams.clear();
         for index in 0..BEAMS {
             let time_ns = sweep.beam_ns(index);
             let state = walk(time_ns).state;
-            let (origin, yaw) = self.mount.pose(&state);
+            let (origin, yaw) = mount.pose(&state);
             motion.travel = motion.travel.max((origin - motion.origin).norm());
             motion.turn = motion.turn.max((yaw - motion.yaw).abs());
             self.beams.push(Beam {
@@ -152,7 +174,7 @@ impl Laser {
                 && let Some(range) = solid.ray(beam.origin, beam.direction)
                 && range < self.ranges[index]
             {
-                self.ranges[index] = range;
+                (self.ranges[index], self.black[index]) = (range, near.is_black());
             }
         }
     }
@@ -187,6 +209,11 @@ impl Mount {
     fn new(robot: &Values) -> Self {
         let Values { scanner_x_m, scanner_y_m, scanner_yaw_rad, .. } = *robot;
         Self { forward_m: scanner_x_m, left_m: scanner_y_m, yaw_rad: scanner_yaw_rad }
+    }
+
+    /// The same place, turned counter-clockwise.
+    fn turned(self, yaw_rad: f64) -> Self {
+        Self { yaw_rad: self.yaw_rad + yaw_rad, ..self }
     }
 
     /// Position and yaw of the scanner on a robot.
@@ -245,219 +272,20 @@ fn wall_range(beam: &Beam, [low, high]: [f64; 2]) -> f64 {
     ((wall - beam.origin.y) / beam.direction.y).max(0.0)
 }
 
-fn reading_of(range: f64, noise: &Noise, stream: &mut Stream) -> u16 {
+/// Reading of a range, with what `scale` makes of the measured one [mm].
+fn reading_of(range: f64, noise: &Noise, scale: Scale, stream: &mut Stream) -> u16 {
     if range > MAX_RANGE_M {
         return NO_RETURN;
     }
     let deviation = noise.range_m.max(noise.range_share * range);
     let measured = if deviation > 0.0 { range + deviation * stream.normal() } else { range };
     if noise.dropout > 0.0 && stream.chance(noise.dropout) {
-        return LOW_INTENSITY;
+        return NO_RETURN;
     }
-    let millimetres = (measured * 1000.0).round();
-    if millimetres > MAX_RANGE_M * 1000.0 {
-        NO_RETURN
-    } else if millimetres < f64::from(MIN_RANGE_MM) {
-        TOO_NEAR
-    } else {
-        millimetres as u16
-    }
+    let millimetres = (scale.applied(measured) * 1000.0).round();
+    let is_range = (f64::from(MIN_RANGE_MM)..=MAX_RANGE_M * 1000.0).contains(&millimetres);
+    if is_range { millimetres as u16 } else { NO_RETURN }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::history::Node;
-
-    const SWEEP: Sweep = Sweep { scan_id: 1, front_ns: 100_000_000, duration_ns: 66_666_666 };
-
-    fn node(time_ns: u64, state: State) -> Node {
-        Node {
-            time_ns,
-            state,
-            speed: 0.0,
-            steering: 0.0,
-            reported: Vector2::zeros(),
-            reported_yaw: 0.0,
-            encoder_m: 0.0,
-        }
-    }
-
-    fn standing() -> History {
-        History::new(node(0, State::default()), 1_000_000_000)
-    }
-
-    fn quiet(text: &str) -> Scenario {
-        Scenario::parse(&format!("{text}\n[noise]\nrange_m = 0.0"), "test").unwrap()
-    }
-
-    fn readings(scenario: &Scenario, history: &History) -> [u16; BEAMS] {
-        let mut ranges = [7; BEAMS];
-        Laser::new(scenario).measure(&SWEEP, history, &Scene::new(scenario), &mut ranges);
-        ranges
-    }
-
-    fn circle(x: f64, y: f64, radius: f64, more: &str) -> String {
-        format!("[[obstacle]]\nshape = \"circle\"\nx_m = {x}\ny_m = {y}\nradius_m = {radius}\n{more}")
-    }
-
-    #[test]
-    fn a_post_straight_ahead_is_seen_at_its_near_side_by_as_many_beams_as_it_is_wide() {
-        let ranges = readings(&quiet(&circle(2.0, 0.0, 0.1, "")), &standing());
-        assert_eq!(ranges[FRONT_BEAM], 1900);
-        // asin(0.1 / 2) = 2.866 deg to each side, 8.15 pitches of 0.3516 deg: 17 beams.
-        let hits: Vec<usize> = (0..BEAMS).filter(|beam| ranges[*beam] >= MIN_RANGE_MM).collect();
-        assert_eq!((hits[0], hits.len()), (FRONT_BEAM - 8, 17));
-        assert_eq!(ranges[0], NO_RETURN);
-    }
-
-    #[test]
-    fn a_box_is_seen_with_its_flat_face_and_the_right_beams_come_first() {
-        let text = "[[obstacle]]\nshape = \"box\"\nx_m = 3.05\ny_m = -0.5\nlength_m = 0.1\nwidth_m = 1.0";
-        let ranges = readings(&quiet(text), &standing());
-        // Face at x = 3 from y = -1 to 0: beam 300 points 40 pitches = 14.0625 deg to the right, 3 / cos = 3.0927.
-        assert_eq!(ranges[300], 3093);
-        assert_eq!(ranges[FRONT_BEAM - 1], 3000);
-        assert_eq!(ranges[FRONT_BEAM + 2], NO_RETURN, "nothing on the left");
-    }
-
-    #[test]
-    fn walls_are_seen_at_their_distance_over_the_cosine() {
-        let scenario = quiet("[track]\nwalls = true\ny_m = [-1.9, 1.9]");
-        let ranges = readings(&scenario, &standing());
-        // 256 pitches are 90 deg.
-        assert_eq!((ranges[FRONT_BEAM - 256], ranges[FRONT_BEAM + 256]), (1900, 1900));
-        // 171 pitches: 1.9 / sin(60.117 deg) = 2.1914.
-        assert_eq!(ranges[FRONT_BEAM + 171], 2191);
-        assert_eq!(ranges[FRONT_BEAM], NO_RETURN);
-    }
-
-    #[test]
-    fn a_moving_robot_sees_a_skewed_scan() {
-        // 1 m/s along x: the beam at +60 deg (171 of 682 sweep positions later) starts 16.7 mm further ahead.
-        let mut history = History::new(node(0, State::default()), 1_000_000_000);
-        history.push(node(200_000_000, State { x: 0.2, ..State::default() }));
-        let scenario =
-            quiet("[[obstacle]]\nshape = \"box\"\nx_m = 2.15\ny_m = 0\nlength_m = 0.1\nwidth_m = 9");
-        let ranges = readings(&scenario, &history);
-        // Front beam at t = 0.1 s: robot at 0.1, face at 2.1.
-        assert_eq!(ranges[FRONT_BEAM], 2000);
-        for beam in [FRONT_BEAM - 128, FRONT_BEAM + 128] {
-            // 45 deg; the right beam was taken 12.5 ms earlier and is longer by 25 mm * sqrt(2) than the left one.
-            let shift = (beam as f64 - FRONT_BEAM as f64) / BEAMS as f64 * 0.066_666_666;
-            let expected = (2.0 - shift) * std::f64::consts::SQRT_2 * 1000.0;
-            assert!((f64::from(ranges[beam]) - expected).abs() <= 0.51, "{} {expected}", ranges[beam]);
-        }
-        assert_eq!(ranges[FRONT_BEAM - 128] - ranges[FRONT_BEAM + 128], 35);
-    }
-
-    #[test]
-    fn a_moving_obstacle_is_hit_where_it_is_at_the_time_of_the_beam() {
-        let scenario = quiet(&circle(3.0, 0.0, 0.2, "velocity_x_mps = -1.0"));
-        let ranges = readings(&scenario, &standing());
-        assert_eq!(ranges[FRONT_BEAM], 2700);
-        let gone = quiet(&circle(3.0, 0.0, 0.2, "disappears_s = 0.0995"));
-        let ranges = readings(&gone, &standing());
-        assert!(ranges[FRONT_BEAM - 10] > 2000, "still there a millisecond before the front beam");
-        assert_eq!(ranges[FRONT_BEAM], NO_RETURN);
-    }
-
-    #[test]
-    fn culling_changes_nothing() {
-        let mut stream = Stream::new(5, Purpose::Course, 0);
-        for _ in 0..200 {
-            let (x, y) = (stream.between(-5.0, 5.0), stream.between(-5.0, 5.0));
-            if x.hypot(y) < 1.5 {
-                continue;
-            }
-            let scenario = quiet(&circle(x, y, stream.between(0.05, 1.0), "velocity_y_mps = 0.7"));
-            let yaw = stream.between(-3.0, 3.0);
-            let mut history = History::new(node(0, State { yaw, ..State::default() }), 1_000_000_000);
-            history.push(node(200_000_000, State { yaw: yaw + 0.3, x: 0.2, ..State::default() }));
-            let (mut laser, scene) = (Laser::new(&scenario), Scene::new(&scenario));
-            laser.cast(&SWEEP, &history, &scene);
-            let culled = laser.ranges.clone();
-            let near = scene.near(Vector2::zeros(), 100.0).next().unwrap();
-            laser.ranges.fill(f64::INFINITY);
-            laser.cast_at(near, 0..=BEAMS - 1);
-            for (with, without) in culled.iter().zip(&laser.ranges) {
-                assert!(with == without || *without > MAX_RANGE_M);
-            }
-        }
-    }
-
-    #[test]
-    fn readings_are_error_codes_below_20_mm_and_beyond_5600_mm() {
-        let silent = Noise { range_m: 0.0, ..Noise::default() };
-        let mut stream = Stream::new(1, Purpose::Laser, 1);
-        let mut reading = |range| reading_of(range, &silent, &mut stream);
-        assert_eq!(reading(0.0194), TOO_NEAR);
-        assert_eq!(reading(0.0196), 20);
-        assert_eq!(reading(5.6), 5600);
-        assert_eq!(reading(5.6001), NO_RETURN);
-        assert_eq!(reading(f64::INFINITY), NO_RETURN);
-        assert!(reading(f64::NAN) < MIN_RANGE_MM, "never a range");
-    }
-
-    #[test]
-    fn noise_and_dropouts_are_as_frequent_as_asked_for() {
-        let scenario = Scenario::parse(
-            &format!(
-                "{}[noise]\nrange_m = 0.02\ndropout = 0.05",
-                "[track]\nwalls = true\ny_m = [-1.0, 1.0]\n"
-            ),
-            "test",
-        )
-        .unwrap();
-        let (mut laser, scene, history) = (Laser::new(&scenario), Scene::new(&scenario), standing());
-        let (mut lost, mut count, mut squares) = (0, 0, 0.0);
-        for scan_id in 1..=100 {
-            let mut ranges = [0; BEAMS];
-            laser.measure(&Sweep { scan_id, ..SWEEP }, &history, &scene, &mut ranges);
-            for beam in (0..BEAMS).filter(|beam| laser.ranges[*beam] < 5.0) {
-                count += 1;
-                if ranges[beam] == LOW_INTENSITY {
-                    lost += 1;
-                } else {
-                    squares += (f64::from(ranges[beam]) * 1e-3 - laser.ranges[beam]).powi(2);
-                }
-            }
-        }
-        // About 60000 beams: five standard errors are 0.0045 of the share and 1.5 % of the deviation.
-        assert!((f64::from(lost) / f64::from(count) - 0.05).abs() < 0.0045);
-        let deviation = (squares / f64::from(count - lost)).sqrt();
-        assert!((deviation / 0.02 - 1.0).abs() < 0.015, "{deviation}");
-    }
-
-    #[test]
-    fn a_mixed_pixel_lies_between_the_two_sides_of_an_edge() {
-        let text = format!(
-            "{}[[obstacle]]\nshape = \"box\"\nx_m = 3.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 6\n\
-             [noise]\nrange_m = 0.0\nmixed_pixels = 1",
-            circle(1.5, 0.0, 0.1, "")
-        );
-        let ranges = readings(&Scenario::parse(&text, "test").unwrap(), &standing());
-        let between = ranges.iter().filter(|range| (1600..2900).contains(*range)).count();
-        assert!(
-            (1..=2).contains(&between),
-            "one at each edge of the post unless it lands near a side: {between}"
-        );
-    }
-
-    #[test]
-    fn beams_start_at_the_scanner_and_turn_with_it() {
-        let post = circle(2.0, 0.0, 0.1, "");
-        let mounted = |keys: &str| readings(&quiet(&format!("{post}\n[robot]\n{keys}")), &standing());
-        assert_eq!(mounted("scanner_x_m = 0.25")[FRONT_BEAM], 1650);
-        // 0.05 m to the left of the line, the post is hit 2 - sqrt(0.01 - 0.0025) ahead.
-        assert_eq!(mounted("scanner_y_m = 0.05")[FRONT_BEAM], 1913);
-        // A quarter turn to the left is 256 pitches: the post comes 256 beams earlier.
-        let turned = mounted("scanner_yaw_rad = 1.5707963267948966");
-        assert_eq!((turned[FRONT_BEAM], turned[FRONT_BEAM - 256]), (NO_RETURN, 1900));
-        // Ahead of a robot that looks to the left is to the left of the track.
-        let mut history = History::new(node(0, State::default()), 1_000_000_000);
-        history.push(node(1, State { yaw: std::f64::consts::FRAC_PI_2, ..State::default() }));
-        let scenario = quiet("[track]\nwalls = true\ny_m = [-2.0, 2.0]\n[robot]\nscanner_x_m = 0.25");
-        assert_eq!(readings(&scenario, &history)[FRONT_BEAM], 1750);
-    }
-}
+mod tests;

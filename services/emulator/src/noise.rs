@@ -27,6 +27,14 @@ pub enum Purpose {
     Stamp = 8,
     /// Scans that are missing.
     Missing = 9,
+    /// Error codes of beams without a return.
+    Code = 10,
+    /// Beams that a fault of the scanner loses.
+    Dropout = 11,
+    /// Random ranges within the whole reach.
+    Salt = 12,
+    /// Random ranges near the scanner.
+    Dust = 13,
 }
 
 /// A stream of random numbers.

@@ -10,6 +10,7 @@ mod places;
 mod preset;
 mod read;
 mod robot;
+mod scanner;
 mod shipped;
 
 use nalgebra::Vector2;
@@ -21,6 +22,7 @@ pub use obstacle::{Obstacle, Shape};
 pub use places::Start;
 pub use preset::Values;
 pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
+pub use scanner::Scanner;
 pub use vehicle::{Goal, Track};
 
 /// What the name of a scenario may be.
@@ -55,6 +57,9 @@ settings! {
         pub robot: Robot = Robot::default();
         /// Noise of scanner and odometer; standard deviations unless stated otherwise.
         pub noise: Noise = Noise::default();
+        /// Faults of the scanner; without a key there is none, and obstacles that are marked as black are hard to see.
+        /// A scan has a fault when its front beam is taken from `from_s` on and before `to_s`.
+        pub scanner: Scanner = Scanner::default();
     }
 }
 
@@ -127,6 +132,7 @@ impl Scenario {
         if let Some(endless) = &self.endless {
             endless.validate().map_err(|error| error.within("endless"))?;
         }
+        self.scanner.validate().map_err(|error| error.within("scanner"))?;
         self.validate_start_in_walls()?;
         for (index, obstacle) in self.obstacles.iter().enumerate() {
             self.validate_start_is_free(obstacle)
@@ -138,6 +144,11 @@ impl Scenario {
     /// What the robot of this scenario really is.
     pub fn robot_values(&self) -> Values {
         self.robot.values(self.seed)
+    }
+
+    /// Whether the scanner loses scans.
+    pub fn misses_scans(&self) -> bool {
+        self.robot_values().scan_missing_every > 0 || self.scanner.missing_every > 0
     }
 
     /// The body of the robot with its centre at a pose.

@@ -145,6 +145,11 @@ impl PlacedObstacle {
         self.obstacle.velocity_x_mps.hypot(self.obstacle.velocity_y_mps)
     }
 
+    /// Whether its surface is black.
+    pub fn is_black(&self) -> bool {
+        self.obstacle.black
+    }
+
     /// Whether it stands at one place for the whole run.
     pub fn is_permanent(&self) -> bool {
         self.obstacle.is_permanent()

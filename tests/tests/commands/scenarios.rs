@@ -1,9 +1,11 @@
 //! Every shipped scenario in lock-step, with the outcome it is shipped for.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::collections::BTreeMap;
+
 use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use pipeline::Settings;
+use pipeline::{Drive, Settings};
 use report::Report;
 use scanloop_tests::System;
 
@@ -48,6 +50,38 @@ fn a_drive_continues_after_missing_scans() {
     assert_eq!(report.scans.published, report.scans.commanded + report.scans.lost);
     assert_eq!(report.scans.unaccounted, 0);
     assert_eq!(again.digests, report.digests);
+}
+
+/// Late scans shift a drive; scans that are missing, at random or for two seconds, interrupt it. In all of them, every
+/// scan that was published is answered, and processes and pipeline agree.
+#[test]
+fn every_scan_of_a_scanner_that_is_late_or_silent_is_accounted_for() {
+    let system = System::new(EXECUTABLE);
+    let faults: [(&str, &[&str]); 4] = [
+        ("constantly late", &["scanner.late_s=0.05"]),
+        ("late for a second", &["scanner.late_s=0.25", "scanner.from_s=3.0", "scanner.to_s=4.0"]),
+        ("one in five missing", &["scanner.missing_every=5", "scanner.stamp_jitter_s=0.02"]),
+        ("silent for two seconds", &["scanner.missing_every=1", "scanner.from_s=3.0", "scanner.to_s=5.0"]),
+    ];
+    for (name, keys) in faults {
+        let mut arguments = vec!["corridor"];
+        keys.iter().for_each(|key| arguments.extend(["--set", key]));
+        let report = system.lockstep(&arguments);
+        assert_eq!(
+            (report.scans.unaccounted, report.drive.collided),
+            (0, false),
+            "{name}: {:?}",
+            report.scans
+        );
+        assert_eq!(report.scans.published, report.scans.commanded + report.scans.lost, "{name}");
+        assert_eq!(report.scans.lost > 0, name.contains("missing") || name.contains("silent"), "{name}");
+        let table: String =
+            keys.iter().map(|key| key.trim_start_matches("scanner.").to_owned() + "\n").collect();
+        let text = format!("{}\n[scanner]\n{table}", Scenario::shipped("corridor").unwrap());
+        let (drive, digests) = in_one_process(Scenario::parse(&text, name).unwrap());
+        assert_eq!((drive.outcome, digests), (report.outcome, report.digests), "{name}");
+    }
+    system.assert_nothing_left();
 }
 
 #[test]
@@ -203,17 +237,22 @@ fn processes_and_pipeline_give_the_same_bits() {
     for name in ["corridor", "noisy"] {
         let report = system.lockstep(&[name]);
         let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
-        let mut digests = Digests::default();
-        let drive = pipeline::drive(&Settings::of(scenario), |step| {
-            digests.add(&step.truth);
-            step.pose.iter().for_each(|sample| digests.add(sample));
-            step.obstacles.iter().for_each(|sample| digests.add(sample));
-            step.command.iter().for_each(|sample| digests.add(sample));
-            step.actuation.iter().for_each(|sample| digests.add(sample));
-        })
-        .unwrap();
+        let (drive, digests) = in_one_process(scenario);
         assert_eq!(drive.outcome, report.outcome);
         assert_eq!(drive.scans, report.scans.published);
-        assert_eq!(digests.texts(), report.digests, "{name}");
+        assert_eq!(digests, report.digests, "{name}");
     }
+}
+
+/// The drive of a scenario in the pipeline, with its digests.
+fn in_one_process(scenario: Scenario) -> (Drive, BTreeMap<String, String>) {
+    let mut digests = Digests::default();
+    let drive = pipeline::drive(&Settings::of(scenario), |step| {
+        digests.add(&step.truth);
+        step.pose.iter().for_each(|sample| digests.add(sample));
+        step.obstacles.iter().for_each(|sample| digests.add(sample));
+        step.command.iter().for_each(|sample| digests.add(sample));
+        step.actuation.iter().for_each(|sample| digests.add(sample));
+    });
+    (drive.unwrap(), digests.texts())
 }

@@ -67,6 +67,28 @@ fn a_controller_that_hangs_is_killed_and_restarted() {
     survives(Role::Controller, Signal::STOP);
 }
 
+/// For two seconds there is nothing to answer: no process hangs, the wheels are blocked, and then the drive continues.
+#[test]
+fn a_scanner_that_is_silent_for_two_seconds_restarts_no_process() {
+    let mut system = System::new(EXECUTABLE);
+    let silent = ["scanner.missing_every=1", "scanner.from_s=2.0", "scanner.to_s=4.0"];
+    let mut arguments = vec!["--duration", "6"];
+    silent.iter().for_each(|key| arguments.extend(["--set", key]));
+    system.start(&arguments);
+    system.wait();
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    assert!(report.processes.iter().all(|process| process.restarts == 0), "{report:?}");
+    assert!(report.drive.longest_blind_s <= MAX_BLIND_S && !report.drive.collided);
+    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
+    assert!(report.scans.lost >= 20, "{:?}", report.scans);
+    let x_at = |time_s: f64| {
+        report.trajectory.iter().rfind(|place| place[0] <= time_s).map_or(0.0, |place| place[1])
+    };
+    assert!(x_at(6.0) > x_at(4.05) + 0.5, "{} m at 4 s, {} m at 6 s", x_at(4.05), x_at(6.0));
+    system.assert_nothing_left();
+}
+
 /// As when a host suspends its guest: the orchestrator wakes first and has received no heartbeat.
 #[test]
 fn a_machine_that_was_suspended_restarts_no_process() {

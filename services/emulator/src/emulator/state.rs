@@ -1,13 +1,14 @@
 //! The whole state of the robot and its surroundings as plain bytes, from which a successor continues.
 //!
 //! Random numbers need no state: each scan starts its own streams. Past poses need none before the next sweep
-//! begins, which is a third of a period after the last scan was ready. From then on there is no state to hand over.
+//! begins, which is a third of a period after the last sweep was complete. From then on there is no state to hand over;
+//! so there is none while scans are later than that.
 
 use nalgebra::Vector2;
-use shared_types::{Fault, Flag, finite, plain_state};
+use shared_types::{BEAMS, Fault, Flag, finite, plain_state};
 use vehicle::State;
 
-use super::{Emulator, HISTORY_PERIODS, Travellings, node};
+use super::{Emulator, Travellings, history_ns, node};
 use crate::history::History;
 use crate::odometer::Reported;
 
@@ -84,6 +85,10 @@ plain_state! {
         pub actuation_scan: u64,
         /// When obstacles that wait for the robot have appeared; -1 for those that still wait [s]
         pub appeared_s: [f64; APPEARING],
+        /// Ranges that a stuck scanner repeats [mm]
+        pub repeated_mm: [u16; BEAMS],
+        /// 1 while the scanner repeats them
+        pub repeats: Flag,
     }
 }
 
@@ -93,7 +98,7 @@ impl Emulator {
     /// `None` when the next sweep may have begun, or when too many obstacles wait for the robot.
     pub fn state(&self, last_scan: u64) -> Option<EmulatorState> {
         let Self { plant, reckoning, .. } = self;
-        let next_sweep_ns = self.scan_ready_ns(last_scan + 1).saturating_sub(self.sweep_ns());
+        let next_sweep_ns = self.schedule.complete_ns(last_scan + 1).saturating_sub(self.sweep_ns());
         let appearing = self.scene.appearances().count();
         if self.state.clock_ns > next_sweep_ns || appearing > APPEARING {
             return None;
@@ -123,6 +128,8 @@ impl Emulator {
             has_reported: u64::from(last.is_some()),
             appearing: appearing as u32,
             appeared_s,
+            repeated_mm: self.laser.repeated().copied().unwrap_or([0; BEAMS]),
+            repeats: self.laser.repeated().is_some().into(),
             ..self.state
         })
     }
@@ -153,7 +160,8 @@ impl Emulator {
         self.odometer.last = (state.has_reported == 1).then_some(last);
         let appeared = state.appeared_s.iter().map(|appeared_s| (*appeared_s >= 0.0).then_some(*appeared_s));
         self.scene.set_appearances(appeared);
-        let keep_ns = HISTORY_PERIODS.saturating_mul(self.period_ns);
+        self.laser.repeat(state.repeats.is_set().then_some(state.repeated_mm));
+        let keep_ns = history_ns(&self.scenario, self.period_ns);
         self.history = History::new(node(state.plant_ns, &self.plant, &self.reckoning), keep_ns);
         Ok(())
     }

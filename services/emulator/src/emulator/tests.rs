@@ -531,3 +531,45 @@ fn a_state_with_commands_out_of_order_is_refused() {
     bad.travelling.items[0].velocity_mps = f64::NAN;
     assert!(emulator.resume(&bad).is_err());
 }
+
+#[test]
+fn a_late_scan_shows_what_was_there_when_it_was_taken_and_the_robot_has_moved_on() {
+    let wall = "[[obstacle]]\nshape = \"box\"\nx_m = 4.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 4";
+    let (mut prompt, mut late) = (ideal(wall), ideal(&format!("{wall}\n[scanner]\nlate_s = 0.5")));
+    for scan_id in 1..=8 {
+        let ready = prompt.scan_ready_ns(scan_id);
+        assert_eq!(late.scan_ready_ns(scan_id), ready + 500_000_000);
+        prompt.advance_to(ready);
+        let (scan, odometry, truth) = measure(&mut prompt, scan_id);
+        late.advance_to(ready);
+        let mut behind = late.clone();
+        for robot in [&mut prompt, &mut late, &mut behind] {
+            robot.actuate(&drive(1.0, 0.0));
+        }
+        // The same commands until the scan is published.
+        for step in 1..=5 {
+            behind.advance_to(ready + step * 100_000_000);
+            behind.actuate(&drive(1.0, 0.0));
+        }
+        let (scan_late, odometry_late, truth_late) = measure(&mut behind, scan_id);
+        assert_eq!(scan_late.ranges_mm, scan.ranges_mm, "scan {scan_id}");
+        assert_eq!((odometry_late.x_m, truth_late.x_m), (odometry.x_m, truth.x_m));
+        assert!(behind.present().state.x - truth_late.x_m > 0.4);
+    }
+}
+
+#[test]
+fn a_successor_of_a_stuck_scanner_repeats_the_same_ranges() {
+    let wall = "[[obstacle]]\nshape = \"box\"\nx_m = 4.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 4";
+    let mut old = ideal(&format!("{wall}\n[scanner]\nstuck_s = 0.3"));
+    lockstep(&mut old, 1..=5, &drive(1.0, 0.0));
+    let state = old.state(5).unwrap();
+    assert!(state.repeats.is_set() && state.repeated_mm[FRONT_BEAM] < 4000);
+    let mut new = Emulator::new(&old.scenario, PERIOD);
+    new.resume(&state).unwrap();
+    for robot in [&mut old, &mut new] {
+        robot.advance_to(robot.scan_ready_ns(6));
+        assert_eq!(measure(robot, 6).0.ranges_mm, state.repeated_mm);
+    }
+    assert_eq!(new.state(6), old.state(6));
+}

@@ -51,6 +51,8 @@ pub struct Obstacle {
     pub velocity_x_mps: f64,
     /// Velocity across the track from the moment it appears [m/s].
     pub velocity_y_mps: f64,
+    /// Whether its surface is black, so that the scanner sees it only from nearby.
+    pub black: bool,
 }
 
 impl Obstacle {
@@ -65,6 +67,7 @@ impl Obstacle {
             disappears_s: None,
             velocity_x_mps: 0.0,
             velocity_y_mps: 0.0,
+            black: false,
         }
     }
 
@@ -153,6 +156,8 @@ settings! {
         velocity_x_mps: f64 = 0.0, -5.0..=5.0;
         /// Velocity across the track from the moment it appears [m/s].
         velocity_y_mps: f64 = 0.0, -5.0..=5.0;
+        /// Whether the surface is black: it gives no return from farther away than `scanner.black_range_m`.
+        black: bool = false;
     }
 }
 
@@ -189,6 +194,7 @@ impl TryFrom<ObstacleFile> for Obstacle {
             disappears_s: file.disappears_s,
             velocity_x_mps: file.velocity_x_mps,
             velocity_y_mps: file.velocity_y_mps,
+            black: file.black,
         })
     }
 }
@@ -214,6 +220,7 @@ impl From<Obstacle> for ObstacleFile {
             disappears_s: obstacle.disappears_s,
             velocity_x_mps: obstacle.velocity_x_mps,
             velocity_y_mps: obstacle.velocity_y_mps,
+            black: obstacle.black,
         }
     }
 }

@@ -166,10 +166,13 @@ proptest! {
 
     #[test]
     fn no_value_of_any_key_makes_the_reader_panic(
-        table in prop::sample::select(vec!["", "track", "start", "goal", "robot", "noise", "endless", "obstacle"]),
+        table in prop::sample::select(vec![
+            "", "track", "start", "goal", "robot", "noise", "scanner", "endless", "obstacle",
+        ]),
         key in prop::sample::select(vec![
             "name", "seed", "timeout_s", "x_m", "y_m", "yaw_rad", "walls", "tolerance_m", "shape", "radius_m",
             "length_m", "width_m", "velocity_factor", "spacing_m", "appears_s", "odometry_drift", "dropout",
+            "dead_rad", "dropout_steps", "missing_every", "to_s", "late_s", "black",
         ]),
         value in prop::sample::select(vec![
             "nan", "-inf", "1e308", "-1", "true", "\"box\"", "[]", "[nan, 1]", "{}", "9223372036854775807",
