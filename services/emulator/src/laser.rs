@@ -9,7 +9,7 @@
 //! beam may be lost (`noise.dropout`). The data sheet's +-10 mm below 1 m and +-1 % above are bounds, about three
 //! standard deviations of 0.003 m and 0.003; the default of 0.01 m at any range is harsher up to 3 m.
 //!
-//! Then come the [`faults`]. A beam without a return, for whatever reason, reports an error code drawn from the seed.
+//! Then come the faults of the scanner. A beam without a return, for whatever reason, reports an error code drawn from the seed.
 
 mod faults;
 
