@@ -16,8 +16,6 @@ settings! {
         pub pose_sigmas: f64 = 2.0, 0.0..=10.0;
         /// Growth of the pose's standard deviation along the plan, after one second [m].
         pub pose_growth_m: f64 = 0.006, 0.0..=1.0;
-        /// Fraction of the age of the data that counts: speed times age is kept whole with 1.
-        pub age_share: f64 = 1.0, 0.0..=1.0;
         /// Difference between the path of the robot and that of the model [m].
         pub model_m: f64 = 0.015, 0.0..=1.0;
         /// Uncertainty of the outline of a described obstacle [m].
@@ -66,12 +64,12 @@ impl MarginModel {
 
     /// The parts of the margin `t` seconds after the start of the plan at `speed`.
     pub(crate) fn at(&self, t: f64, speed: f64) -> Margin {
-        let MarginSettings { pose_sigmas, pose_growth_m, age_share, model_m, perception_m } = self.settings;
+        let MarginSettings { pose_sigmas, pose_growth_m, model_m, perception_m } = self.settings;
         Margin {
             base_m: self.base_m,
             pose_m: pose_sigmas
                 * (self.variance_m2 + pose_growth_m * pose_growth_m * t.min(MAX_GROWTH_S)).sqrt(),
-            latency_m: speed * self.age_s * age_share,
+            latency_m: speed * self.age_s,
             model_m,
             perception_m,
         }
