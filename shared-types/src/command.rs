@@ -76,6 +76,8 @@ wire_enum! {
         StateLost = 8 "state_lost",
         /// At no speed can the robot stop in time: scans are too rare or the data too old.
         NoSafeSpeed = 9 "no_safe_speed",
+        /// The scanner is blind, stuck or contradictory: obstacles would not be seen.
+        Scanner = 10 "scanner",
     }
 }
 

@@ -3,15 +3,16 @@
 use crate::{
     ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, Enumeration, FIRST_BEAM_YAW_RAD,
     FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role,
-    Rule, SolveStatus, StopReason, Suspect, WINDOW,
+    Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 12] = [
+pub const ENUMERATIONS: [Enumeration; 13] = [
     Role::ENUMERATION,
     Phase::ENUMERATION,
     ProcessState::ENUMERATION,
     Suspect::ENUMERATION,
+    ScannerState::ENUMERATION,
     Alarm::ENUMERATION,
     CommandKind::ENUMERATION,
     Level::ENUMERATION,
@@ -43,7 +44,7 @@ pub enum Number {
 }
 
 /// All constants of the samples.
-pub const CONSTANTS: [Constant; 11] = [
+pub const CONSTANTS: [Constant; 12] = [
     integer("ROLES", "Number of roles", ROLES),
     integer("BEAMS", "Number of beams of a sweep", BEAMS),
     integer("FRONT_BEAM", "Index of the beam that looks straight ahead", FRONT_BEAM),
@@ -56,6 +57,7 @@ pub const CONSTANTS: [Constant; 11] = [
         "Angle of beam 0, counter-clockwise from straight ahead [rad]",
         FIRST_BEAM_YAW_RAD,
     ),
+    integer("SECTOR_BEAMS", "Beams of one sector of evidence", SECTOR_BEAMS),
     integer("MAX_OBSTACLES", "How many ellipses a description can hold", MAX_OBSTACLES),
     integer("PLAN_NODES", "How many nodes of the plan a command carries", PLAN_NODES),
     integer("CHECKPOINT_BYTES", "How many bytes of state a checkpoint can hold", CHECKPOINT_BYTES),

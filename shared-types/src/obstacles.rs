@@ -3,7 +3,7 @@
 use crate::describe::layout;
 use crate::fault::finite;
 use crate::sample::sample;
-use crate::{Fault, Header};
+use crate::{Fault, Header, ScannerHealth};
 
 /// How many ellipses a description can hold.
 pub const MAX_OBSTACLES: usize = 16;
@@ -50,13 +50,15 @@ layout! {
 
 sample! {
     /// All obstacles known at one scan: seen now, or remembered.
-    pub struct Obstacles(2376, Obstacles, 0x3046_5ed3, "scanloop.Obstacles.v1", check) {
+    pub struct Obstacles(2448, Obstacles, 0x1bdd_3ff5, "scanloop.Obstacles.v2", check) {
         /// Identity and stamps
         pub header: Header,
         /// How many of `items` are used
         pub count: u32,
         /// Number of ellipses for which `items` had no room
         pub overflow: u32,
+        /// What the scanner can be relied on for
+        pub scanner: ScannerHealth,
         /// The ellipses, nearest ahead first; unused ones are zero
         pub items: [Obstacle; MAX_OBSTACLES],
     }
@@ -71,6 +73,7 @@ impl Obstacles {
 
 fn check(obstacles: &Obstacles) -> Result<(), Fault> {
     obstacles.header.check::<Obstacles>()?;
+    obstacles.scanner.check()?;
     if obstacles.count as usize > MAX_OBSTACLES {
         return Err(Fault::OutOfRange { field: "count", value: f64::from(obstacles.count) });
     }

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::sample::sample;
-use crate::{Fault, Header};
+use crate::{Fault, Flag, Header};
 
 /// Number of beams of a sweep: device steps 44 to 725.
 pub const BEAMS: usize = 682;
@@ -20,7 +20,7 @@ pub const WINDOW: RangeInclusive<usize> = 170..=511;
 
 sample! {
     /// The ranges of one sweep. The robot moves while it lasts, so beams are taken at different times.
-    pub struct Scan(1576, Scan, 0xbac3_cbcf, "scanloop.Scan.v1", check) {
+    pub struct Scan(1576, Scan, 0xc986_39d1, "scanloop.Scan.v2", check) {
         /// Identity and stamps; acquired is the time of the front beam
         pub header: Header,
         /// How long the sweep over all beams lasts, two thirds of the scan period [ns]
@@ -29,8 +29,8 @@ sample! {
         pub period_ns: u64,
         /// Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm]
         pub ranges_mm: [u16; BEAMS],
-        /// Unused, zero
-        pub reserved: u32,
+        /// 1 when the scanner gave no ranges for this scan: all of them are zero
+        pub missing: Flag,
     }
 }
 

@@ -218,7 +218,7 @@ impl Emulator {
         let sweep = Sweep { scan_id, front_ns: self.acquired_ns(scan_id), duration_ns: self.sweep_ns() };
         scan.sweep_ns = sweep.duration_ns;
         scan.period_ns = self.period_ns;
-        scan.reserved = 0;
+        scan.missing = shared_types::Flag::default();
         self.laser.measure(&sweep, &self.history, &self.scene, &mut scan.ranges_mm);
         let front = self.history.at(sweep.front_ns);
         if self.odometer.last.is_none() {

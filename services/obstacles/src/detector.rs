@@ -1,7 +1,7 @@
 //! The steps of one scan: place returns, segment them into bodies, track the bodies, cover them by ellipses.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Fault, Header, MAX_OBSTACLES, Obstacle, Obstacles, Pose, Scan};
+use shared_types::{BEAMS, Fault, Header, MAX_OBSTACLES, Obstacle, Obstacles, Pose, Scan, ScannerHealth};
 use vehicle::Invalid;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
@@ -376,6 +376,7 @@ impl ObstacleDetector {
             header,
             count: count as u32,
             overflow: overflow + (self.drawn.len() - count) as u32,
+            scanner: ScannerHealth::healthy(5.0),
             items,
         }
     }

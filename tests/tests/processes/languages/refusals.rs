@@ -90,8 +90,8 @@ const VERSIONS: [Version; 9] = [
     },
     Version {
         role: Role::Estimator,
-        changes: &[("uint8_t bytes[8192];", "uint8_t bytes[4096];")],
-        message: "topic checkpoint: field bytes has 4096 elements in this process, 8192 in the system",
+        changes: &[("uint8_t bytes[12288];", "uint8_t bytes[4096];")],
+        message: "topic checkpoint: field bytes has 4096 elements in this process, 12288 in the system",
     },
 ];
 
@@ -166,9 +166,9 @@ fn a_python_program_of_another_version_is_refused_with_the_field_in_the_certific
             "topic command: field plan has 24 elements in this process, 25 in the system",
         ),
         (
-            "scanloop.Obstacles.v1",
             "scanloop.Obstacles.v2",
-            "topic obstacles: the sample is of type scanloop.Obstacles.v2",
+            "scanloop.Obstacles.v3",
+            "topic obstacles: the sample is of type scanloop.Obstacles.v3",
         ),
     ]
     .into_iter()
