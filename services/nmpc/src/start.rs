@@ -37,7 +37,7 @@ impl Start {
         let margin = MarginModel::of(config, pose);
         let stopping = Stopping::new(config, period_s, margin.age_s());
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let limit_mps = stopping.speed(config.vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
+        let limit_mps = stopping.limit(&config.vehicle).min(fastest_mps);
         Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
     }
 

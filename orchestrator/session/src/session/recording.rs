@@ -29,6 +29,7 @@ impl Recording {
             run_id: run_id.to_owned(),
             scenario: scenario.name.clone(),
             seed: scenario.seed,
+            surroundings: scenario.track.surroundings,
             lockstep: options.lockstep,
             first_scan,
             goal_m: [scenario.goal.x_m, scenario.goal.y_m],
