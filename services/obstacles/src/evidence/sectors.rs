@@ -12,9 +12,7 @@ use crate::points::{Beams, Place, Point, range_of};
 use vehicle::frame::to_track;
 
 /// Returns predicted from farther away need not come [m].
-const REACH_M: f64 = 5.0;
-/// Walls that are farther away than this need not return anything [m].
-const WALL_REACH_M: f64 = 5.4;
+const REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
 /// Time constant of the counts [s].
@@ -102,7 +100,7 @@ fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize
     let unit = beams.unit(beam);
     let across = to_track(place.yaw, unit.x, unit.y).y;
     let distance = if across > 0.0 { high - place.at.y } else { place.at.y - low };
-    distance > 0.0 && distance < WALL_REACH_M * across.abs()
+    distance > 0.0 && distance < REACH_M * across.abs()
 }
 
 /// The sectors without evidence, one bit each; `share` of all predicted returns come.
