@@ -106,6 +106,7 @@ impl Session {
                 for scan_id in newest_scan.saturating_sub(others)..=*newest_scan {
                     self.recording.recorder.sample_refused(scan_id, refusal.rule);
                 }
+                self.handle(Event::InputsLate { reader: refusal.reader })?;
             }
             let (role, incarnation) = (refusal.writer, *incarnation);
             let fault = refusal.row.fault();
