@@ -7,11 +7,11 @@ use crate::sample::sample;
 use crate::{Fault, Header, Role};
 
 /// How many bytes of state a checkpoint can hold.
-pub const CHECKPOINT_BYTES: usize = 12288;
+pub const CHECKPOINT_BYTES: usize = 12800;
 
 sample! {
     /// The state of one stateful process after a scan, as bytes of a type that both ends know.
-    pub struct Checkpoint(12504, Checkpoint, 0x1dc3_3f52, "scanloop.Checkpoint.v2", check) {
+    pub struct Checkpoint(13016, Checkpoint, 0x1bc3_3c2c, "scanloop.Checkpoint.v2", check) {
         /// Identity: the scan after which the state was taken
         pub header: Header,
         /// Role of the process, `Role`

@@ -1,26 +1,40 @@
-//! Where the emulated robot differs from the description that the stages read.
+//! Where the emulated robot and its surroundings differ from the description that the stages read.
 
 use std::cmp::Ordering;
 use std::fmt;
 
+use vehicle::Surroundings;
+
 /// `run` lists this many differences, and counts them when there are more.
 const MAX_LISTED: usize = 3;
 
-/// A property that `[robot]` and `[vehicle]` do not agree on.
+/// A value of a property.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Property {
+    /// Of the robot.
+    Number(f64),
+    /// Of the track.
+    Surroundings(Surroundings),
+}
+
+/// A property that scenario and `[vehicle]` do not agree on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Difference {
     /// Its key in both tables.
     pub key: &'static str,
-    /// `robot.KEY`.
-    pub truth: f64,
+    /// `robot.KEY`, or `track.surroundings`.
+    pub truth: Property,
     /// `vehicle.KEY`.
-    pub believed: f64,
+    pub believed: Property,
 }
 
 impl Difference {
-    /// Difference as a share of the believed value; infinite if that is zero.
+    /// Difference as a share of the believed value; infinite if that is zero or no number.
     fn share(&self) -> f64 {
-        (self.truth - self.believed) / self.believed.abs()
+        match (self.truth, self.believed) {
+            (Property::Number(truth), Property::Number(believed)) => (truth - believed) / believed.abs(),
+            _ => f64::INFINITY,
+        }
     }
 
     /// The order of a list: the largest share first.
@@ -32,10 +46,20 @@ impl Difference {
 impl fmt::Display for Difference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { key, truth, believed } = self;
-        write!(formatter, "robot.{key} = {}, vehicle.{key} = {}", rounded(*truth), rounded(*believed))?;
+        let table = if matches!(truth, Property::Number(_)) { "robot" } else { "track" };
+        write!(formatter, "{table}.{key} = {truth}, vehicle.{key} = {believed}")?;
         match self.share() {
             share if share.is_finite() => write!(formatter, " ({:+.0} %)", 100.0 * share),
             _ => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for Property {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(value) => rounded(*value).fmt(formatter),
+            Self::Surroundings(surroundings) => surroundings.fmt(formatter),
         }
     }
 }
@@ -46,9 +70,21 @@ fn rounded(value: f64) -> f64 {
 }
 
 /// The differences in the order of a list, the largest share first.
-pub(crate) fn sorted(found: impl IntoIterator<Item = (&'static str, f64, f64)>) -> Vec<Difference> {
-    let differences = found.into_iter().map(|(key, truth, believed)| Difference { key, truth, believed });
-    let mut differences: Vec<_> = differences.collect();
+pub(crate) fn sorted(
+    found: impl IntoIterator<Item = (&'static str, f64, f64)>,
+    [truth, believed]: [Surroundings; 2],
+) -> Vec<Difference> {
+    let of_robot = found.into_iter().map(|(key, truth, believed)| Difference {
+        key,
+        truth: Property::Number(truth),
+        believed: Property::Number(believed),
+    });
+    let of_track = (truth != believed).then_some(Difference {
+        key: "surroundings",
+        truth: Property::Surroundings(truth),
+        believed: Property::Surroundings(believed),
+    });
+    let mut differences: Vec<_> = of_robot.chain(of_track).collect();
     differences.sort_by(Difference::compare);
     differences
 }
@@ -57,8 +93,8 @@ pub(crate) fn sorted(found: impl IntoIterator<Item = (&'static str, f64, f64)>) 
 pub fn list(differences: &[Difference]) -> Vec<String> {
     let heading = match differences.len() {
         0 => return Vec::new(),
-        1 => "the robot differs from [vehicle] in one property:".to_owned(),
-        count => format!("the robot differs from [vehicle] in {count} properties:"),
+        1 => "the scenario differs from [vehicle] in one property:".to_owned(),
+        count => format!("the scenario differs from [vehicle] in {count} properties:"),
     };
     let rows = differences.iter().map(|difference| format!("  {difference}"));
     std::iter::once(heading).chain(rows).collect()
@@ -68,7 +104,7 @@ pub fn list(differences: &[Difference]) -> Vec<String> {
 pub fn summary(differences: &[Difference]) -> Vec<String> {
     match differences {
         [largest, ..] if differences.len() > MAX_LISTED => vec![format!(
-            "{} properties of the robot differ from [vehicle], largest: {largest}; `scanloop check` lists them",
+            "{} properties of the scenario differ from [vehicle], largest: {largest}; `scanloop check` lists them",
             differences.len()
         )],
         few => list(few),
@@ -81,24 +117,35 @@ mod tests {
 
     #[test]
     fn the_largest_share_comes_first_and_is_shown_in_percent() {
-        let found = sorted([
+        let rows = [
             ("mass_kg", 13.2255, 14.695),
             ("width_m", 1.4, 0.4),
             ("scanner_x_m", 0.1, 0.0),
             ("velocity_lag_s", 0.123_456_78, 0.15),
-        ]);
+        ];
+        let found = sorted(rows, [Surroundings::Hall; 2]);
         let expected = [
-            "the robot differs from [vehicle] in 4 properties:",
+            "the scenario differs from [vehicle] in 4 properties:",
             "  robot.scanner_x_m = 0.1, vehicle.scanner_x_m = 0",
             "  robot.width_m = 1.4, vehicle.width_m = 0.4 (+250 %)",
             "  robot.velocity_lag_s = 0.1235, vehicle.velocity_lag_s = 0.15 (-18 %)",
             "  robot.mass_kg = 13.23, vehicle.mass_kg = 14.7 (-10 %)",
         ];
         assert_eq!(list(&found), expected);
-        let line = "4 properties of the robot differ from [vehicle], largest: robot.scanner_x_m = 0.1, \
+        let line = "4 properties of the scenario differ from [vehicle], largest: robot.scanner_x_m = 0.1, \
                     vehicle.scanner_x_m = 0; `scanloop check` lists them";
         assert_eq!(summary(&found), [line]);
         assert_eq!(summary(&found[..2]), list(&found[..2]));
         assert!(list(&[]).is_empty() && summary(&[]).is_empty());
+    }
+
+    #[test]
+    fn other_surroundings_than_described_are_a_difference_before_those_in_percent() {
+        let found = sorted([("width_m", 1.4, 0.4)], [Surroundings::Open, Surroundings::Hall]);
+        let rows = [
+            "  track.surroundings = open, vehicle.surroundings = hall",
+            "  robot.width_m = 1.4, vehicle.width_m = 0.4 (+250 %)",
+        ];
+        assert_eq!(list(&found)[1..], rows);
     }
 }

@@ -18,7 +18,7 @@ use emulator::Scenario;
 use runtime::{ClockKind, Domain, RunSettings};
 use supervision::realtime;
 use toml::{Table, Value};
-use vehicle::{Invalid, Setting};
+use vehicle::{Description, Invalid, Setting, Surroundings};
 
 pub use difference::Difference;
 pub use system::System;
@@ -86,7 +86,7 @@ impl Plan {
             })?;
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
-        vehicle_table::adopt_robot(&scenario, &mut system);
+        vehicle_table::adopt_scenario(&scenario, &mut system);
         let mut scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
         let mut warnings = vehicle_table::distribute(&mut system).map_err(refuse)?;
@@ -103,9 +103,19 @@ impl Plan {
         Ok(Self { scenario, system, warnings })
     }
 
-    /// Where the emulated robot differs from the description that the stages read; the largest share first.
+    /// Where the scenario differs from the description that the stages read; the largest share first.
     pub fn differences(&self) -> Vec<Difference> {
-        difference::sorted(self.scenario.robot.differences(&self.system.vehicle))
+        let Self { scenario, system, .. } = self;
+        let surroundings = [scenario.track.surroundings, system.vehicle.surroundings];
+        difference::sorted(scenario.robot.differences(&system.vehicle), surroundings)
+    }
+
+    /// What `run` and `check` print of a speed that the surroundings limit.
+    pub fn careful(&self) -> Option<String> {
+        let Description { surroundings, careful_mps, .. } = self.system.controller.vehicle;
+        (surroundings == Surroundings::Open).then(|| {
+            format!("speed limited to {careful_mps} m/s: nothing around shows that the scanner sees")
+        })
     }
 
     /// Writes the settings file of each process of a system.
@@ -178,5 +188,21 @@ mod tests {
         let wrong = plan(&["robot.preset=summit", "robot.width_m=0.5", "vehicle.width_m=0.4"]);
         assert_eq!(keys(&wrong), ["width_m"]);
         assert_eq!(wrong.differences()[0].to_string(), "robot.width_m = 0.5, vehicle.width_m = 0.4 (+25 %)");
+    }
+
+    #[test]
+    fn surroundings_of_the_scenario_reach_the_stages_unless_the_description_has_its_own() {
+        let summit = |more: &[&str]| plan(&[&["robot.preset=summit"], more].concat());
+        let hall = summit(&[]);
+        assert_eq!((hall.system.controller.vehicle.surroundings, hall.careful()), (Surroundings::Hall, None));
+        let open = summit(&["track.surroundings=open", "vehicle.careful_mps=0.4"]);
+        for vehicle in [&open.system.vehicle, &open.system.controller.vehicle, &open.system.obstacles.vehicle]
+        {
+            assert_eq!(vehicle.surroundings, Surroundings::Open);
+        }
+        assert!(open.careful().is_some_and(|line| line.starts_with("speed limited to 0.4 m/s: ")));
+        assert_eq!(open.differences(), []);
+        let wrong = summit(&["track.surroundings=open", "vehicle.surroundings=hall"]);
+        assert_eq!((keys(&wrong), wrong.careful()), (vec!["surroundings"], None));
     }
 }

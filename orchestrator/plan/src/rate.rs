@@ -1,7 +1,7 @@
 //! Whether the robot can stop in time at a scan rate.
 
 use nmpc::{Config, speed_limit};
-use vehicle::{Description, Invalid};
+use vehicle::{Description, Invalid, Surroundings};
 
 /// Rates that a system file may have [Hz].
 const RATES_HZ: [f64; 2] = [0.5, 1000.0];
@@ -18,6 +18,11 @@ pub(crate) fn require_safe_speed(controller: &Config, rate_hz: f64) -> Result<()
     }
     let Description { sudden_m, blocked_deceleration_mps2, bounds, .. } = &controller.vehicle;
     let slowest_mps = bounds.velocity_min_mps;
+    if controller.vehicle.surroundings == Surroundings::Open && controller.vehicle.careful_mps < slowest_mps {
+        let allowed =
+            format!("at least vehicle.bounds.velocity_min_mps = {slowest_mps} in open surroundings");
+        return Err(Invalid::new("vehicle.careful_mps", controller.vehicle.careful_mps, allowed));
+    }
     let rates = match smallest_rate(controller) {
         Some(rate_hz) => format!("at least {rate_hz}"),
         None => "no rate".to_owned(),
@@ -65,6 +70,18 @@ mod tests {
         for name in ["vehicle.sudden_m = 0.3", "vehicle.blocked_deceleration_mps2 = 5"] {
             assert!(refused.to_string().contains(name), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_careful_speed_below_the_smallest_velocity_is_refused_in_open_surroundings_only() {
+        let of = |surroundings, careful_mps| {
+            let vehicle = Description { surroundings, careful_mps, ..Description::default() };
+            require_safe_speed(&Config { vehicle, ..Config::default() }, 10.0)
+        };
+        assert_eq!(of(Surroundings::Hall, 0.09), Ok(()));
+        assert_eq!(of(Surroundings::Open, 0.1), Ok(()));
+        let refused = of(Surroundings::Open, 0.09).unwrap_err().to_string();
+        assert!(refused.starts_with("vehicle.careful_mps = 0.09 is not allowed: at least "), "{refused}");
     }
 
     #[test]

@@ -1,13 +1,16 @@
 //! The table `[vehicle]`: one description of the robot for all stages.
 //!
 //! Every stage gets a copy of the table. Keys that stages had of their own before there was this table still hold for
-//! that stage alone, with a warning. A key that the scenario sets for the true robot also holds for the description.
+//! that stage alone, with a warning. A key that the scenario sets for the true robot also holds for the description, and
+//! so do its surroundings.
 
 use toml::{Table, Value};
-use vehicle::{Description, Invalid, Setting, read};
+use vehicle::{Description, Invalid, Key, Setting, read};
 
 /// Name of the table, in the system file and in the table of each stage.
 const VEHICLE: &str = "vehicle";
+/// The key that the scenario has in its table `[track]`; all others are in `[robot]`.
+const SURROUNDINGS: &str = "surroundings";
 /// The stages that know the robot.
 const STAGES: [&str; 4] = ["estimator", "obstacles", "controller", "actuator"];
 
@@ -36,17 +39,16 @@ const OLD_KEYS: [OldKey; 10] = [
     old("actuator", "bounds", &["bounds"]),
 ];
 
-/// Copies explicit keys of the true robot to keys of the description that have the same name and are not set.
-pub(crate) fn adopt_robot(scenario: &Table, system: &mut Table) {
-    let Some(Value::Table(robot)) = scenario.get("robot") else { return };
-    let Some(Value::Table(vehicle)) =
-        Some(system.entry(VEHICLE.to_owned()).or_insert_with(|| Value::Table(Table::new())))
-    else {
-        return;
-    };
-    for key in Description::keys() {
-        if let Some(value) = robot.get(key.name).filter(|_| !vehicle.contains_key(key.name)) {
-            vehicle.insert(key.name.to_owned(), value.clone());
+/// Copies explicit keys of the true robot, and the surroundings, to keys of the description that have the same name and
+/// are not set.
+pub(crate) fn adopt_scenario(scenario: &Table, system: &mut Table) {
+    let value = |table: &str, key: &str| scenario.get(table).and_then(|table| table.get(key));
+    let entry = system.entry(VEHICLE.to_owned()).or_insert_with(|| Value::Table(Table::new()));
+    let Value::Table(vehicle) = entry else { return };
+    for Key { name, .. } in Description::keys() {
+        let table = if name == SURROUNDINGS { "track" } else { "robot" };
+        if let Some(value) = value(table, name).filter(|_| !vehicle.contains_key(name)) {
+            vehicle.insert(name.to_owned(), value.clone());
         }
     }
 }
@@ -152,11 +154,22 @@ mod tests {
         let scenario =
             table("[robot]\nwidth_m = 1.4\nlength_m = 0.9\nvelocity_factor = 1.3\npreset = \"worn\"");
         let mut system = table("[vehicle]\nlength_m = 0.6");
-        adopt_robot(&scenario, &mut system);
+        adopt_scenario(&scenario, &mut system);
         let vehicle = system["vehicle"].as_table().unwrap();
         assert_eq!(vehicle["width_m"].as_float(), Some(1.4));
         assert_eq!(vehicle["length_m"].as_float(), Some(0.6));
         assert_eq!(vehicle.len(), 2);
+    }
+
+    #[test]
+    fn surroundings_of_the_track_are_adopted_unless_the_description_has_them() {
+        let scenario = table("[track]\nsurroundings = \"open\"\nwalls = false");
+        for (system, expected) in [("", "open"), ("[vehicle]\nsurroundings = \"hall\"", "hall")] {
+            let mut system = table(system);
+            adopt_scenario(&scenario, &mut system);
+            let vehicle = system["vehicle"].as_table().unwrap();
+            assert_eq!((vehicle["surroundings"].as_str(), vehicle.len()), (Some(expected), 1));
+        }
     }
 
     #[test]

@@ -16,6 +16,7 @@ use audit::ledger::{Ledger, ScanReport};
 use console::progress::View;
 use handover::swap::Certificate;
 use shared_types::{Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, Truth};
+use vehicle::Surroundings;
 
 use self::margins::Margins;
 use self::rows::{Estimate, Rows};
@@ -41,6 +42,8 @@ pub struct RunInfo {
     pub scenario: String,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// What the scanner sees outside of the track.
+    pub surroundings: Surroundings,
     /// Whether time is simulated, so that stamps are not times of this computer.
     pub lockstep: bool,
     /// Number of the first scan of the ledger: 1 for a whole run, 0 for the first one that is seen.
@@ -261,6 +264,7 @@ impl Recorder {
             run_id: self.info.run_id.clone(),
             scenario: self.info.scenario.clone(),
             seed: self.info.seed,
+            surroundings: self.info.surroundings,
             outcome: result.outcome,
             reason: result.reason.clone(),
             lockstep: self.info.lockstep,
@@ -355,6 +359,7 @@ mod tests {
             run_id: String::new(),
             scenario: "corridor".to_owned(),
             seed: 1,
+            surroundings: Surroundings::Open,
             lockstep,
             first_scan: 1,
             period_ns: 100_000_000,
@@ -402,6 +407,7 @@ mod tests {
     #[test]
     fn the_report_holds_the_figures_of_the_samples() {
         let report = drive(false).report(&RunResult { outcome: Outcome::Timeout, ..RunResult::default() });
+        assert_eq!(report.surroundings, Surroundings::Open);
         assert_eq!(
             (report.outcome, report.scenario.as_str(), report.duration_s),
             (Outcome::Timeout, "corridor", 0.4)

@@ -17,6 +17,7 @@ pub use emulator::Outcome;
 use figures::Figures;
 use handover::swap::Certificate;
 use serde::{Deserialize, Serialize};
+use vehicle::Surroundings;
 
 use self::write::join_leaves;
 
@@ -36,6 +37,8 @@ pub struct Report {
     pub scenario: String,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// What the scanner sees outside of the track.
+    pub surroundings: Surroundings,
     /// How the run ended.
     pub outcome: Outcome,
     /// Why it ended so; empty when the outcome is reason enough.
@@ -63,7 +66,7 @@ pub struct Report {
     pub margin_m: MarginReport,
     /// The obstacle of the last stop that had one.
     pub blocking: Option<BlockingReport>,
-    /// Where the robot differs from its description.
+    /// Where the scenario differs from the description of the robot.
     pub differences: Vec<Difference>,
     /// How the controller solved its problems.
     pub controller: ControllerReport,
@@ -273,7 +276,11 @@ mod tests {
             scenario: "corridor {".to_owned(),
             seed: 7,
             outcome: Outcome::Reached,
-            differences: vec![Difference { key: "width_m".to_owned(), truth: 1.4, believed: 0.4 }],
+            differences: vec![Difference {
+                key: "width_m".to_owned(),
+                truth: 1.4.into(),
+                believed: 0.4.into(),
+            }],
             trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
             processes: vec![ProcessReport {
                 role: "controller".to_owned(),
@@ -296,7 +303,7 @@ mod tests {
         assert!(text.contains(
             "\n    \"scan_to_actuation\": { \"count\": 0, \"p50\": 0.0, \"p90\": 0.0, \"p99\": 0.0, \"p999\": 0.0, \"max\": 0.0 },\n"
         ));
-        assert!(text.starts_with("{\n  \"schema\": 1,\n  \"scenario\": \"corridor {\",\n  \"seed\": 7,\n  \"outcome\": \"reached\",\n"));
+        assert!(text.starts_with("{\n  \"schema\": 1,\n  \"scenario\": \"corridor {\",\n  \"seed\": 7,\n  \"surroundings\": \"hall\",\n  \"outcome\": \"reached\",\n"));
     }
 
     #[test]
@@ -312,6 +319,7 @@ mod tests {
             "/schema",
             "/scenario",
             "/seed",
+            "/surroundings",
             "/outcome",
             "/lockstep",
             "/duration_s",

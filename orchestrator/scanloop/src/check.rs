@@ -60,10 +60,11 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
     Ok(Exit::Done)
 }
 
-/// Prints the warnings of a plan, and where its robot differs from the description.
+/// Prints the warnings of a plan, where its scenario differs from the description, and what limits the speed.
 fn remark(plan: &Plan, shown: &mut BTreeSet<String>) {
     warn(plan, shown);
-    difference::list(&plan.differences()).iter().for_each(|line| note!("  {line}"));
+    let lines = difference::list(&plan.differences()).into_iter().chain(plan.careful());
+    lines.for_each(|line| note!("  {line}"));
 }
 
 /// Prints the warnings of a plan that were not shown before: those of a system belong to each of its scenarios.

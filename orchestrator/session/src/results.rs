@@ -8,6 +8,7 @@ use console::exit::Exit;
 use emulator::Scenario;
 use emulator::scenario::{Obstacle, Shape};
 use plan::Plan;
+use plan::difference::Property;
 use report::recorder::Recorder;
 use report::{Difference, Report, picture, summary, write_atomically};
 use vehicle::frame::to_track;
@@ -34,14 +35,21 @@ pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow:
     })
 }
 
-/// Where the robot differs from its description, as the report has it.
+/// Where the scenario differs from the description, as the report has it.
 fn differences(plan: &Plan) -> Vec<Difference> {
     let found = plan.differences().into_iter();
     let row = |difference: plan::Difference| {
         let plan::Difference { key, truth, believed } = difference;
-        Difference { key: key.to_owned(), truth, believed }
+        Difference { key: key.to_owned(), truth: value(truth), believed: value(believed) }
     };
     found.map(row).collect()
+}
+
+fn value(property: Property) -> serde_json::Value {
+    match property {
+        Property::Number(number) => number.into(),
+        Property::Surroundings(surroundings) => surroundings.name().into(),
+    }
 }
 
 /// Writes report and picture. Those of an earlier run are removed when they can't be replaced.

@@ -57,12 +57,13 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     conclude(session, &plan, &options.out)
 }
 
-/// Prints what a user should know before the drive: warnings always, differences to the description unless `quiet`.
+/// Prints what a user should know before the drive: warnings always; unless `quiet`, differences to the description, and
+/// whether the surroundings limit the speed.
 fn announce(plan: &Plan, quiet: bool) {
     let warn = |text: &str| runtime::print(runtime::Priority::Warning, &format!("warning: {text}"));
     plan.warnings.iter().for_each(|warning| warn(warning));
     if !quiet {
-        let lines = difference::summary(&plan.differences());
-        lines.iter().for_each(|line| runtime::print(runtime::Priority::Notice, line));
+        let lines = difference::summary(&plan.differences()).into_iter().chain(plan.careful());
+        lines.for_each(|line| runtime::print(runtime::Priority::Notice, &line));
     }
 }

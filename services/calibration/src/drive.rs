@@ -6,7 +6,7 @@
 
 use emulator::Emulator;
 use emulator::noise::{Purpose, Stream};
-use emulator::scenario::{Scenario, Start, Track};
+use emulator::scenario::{Scenario, Start, Surroundings, Track};
 use nalgebra::Vector2;
 use shared_types::{Actuation, ActuationKind, Odometry, Scan, Truth};
 use vehicle::bounds::STEERING_MAX_RAD;
@@ -158,7 +158,12 @@ impl Drive {
     fn new(robot: &Scenario, seed: u64) -> Self {
         let floor = Scenario {
             seed,
-            track: Track { x_m: [-1e4, 1e4], y_m: [-1e3, 1e3], walls: false },
+            track: Track {
+                x_m: [-1e4, 1e4],
+                y_m: [-1e3, 1e3],
+                walls: false,
+                surroundings: Surroundings::Open,
+            },
             start: Start::default(),
             obstacles: Vec::new(),
             endless: None,

@@ -2,7 +2,8 @@
 //!
 //! The scanner sits at the robot's centre, or where `robot.scanner_x_m` and its neighbours put it, and covers 240 deg.
 //! Its beams are taken one after the other: each starts where the scanner is at that beam's time, and hits what is there
-//! at that time, so the scan of a moving robot is skewed. The body of the robot is not seen.
+//! at that time, so the scan of a moving robot is skewed. The body of the robot is not seen. Outside of the track it
+//! sees a hall, unless the scenario has open surroundings.
 //!
 //! Noise, in this order: a beam across an edge may mix both distances (`noise.mixed_pixels`), the range gets
 //! normal noise of `noise.range_m` or of the share `noise.range_share` of the range, whichever is larger, and a
@@ -12,6 +13,7 @@
 //! Then come the faults of the scanner. A beam without a return, for whatever reason, reports an error code drawn from the seed.
 
 mod faults;
+mod hall;
 
 use std::ops::RangeInclusive;
 
@@ -25,6 +27,7 @@ use crate::noise::{Purpose, Stream};
 use crate::scenario::{Noise, Scenario, Values};
 use crate::scene::{PlacedObstacle, Scene};
 use faults::{Faults, Scale};
+use hall::Hall;
 
 /// Largest range that the scanner reports [m].
 pub const MAX_RANGE_M: f64 = 5.6;
@@ -73,6 +76,7 @@ pub struct Laser {
     seed: u64,
     noise: Noise,
     mount: Mount,
+    hall: Option<Hall>,
     faults: Faults,
     beams: Vec<Beam>,
     ranges: Vec<f64>,
@@ -88,6 +92,7 @@ impl Laser {
             seed: scenario.seed,
             noise: scenario.noise,
             mount: Mount::new(&scenario.robot_values()),
+            hall: Hall::of(scenario),
             faults: Faults::new(scenario),
             beams: Vec::with_capacity(BEAMS),
             ranges: Vec::with_capacity(BEAMS),
@@ -131,6 +136,10 @@ impl Laser {
         if let Some(walls) = scene.walls() {
             for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
                 *range = wall_range(beam, walls);
+            }
+        } else if let Some(hall) = &self.hall {
+            for (range, beam) in self.ranges.iter_mut().zip(&self.beams) {
+                *range = hall.range(beam.origin, beam.direction);
             }
         }
         let half_sweep_s = sweep.duration_ns as f64 * 0.5e-9;

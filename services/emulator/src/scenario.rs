@@ -23,7 +23,7 @@ pub use places::Start;
 pub use preset::Values;
 pub use robot::{Drift, Noise, OdometryModel, Preset, Robot};
 pub use scanner::Scanner;
-pub use vehicle::{Goal, Track};
+pub use vehicle::{Goal, Surroundings, Track};
 
 /// What the name of a scenario may be.
 const NAME: &str = "1 to 64 letters, digits, blanks, `-`, `_` and `.`";

@@ -4,6 +4,10 @@
 //! have their full age. Until then the robot moves on at its speed, and then it slides with blocked wheels. The largest
 //! speed v for a distance d solves v (T + age) + v^2 / (2 a) = d, where v is a little more than desired and a less than
 //! described.
+//!
+//! In open surroundings a blind scanner can't be told from an empty track, so the robot is careful there at all times.
+
+use vehicle::{Description, Surroundings};
 
 use crate::config::Config;
 
@@ -44,6 +48,16 @@ impl Stopping {
         (speed * self.speed_ratio).powi(2) / (2.0 * self.deceleration_mps2)
     }
 
+    /// Largest speed at which the robot can stop for something that appears unseen [m/s]; in open surroundings at most
+    /// the careful one.
+    pub(crate) fn limit(&self, vehicle: &Description) -> f64 {
+        let limit = self.speed(vehicle.sudden_m - STOP_MARGIN_M);
+        match vehicle.surroundings {
+            Surroundings::Hall => limit,
+            Surroundings::Open => limit.min(vehicle.careful_mps),
+        }
+    }
+
     /// Largest speed from which the robot rests within `distance` [m/s]; zero for none.
     pub(crate) fn speed(&self, distance: f64) -> f64 {
         if distance <= 0.0 {
@@ -58,13 +72,12 @@ impl Stopping {
 /// every `config.period_s` whose commands act as soon as they can [m/s].
 pub fn speed_limit(config: &Config) -> f64 {
     let age_s = SWEEP_SHARE * config.period_s + config.vehicle.command_delay_s;
-    Stopping::new(config, config.period_s, age_s).speed(config.vehicle.sudden_m - STOP_MARGIN_M)
+    Stopping::new(config, config.period_s, age_s).limit(&config.vehicle)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vehicle::Description;
 
     #[test]
     fn the_speed_for_a_distance_needs_just_that_distance() {
@@ -89,5 +102,15 @@ mod tests {
         assert!(slower(Description { command_delay_s: 0.03, ..vehicle }, 0.1));
         assert!(slower(Description { sudden_m: 1.1, ..vehicle }, 0.1));
         assert!(slower(vehicle, 0.11));
+    }
+
+    #[test]
+    fn in_open_surroundings_the_limit_is_the_careful_speed_unless_the_way_to_stop_is_too_short() {
+        let of = |vehicle| speed_limit(&Config { vehicle, ..Config::default() });
+        let open = Description { surroundings: Surroundings::Open, ..Description::default() };
+        assert_eq!(of(open), 0.3);
+        assert_eq!(of(Description { careful_mps: 0.7, ..open }), 0.7);
+        let near = Description { sudden_m: 0.1, ..open };
+        assert!(of(near) < 0.3 && of(near) == of(Description { surroundings: Surroundings::Hall, ..near }));
     }
 }

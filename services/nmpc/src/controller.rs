@@ -2,7 +2,7 @@
 //!
 //! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
-//! 3. The speed is limited to what can be stopped for something that appears unseen.
+//! 3. The speed is limited to what can be stopped for something that appears unseen, and within what the scanner shows.
 //! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly.
 //! 5. The optimal control problem is solved from the best guess, then from others.
 //! 6. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
@@ -138,17 +138,17 @@ impl Controller {
             }
             Arrival::OnTheWay | Arrival::Passed => {}
         }
-        let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)?;
+        let scanner = &obstacles.scanner;
+        // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
+        let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)
+            .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        let mut start = Start::new(&self.config, pose, initial, period_s);
+        let mut start = Start::new(&self.config, pose, scanner, initial, period_s)?;
         (command.speed_limit_mps, command.margin) =
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
-        if start.limit_mps < self.config.vehicle.bounds.velocity_min_mps {
-            return Err(StopReason::NoSafeSpeed);
-        }
         self.find_reference_path(&start);
         command.side = self.nearest_side(&initial);
         if !self.reference_path.clear {

@@ -1,6 +1,6 @@
 //! What all plans of one scan start from: the state when the command acts, the margin, and how fast the robot may be.
 
-use shared_types::{Alarm, Obstacles, Pose, StopReason};
+use shared_types::{Alarm, Obstacles, Pose, ScannerHealth, ScannerState, StopReason};
 use vehicle::State;
 
 use crate::braking::{STOP_MARGIN_M, Stopping};
@@ -33,12 +33,29 @@ pub(crate) struct Start {
 
 impl Start {
     /// The start from `initial`, with the period between the last two scans.
-    pub(crate) fn new(config: &Config, pose: &Pose, initial: State, period_s: f64) -> Self {
+    ///
+    /// # Errors
+    /// [`StopReason::Scanner`] or [`StopReason::NoSafeSpeed`] when the robot can't stop in time at any speed.
+    pub(crate) fn new(
+        config: &Config,
+        pose: &Pose,
+        scanner: &ScannerHealth,
+        initial: State,
+        period_s: f64,
+    ) -> Result<Self, StopReason> {
         let margin = MarginModel::of(config, pose);
         let stopping = Stopping::new(config, period_s, margin.age_s());
         let fastest_mps = if pose.alarm == Alarm::None.wire() { f64::INFINITY } else { config.careful_mps };
-        let limit_mps = stopping.speed(config.vehicle.sudden_m - STOP_MARGIN_M).min(fastest_mps);
-        Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps }
+        let limit_mps = stopping.limit(&config.vehicle).min(fastest_mps);
+        let slowest_mps = config.vehicle.bounds.velocity_min_mps;
+        if limit_mps < slowest_mps {
+            return Err(StopReason::NoSafeSpeed);
+        }
+        let limit_mps = limit_mps.min(seen_mps(config, &stopping, scanner));
+        if limit_mps < slowest_mps {
+            return Err(StopReason::Scanner);
+        }
+        Ok(Self { initial, speed: pose.predicted_speed_mps.abs(), margin, stopping, limit_mps })
     }
 
     /// What plans from here must respect.
@@ -49,6 +66,16 @@ impl Start {
     /// Distance of the body to an obstacle at which the robot must begin to stop [m].
     pub(crate) fn stop_m(&self) -> f64 {
         self.stopping.distance(self.speed) + self.margin.base() + STOP_MARGIN_M
+    }
+}
+
+/// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
+fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f64 {
+    let seen_m = scanner.seen_ahead_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
+    match scanner.state() {
+        ScannerState::Healthy => stopping.speed(seen_m),
+        ScannerState::Degraded => stopping.speed(seen_m).min(config.vehicle.careful_mps),
+        ScannerState::Blind | ScannerState::Stuck | ScannerState::Contradictory => 0.0,
     }
 }
 

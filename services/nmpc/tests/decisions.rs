@@ -2,7 +2,9 @@
 
 use nmpc::{Budget, Config, Controller, ControllerState};
 use proptest::prelude::*;
-use shared_types::{Command, CommandKind, Level, Obstacle, Obstacles, Pose, SolveStatus, StopReason};
+use shared_types::{
+    Command, CommandKind, Level, Obstacle, Obstacles, Pose, ScannerHealth, SolveStatus, StopReason,
+};
 use vehicle::{Bounds, Control};
 
 const BUDGET: Budget = Budget::Iterations(60);
@@ -21,7 +23,8 @@ fn pose(scan: u64, x: f64, y: f64) -> Pose {
 }
 
 fn obstacles(scan: u64, items: &[Obstacle]) -> Obstacles {
-    let mut obstacles = Obstacles { count: items.len() as u32, ..Obstacles::default() };
+    let mut obstacles =
+        Obstacles { count: items.len() as u32, scanner: ScannerHealth::healthy(5.0), ..Obstacles::default() };
     obstacles.header.scan_id = scan;
     obstacles.items[..items.len()].copy_from_slice(items);
     obstacles

@@ -58,6 +58,9 @@ settings! {
         pub keep_behind_m: f64 = 3.0, 0.5..=10.0;
         /// An obstacle is forgotten after its place was seen free in this many scans.
         pub free_scans: u32 = 3, 1.0..=20.0;
+        /// Longest time for which an obstacle at rest is remembered where its returns do not come and nothing beyond it is seen;
+        /// one that was seen in few scans is remembered for half a second each [s].
+        pub memory_s: f64 = 60.0, 0.5..=3600.0;
         /// Time for which a moving obstacle is extrapolated without being seen [s].
         pub moving_memory_s: f64 = 1.0, 0.0..=5.0;
         /// Obstacles slower than this count as at rest [m/s].

@@ -8,6 +8,7 @@ use vehicle::geometry::Rectangle;
 
 use crate::Config;
 use crate::ellipse::{MAX_PIECES, cover};
+use crate::evidence::{Evidence, Use};
 use crate::outline::{Vertex, trace};
 use crate::points::{Beams, Place, Point};
 use crate::segment::Segments;
@@ -30,6 +31,8 @@ const GATE_PER_M: f64 = 0.03;
 const TOUCHING_M: f64 = 0.04;
 /// A body that is not confirmed is forgotten after this time [s].
 const SPECKLE_MEMORY_S: f64 = 0.35;
+/// Scans that must have shown a body before it counts as standing.
+const STANDING: u32 = 5;
 /// A body further away than this is out of reach: the pose must have jumped [m].
 const LOST_M: f64 = 12.0;
 
@@ -43,7 +46,9 @@ pub struct ObstacleDetector {
     pose: [f64; 3],
     last_body: u32,
     tracks: Vec<Track>,
+    evidence: Evidence,
     // Buffers of one step.
+    returns: Vec<Point>,
     points: Vec<Point>,
     segments: Segments,
     outlines: Vec<Outline>,
@@ -51,6 +56,8 @@ pub struct ObstacleDetector {
     view: Vec<Vertex>,
     boxes: Vec<Rectangle>,
     drawn: Vec<Drawn>,
+    /// For each beam whether its return is of something that does not move.
+    fixed: Vec<bool>,
 }
 
 /// Outline of one cluster: a range of the vertices.
@@ -81,6 +88,9 @@ impl ObstacleDetector {
     pub fn new(config: Config) -> Result<Self, Invalid> {
         config.validate()?;
         Ok(Self {
+            evidence: Evidence::new(config.vehicle),
+            returns: Vec::with_capacity(BEAMS),
+            fixed: vec![false; BEAMS],
             config,
             beams: Beams::new(),
             directions: Directions::new(),
@@ -106,18 +116,20 @@ impl ObstacleDetector {
         for track in &mut self.tracks {
             track.predict(elapsed);
         }
-        let mut overflow = 0;
-        if let Some(place) = &Place::of(pose, &self.config.vehicle) {
+        let place = Place::of(pose, &self.config.vehicle);
+        if place.is_some() {
             self.pose = [pose.x_m, pose.y_m, pose.yaw_rad];
-            self.outline(scan, place);
-            self.associate(place);
-            self.sight(place, elapsed);
-            overflow = self.start(place);
-            self.forget(scan, place);
-            self.unite();
         }
+        let overflow = match &place {
+            Some(place) if !scan.missing.is_set() => self.find(scan, place, elapsed),
+            _ => {
+                self.evidence.miss(elapsed);
+                0
+            }
+        };
         self.expire();
-        self.describe(scan.header.answer_both(&pose.header), overflow)
+        let health = self.evidence.health(if pose.speed_mps.is_finite() { pose.speed_mps } else { 0.0 });
+        self.describe(scan.header.answer_both(&pose.header), overflow, health)
     }
 
     /// All that the next step depends on.
@@ -132,6 +144,7 @@ impl ObstacleDetector {
             last_body: self.last_body,
             count: self.tracks.len().min(TRACKS) as u32,
             tracks,
+            evidence: self.evidence.state(),
         }
     }
 
@@ -151,6 +164,10 @@ impl ObstacleDetector {
         if state.last_body > MAX_BODY || !state.tracks[..count].iter().all(|state| sound(state).is_some()) {
             return Err(Fault::NotFinite { field: "tracks" });
         }
+        if !Evidence::is_sound(&state.evidence) {
+            return Err(Fault::NotFinite { field: "evidence" });
+        }
+        self.evidence.resume(&state.evidence, &self.beams);
         self.acquired_ns = state.acquired_ns;
         self.pose = state.pose;
         self.last_body = state.last_body;
@@ -169,9 +186,46 @@ impl ObstacleDetector {
         if before == 0 { 0.0 } else { (acquired_ns - before) as f64 * 1e-9 }
     }
 
+    /// Finds the bodies of one scan; returns how many did not fit.
+    fn find(&mut self, scan: &Scan, place: &Place, elapsed: f64) -> u32 {
+        self.beams.place(scan, place, &mut self.points);
+        self.returns.clone_from(&self.points);
+        if self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) == Use::Nothing {
+            return 0;
+        }
+        self.outline(scan, place);
+        self.associate(place);
+        self.sight(place, elapsed);
+        self.mark_fixed();
+        let fixed = &self.fixed;
+        self.evidence.compare(&self.beams, scan, place, &self.returns, |beam| fixed[beam]);
+        let overflow = self.start(place);
+        self.forget(scan, place, elapsed);
+        self.unite();
+        overflow
+    }
+
+    /// Marks the beams whose return is outside of the track, on a wall, or on a body that stands.
+    fn mark_fixed(&mut self) {
+        self.fixed.fill(true);
+        for point in &self.points {
+            self.fixed[point.beam] = false;
+        }
+        for (cluster, outline) in self.segments.clusters.iter().zip(&self.outlines) {
+            let stands = |index: usize| {
+                let track = &self.tracks[index];
+                !track.moving && track.sightings >= STANDING
+            };
+            if outline.track.is_some_and(stands) {
+                for member in &self.segments.members[cluster.first..cluster.end] {
+                    self.fixed[member.beam] = true;
+                }
+            }
+        }
+    }
+
     /// Segments the scan into outlines of bodies.
     fn outline(&mut self, scan: &Scan, place: &Place) {
-        self.beams.place(scan, place, &mut self.points);
         let walls = Walls::fit(&self.config, place, &self.points);
         self.points.retain(|point| walls.leaves(point.at));
         self.segments.find(scan, &self.points, self.config.range_noise_m);
@@ -270,17 +324,22 @@ impl ObstacleDetector {
         overflow
     }
 
-    /// Forgets bodies whose place is free.
-    fn forget(&mut self, scan: &Scan, place: &Place) {
+    /// Forgets bodies whose place is free, or from which nothing has come for too long.
+    fn forget(&mut self, scan: &Scan, place: &Place, elapsed: f64) {
+        let is_reliable = self.evidence.is_reliable();
         for track in self.tracks.iter_mut().filter(|track| track.unseen_s > 0.0) {
             match sight(scan, &self.beams, place, &track.rectangle(&self.directions)) {
                 Sight::Free => track.free = track.free.saturating_add(1),
                 Sight::Taken => track.free = 0,
-                Sight::Unknown => {}
+                Sight::Silent if is_reliable => track.silent_s += elapsed,
+                Sight::Silent | Sight::Unknown => {}
             }
         }
         let limit = self.config.free_scans;
-        self.tracks.retain(|track| track.free < if track.confirmed { limit } else { limit.min(2) });
+        let memory_s = self.config.memory_s;
+        self.tracks.retain(|track| {
+            track.free < if track.confirmed { limit } else { limit.min(2) } && !track.is_outdated(memory_s)
+        });
     }
 
     /// Merges standing bodies that touch: parts of one body that were first seen apart.
@@ -330,12 +389,20 @@ impl ObstacleDetector {
     }
 
     /// The ellipses of all confirmed tracks, nearest ahead first.
-    fn describe(&mut self, header: Header, overflow: u32) -> Obstacles {
+    fn describe(&mut self, header: Header, overflow: u32, scanner: ScannerHealth) -> Obstacles {
         let [x, y, yaw] = self.pose;
         self.drawn.clear();
         for track in self.tracks.iter_mut().filter(|track| track.confirmed) {
             let rectangle = track.rectangle(&self.directions);
-            let cover = cover(&self.config, &rectangle, &track.extent(), track.pieces, &self.directions);
+            let growth = track.growth();
+            let grown = Rectangle {
+                length: rectangle.length + 2.0 * growth,
+                width: rectangle.width + 2.0 * growth,
+                ..rectangle
+            };
+            let [low, high] = track.extent();
+            let extent = [low.add_scalar(-growth), high.add_scalar(growth)];
+            let cover = cover(&self.config, &grown, &extent, track.pieces, &self.directions);
             track.pieces = cover.list().len() as u32;
             let velocity = track.velocity();
             for (piece, ellipse) in (0..).zip(cover.list()) {
@@ -352,8 +419,8 @@ impl ObstacleDetector {
                     velocity_covariance: track.velocity_covariance(),
                     box_x_m: rectangle.centre.x,
                     box_y_m: rectangle.centre.y,
-                    box_length_m: rectangle.length,
-                    box_width_m: rectangle.width,
+                    box_length_m: grown.length,
+                    box_width_m: grown.width,
                     box_yaw_rad: rectangle.yaw,
                     unseen_s: track.unseen_s,
                     sightings: u64::from(track.sightings),
@@ -376,7 +443,7 @@ impl ObstacleDetector {
             header,
             count: count as u32,
             overflow: overflow + (self.drawn.len() - count) as u32,
-            scanner: ScannerHealth::healthy(5.0),
+            scanner,
             items,
         }
     }

@@ -11,6 +11,7 @@
 mod config;
 mod detector;
 mod ellipse;
+mod evidence;
 mod motion;
 mod outline;
 mod points;

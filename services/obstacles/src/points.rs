@@ -60,6 +60,21 @@ impl Place {
         Some(Self { at, yaw: yaw_rad + vehicle.scanner_yaw_rad, velocity, yaw_rate })
     }
 
+    /// Where the scanner is and where it points `time` seconds after the front beam [m, rad].
+    pub(crate) fn moved_by(&self, time: f64) -> (Vector2<f64>, f64) {
+        (self.at + self.velocity * time, self.yaw + self.yaw_rate * time)
+    }
+
+    /// The place as plain numbers, see [`Self::from_array`].
+    pub(crate) fn to_array(self) -> [f64; 6] {
+        [self.at.x, self.at.y, self.yaw, self.velocity.x, self.velocity.y, self.yaw_rate]
+    }
+
+    /// The place of plain numbers.
+    pub(crate) fn from_array([x, y, yaw, vx, vy, yaw_rate]: [f64; 6]) -> Self {
+        Self { at: Vector2::new(x, y), yaw, velocity: Vector2::new(vx, vy), yaw_rate }
+    }
+
     /// A robot that stands still.
     #[cfg(test)]
     pub(crate) fn standing(at: Vector2<f64>, yaw: f64) -> Self {

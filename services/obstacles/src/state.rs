@@ -2,6 +2,7 @@
 
 use shared_types::{Flag, plain_state};
 
+use crate::evidence::EvidenceState;
 use crate::shape::DIRECTIONS;
 
 /// Largest number of tracked bodies: as many as fit a checkpoint, and more than a sample holds.
@@ -24,6 +25,8 @@ plain_state! {
         pub edges: [f64; 2],
         /// Time since the body was last seen [s]
         pub unseen_s: f64,
+        /// For how long its returns have not come although it should be in view [s]
+        pub silent_s: f64,
         /// Reach in each direction from the reference point, as bits of an f32 [m]
         pub reach: [u32; DIRECTIONS],
         /// Identity of the body, never 0
@@ -58,5 +61,7 @@ plain_state! {
         pub count: u32,
         /// The tracks, oldest first
         pub tracks: [TrackState; TRACKS],
+        /// What is known of the scanner
+        pub evidence: EvidenceState,
     }
 }

@@ -32,6 +32,11 @@ const STARTS: u32 = 3;
 const STOPS: u32 = 5;
 /// Weight of the edges seen before against those of a new scan: the last second counts most.
 const EDGE_MEMORY: f64 = 0.9;
+/// How long a body is remembered for each scan that showed it, where nothing tells whether it is still there [s].
+const MEMORY_PER_SIGHTING_S: f64 = 0.5;
+/// Where nothing tells, a body may have moved with this speed [m/s], at most this far [m].
+const GROWTH_MPS: f64 = 0.02;
+const MAX_GROWTH_M: f64 = 0.2;
 /// Longest prediction of a filter at once [s].
 const MAX_ELAPSED_S: f64 = 1.0;
 
@@ -41,6 +46,8 @@ pub(crate) struct Track {
     pub(crate) body: u32,
     pub(crate) sightings: u32,
     pub(crate) unseen_s: f64,
+    /// For how long its returns have not come although it should be in view [s].
+    pub(crate) silent_s: f64,
     /// Scans in a row that saw its place free.
     pub(crate) free: u32,
     pub(crate) moving: bool,
@@ -83,6 +90,7 @@ impl Track {
             body,
             sightings: 1,
             unseen_s: 0.0,
+            silent_s: 0.0,
             free: 0,
             moving: false,
             confirmed: false,
@@ -118,6 +126,16 @@ impl Track {
     /// Lowest and highest coordinates of the body.
     pub(crate) fn extent(&self) -> [Vector2<f64>; 2] {
         self.shape().extent(self.place())
+    }
+
+    /// Whether it is forgotten by its age: nothing has shown it for too long where it should be in view.
+    pub(crate) fn is_outdated(&self, memory_s: f64) -> bool {
+        self.silent_s > (MEMORY_PER_SIGHTING_S * f64::from(self.sightings)).min(memory_s)
+    }
+
+    /// How much larger than seen it may be by now, at each side [m].
+    pub(crate) fn growth(&self) -> f64 {
+        (GROWTH_MPS * self.silent_s).min(MAX_GROWTH_M)
     }
 
     /// Velocity, zero unless the body clearly moves [m/s].
@@ -177,7 +195,7 @@ impl Track {
         self.edges = self.edges * EDGE_MEMORY + view.edges;
         self.orientation = orient(&self.reach, self.edges, self.orientation, directions);
         self.sightings = self.sightings.saturating_add(1);
-        self.unseen_s = 0.0;
+        (self.unseen_s, self.silent_s) = (0.0, 0.0);
         self.free = 0;
         self.judge(config);
     }
@@ -194,7 +212,7 @@ impl Track {
         self.sightings = self.sightings.max(other.sightings);
         self.confirmed |= other.confirmed;
         if other.unseen_s < self.unseen_s {
-            (self.unseen_s, self.free) = (other.unseen_s, other.free);
+            (self.unseen_s, self.silent_s, self.free) = (other.unseen_s, other.silent_s, other.free);
         }
     }
 
@@ -213,6 +231,8 @@ impl Track {
             && self.body != 0
             && self.unseen_s >= 0.0
             && self.unseen_s.is_finite()
+            && self.silent_s >= 0.0
+            && self.silent_s.is_finite()
     }
 
     /// The track as plain bytes.
@@ -228,6 +248,7 @@ impl Track {
             origin: self.origin.into(),
             edges: self.edges.into(),
             unseen_s: self.unseen_s,
+            silent_s: self.silent_s,
             reach: self.reach.map(f32::to_bits),
             body: self.body,
             sightings: self.sightings,
@@ -247,6 +268,7 @@ impl Track {
             body: state.body,
             sightings: state.sightings,
             unseen_s: state.unseen_s,
+            silent_s: state.silent_s,
             free: state.free,
             moving: state.moving.is_set(),
             confirmed: state.confirmed.is_set(),

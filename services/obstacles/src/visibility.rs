@@ -11,16 +11,20 @@ use crate::points::{Beams, Place, range_of};
 const MARGIN_M: f64 = 0.15;
 /// Bodies farther away than this need not return anything [m].
 const REACH_M: f64 = 5.2;
+/// At least one beam to so many without a return must show the background.
+const THROUGH_SHARE: u32 = 3;
 /// Share of the silhouette's width, at each side, that is not used because of noise of the yaw.
 const RIM: f64 = 0.2;
 
 /// What the beams towards a place show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sight {
-    /// Beams pass through: nothing is there.
+    /// Returns come from beyond: nothing is there.
     Free,
     /// Something is there.
     Taken,
+    /// No return comes from there, nor from anything beyond: that shows nothing.
+    Silent,
     /// Nothing is known: out of the sweep, too far, or hidden.
     Unknown,
 }
@@ -51,36 +55,51 @@ pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Recta
     // A body narrower than a beam still has the one nearest to its middle.
     let to = index(middle + high - rim).floor().max(index(middle).round()).min((BEAMS - 1) as f64);
     let from = from.min(index(middle).round().max(0.0));
-    let (mut through, mut there) = (0_u32, 0_u32);
+    let (mut through, mut there, mut silent) = (0_u32, 0_u32, 0_u32);
     let mut beam = from;
     while beam <= to {
         match along(scan, beams, place, rectangle, beam as usize) {
-            Some(true) => through += 1,
-            Some(false) => there += 1,
-            None => {}
+            Passage::Through => through += 1,
+            Passage::Ends => there += 1,
+            Passage::Silent => silent += 1,
+            Passage::Elsewhere => {}
         }
         beam += 1.0;
     }
-    match (through, there) {
-        (0, 0) => Sight::Unknown,
-        // Background and noise put fewer than a third of the returns on a body.
-        _ if through >= 2 * there => Sight::Free,
+    match (through, there, silent) {
+        (0, 0, 0) => Sight::Unknown,
+        // Background and noise put fewer than a third of the returns on a body; a few wrong ranges are no background.
+        _ if through >= 2 * there && through * THROUGH_SHARE >= silent => Sight::Free,
+        (_, 0, _) => Sight::Silent,
         _ => Sight::Taken,
     }
 }
 
-/// Whether a beam passes through the rectangle; `None` when it misses it or ends before.
-fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam: usize) -> Option<bool> {
+/// What a beam does at the rectangle.
+enum Passage {
+    /// A return comes from beyond.
+    Through,
+    /// A return comes from it.
+    Ends,
+    /// No return comes.
+    Silent,
+    /// It misses the rectangle, or ends before it.
+    Elsewhere,
+}
+
+fn along(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle, beam: usize) -> Passage {
     let offset = place.at - rectangle.centre;
     let start = to_robot(rectangle.yaw, offset.x, offset.y);
     let unit = beams.unit(beam);
     let ray = to_robot(rectangle.yaw - place.yaw, unit.x, unit.y);
     let half = Vector2::new(rectangle.length / 2.0, rectangle.width / 2.0);
-    let (enter, leave) = ray_in_box(start, ray, half).filter(|(enter, _)| *enter <= REACH_M)?;
+    let Some((enter, leave)) = ray_in_box(start, ray, half).filter(|(enter, _)| *enter <= REACH_M) else {
+        return Passage::Elsewhere;
+    };
     match range_of(scan, beam) {
-        None => Some(true),
-        Some(range) if range > leave + MARGIN_M => Some(true),
-        Some(range) if range < enter - MARGIN_M => None,
-        Some(_) => Some(false),
+        None => Passage::Silent,
+        Some(range) if range > leave + MARGIN_M => Passage::Through,
+        Some(range) if range < enter - MARGIN_M => Passage::Elsewhere,
+        Some(_) => Passage::Ends,
     }
 }

@@ -49,15 +49,28 @@ fn an_obstacle_that_vanishes_is_forgotten_within_three_scans() {
             Scene::of(&[block(4.0, 0.2, 0.1, 0.4, 0.0), Body::Circle([3.0, -0.8].into(), 0.15)]).noisy(seed);
         let seen = run(&mut detector, &mut scene, &mut Robot::default(), 10);
         assert_eq!(seen[9].count, 2);
+        // Its place is free when what is behind it is seen.
         scene.bodies.remove(0);
+        scene.bodies.push(block(5.3, 0.0, 0.1, 9.0, 0.0));
         let seen = run(&mut detector, &mut scene, &mut Robot::default(), 4);
-        assert_eq!(
-            (seen[0].count, seen[3].count),
-            (2, 1),
-            "seed {seed}: one missing scan is no proof, three are"
-        );
-        assert!(seen[3].items[0].y_m < 0.0);
+        let body =
+            |obstacles: &Obstacles| obstacles.list().iter().any(|item| (item.box_x_m - 4.0).abs() < 0.2);
+        let states: Vec<bool> = seen.iter().map(body).collect();
+        assert_eq!(states, [true, true, false, false], "seed {seed}: one scan is no proof, three are");
     }
+}
+
+#[test]
+fn missing_returns_erase_nothing_and_an_old_memory_grows_until_it_is_forgotten() {
+    let mut detector = detector();
+    let mut scene = Scene::of(&[block(4.0, 0.2, 0.1, 0.4, 0.0)]);
+    let seen = run(&mut detector, &mut scene, &mut Robot::default(), 20);
+    let width = seen[19].items[0].box_width_m;
+    scene.bodies.clear();
+    // Seen in 20 scans, it is remembered for ten seconds, and grows by 2 cm/s at each side.
+    let seen = run(&mut detector, &mut scene, &mut Robot::default(), 102);
+    assert_eq!((seen[98].count, seen[101].count), (1, 0));
+    assert!((seen[49].items[0].box_width_m - width - 0.2).abs() < 1e-9, "{}", seen[49].items[0].box_width_m);
 }
 
 #[test]

@@ -68,8 +68,10 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// A scenario with the default settings of all stages, at ten scans a second.
+    /// A scenario with the default settings of all stages, which know its surroundings, at ten scans a second.
     pub fn of(scenario: Scenario) -> Self {
-        Self { scenario, tuning: Tuning::default(), period_ns: 100_000_000 }
+        let surroundings = scenario.track.surroundings;
+        let tuning = Tuning::of(Description { surroundings, ..Description::default() });
+        Self { scenario, tuning, period_ns: 100_000_000 }
     }
 }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use key_table::settings;
 
-use crate::{Bounds, Parameters};
+use crate::{Bounds, Parameters, Surroundings};
 
 settings! {
     /// The vehicle description; every stage reads the robot's properties here. The defaults describe the SUMMIT.
@@ -56,6 +56,10 @@ settings! {
         pub scanner_yaw_rad: f64 = 0.0, -PI..=PI;
         /// How near in front of the body something may appear that was not seen before [m].
         pub sudden_m: f64 = 1.2, 0.1..=100.0;
+        /// What the scanner sees where the track is empty; without the key `track.surroundings` of the scenario holds.
+        pub surroundings: Surroundings = Surroundings::Hall;
+        /// Largest velocity in open surroundings, where a blind scanner is not detected [m/s].
+        pub careful_mps: f64 = 0.3, 0.05..=2.0;
     }
 }
 

@@ -21,4 +21,4 @@ pub use description::Description;
 pub use key_table::{Ascending, Invalid, Key, Rule, Setting, parse, read, require, settings, toml_text};
 pub use parameters::Parameters;
 pub use state::{Control, State};
-pub use track::{Goal, Track};
+pub use track::{Goal, Surroundings, Track};

@@ -1,6 +1,38 @@
 //! Where the robot drives: the track and the goal, as scenario and controller know them.
 
-use key_table::{Ascending, settings};
+use std::fmt;
+
+use key_table::{Ascending, Setting, settings};
+use serde::{Deserialize, Serialize};
+
+/// What the scanner sees outside of the track.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Surroundings {
+    /// A hall whose walls and pillars are within reach of the scanner.
+    #[default]
+    Hall,
+    /// Nothing: a blind scanner and an empty track give the same scans.
+    Open,
+}
+
+impl Setting for Surroundings {}
+
+impl Surroundings {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hall => "hall",
+            Self::Open => "open",
+        }
+    }
+}
+
+impl fmt::Display for Surroundings {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
 
 settings! {
     /// The track.
@@ -13,6 +45,9 @@ settings! {
         /// Whether the track has walls at `y_m`, which the scanner sees. The robot's centre then stays half the body width
         /// and the safety distance away from them.
         pub walls: bool = false;
+        /// What the scanner sees outside of the track. `hall`: walls 2 m outside of the bounds, the side walls with
+        /// pillars of 0.3 m every 2.5 m; `walls` hides it, and the robot can't touch it. `open`: nothing.
+        pub surroundings: Surroundings = Surroundings::Hall;
     }
 }
 

@@ -3,7 +3,7 @@
 use emulator::Outcome;
 use report::BlockingReport;
 use scanloop_tests::System;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -23,7 +23,7 @@ fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
     let system = System::new(EXECUTABLE);
     let checked = text(&system, &[&["check", "free"][..], &WIDER].concat());
     let expected = format!(
-        "obstacles, goal at (10, 0)\n  the robot differs from [vehicle] in one property:\n    {WIDER_ROW}\n"
+        "obstacles, goal at (10, 0)\n  the scenario differs from [vehicle] in one property:\n    {WIDER_ROW}\n"
     );
     assert!(checked.contains(&expected), "{checked}");
     let same = text(&system, &["check", "free", "--set", "robot.preset=summit"]);
@@ -35,12 +35,13 @@ fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
     let quiet = text(&system, &[&short[..], &["--quiet"]].concat());
     assert!(!quiet.contains(WIDER_ROW), "{quiet}");
     let report = system.lockstep(&[&["free", "--duration", "0.5"][..], &WIDER].concat());
-    let rows: Vec<_> = report.differences.iter().map(|it| (it.key.as_str(), it.truth, it.believed)).collect();
-    assert_eq!(rows, [("width_m", 0.5, 0.4)]);
+    let rows: Vec<_> =
+        report.differences.iter().map(|it| (it.key.as_str(), &it.truth, &it.believed)).collect();
+    assert_eq!(rows, [("width_m", &json!(0.5), &json!(0.4))]);
 
     let worn = ["--set", "robot.preset=worn"];
     let many = text(&system, &[&["run", "free", "--lockstep", "--duration", "0.5"][..], &worn].concat());
-    assert!(many.contains("properties of the robot differ from [vehicle], largest: robot."), "{many}");
+    assert!(many.contains("properties of the scenario differ from [vehicle], largest: robot."), "{many}");
     let listed = text(&system, &[&["check", "free"][..], &worn].concat());
     assert!(listed.lines().filter(|line| line.contains(", vehicle.")).count() > 10, "{listed}");
 }

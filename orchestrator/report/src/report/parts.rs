@@ -1,8 +1,9 @@
-//! Small parts of the report: margins, the obstacle of a stop, differences between robot and description.
+//! Small parts of the report: margins, the obstacle of a stop, differences between scenario and description.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use shared_types::Blocking;
 
 /// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
@@ -68,13 +69,13 @@ impl fmt::Display for BlockingReport {
     }
 }
 
-/// A property in which the emulated robot differs from its description.
+/// A property in which the scenario differs from the description of the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Difference {
     /// Its key in both tables.
     pub key: String,
-    /// `robot.KEY` of the scenario.
-    pub truth: f64,
+    /// `robot.KEY` of the scenario, a number; or `track.surroundings`, a name.
+    pub truth: Value,
     /// `vehicle.KEY` of the system.
-    pub believed: f64,
+    pub believed: Value,
 }

@@ -35,6 +35,7 @@ impl Recording {
             run_id: run_id.to_owned(),
             scenario: scenario.name.clone(),
             seed: scenario.seed,
+            surroundings: scenario.track.surroundings,
             lockstep: options.lockstep,
             first_scan,
             period_ns,

@@ -1,5 +1,6 @@
 use super::*;
 use crate::history::Node;
+use crate::scenario::Surroundings;
 
 pub(super) const SWEEP: Sweep = Sweep { scan_id: 1, front_ns: 100_000_000, duration_ns: 66_666_666 };
 
@@ -19,7 +20,14 @@ pub(super) fn standing() -> History {
     History::new(node(0, State::default()), 1_000_000_000)
 }
 
+/// A scenario without noise in open surroundings, so that a beam that misses everything has no return.
 pub(super) fn quiet(text: &str) -> Scenario {
+    let mut scenario = in_hall(text);
+    scenario.track.surroundings = Surroundings::Open;
+    scenario
+}
+
+fn in_hall(text: &str) -> Scenario {
     Scenario::parse(&format!("{text}\n[noise]\nrange_m = 0.0"), "test").unwrap()
 }
 
@@ -63,6 +71,23 @@ fn walls_are_seen_at_their_distance_over_the_cosine() {
     // 171 pitches: 1.9 / sin(60.117 deg) = 2.1914.
     assert_eq!(ranges[FRONT_BEAM + 171], 2191);
     assert_eq!(ranges[FRONT_BEAM], NO_RETURN);
+}
+
+#[test]
+fn a_hall_is_seen_behind_obstacles_and_with_noise_as_they_are() {
+    let ranges = readings(&in_hall(&circle(2.0, 0.0, 0.1, "")), &standing());
+    assert_eq!(ranges[FRONT_BEAM], 1900);
+    // The pillar at x = 0 to both sides, and nothing ahead within the reach: the end wall is 24 m away.
+    assert_eq!((ranges[FRONT_BEAM - 256], ranges[FRONT_BEAM + 256]), (3200, 3200));
+    // 192 pitches are 67.5 deg: the wall is met at x = 3.5 / tan = 1.45, 3.5 / sin = 3.788.
+    assert_eq!((ranges[FRONT_BEAM - 192], ranges[FRONT_BEAM + 192]), (3788, 3788));
+    assert_eq!(ranges[FRONT_BEAM + 20], NO_RETURN);
+    // 80 pitches are 28.1 deg, which meets the wall at 7.4 m; 120 pitches are 42.2 deg, at 5.21 m.
+    assert_eq!((ranges[FRONT_BEAM + 80], ranges[FRONT_BEAM + 120]), (NO_RETURN, 5212));
+    let noisy = Scenario::parse("[noise]\nrange_m = 0.02", "test").unwrap();
+    let noisy = readings(&noisy, &standing());
+    let far = (FRONT_BEAM + 180..FRONT_BEAM + 240).map(|beam| (noisy[beam].abs_diff(ranges[beam]), beam));
+    assert!(far.clone().any(|(off, _)| off > 20) && far.clone().all(|(off, _)| off < 100), "{far:?}");
 }
 
 #[test]
@@ -162,7 +187,7 @@ fn noise_and_dropouts_are_as_frequent_as_asked_for() {
 fn a_mixed_pixel_lies_between_the_two_sides_of_an_edge() {
     let text = format!(
         "{}[[obstacle]]\nshape = \"box\"\nx_m = 3.05\ny_m = 0\nlength_m = 0.1\nwidth_m = 6\n\
-         [noise]\nrange_m = 0.0\nmixed_pixels = 1",
+         [noise]\nrange_m = 0.0\nmixed_pixels = 1\n[track]\nsurroundings = \"open\"",
         circle(1.5, 0.0, 0.1, "")
     );
     let ranges = readings(&Scenario::parse(&text, "test").unwrap(), &standing());

@@ -6,7 +6,7 @@
 use nmpc::{Budget, Config, Controller};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use shared_types::{Command, CommandKind, Obstacle, Obstacles, Pose, StopReason};
+use shared_types::{Command, CommandKind, Obstacle, Obstacles, Pose, ScannerHealth, StopReason};
 use vehicle::geometry::Rectangle;
 use vehicle::integrate::integrate;
 use vehicle::{Control, Parameters, State};
@@ -121,7 +121,7 @@ pub(crate) fn run(config: &Config, start: State, bodies: &[Body], noise: Noise) 
             length: body.length,
             width: body.width,
         };
-        let mut obstacles = Obstacles::default();
+        let mut obstacles = Obstacles { scanner: ScannerHealth::healthy(5.0), ..Obstacles::default() };
         obstacles.header.scan_id = scan;
         obstacles.header.acquired_ns = (t * 1e9) as u64 + 1_000_000_000;
         for (index, body) in bodies.iter().enumerate() {

@@ -14,6 +14,7 @@ use rand_pcg::Pcg64Mcg;
 use shared_types::{BEAMS, Header, Obstacles, Pose, Scan};
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
+use vehicle::{Description, Surroundings};
 
 /// Scan period [ns].
 pub const PERIOD_NS: u64 = 100_000_000;
@@ -205,18 +206,24 @@ pub fn rectangle(x: f64, y: f64, length: f64, width: f64, yaw: f64) -> Rectangle
     Rectangle { centre: Vector2::new(x, y), yaw, length, width }
 }
 
+/// Settings for a scene in which nothing is around the track.
+pub fn open() -> Config {
+    let vehicle = Description { surroundings: Surroundings::Open, ..Description::default() };
+    Config { vehicle, ..Config::default() }
+}
+
 /// A detector with the ellipses of (7.35).
 pub fn detector() -> ObstacleDetector {
-    ObstacleDetector::new(Config { cover: CoverRule::Source, ..Config::default() }).unwrap()
+    ObstacleDetector::new(Config { cover: CoverRule::Source, ..open() }).unwrap()
 }
 
 /// A detector with the default ellipses.
 pub fn tight() -> ObstacleDetector {
-    ObstacleDetector::new(Config::default()).unwrap()
+    ObstacleDetector::new(open()).unwrap()
 }
 
 pub fn with_walls() -> ObstacleDetector {
-    let config = Config { walls: true, cover: CoverRule::Source, ..Config::default() };
+    let config = Config { walls: true, cover: CoverRule::Source, ..open() };
     ObstacleDetector::new(config).unwrap()
 }
 

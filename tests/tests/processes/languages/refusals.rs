@@ -90,8 +90,8 @@ const VERSIONS: [Version; 9] = [
     },
     Version {
         role: Role::Estimator,
-        changes: &[("uint8_t bytes[12288];", "uint8_t bytes[4096];")],
-        message: "topic checkpoint: field bytes has 4096 elements in this process, 12288 in the system",
+        changes: &[("uint8_t bytes[12800];", "uint8_t bytes[4096];")],
+        message: "topic checkpoint: field bytes has 4096 elements in this process, 12800 in the system",
     },
 ];
 

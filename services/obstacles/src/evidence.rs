@@ -1,0 +1,276 @@
+//! Evidence: what the scans show of the scanner itself.
+//!
+//! A missing return is no proof of free space: it also comes from a covered window, a black surface or a defect. So
+//! each scan is compared with earlier ones and the motion of the robot. What they predict must come:
+//!
+//! * [`returns`]: which share of the returns of the scan before comes again, at the predicted range;
+//! * [`sectors`]: the same per direction, for what does not move, over some way;
+//! * [`calibration`]: whether the ranges fit the way of the robot.
+//!
+//! [`verdict`] makes the state of the scanner out of it. A scan whose ranges are repeated, or contradict the one before,
+//! counts as missing: bodies are remembered as if it had not come.
+
+mod calibration;
+mod returns;
+mod sectors;
+mod snapshot;
+mod verdict;
+
+use shared_types::{BEAMS, PITCH_RAD, SECTORS, Scan, ScannerHealth, WINDOW, plain_state};
+use vehicle::{Description, Surroundings};
+
+use crate::points::{Beams, Place, Point, range_of};
+use calibration::{CalibrationState, index_beams};
+use returns::Returns;
+use snapshot::{Snapshot, SnapshotState};
+use verdict::{Brought, Findings, VerdictState};
+
+/// A robot that has moved or turned less than this rests [m, rad].
+const REST: (f64, f64) = (0.003, 0.003);
+/// Ranges that are repeated count only with at least so many returns.
+const STUCK_RETURNS: usize = 20;
+/// Way and turn after which what does not move is kept anew for comparison [m, rad].
+const KEYFRAME: (f64, f64) = (0.25, 0.06);
+/// A scan with less than this share of the predicted ranges contradicts the one before ...
+const CONTRADICTION: f64 = 0.2;
+/// ... when so many returns came where some were predicted.
+const CONTRADICTION_RETURNS: f64 = 60.0;
+/// After this way or turn a scan is no longer compared with one from before [m, rad].
+const INCOMPARABLE: (f64, f64) = (0.8, 0.6);
+/// With ranges that contradict those before for longer than this nothing ahead is seen [s].
+const DOUBTFUL_S: f64 = 0.15;
+/// Share of all beams that return something in any surroundings.
+const SWEEP_SHARE: f64 = 0.04;
+/// With fewer predicted returns than this their share tells nothing.
+const PREDICTED: f64 = 40.0;
+/// A body of this width is seen with three returns [m].
+const THIN_M: f64 = 0.1;
+/// Distance of the robot's side within which what a blind sector hides matters [m].
+const STRIP_M: f64 = 0.15;
+
+plain_state! {
+    /// What the evidence of the next scan depends on.
+    pub struct EvidenceState {
+        /// The scan before
+        pub previous: SnapshotState,
+        /// A scan from some way before
+        pub keyframe: SnapshotState,
+        /// Predicted returns and those that came
+        pub returns: Returns,
+        /// Per sector: returns of what does not move that were predicted, and those that came
+        pub sectors: [[f64; 2]; SECTORS],
+        /// Whether the ranges fit the motion
+        pub calibration: CalibrationState,
+        /// State of the scanner
+        pub verdict: VerdictState,
+    }
+}
+
+/// What a scan can be used for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Use {
+    /// Bodies are found in it.
+    Ranges,
+    /// As if it had not come.
+    Nothing,
+}
+
+/// Compares scans with what earlier ones predict.
+#[derive(Debug, Clone)]
+pub(crate) struct Evidence {
+    vehicle: Description,
+    previous: Snapshot,
+    keyframe: Snapshot,
+    returns: Returns,
+    sectors: [[f64; 2]; SECTORS],
+    calibration: CalibrationState,
+    verdict: VerdictState,
+    index_of: Vec<u16>,
+    /// Of this scan.
+    findings: Findings,
+    valid_share: f64,
+    is_empty: bool,
+}
+
+impl Evidence {
+    pub(crate) fn new(vehicle: Description) -> Self {
+        Self {
+            vehicle,
+            previous: Snapshot::empty(),
+            keyframe: Snapshot::empty(),
+            returns: Returns::default(),
+            sectors: [[0.0; 2]; SECTORS],
+            calibration: CalibrationState::default(),
+            verdict: VerdictState::default(),
+            index_of: Vec::with_capacity(BEAMS),
+            findings: Findings::default(),
+            valid_share: 0.0,
+            is_empty: false,
+        }
+    }
+
+    /// A scan without ranges, `elapsed` seconds after the last.
+    pub(crate) fn miss(&mut self, elapsed: f64) {
+        self.findings = Findings { elapsed, brought: Brought::Nothing, ..Findings::default() };
+        (self.valid_share, self.is_empty) = (0.0, false);
+    }
+
+    /// Compares a scan with the one before; `points` are its returns.
+    pub(crate) fn receive(
+        &mut self,
+        beams: &Beams,
+        scan: &Scan,
+        place: &Place,
+        points: &[Point],
+        elapsed: f64,
+    ) -> Use {
+        let window = WINDOW.filter(|beam| range_of(scan, *beam).is_some()).count();
+        self.valid_share = window as f64 / WINDOW.count() as f64;
+        self.is_empty = self.vehicle.surroundings == Surroundings::Hall
+            && (points.len() as f64) < SWEEP_SHARE * BEAMS as f64;
+        let brought = self.bring(beams, scan, place, points, elapsed);
+        self.findings = Findings { elapsed, brought, ..Findings::default() };
+        match brought {
+            Brought::Ranges | Brought::Nothing => Use::Ranges,
+            Brought::Repetition | Brought::Jump => Use::Nothing,
+        }
+    }
+
+    fn bring(
+        &mut self,
+        beams: &Beams,
+        scan: &Scan,
+        place: &Place,
+        points: &[Point],
+        elapsed: f64,
+    ) -> Brought {
+        let (way, turn) = self.previous.moved(place);
+        if self.repeats(scan, points.len()) {
+            // The place of the first of them is kept, so that a slow motion adds up.
+            return if way > REST.0 || turn > REST.1 { Brought::Repetition } else { Brought::Ranges };
+        }
+        let counts = Returns::count(&self.previous, beams, scan, place);
+        let is_comparable = way < INCOMPARABLE.0 && turn < INCOMPARABLE.1;
+        let is_wrong = counts.right_share(CONTRADICTION_RETURNS).is_some_and(|share| share < CONTRADICTION);
+        if is_wrong && is_comparable {
+            if !self.calibration.contradicts() {
+                return Brought::Jump;
+            }
+            // The ranges changed as a whole: what contradicted the motion has ended.
+            self.calibration = CalibrationState::default();
+            self.returns = Returns::default();
+            self.keyframe.clear();
+        } else {
+            self.returns.add(&counts, elapsed);
+        }
+        self.previous.keep(scan, place, points, |_| false);
+        if self.is_empty { Brought::Nothing } else { Brought::Ranges }
+    }
+
+    /// Compares what does not move with the scan from some way before; `is_fixed` tells of a beam what it shows.
+    pub(crate) fn compare(
+        &mut self,
+        beams: &Beams,
+        scan: &Scan,
+        place: &Place,
+        points: &[Point],
+        is_fixed: impl Fn(usize) -> bool + Copy,
+    ) {
+        sectors::fade(&mut self.sectors, self.findings.elapsed);
+        if let Some(before) = self.keyframe.place() {
+            let keyframe = &self.keyframe;
+            let kept = keyframe.points().iter().filter(|point| keyframe.is_fixed(point.beam));
+            sectors::compare(&mut self.sectors, beams, keyframe.scan(), kept, (scan, place));
+            let seen = points.iter().filter(|point| is_fixed(point.beam));
+            sectors::compare(&mut self.sectors, beams, scan, seen, (keyframe.scan(), before));
+        }
+        let (way, turn) = self.keyframe.moved(place);
+        if (way > KEYFRAME.0 || turn > KEYFRAME.1) && !self.is_empty {
+            if way < 2.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
+                index_beams(points, &mut self.index_of);
+                self.calibration.add(&self.keyframe, beams, (place, points), &self.index_of);
+            }
+            self.keyframe.keep(scan, place, points, is_fixed);
+        }
+    }
+
+    /// The health of the scanner after this scan; `speed` is the robot's [m/s].
+    pub(crate) fn health(&mut self, speed: f64) -> ScannerHealth {
+        let (agreed, errors) = (self.returns.agreed_share(PREDICTED), self.calibration.errors());
+        self.findings.agreed_share = agreed;
+        self.findings.right_share = self.returns.right_share(PREDICTED);
+        self.findings.contradicts = self.calibration.contradicts();
+        self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
+        let state = self.verdict.judge(&self.findings);
+        let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
+        let unseen_sectors = sectors::unseen(&self.sectors, share);
+        let [factor, range_offset_m, yaw_error_rad] = errors.values;
+        ScannerHealth {
+            state: state.wire(),
+            identical_scans: self.verdict.identical,
+            unseen_sectors,
+            valid_share: self.valid_share,
+            returned_share: share,
+            blind_s: self.verdict.blind_s,
+            seen_ahead_m: self.seen_ahead(unseen_sectors, share, speed),
+            range_factor: 1.0 + factor,
+            range_offset_m,
+            yaw_error_rad,
+        }
+    }
+
+    /// Distance ahead of the robot's centre within which nothing that stands there is missed [m].
+    fn seen_ahead(&self, unseen_sectors: u64, share: f64, speed: f64) -> f64 {
+        if self.is_empty || self.verdict.jumped_s > DOUBTFUL_S {
+            return 0.0;
+        }
+        let strip = self.vehicle.width_m / 2.0 + STRIP_M;
+        let seen = sectors::seen_ahead(unseen_sectors, self.vehicle.scanner_yaw_rad, strip);
+        let thin = THIN_M * share / (3.0 * PITCH_RAD);
+        (seen.min(thin) - speed.abs() * self.verdict.blind_s).max(0.0)
+    }
+
+    /// Whether the ranges can be relied on, so that it tells something when none comes from a direction.
+    pub(crate) fn is_reliable(&self) -> bool {
+        !self.verdict.state().is_stop()
+    }
+
+    /// All that the next scan depends on.
+    pub(crate) fn state(&self) -> EvidenceState {
+        EvidenceState {
+            previous: self.previous.state(),
+            keyframe: self.keyframe.state(),
+            returns: self.returns,
+            sectors: self.sectors,
+            calibration: self.calibration,
+            verdict: self.verdict,
+        }
+    }
+
+    /// Whether a state is possible.
+    pub(crate) fn is_sound(state: &EvidenceState) -> bool {
+        let counts = state.sectors.iter().flatten();
+        counts.copied().all(|count| (0.0..1e9).contains(&count))
+            && state.returns.is_sound()
+            && state.calibration.is_sound()
+            && state.verdict.is_sound()
+    }
+
+    /// Continues from a state that is possible.
+    pub(crate) fn resume(&mut self, state: &EvidenceState, beams: &Beams) {
+        self.previous.resume(&state.previous, beams);
+        self.keyframe.resume(&state.keyframe, beams);
+        self.returns = state.returns;
+        self.sectors = state.sectors;
+        self.calibration = state.calibration;
+        self.verdict = state.verdict;
+    }
+
+    /// Whether the scan has the same returns as the one before.
+    fn repeats(&self, scan: &Scan, returns: usize) -> bool {
+        let before = self.previous.scan();
+        returns >= STUCK_RETURNS
+            && self.previous.place().is_some()
+            && (0..BEAMS).all(|beam| range_of(scan, beam) == range_of(before, beam))
+    }
+}

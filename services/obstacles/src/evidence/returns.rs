@@ -1,0 +1,78 @@
+//! How many of the returns that an earlier scan predicts come.
+
+use shared_types::{BEAMS, Scan, plain_state};
+
+use crate::evidence::snapshot::{Snapshot, expected, is_surface};
+use crate::points::{Beams, Place, range_of};
+
+/// Returns predicted from farther away need not come [m].
+const REACH_M: f64 = 5.0;
+/// A return agrees with the predicted range within this [m] ...
+const TOLERANCE_M: f64 = 0.1;
+/// ... and this share of the range.
+const TOLERANCE: f64 = 0.05;
+/// Time constant of the counts [s].
+const MEMORY_S: f64 = 0.45;
+/// Beams on each side of the expected one that count as well.
+const BESIDE: usize = 1;
+
+plain_state! {
+    /// Counts of predicted returns, which fade.
+    pub struct Returns {
+        /// Returns that were predicted
+        pub predicted: f64,
+        /// Those that came at any range
+        pub came: f64,
+        /// Those that came at the predicted range
+        pub agreed: f64,
+    }
+}
+
+impl Returns {
+    /// Counts what `scan` makes of the returns of an earlier scan.
+    pub(crate) fn count(earlier: &Snapshot, beams: &Beams, scan: &Scan, place: &Place) -> Self {
+        let mut counts = Self::default();
+        for point in earlier.points() {
+            let Some(expected) = expected(beams, scan, place, point) else { continue };
+            let is_inside = (BESIDE..BEAMS - BESIDE).contains(&expected.beam);
+            if !is_inside || expected.range > REACH_M || !is_surface(earlier.scan(), point) {
+                continue;
+            }
+            let tolerance = TOLERANCE_M + TOLERANCE * expected.range;
+            counts.predicted += 1.0;
+            for beam in expected.beam - BESIDE..=expected.beam + BESIDE {
+                let Some(range) = range_of(scan, beam) else { continue };
+                let weight = 1.0 / (2 * BESIDE + 1) as f64;
+                counts.came += weight;
+                if (range - expected.range).abs() < tolerance {
+                    counts.agreed += weight;
+                }
+            }
+        }
+        counts
+    }
+
+    /// Adds the counts of a scan `elapsed` seconds after the last.
+    pub(crate) fn add(&mut self, scan: &Self, elapsed: f64) {
+        let keep = (-elapsed / MEMORY_S).exp();
+        self.predicted = self.predicted * keep + scan.predicted;
+        self.came = self.came * keep + scan.came;
+        self.agreed = self.agreed * keep + scan.agreed;
+    }
+
+    /// Share of the predicted returns that came at their range; `None` when too few were predicted to tell.
+    pub(crate) fn agreed_share(&self, needed: f64) -> Option<f64> {
+        (self.predicted >= needed).then(|| self.agreed / self.predicted)
+    }
+
+    /// Share of those that came that have their range; `None` when too few came to tell.
+    pub(crate) fn right_share(&self, needed: f64) -> Option<f64> {
+        (self.came >= needed).then(|| self.agreed / self.came)
+    }
+
+    /// Whether the counts are possible.
+    pub(crate) fn is_sound(&self) -> bool {
+        let counts = [self.predicted, self.came, self.agreed];
+        counts.iter().all(|count| (0.0..1e9).contains(count)) && self.came <= self.predicted + 1e-6
+    }
+}

@@ -1,0 +1,131 @@
+//! In which directions the scanner shows nothing although something is there.
+//!
+//! What does not move is compared between the scan and one that was taken some way before, both ways: a return of
+//! either must be in the other, unless something nearer hides it. A sector in which hardly any of them come has no
+//! evidence: its missing returns show nothing.
+
+use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, WINDOW};
+
+use crate::evidence::snapshot::{expected, is_surface};
+use crate::points::{Beams, Place, Point, range_of};
+
+/// Returns predicted from farther away need not come [m].
+const REACH_M: f64 = 5.0;
+/// A return nearer than predicted by more than this hides what was predicted [m].
+const HIDING_M: f64 = 0.2;
+/// Time constant of the counts [s].
+const MEMORY_S: f64 = 0.3;
+/// With fewer predicted returns than this a sector is not judged.
+const NEEDED: f64 = 14.0;
+/// A sector has no evidence when its share of returns is below this part of that of all directions.
+const BLIND_SHARE: f64 = 0.3;
+/// With more sectors of the window than this without evidence, nothing ahead can be relied on.
+const MAX_BLIND: u32 = 5;
+/// Beyond this distance obstacles need not be seen [m].
+const VIEW_M: f64 = 5.0;
+
+/// Counts per sector: returns that were predicted, and those that came.
+pub(crate) type Counts = [[f64; 2]; SECTORS];
+
+/// Lets the counts of all sectors fade for `elapsed` seconds.
+pub(crate) fn fade(counts: &mut Counts, elapsed: f64) {
+    let keep = (-elapsed / MEMORY_S).exp();
+    for count in counts.iter_mut().flatten() {
+        *count *= keep;
+    }
+}
+
+/// Compares the returns of `points` that are fixed, all of `from`, with `scan`, and counts them per sector.
+pub(crate) fn compare<'a>(
+    counts: &mut Counts,
+    beams: &Beams,
+    from: &Scan,
+    points: impl Iterator<Item = &'a Point>,
+    (scan, place): (&Scan, &Place),
+) {
+    for point in points {
+        let Some(expected) = expected(beams, scan, place, point) else { continue };
+        let is_inside = (1..BEAMS - 1).contains(&expected.beam) && expected.range < REACH_M;
+        if !is_inside || !is_surface(from, point) {
+            continue;
+        }
+        let around = expected.beam - 1..=expected.beam + 1;
+        let ranges = || around.clone().filter_map(|beam| range_of(scan, beam));
+        if ranges().any(|range| range < expected.range - HIDING_M) {
+            continue;
+        }
+        let [predicted, came] = &mut counts[expected.beam / SECTOR_BEAMS];
+        *predicted += 1.0;
+        *came += ranges().count() as f64 / 3.0;
+    }
+}
+
+/// The sectors without evidence, one bit each; `share` of all predicted returns come.
+pub(crate) fn unseen(counts: &Counts, share: f64) -> u64 {
+    let is_unseen = |[predicted, came]: &[f64; 2]| {
+        *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
+    };
+    (0..).zip(counts).filter(|(_, count)| is_unseen(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
+}
+
+/// Distance ahead of the robot's centre within which whatever stands in a strip of `half_width` was seen, before it
+/// came into the sectors without evidence, or will be seen beyond them [m].
+///
+/// A point at the lateral distance y is hidden in a sector from a to b while its distance ahead is from y / tan a to
+/// y / tan b. It was seen before when y / tan a is within the view; what was not comes into view at y / tan b.
+pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64 {
+    let in_window = |sector: &usize| {
+        WINDOW.contains(&(sector * SECTOR_BEAMS)) && WINDOW.contains(&((sector + 1) * SECTOR_BEAMS - 1))
+    };
+    let blind = |sector: &usize| unseen >> sector & 1 == 1;
+    let count = (0..SECTORS).filter(|sector| blind(sector) && in_window(sector)).count();
+    if count as u32 > MAX_BLIND {
+        return 0.0;
+    }
+    let mut farthest = VIEW_M;
+    let mut sector = 0;
+    while sector < SECTORS {
+        if !blind(&sector) {
+            sector += 1;
+            continue;
+        }
+        let first = sector;
+        while sector < SECTORS && blind(&sector) {
+            sector += 1;
+        }
+        let edge = |beam: usize| Scan::beam_yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
+        let (low, high) = (edge(first * SECTOR_BEAMS), edge(sector * SECTOR_BEAMS));
+        farthest = farthest.min(hidden_until(low, high, half_width));
+    }
+    farthest
+}
+
+/// Distance ahead at which what a sector from `low` to `high` hides comes into view [m].
+fn hidden_until(low: f64, high: f64, half_width: f64) -> f64 {
+    if low <= 0.0 && high >= 0.0 {
+        return 0.0;
+    }
+    let (near, far) = (low.abs().min(high.abs()), low.abs().max(high.abs()));
+    if near.tan() * VIEW_M >= half_width || near > std::f64::consts::FRAC_PI_2 {
+        return VIEW_M;
+    }
+    if far >= std::f64::consts::FRAC_PI_2 { 0.0 } else { VIEW_M * near.tan() / far.tan() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_blind_front_hides_everything_and_a_blind_side_nothing() {
+        let front = 340 / SECTOR_BEAMS;
+        assert_eq!(seen_ahead(0, 0.0, 0.45), VIEW_M);
+        assert_eq!(seen_ahead(1 << front, 0.0, 0.45), 0.0);
+        // Sectors 36 and 37 begin 19.5 deg left of the front: 0.45 m to the side they begin 1.3 m ahead.
+        assert_eq!(seen_ahead(0b11 << 36, 0.0, 0.45), VIEW_M);
+        // The same sectors of a scanner that is turned by 19 deg to the right begin 0.5 deg off the front.
+        let turned = seen_ahead(0b11 << 36, -(396.0 - 340.0) * PITCH_RAD + 0.01, 0.45);
+        assert!(turned < 0.5, "{turned}");
+        assert_eq!(seen_ahead(0b11_1111 << 40, 0.0, 0.45), 0.0, "six sectors of the window are too many");
+    }
+}

@@ -1,0 +1,189 @@
+//! A scan that is kept for comparison, with the pose that it was taken from.
+
+use nalgebra::Vector2;
+use shared_types::{BEAMS, Header, PITCH_RAD, Scan, plain_state};
+use vehicle::frame::to_robot;
+
+use crate::points::{Beams, Place, Point, range_of};
+
+/// A beam that is predicted to be turned by more than this (sine) is not compared.
+const MAX_TURN: f64 = 0.7;
+/// Words of the mask with one bit per beam.
+const WORDS: usize = BEAMS.div_ceil(64);
+
+plain_state! {
+    /// A scan that is kept for comparison.
+    pub struct SnapshotState {
+        /// Position of the scanner, its yaw, its velocity on the track and its yaw rate [m, rad, m/s, rad/s]
+        pub place: [f64; 6],
+        /// How long the sweep took [ns]; zero for none
+        pub sweep_ns: u64,
+        /// One bit for each beam whose return is of something that does not move
+        pub fixed: [u64; WORDS],
+        /// Ranges, below 20 for no return [mm]
+        pub ranges_mm: [u16; BEAMS],
+        /// Unused, zero
+        pub reserved: u32,
+    }
+}
+
+/// A kept scan with its returns placed on the track.
+#[derive(Debug, Clone)]
+pub(crate) struct Snapshot {
+    state: SnapshotState,
+    scan: Scan,
+    place: Option<Place>,
+    points: Vec<Point>,
+}
+
+/// Where a return of one scan is expected in another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Expected {
+    /// Index of the beam.
+    pub(crate) beam: usize,
+    /// Range [m].
+    pub(crate) range: f64,
+}
+
+impl Snapshot {
+    /// No scan yet.
+    pub(crate) fn empty() -> Self {
+        Self {
+            state: SnapshotState::default(),
+            scan: Scan::default(),
+            place: None,
+            points: Vec::with_capacity(BEAMS),
+        }
+    }
+
+    /// The scan as plain bytes.
+    pub(crate) fn state(&self) -> SnapshotState {
+        self.state
+    }
+
+    /// The scan of a state; none where its place is impossible.
+    pub(crate) fn resume(&mut self, state: &SnapshotState, beams: &Beams) {
+        let is_sound = state.sweep_ns > 0 && state.place.iter().all(|value| value.abs() < 1e6);
+        if !is_sound {
+            *self = Self::empty();
+            return;
+        }
+        self.state = *state;
+        self.scan = Scan {
+            header: Header::default(),
+            sweep_ns: state.sweep_ns,
+            ranges_mm: state.ranges_mm,
+            ..Scan::default()
+        };
+        let place = Place::from_array(state.place);
+        beams.place(&self.scan, &place, &mut self.points);
+        self.place = Some(place);
+    }
+
+    /// Keeps a scan; `points` are all its returns and `is_fixed` tells which of them do not move.
+    pub(crate) fn keep(
+        &mut self,
+        scan: &Scan,
+        place: &Place,
+        points: &[Point],
+        is_fixed: impl Fn(usize) -> bool,
+    ) {
+        self.place = Some(*place);
+        self.scan.sweep_ns = scan.sweep_ns;
+        self.scan.ranges_mm = scan.ranges_mm;
+        self.points.clear();
+        self.points.extend_from_slice(points);
+        let mut fixed = [0_u64; WORDS];
+        for point in points.iter().filter(|point| is_fixed(point.beam)) {
+            fixed[point.beam / 64] |= 1 << (point.beam % 64);
+        }
+        self.state = SnapshotState {
+            place: place.to_array(),
+            sweep_ns: scan.sweep_ns,
+            fixed,
+            ranges_mm: scan.ranges_mm,
+            reserved: 0,
+        };
+    }
+
+    /// Forgets the scan.
+    pub(crate) fn clear(&mut self) {
+        *self = Self { points: std::mem::take(&mut self.points), ..Self::empty_without_room() };
+        self.points.clear();
+    }
+
+    fn empty_without_room() -> Self {
+        Self { state: SnapshotState::default(), scan: Scan::default(), place: None, points: Vec::new() }
+    }
+
+    /// Pose of the scanner, `None` when no scan is kept.
+    pub(crate) fn place(&self) -> Option<&Place> {
+        self.place.as_ref()
+    }
+
+    /// The kept scan.
+    pub(crate) fn scan(&self) -> &Scan {
+        &self.scan
+    }
+
+    /// All returns, in the order of beams.
+    pub(crate) fn points(&self) -> &[Point] {
+        &self.points
+    }
+
+    /// Whether the return of a beam is of something that does not move.
+    pub(crate) fn is_fixed(&self, beam: usize) -> bool {
+        self.state.fixed[beam / 64] >> (beam % 64) & 1 == 1
+    }
+
+    /// How far the scanner is from where the scan was taken, and how far it has turned [m, rad].
+    pub(crate) fn moved(&self, place: &Place) -> (f64, f64) {
+        self.place.as_ref().map_or((f64::INFINITY, f64::INFINITY), |before| {
+            ((place.at - before.at).norm(), (place.yaw - before.yaw).abs())
+        })
+    }
+}
+
+/// Where a return at `point` is expected in a scan from `place`; `None` when the view has changed too much.
+pub(crate) fn expected(beams: &Beams, scan: &Scan, place: &Place, point: &Point) -> Option<Expected> {
+    let (at, yaw) = place.moved_by(scan.beam_time_s(point.beam));
+    let offset = point.at - at;
+    let seen = to_robot(yaw, offset.x, offset.y);
+    let range = seen.norm();
+    let unit = beams.unit(point.beam);
+    let sine = (unit.x * seen.y - unit.y * seen.x) / range.max(1e-6);
+    if sine.abs() > MAX_TURN || unit.dot(&seen) <= 0.0 {
+        return None;
+    }
+    // Series of the arc sine: 1e-3 rad off at the largest turn.
+    let square = sine * sine;
+    let turn = sine * (1.0 + square * (1.0 / 6.0 + square * (0.075 + square * (0.0446 + square * 0.0304))));
+    let beam = point.beam as f64 + (turn / PITCH_RAD).round();
+    (0.0..BEAMS as f64).contains(&beam).then_some(Expected { beam: beam as usize, range })
+}
+
+/// Whether the returns around a beam have about the same range, so that it shows a surface and no edge.
+pub(crate) fn is_surface(scan: &Scan, point: &Point) -> bool {
+    let low = point.beam.saturating_sub(2);
+    let high = (point.beam + 2).min(BEAMS - 1);
+    (low..=high)
+        .filter_map(|beam| range_of(scan, beam))
+        .all(|range| (range - point.range).abs() < 0.1 + 0.1 * point.range)
+}
+
+/// Distance of two points along the surface normal at the first, and the normal; `None` without a surface.
+pub(crate) fn normal_at(points: &[Point], index: usize) -> Option<Vector2<f64>> {
+    let reach = 3;
+    let (low, high) = (index.saturating_sub(reach), (index + reach).min(points.len().saturating_sub(1)));
+    let (first, last) = (&points[low], &points[high]);
+    let along = last.at - first.at;
+    let length = along.norm();
+    let is_near = last.beam - first.beam <= 4 * reach && length > 0.01 && length < 0.6;
+    if !is_near || high - low < reach {
+        return None;
+    }
+    let normal = Vector2::new(-along.y, along.x) / length;
+    // The points between lie on the line: an edge or a corner has no normal.
+    let is_straight = points[low..=high].iter().all(|point| normal.dot(&(point.at - first.at)).abs() < 0.06);
+    is_straight.then_some(normal)
+}

@@ -1,0 +1,81 @@
+//! A real URG-04LX on a real rover is never taken for blind, stuck or contradictory.
+//!
+//! The recording is not part of the project: the test uses it where it lies beside the checkout, and tells when not.
+
+use std::f64::consts::PI;
+
+use obstacles::{Config, ObstacleDetector};
+use shared_types::{BEAMS, Header, Pose, Scan};
+use vehicle::Description;
+
+/// Where the recording is expected, from the folder of this crate.
+const FILE: &str = "../../../shared/recordings/urg-rover.dat";
+
+/// Way of a wheel for its ticks [m].
+fn wheel_m(ticks: f64) -> f64 {
+    ticks * 180.0 / 2000.0 * PI / 180.0 * 0.077
+}
+
+struct Row {
+    time_ns: u64,
+    ticks: [f64; 2],
+    ranges_mm: [u16; BEAMS],
+}
+
+fn rows(text: &str) -> Vec<Row> {
+    let row = |line: &str| {
+        let columns: Vec<f64> = line.split_ascii_whitespace().map(|column| column.parse().unwrap()).collect();
+        let mut ranges_mm = [0; BEAMS];
+        for (range, column) in ranges_mm.iter_mut().zip(&columns[24..24 + BEAMS]) {
+            *range = *column as u16;
+        }
+        Row { time_ns: (columns[0] * 1e3) as u64, ticks: [columns[2], columns[3]], ranges_mm }
+    };
+    text.lines().filter(|line| !line.trim().is_empty()).map(row).collect()
+}
+
+#[test]
+fn the_recorded_scanner_is_never_blind_stuck_or_contradictory() {
+    let Ok(text) = std::fs::read_to_string(FILE) else {
+        eprintln!("{FILE} is not there: only the synthetic log was tested");
+        return;
+    };
+    let rows = rows(&text);
+    assert_eq!(rows.len(), 756);
+    let vehicle = Description { scanner_x_m: 0.145, ..Description::default() };
+    let mut detector = ObstacleDetector::new(Config { vehicle, ..Config::default() }).unwrap();
+    let mut pose = Pose::default();
+    let mut states = [0_usize; 5];
+    let mut stops = 0;
+    for (index, row) in rows.iter().enumerate() {
+        if index > 0 {
+            let before = &rows[index - 1];
+            let elapsed = (row.time_ns - before.time_ns) as f64 * 1e-9;
+            let [left, right] = [0, 1].map(|side| wheel_m(row.ticks[side] - before.ticks[side]));
+            let (way, turn) = ((left + right) / 2.0, (right - left) / 0.33);
+            let course = pose.yaw_rad + turn / 2.0;
+            pose.x_m += way * course.cos();
+            pose.y_m += way * course.sin();
+            pose.yaw_rad += turn;
+            (pose.speed_mps, pose.yaw_rate_radps) = (way / elapsed, turn / elapsed);
+        }
+        let header = Header { scan_id: index as u64 + 1, acquired_ns: row.time_ns, ..Header::default() };
+        let scan = Scan {
+            header,
+            sweep_ns: 66_666_667,
+            period_ns: 100_000_000,
+            ranges_mm: row.ranges_mm,
+            ..Scan::default()
+        };
+        pose.header = header;
+        let health = detector.step(&scan, &pose).scanner;
+        let state = health.state();
+        states[state.wire() as usize] += 1;
+        stops += usize::from(health.seen_ahead_m < 0.5);
+        if std::env::var_os("SHOW").is_some() {
+            eprintln!("{index} {state} {health:?}");
+        }
+        assert!(!state.is_stop() || std::env::var_os("SHOW").is_some(), "scan {index}: {state}, {health:?}");
+    }
+    eprintln!("{states:?}, {stops} scans with less than half a metre of sight");
+}
