@@ -57,6 +57,13 @@ fn a_scan_without_ranges_is_announced_and_blocks_nothing() {
 }
 
 #[test]
+fn without_any_ranges_from_the_start_the_robot_never_drives() {
+    let (end, steps) = driven("corridor", "", "missing_every = 1");
+    assert_eq!((end.outcome, end.reason.as_str()), (Outcome::Stopped, "wheels blocked for 5 s: scanner"));
+    assert!(steps.iter().all(|step| step.scan.missing.is_set() && step.truth.speed_mps == 0.0));
+}
+
+#[test]
 fn irregular_scans_are_driven_and_their_gaps_end_with_the_next_command() {
     for scenario in ["corridor", "slalom", "walls", "crossing"] {
         for robot in ["preset = \"ideal\"", "preset = \"summit\""] {
