@@ -1,4 +1,5 @@
-//! Drives whose samples a candidate receives: the pipeline makes them in this process, so they are consistent.
+//! Drives whose samples a candidate receives: the pipeline makes them in this process, so they are consistent. They take
+//! place in a hall, so that a healthy scanner has returns everywhere.
 
 use emulator::scenario::{Obstacle, Shape};
 use emulator::steering_map::SteeringMap;
@@ -123,5 +124,22 @@ impl Drive {
     pub(crate) fn scan_at(&self, x_m: f64) -> u64 {
         let index = self.steps.iter().position(|step| step.truth.x_m >= x_m);
         index.unwrap_or(self.steps.len() - 1) as u64 + 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::{BEAMS, MIN_RANGE_MM};
+
+    use super::*;
+
+    #[test]
+    fn a_scanner_on_an_empty_track_sees_the_hall_from_start_to_end() {
+        let drive = Drive::record(Course::Free, 100_000_000).unwrap();
+        for step in &drive.steps {
+            let valid = step.scan.ranges_mm.iter().filter(|range| **range >= MIN_RANGE_MM).count();
+            // Of a healthy scan two thirds have a return; the end walls are out of reach ahead.
+            assert!(valid > BEAMS / 2, "scan {}: {valid}", step.scan.header.scan_id);
+        }
     }
 }

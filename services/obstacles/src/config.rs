@@ -1,7 +1,7 @@
 //! Settings of the description.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Description, Invalid, Setting, settings};
+use vehicle::{Description, Invalid, Setting, Surroundings, settings};
 
 /// How large the ellipses are that cover an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -75,6 +75,16 @@ impl Config {
     pub(crate) fn first_sight_m(&self) -> f64 {
         let sudden_m = self.vehicle.length_m / 2.0 + self.vehicle.sudden_m;
         self.near_m.max(sudden_m + 3.0 * self.range_noise_m)
+    }
+
+    /// Where walls end the view across the track when nothing stands on it [m]; `None` in open surroundings.
+    pub(crate) fn view_y_m(&self) -> Option<[f64; 2]> {
+        let [low, high] = self.wall_y_m;
+        match self.vehicle.surroundings {
+            _ if self.walls => Some(self.wall_y_m),
+            Surroundings::Hall => Some([low - Surroundings::HALL_M, high + Surroundings::HALL_M]),
+            Surroundings::Open => None,
+        }
     }
 
     /// Passes when every number is finite and in its range.

@@ -88,7 +88,7 @@ impl ObstacleDetector {
     pub fn new(config: Config) -> Result<Self, Invalid> {
         config.validate()?;
         Ok(Self {
-            evidence: Evidence::new(config.vehicle),
+            evidence: Evidence::new(config.vehicle, config.view_y_m()),
             returns: Vec::with_capacity(BEAMS),
             fixed: vec![false; BEAMS],
             config,

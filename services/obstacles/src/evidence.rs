@@ -45,6 +45,8 @@ const SWEEP_SHARE: f64 = 0.04;
 const PREDICTED: f64 = 40.0;
 /// A body of this width is seen with three returns [m].
 const THIN_M: f64 = 0.1;
+/// With less sight ahead than this the scanner is degraded [m].
+const DOUBTFUL_M: f64 = 1.0;
 /// Distance of the robot's side within which what a blind sector hides matters [m].
 const STRIP_M: f64 = 0.15;
 
@@ -61,6 +63,8 @@ plain_state! {
         pub sectors: [[f64; 2]; SECTORS],
         /// Whether the ranges fit the motion
         pub calibration: CalibrationState,
+        /// Sectors that have shown something, one bit each
+        pub proven: u64,
         /// State of the scanner
         pub verdict: VerdictState,
     }
@@ -83,6 +87,9 @@ pub(crate) struct Evidence {
     keyframe: Snapshot,
     returns: Returns,
     sectors: [[f64; 2]; SECTORS],
+    proven: u64,
+    /// Walls that are in view when nothing is on the track [m].
+    wall_y: [f64; 2],
     calibration: CalibrationState,
     verdict: VerdictState,
     index_of: Vec<u16>,
@@ -93,9 +100,11 @@ pub(crate) struct Evidence {
 }
 
 impl Evidence {
-    pub(crate) fn new(vehicle: Description) -> Self {
+    pub(crate) fn new(vehicle: Description, wall_y: Option<[f64; 2]>) -> Self {
         Self {
             vehicle,
+            proven: 0,
+            wall_y: wall_y.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]),
             previous: Snapshot::empty(),
             keyframe: Snapshot::empty(),
             returns: Returns::default(),
@@ -177,6 +186,7 @@ impl Evidence {
         is_fixed: impl Fn(usize) -> bool + Copy,
     ) {
         sectors::fade(&mut self.sectors, self.findings.elapsed);
+        sectors::prove(&mut self.sectors, &mut self.proven, beams, scan, place, self.wall_y);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;
             let kept = keyframe.points().iter().filter(|point| keyframe.is_fixed(point.beam));
@@ -201,9 +211,11 @@ impl Evidence {
         self.findings.right_share = self.returns.right_share(PREDICTED);
         self.findings.contradicts = self.calibration.contradicts();
         self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
-        let state = self.verdict.judge(&self.findings);
         let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
-        let unseen_sectors = sectors::unseen(&self.sectors, share);
+        let unseen_sectors = sectors::unseen(&self.sectors, self.proven, share);
+        let sight_m = self.sight(unseen_sectors, share);
+        self.findings.is_doubtful |= sight_m < DOUBTFUL_M;
+        let state = self.verdict.judge(&self.findings);
         let [factor, range_offset_m, yaw_error_rad] = errors.values;
         ScannerHealth {
             state: state.wire(),
@@ -212,22 +224,21 @@ impl Evidence {
             valid_share: self.valid_share,
             returned_share: share,
             blind_s: self.verdict.blind_s,
-            seen_ahead_m: self.seen_ahead(unseen_sectors, share, speed),
+            seen_ahead_m: (sight_m - speed.abs() * self.verdict.blind_s).max(0.0),
             range_factor: 1.0 + factor,
             range_offset_m,
             yaw_error_rad,
         }
     }
 
-    /// Distance ahead of the robot's centre within which nothing that stands there is missed [m].
-    fn seen_ahead(&self, unseen_sectors: u64, share: f64, speed: f64) -> f64 {
+    /// Distance ahead of the robot's centre within which the scanner misses nothing that stands there [m].
+    fn sight(&self, unseen_sectors: u64, share: f64) -> f64 {
         if self.is_empty || self.verdict.jumped_s > DOUBTFUL_S {
             return 0.0;
         }
         let strip = self.vehicle.width_m / 2.0 + STRIP_M;
         let seen = sectors::seen_ahead(unseen_sectors, self.vehicle.scanner_yaw_rad, strip);
-        let thin = THIN_M * share / (3.0 * PITCH_RAD);
-        (seen.min(thin) - speed.abs() * self.verdict.blind_s).max(0.0)
+        seen.min(THIN_M * share / (3.0 * PITCH_RAD))
     }
 
     /// Whether the ranges can be relied on, so that it tells something when none comes from a direction.
@@ -242,6 +253,7 @@ impl Evidence {
             keyframe: self.keyframe.state(),
             returns: self.returns,
             sectors: self.sectors,
+            proven: self.proven,
             calibration: self.calibration,
             verdict: self.verdict,
         }
@@ -262,6 +274,7 @@ impl Evidence {
         self.keyframe.resume(&state.keyframe, beams);
         self.returns = state.returns;
         self.sectors = state.sectors;
+        self.proven = state.proven;
         self.calibration = state.calibration;
         self.verdict = state.verdict;
     }

@@ -19,6 +19,9 @@ pub enum Surroundings {
 impl Setting for Surroundings {}
 
 impl Surroundings {
+    /// How far outside of the track's bounds the walls of the hall stand [m].
+    pub const HALL_M: f64 = 2.0;
+
     /// The name in files.
     pub fn name(self) -> &'static str {
         match self {

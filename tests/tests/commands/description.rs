@@ -4,6 +4,7 @@ use emulator::Outcome;
 use report::BlockingReport;
 use scanloop_tests::System;
 use serde_json::{Value, json};
+use vehicle::Surroundings;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -44,6 +45,45 @@ fn check_lists_where_the_robot_differs_and_run_and_report_name_it() {
     assert!(many.contains("properties of the scenario differ from [vehicle], largest: robot."), "{many}");
     let listed = text(&system, &[&["check", "free"][..], &worn].concat());
     assert!(listed.lines().filter(|line| line.contains(", vehicle.")).count() > 10, "{listed}");
+}
+
+#[test]
+fn open_surroundings_limit_the_speed_and_are_named_by_check_run_and_report() {
+    let system = System::new(EXECUTABLE);
+    let line = "speed limited to 0.3 m/s: nothing around shows that the scanner sees\n";
+    let open = ["--set", "robot.preset=summit", "--set", "track.surroundings=open"];
+    let run = [&["run", "free", "--lockstep", "--duration", "0.5"][..], &open].concat();
+    for command in [&[&["check", "free"][..], &open].concat(), &run] {
+        let shown = text(&system, command);
+        assert!(shown.contains(line) && !shown.contains("differ"), "{shown}");
+    }
+    assert!(!text(&system, &[&run[..], &["--quiet"]].concat()).contains(line));
+    assert!(!text(&system, &["check", "free"]).contains("speed limited"));
+
+    let drive = |more: &[&str]| system.lockstep(&[&["free"][..], &open, more].concat());
+    let careful = drive(&[]);
+    assert_eq!(
+        (careful.surroundings, careful.outcome),
+        (Surroundings::Open, Outcome::Reached),
+        "{}",
+        careful.reason
+    );
+    assert_eq!(careful.drive.speed_limit_mps, Some(0.3));
+    // 10 m, and true speeds that differ from the desired ones by a few percent at most.
+    assert!((30.0..50.0).contains(&careful.duration_s), "{} s", careful.duration_s);
+    let wrong = drive(&["--set", "vehicle.surroundings=hall"]);
+    let rows: Vec<_> =
+        wrong.differences.iter().map(|it| (it.key.as_str(), &it.truth, &it.believed)).collect();
+    assert_eq!(rows, [("surroundings", &json!("open"), &json!("hall"))]);
+    assert_eq!(
+        (wrong.surroundings, wrong.outcome),
+        (Surroundings::Open, Outcome::Reached),
+        "{}",
+        wrong.reason
+    );
+    assert!(wrong.duration_s < 15.0, "{} s", wrong.duration_s);
+    assert_eq!(system.lockstep(&["free", "--duration", "0.5"]).surroundings, Surroundings::Hall);
+    system.assert_nothing_left();
 }
 
 #[test]

@@ -8,6 +8,7 @@ use emulator::{Outcome, Scenario};
 use pipeline::{Drive, Settings};
 use report::Report;
 use scanloop_tests::System;
+use vehicle::Surroundings;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -236,9 +237,12 @@ fn gaps_of_120_centimetres_are_driven_through() {
 #[test]
 fn processes_and_pipeline_give_the_same_bits() {
     let system = System::new(EXECUTABLE);
-    for name in ["corridor", "noisy"] {
-        let report = system.lockstep(&[name]);
-        let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+    for (name, surroundings) in
+        [("corridor", Surroundings::Hall), ("noisy", Surroundings::Hall), ("free", Surroundings::Open)]
+    {
+        let report = system.lockstep(&[name, "--set", &format!("track.surroundings={surroundings}")]);
+        let mut scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+        scenario.track.surroundings = surroundings;
         let (drive, digests) = in_one_process(scenario);
         assert_eq!(drive.outcome, report.outcome);
         assert_eq!(drive.scans, report.scans.published);

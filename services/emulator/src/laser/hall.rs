@@ -40,49 +40,42 @@ impl Hall {
     ///
     /// Zero inside a pillar and behind a wall.
     pub(super) fn range(&self, origin: Vector2<f64>, direction: Vector2<f64>) -> f64 {
-        let to_wall = |axis: usize| {
-            let wall = if direction[axis] > 0.0 { self.high[axis] } else { self.low[axis] };
-            to_plane(wall - origin[axis], direction[axis])
-        };
-        let wall = to_wall(0).min(to_wall(1));
-        let range = wall.min(self.pillar(origin, direction, wall.min(MAX_RANGE_M)));
-        if range > MAX_RANGE_M { f64::INFINITY } else { range }
-    }
-
-    /// Distance to the first pillar, infinite when there is none up to `reach`.
-    fn pillar(&self, origin: Vector2<f64>, direction: Vector2<f64>, reach: f64) -> f64 {
-        let end_y = origin.y + reach * direction.y;
-        let (highest, lowest) = (origin.y.max(end_y), origin.y.min(end_y));
-        let (left, right) = (self.high.y - PILLAR_M, self.low.y + PILLAR_M);
-        let mut range = f64::INFINITY;
-        if highest >= left {
-            range = in_strip(origin, direction, [left, self.high.y], reach);
-        }
-        if lowest <= right {
-            range = range.min(in_strip(origin, direction, [self.low.y, right], reach));
-        }
-        range
+        let (left, right) = (self.high.y - origin.y, origin.y - self.low.y);
+        let (ahead, behind) = (self.high.x - origin.x, origin.x - self.low.x);
+        let (sideways, forward) = (direction.y.abs(), direction.x.abs());
+        let side = to_plane(if direction.y > 0.0 { left } else { right }, sideways);
+        let end = to_plane(if direction.x > 0.0 { ahead } else { behind }, forward);
+        let reach = side.min(end).min(MAX_RANGE_M);
+        let pillar = to_pillar(origin.x, direction, left, reach);
+        let range = pillar.min(to_pillar(origin.x, Vector2::new(direction.x, -direction.y), right, reach));
+        range.min(side).min(end)
     }
 }
 
-/// Distance to a plane that is `offset` away along an axis, zero behind it, infinite for a beam along the plane.
+/// Distance along a beam to a plane, zero behind the plane and infinite beyond the reach of the scanner.
+///
+/// `slope` is the part of the direction towards the plane, not negative.
 fn to_plane(offset: f64, slope: f64) -> f64 {
-    // A beam along a side wall reaches the end wall, and never the side wall behind the scanner's rounding.
-    if slope.abs() < 1e-12 { f64::INFINITY } else { (offset / slope).max(0.0) }
+    // Most beams are spared the division.
+    if offset > MAX_RANGE_M * slope { f64::INFINITY } else { (offset / slope).max(0.0) }
 }
 
-/// Distance to the first pillar in the strip between two y, infinite when there is none up to `reach`.
-fn in_strip(origin: Vector2<f64>, direction: Vector2<f64>, [low, high]: [f64; 2], reach: f64) -> f64 {
-    let (mut enter, mut leave) = (0.0, reach);
-    if direction.y.abs() >= 1e-12 {
-        let to = |y: f64| (y - origin.y) / direction.y;
-        let (near, far) = if direction.y > 0.0 { (to(low), to(high)) } else { (to(high), to(low)) };
-        (enter, leave) = (near.max(0.0), far.min(reach));
-    } else if origin.y < low || origin.y > high {
+/// Distance to the first pillar at the wall `wall` to the left of the beam's origin, infinite when there is none up to
+/// `reach`.
+fn to_pillar(x: f64, direction: Vector2<f64>, wall: f64, reach: f64) -> f64 {
+    // Negative in the strip in which the pillars stand.
+    let strip = wall - PILLAR_M;
+    if strip > 0.0 && strip > reach * direction.y {
         return f64::INFINITY;
     }
-    let range = enter + along(origin.x + enter * direction.x, direction.x);
-    if enter <= leave && range <= leave { range } else { f64::INFINITY }
+    let crossing = strip / direction.y;
+    let (enter, leave) = match direction.y {
+        slope if slope > 0.0 => (crossing.max(0.0), reach),
+        slope if slope < 0.0 => (0.0, crossing.min(reach)),
+        _ => (0.0, reach),
+    };
+    let range = enter + along(x + enter * direction.x, direction.x);
+    if range <= leave { range } else { f64::INFINITY }
 }
 
 /// Way of a beam that is in a strip at `x` to the next pillar; zero at the face of one or inside.

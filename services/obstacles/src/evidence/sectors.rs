@@ -1,16 +1,20 @@
 //! In which directions the scanner shows nothing although something is there.
 //!
 //! What does not move is compared between the scan and one that was taken some way before, both ways: a return of
-//! either must be in the other, unless something nearer hides it. A sector in which hardly any of them come has no
-//! evidence: its missing returns show nothing.
+//! either must be in the other, unless something nearer hides it. A sector that has not shown anything yet is compared
+//! with the walls that stand around. A sector in which hardly any of these returns come has no evidence: its missing
+//! returns show nothing. The same holds for sectors that have not shown anything yet and lie between such sectors.
 
-use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, WINDOW};
+use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan};
 
 use crate::evidence::snapshot::{expected, is_surface};
 use crate::points::{Beams, Place, Point, range_of};
+use vehicle::frame::to_track;
 
 /// Returns predicted from farther away need not come [m].
 const REACH_M: f64 = 5.0;
+/// Walls that are farther away than this need not return anything [m].
+const WALL_REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
 /// Time constant of the counts [s].
@@ -19,8 +23,12 @@ const MEMORY_S: f64 = 0.3;
 const NEEDED: f64 = 14.0;
 /// A sector has no evidence when its share of returns is below this part of that of all directions.
 const BLIND_SHARE: f64 = 0.3;
-/// With more sectors of the window than this without evidence, nothing ahead can be relied on.
-const MAX_BLIND: u32 = 5;
+/// A sector works when so many of its beams gave a return in one scan.
+const PROOF: usize = 6;
+/// With more sectors than this without evidence, nothing ahead can be relied on ...
+const MAX_BLIND: usize = 3;
+/// ... counting those within this angle of the front [rad].
+const FORWARD_RAD: f64 = 1.4;
 /// Beyond this distance obstacles need not be seen [m].
 const VIEW_M: f64 = 5.0;
 
@@ -60,12 +68,63 @@ pub(crate) fn compare<'a>(
     }
 }
 
+/// Marks the sectors that have shown something in `proven`, and compares the others with the walls at `wall_y`.
+pub(crate) fn prove(
+    counts: &mut Counts,
+    proven: &mut u64,
+    beams: &Beams,
+    scan: &Scan,
+    place: &Place,
+    wall_y: [f64; 2],
+) {
+    for (sector, [predicted, came]) in counts.iter_mut().enumerate() {
+        let first = sector * SECTOR_BEAMS;
+        let returns = (first..first + SECTOR_BEAMS).filter(|beam| range_of(scan, *beam).is_some()).count();
+        if returns >= PROOF {
+            *proven |= 1 << sector;
+        }
+        if *proven >> sector & 1 == 0 && is_wall_near(beams, place, wall_y, first + SECTOR_BEAMS / 2) {
+            *predicted += SECTOR_BEAMS as f64;
+            *came += returns as f64;
+        }
+    }
+}
+
+/// Whether a beam ends at one of the walls at `wall_y` within the reach of the scanner.
+fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize) -> bool {
+    let unit = beams.unit(beam);
+    let across = to_track(place.yaw, unit.x, unit.y).y;
+    let distance = if across > 0.0 { high - place.at.y } else { place.at.y - low };
+    distance > 0.0 && distance < WALL_REACH_M * across.abs()
+}
+
 /// The sectors without evidence, one bit each; `share` of all predicted returns come.
-pub(crate) fn unseen(counts: &Counts, share: f64) -> u64 {
+pub(crate) fn unseen(counts: &Counts, proven: u64, share: f64) -> u64 {
     let is_unseen = |[predicted, came]: &[f64; 2]| {
         *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
     };
-    (0..).zip(counts).filter(|(_, count)| is_unseen(count)).fold(0, |mask, (sector, _)| mask | 1 << sector)
+    let failing = (0..)
+        .zip(counts)
+        .filter(|(_, count)| is_unseen(count))
+        .fold(0, |mask, (sector, _)| mask | 1 << sector);
+    between(failing, proven)
+}
+
+/// `failing` with the sectors that have not shown anything and have failing ones at both ends.
+fn between(failing: u64, proven: u64) -> u64 {
+    let mut unseen = failing;
+    let mut begin = None;
+    for sector in 0..SECTORS {
+        if failing >> sector & 1 == 1 {
+            if let Some(begin) = begin {
+                (begin..sector).for_each(|sector| unseen |= 1 << sector);
+            }
+            begin = Some(sector + 1);
+        } else if proven >> sector & 1 == 1 {
+            begin = None;
+        }
+    }
+    unseen
 }
 
 /// Distance ahead of the robot's centre within which whatever stands in a strip of `half_width` was seen, before it
@@ -74,12 +133,11 @@ pub(crate) fn unseen(counts: &Counts, share: f64) -> u64 {
 /// A point at the lateral distance y is hidden in a sector from a to b while its distance ahead is from y / tan a to
 /// y / tan b. It was seen before when y / tan a is within the view; what was not comes into view at y / tan b.
 pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64 {
-    let in_window = |sector: &usize| {
-        WINDOW.contains(&(sector * SECTOR_BEAMS)) && WINDOW.contains(&((sector + 1) * SECTOR_BEAMS - 1))
-    };
+    let edge = |beam: usize| Scan::beam_yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
+    let is_forward = |sector: &usize| edge(sector * SECTOR_BEAMS + SECTOR_BEAMS / 2).abs() < FORWARD_RAD;
     let blind = |sector: &usize| unseen >> sector & 1 == 1;
-    let count = (0..SECTORS).filter(|sector| blind(sector) && in_window(sector)).count();
-    if count as u32 > MAX_BLIND {
+    let count = (0..SECTORS).filter(|sector| blind(sector) && is_forward(sector)).count();
+    if count > MAX_BLIND {
         return 0.0;
     }
     let mut farthest = VIEW_M;
@@ -93,7 +151,6 @@ pub(crate) fn seen_ahead(unseen: u64, mounting_rad: f64, half_width: f64) -> f64
         while sector < SECTORS && blind(&sector) {
             sector += 1;
         }
-        let edge = |beam: usize| Scan::beam_yaw_rad(beam) - PITCH_RAD / 2.0 + mounting_rad;
         let (low, high) = (edge(first * SECTOR_BEAMS), edge(sector * SECTOR_BEAMS));
         farthest = farthest.min(hidden_until(low, high, half_width));
     }
@@ -117,6 +174,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_gap_between_failing_sectors_is_unseen_unless_one_of_it_has_shown_something() {
+        assert_eq!(between(0b100_0100, 0), 0b111_1100);
+        assert_eq!(between(0b100_0100, 0b1_0000), 0b100_0100);
+        assert_eq!(between(0b100, 0), 0b100);
+    }
+
+    #[test]
     fn a_blind_front_hides_everything_and_a_blind_side_nothing() {
         let front = 340 / SECTOR_BEAMS;
         assert_eq!(seen_ahead(0, 0.0, 0.45), VIEW_M);
@@ -126,6 +190,6 @@ mod tests {
         // The same sectors of a scanner that is turned by 19 deg to the right begin 0.5 deg off the front.
         let turned = seen_ahead(0b11 << 36, -(396.0 - 340.0) * PITCH_RAD + 0.01, 0.45);
         assert!(turned < 0.5, "{turned}");
-        assert_eq!(seen_ahead(0b11_1111 << 40, 0.0, 0.45), 0.0, "six sectors of the window are too many");
+        assert_eq!(seen_ahead(0b1111 << 40, 0.0, 0.45), 0.0, "four sectors are too many");
     }
 }

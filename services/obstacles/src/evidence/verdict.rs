@@ -58,7 +58,7 @@ pub(crate) struct Findings {
     pub(crate) brought: Brought,
     /// The ranges contradict the motion of the robot.
     pub(crate) contradicts: bool,
-    /// They do, but the odometry is the cause.
+    /// They do but the odometry is the cause, or hardly anything ahead is seen.
     pub(crate) is_doubtful: bool,
     /// Share of the predicted returns that came at their range.
     pub(crate) agreed_share: Option<f64>,
