@@ -117,6 +117,24 @@ fn late_scans_block_the_wheels_and_the_drive_continues_after_them() {
     assert_eq!(report.scans.lost, report.scans.lost_reasons["too_old"], "{:?}", report.scans);
 }
 
+#[test]
+fn a_swap_while_all_scans_are_late_is_refused_with_the_reason() {
+    let mut system = System::new(EXECUTABLE);
+    let late = ["--set", "scanner.late_s=0.3", "--set", "scanner.from_s=1.0", "--set", "stop_final_s=60"];
+    system.start(&late);
+    system.wait_until("scans are late", |system| system.status().is_some_and(|status| status.scan > 15));
+    let swap = system.run(&["swap", "controller", "--to", "nmpc"]);
+    let message = String::from_utf8_lossy(&swap.stderr).into_owned();
+    assert_eq!(swap.status.code(), Some(1), "{message}");
+    assert!(message.contains("the old process had none either: valid inputs do not come"), "{message}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let report = system.report();
+    assert!(report.processes.iter().all(|process| process.restarts == 0), "{report:?}");
+    assert_eq!(report.drive.final_speed_mps, 0.0);
+    system.assert_nothing_left();
+}
+
 /// As when a host suspends its guest: the orchestrator wakes first and has received no heartbeat.
 #[test]
 fn a_machine_that_was_suspended_restarts_no_process() {

@@ -41,8 +41,10 @@ settings! {
         pub stamp_jitter_s: f64 = 0.0, 0.0..=1.0;
         /// Scans, with their odometry, are published this much later, in their order [s].
         pub late_s: f64 = 0.0, 0.0..=MAX_LATE_S;
-        /// Shortest and longest time between two scans, with the scan period as the mean: a long time is followed by
-        /// short ones. Without the key scans are regular [s].
+        /// Shortest and longest time between two scans; without the key scans are regular. Each scan is delayed against the
+        /// regular time, and follows the one before after the shortest time at the earliest. Nine of ten delays are
+        /// uniform up to a quarter of the longest time minus the scan period, one of ten is up to all of it. So a long
+        /// time is followed by short ones, and the scan period is the mean [s].
         pub period_s: Option<[f64; 2]> = None, Periods;
         /// One scan in this many is missing, at random: it is published without ranges; 0 for none. Of
         /// `robot.scan_missing_every` and this, the one that loses more scans acts.
