@@ -7,7 +7,7 @@
 
 use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan};
 
-use crate::evidence::snapshot::{expected, is_surface};
+use crate::evidence::snapshot::{Viewpoint, is_surface};
 use crate::points::{Beams, Place, Point, range_of};
 use vehicle::frame::to_track;
 
@@ -56,8 +56,9 @@ pub(crate) fn compare<'a>(
     points: impl Iterator<Item = &'a Point>,
     (scan, place): (&Scan, &Place),
 ) {
+    let view = Viewpoint::new(beams, scan, place);
     for point in points {
-        let Some(expected) = expected(beams, scan, place, point) else { continue };
+        let Some(expected) = view.expected(point) else { continue };
         let is_inside = (1..BEAMS - 1).contains(&expected.beam) && expected.range < REACH_M;
         if !is_inside || !is_surface(from, point) {
             continue;
