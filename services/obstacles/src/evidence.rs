@@ -238,7 +238,8 @@ impl Evidence {
 
     /// Distance ahead of the robot's centre within which the scanner misses nothing that stands there [m].
     fn sight(&self, unseen_sectors: u64, share: f64) -> f64 {
-        if self.is_empty || self.verdict.jumped_s > DOUBTFUL_S {
+        let has_seen = self.previous.place().is_some();
+        if !has_seen || self.is_empty || self.verdict.jumped_s > DOUBTFUL_S {
             return 0.0;
         }
         let strip = self.vehicle.width_m / 2.0 + STRIP_M;

@@ -24,7 +24,7 @@ const SEARCH_BEAMS: usize = 14;
 const NOISE_M: f64 = 0.03;
 /// Pairs farther off than this many deviations count less and less.
 const ROBUST: f64 = 2.0;
-/// Errors of the odometry between two scans: fixed part [m, rad], and share of the way and of the turn.
+/// Errors of the odometry between two scans: fixed part [m, rad], and fractions of the distance and of the turn.
 const ODOMETRY: (f64, f64, f64, f64) = (0.006, 0.006, 0.03, 0.05);
 /// Way after which earlier scans count e times less [m].
 const MEMORY_M: f64 = 2.0;
