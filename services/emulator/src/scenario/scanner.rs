@@ -84,7 +84,7 @@ impl Scanner {
     /// [`Invalid`] with the key, the value and the period.
     pub fn validate_mean(&self, mean_ns: u64) -> Result<(), Invalid> {
         match (self.period_s, self.periods_ns()) {
-            (Some([from, to]), Some([shortest, longest])) if !(shortest..=longest).contains(&mean_ns) => {
+            (Some([from, to]), Some([shortest, longest])) if shortest >= mean_ns || mean_ns >= longest => {
                 let allowed = format!("one above and one below {}, the scan period", mean_ns as f64 * 1e-9);
                 Err(Invalid::new("period_s", format!("[{from}, {to}]"), allowed).within("scanner"))
             }
@@ -243,14 +243,15 @@ mod tests {
     #[test]
     fn the_scan_period_must_lie_between_the_shortest_and_the_longest_time() {
         let irregular = scanner("period_s = [0.005, 0.255]");
-        for mean_ns in [5_000_000, 100_000_000, 255_000_000] {
+        for mean_ns in [5_000_001, 100_000_000, 254_999_999] {
             assert_eq!(irregular.validate_mean(mean_ns), Ok(()));
         }
         assert_eq!(
             irregular.validate_mean(500_000_000).unwrap_err().to_string(),
             "scanner.period_s = [0.005, 0.255] is not allowed: one above and one below 0.5, the scan period"
         );
-        assert!(irregular.validate_mean(4_999_999).is_err());
+        // The mean of periods that are never shorter cannot be the shortest.
+        assert!(irregular.validate_mean(5_000_000).is_err());
         assert_eq!(scanner("").validate_mean(1), Ok(()));
     }
 
