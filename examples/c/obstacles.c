@@ -22,6 +22,7 @@
 #define REMEMBERED_S 10.0  /* a body is forgotten when nothing was seen of it for so long */
 #define BEHIND_M 3.0       /* a body that is further behind is forgotten */
 #define BODY_M 0.44        /* half the diagonal of the robot's body, plus 0.1 m */
+#define WIDE_M 2.0         /* a wider body is a wall */
 #define STATE_KIND 0xb0d10002u /* number of this kind of state: `struct memory` */
 
 /* A box along the track, in metres. */
@@ -174,7 +175,8 @@ static scanloop_obstacle draw(const struct body *body, const struct settings *se
     double length = body->box.high[0] - body->box.low[0], width = body->box.high[1] - body->box.low[1];
     double x = (body->box.low[0] + body->box.high[0]) / 2, y = (body->box.low[1] + body->box.high[1]) / 2;
     double b = width + 2 * settings->theta_m;
-    double a = fmax(settings->long_axis_m, settings->ratio * b);
+    /* Past a wide body there is no way anyhow: its ellipse need not be long. */
+    double a = width < WIDE_M ? fmax(settings->long_axis_m, settings->ratio * b) : settings->long_axis_m;
     /* A deep body needs a longer ellipse: its corners keep their distance too. */
     double height = fmin((width / 2 + 0.3) / b, 0.95);
     a = fmax(a, (length / 2 + BODY_M) / sqrt(1 - height * height));

@@ -132,11 +132,16 @@ class Problem:
         for control in controls:
             state = advance(self.settings["vehicle"], state, control, self.step, COARSE, math)
             start += [*control, *state, *[0.01] * (1 + MAX_ELLIPSES)]
+        width, limits = 8 + MAX_ELLIPSES, self.settings["vehicle"]["bounds"]
+        most_mps = limits["velocity_max_mps"]
+        if self.fastest < self.settings["cruise_mps"]:  # drive carefully
+            most_mps = max(limits["velocity_min_mps"], min(most_mps, self.fastest))
+        self.bounds["ubx"][::width] = [most_mps] * self.count
         result = self.solver(x0=start, p=[*known, *reference, *centres, *axes], **self.bounds)
-        found, width, limits = result["x"].full().ravel().tolist(), 8 + MAX_ELLIPSES, self.settings["vehicle"]["bounds"]
+        found = result["x"].full().ravel().tolist()
         plan = [
             (
-                min(max(found[k * width], limits["velocity_min_mps"]), limits["velocity_max_mps"]),
+                min(max(found[k * width], limits["velocity_min_mps"]), most_mps),
                 min(max(found[k * width + 1], -limits["steering_max_rad"]), limits["steering_max_rad"]),
             )
             for k in range(self.count)

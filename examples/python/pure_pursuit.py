@@ -30,8 +30,10 @@ def depth(x, y, e):
     return ((x - e.x_m) / e.a_m) ** 2 + ((y - e.y_m) / e.b_m) ** 2
 
 
-def path_to(pose, line, most, track, ellipses):
-    """The path to a line, (x, y, yaw, steering) per step; None when it leaves the track or enters an ellipse."""
+def path_to(pose, line, most, goal_m, track, ellipses):
+    """The path to a line, (x, y, yaw, steering) per step; None when it leaves the track or enters an ellipse.
+
+    Nothing is checked behind the goal, where the robot lands."""
     x, y, yaw, path = pose.predicted_x_m, pose.predicted_y_m, pose.predicted_yaw_rad, []
     allowed = [min(1.0, depth(x, y, e)) for e in ellipses]
     for _ in range(STEPS):
@@ -39,7 +41,8 @@ def path_to(pose, line, most, track, ellipses):
         path.append((x, y, yaw, steering))
         yaw += CURVATURE * steering * STEP_M
         x, y = x + STEP_M * math.cos(yaw), y + STEP_M * math.sin(yaw)
-        if any(depth(x, y, e) < limit for e, limit in zip(ellipses, allowed)) or not track[0] <= y <= track[1]:
+        is_inside = any(depth(x, y, e) < limit for e, limit in zip(ellipses, allowed))
+        if x <= goal_m and (is_inside or not track[0] <= y <= track[1]):
             return None
     return path
 
@@ -68,7 +71,7 @@ def plan(pose, described, settings, last_line):
     track = settings["track"]["y_m"][0] + room, settings["track"]["y_m"][1] - room
     lines = [goal["y_m"] + LINES_M * index for index in range(-12, 13)]
     lines.sort(key=lambda line: abs(line - goal["y_m"]) + 0.5 * abs(line - last_line))  # keeps the chosen side
-    paths = ((line, path_to(pose, line, bounds["steering_max_rad"], track, ellipses)) for line in lines)
+    paths = ((line, path_to(pose, line, bounds["steering_max_rad"], goal["x_m"], track, ellipses)) for line in lines)
     line, path = next(((line, path) for line, path in paths if path), (last_line, None))
     if path is None:
         return stop(StopReason.BLOCKED), line

@@ -24,8 +24,9 @@ use crate::settings::Settings;
 const STEP_M: f64 = 0.02;
 /// Tolerance of the bounds of the controls: rounding.
 const CONTROL_TOLERANCE: f64 = 1e-6;
-/// How much deeper than at the start an ellipse may be entered, in units of (7.34).
-const DEEPER: f64 = 0.01;
+/// How much deeper than at the start an ellipse may be entered, in units of (7.34). The ellipse moves a little from scan to
+/// scan, and a robot at its edge must find a way on. The clearance of the body is kept apart from this.
+const DEEPER: f64 = 0.03;
 /// How far the centre may be outside of the track [m].
 const OUTSIDE_M: f64 = 0.05;
 /// Tolerance of a length [m]: rounding and the error of integration.
