@@ -15,6 +15,9 @@ const SCANS: usize = 12;
 /// Distance of the barrier from the robot's centre: 0.5 m from its front [m].
 const IN_FRONT_M: f64 = 0.8;
 
+/// Changes an input of a scan.
+type Spoil = fn(&Drive, &mut Message);
+
 /// The cases of controllers alone.
 pub(crate) const CASES: [Case; 11] = [
     Case::required("drives", drives)
@@ -157,7 +160,7 @@ fn obeys_alarm(suite: &Suite) -> Verdict {
 }
 
 fn obeys_the_scanner(suite: &Suite) -> Verdict {
-    let faults: [(&str, fn(&Drive, &mut Message)); 4] = [
+    let faults: [(&str, Spoil); 4] = [
         ("a scanner that is blind", |_, message| scanner(message, ScannerState::Blind)),
         ("a scanner that is stuck", |_, message| scanner(message, ScannerState::Stuck)),
         ("a scanner that is contradictory", |_, message| scanner(message, ScannerState::Contradictory)),
@@ -197,7 +200,7 @@ fn degraded_scanner(suite: &Suite) -> Verdict {
 }
 
 /// Passes when spoilt inputs do not make it drive.
-fn not_driven_on(suite: &Suite, what: &str, spoil: fn(&Drive, &mut Message)) -> Verdict {
+fn not_driven_on(suite: &Suite, what: &str, spoil: Spoil) -> Verdict {
     let mut bench = suite.started_at(20)?;
     let before = driven(&bench.rounds(3)?)?;
     require(!before.is_empty(), || format!("it does not drive even before {what}"))?;

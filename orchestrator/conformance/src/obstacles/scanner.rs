@@ -46,6 +46,9 @@ const SEEN_M: f64 = 1.0;
 /// The covered sector: half of its width [rad].
 const COVERED_RAD: f64 = 0.9;
 
+/// Gives the scanner a fault.
+type SetFault = fn(&mut Scanner);
+
 /// The cases of obstacle detectors whose scanner fails.
 pub(crate) const CASES: [Case; 10] = [
     Case::required("no-returns", no_returns)
@@ -205,7 +208,7 @@ fn random_ranges(suite: &Suite) -> Verdict {
 }
 
 fn noisy_scanner(suite: &Suite) -> Verdict {
-    let faults: [(&str, fn(&mut Scanner)); 3] = [
+    let faults: [(&str, SetFault); 3] = [
         ("without a fault", |_| {}),
         ("half of the returns missing", |scanner| scanner.dropout_steps = vec![[0.0, 0.5]]),
         ("one range in a hundred random", |scanner| scanner.salt = 0.01),
