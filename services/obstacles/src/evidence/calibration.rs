@@ -35,7 +35,7 @@ const SHARED: f64 = 8.0;
 const PRIOR: [f64; 4] = [0.5, 0.5, 0.5, 0.5];
 /// The factor of the odometry must explain so much more than the scanner before it is suspected, and so much less
 /// before it no longer is: differences of chi squared.
-const BLAMED: [f64; 2] = [8.0, 60.0];
+const BLAMED: [f64; 2] = [8.0, 150.0];
 /// Errors up to these are covered by the margins of the controller: factor, offset [m], angle [rad].
 const ALLOWED: [f64; 3] = [0.07, 0.12, 0.1];
 /// An error counts when it is this many standard deviations beyond what is allowed.
@@ -83,11 +83,10 @@ impl CalibrationState {
         let mut normal = SMatrix::<f64, 7, 7>::zeros();
         let mut right = SVector::<f64, 7>::zeros();
         let view = Viewpoint::new(beams, earlier.scan(), place);
+        let guess = self.solution();
         let weight = 1.0 / (SHARED * NOISE_M * NOISE_M);
         for (index, point) in earlier.points().iter().enumerate().step_by(2) {
             let Some(direction) = normal_at(earlier.points(), index) else { continue };
-            let Some(found) = matching(&view, now.1, index_of, point) else { continue };
-            let residual = direction.dot(&(found.at - point.at));
             let (one, other) = (point.at - place.at, point.at - before.at);
             let across = |ray: Vector2<f64>| Vector2::new(-ray.y, ray.x);
             let bends = one / one.norm().max(0.02) - other / point.range;
@@ -100,7 +99,12 @@ impl CalibrationState {
                 direction.y,
                 direction.dot(&across(one)),
             ]);
-            let robust = 1.0 / (1.0 + (residual / (ROBUST * NOISE_M)).powi(2)).sqrt();
+            // Where it seems to be by the errors that are known so far: without them the nearest return is the wrong one.
+            let shift = motion(&guess, moved, across(one) * turned);
+            let Some(found) = matching(&view, now.1, index_of, point, point.at + shift) else { continue };
+            let residual = direction.dot(&(found.at - point.at));
+            let unexplained = residual - direction.dot(&shift);
+            let robust = 1.0 / (1.0 + (unexplained / (ROBUST * NOISE_M)).powi(2)).sqrt();
             normal += row * row.transpose() * (weight * robust);
             right += row * (residual * weight * robust);
         }
@@ -150,6 +154,20 @@ impl CalibrationState {
         (Matrix4::from_column_slice(&self.information) + Matrix4::from_diagonal(&prior), self.right.into())
     }
 
+    /// Factor and angle, or factor of the odometry where that is blamed, as far as they are significant; the rest is zero.
+    fn solution(&self) -> Vector4<f64> {
+        let (information, right) = self.equations();
+        let fixed: &[usize] = if self.blames_odometry.is_set() { &[0, 1, 2] } else { &[1, 3] };
+        let mut right = right;
+        fixed.iter().for_each(|index| right[*index] = 0.0);
+        let Some(covariance) = without(&information, fixed).try_inverse() else { return Vector4::zeros() };
+        let values = covariance * right;
+        Vector4::from_fn(|index, _| {
+            let is_known = values[index].powi(2) > SIGNIFICANT.powi(2) * covariance[(index, index)];
+            if is_known { values[index] } else { 0.0 }
+        })
+    }
+
     /// The errors by all that was added.
     pub(crate) fn errors(&self) -> Errors {
         let (information, mut right) = self.equations();
@@ -189,20 +207,27 @@ fn without(matrix: &Matrix4<f64>, fixed: &[usize]) -> Matrix4<f64> {
     kept
 }
 
-/// The return that shows what `point` of the earlier scan shows.
+/// How far something that does not move seems to have moved, with errors of the scanner and the odometry [m].
+fn motion(errors: &Vector4<f64>, moved: Vector2<f64>, turned: Vector2<f64>) -> Vector2<f64> {
+    let across = Vector2::new(-moved.y, moved.x);
+    -moved * errors.x - across * errors.z - (moved + turned) * errors.w
+}
+
+/// The return that shows what `point` of the earlier scan shows, which is expected at `target`.
 fn matching<'a>(
     view: &Viewpoint<'_>,
     points: &'a [Point],
     index_of: &[u16],
     point: &Point,
+    target: Vector2<f64>,
 ) -> Option<&'a Point> {
     let expected = view.expected(point)?;
     let low = index_of[expected.beam.saturating_sub(SEARCH_BEAMS)] as usize;
     let high = index_of[(expected.beam + SEARCH_BEAMS).min(BEAMS - 1)] as usize;
     let nearest = points[low..high.max(low)]
         .iter()
-        .min_by(|a, b| (a.at - point.at).norm_squared().total_cmp(&(b.at - point.at).norm_squared()))?;
-    ((nearest.at - point.at).norm() < GATE_M).then_some(nearest)
+        .min_by(|a, b| (a.at - target).norm_squared().total_cmp(&(b.at - target).norm_squared()))?;
+    ((nearest.at - target).norm() < GATE_M).then_some(nearest)
 }
 
 /// For each beam the index of the first of `points` that is not before it.
