@@ -185,18 +185,21 @@ impl Evidence {
         points: &[Point],
         is_fixed: impl Fn(usize) -> bool + Copy,
     ) {
-        sectors::fade(&mut self.sectors, self.findings.elapsed);
-        sectors::prove(&mut self.sectors, &mut self.proven, beams, scan, place, self.wall_y);
+        let mut counts = [[0.0; 2]; SECTORS];
+        sectors::prove(&mut counts, &mut self.proven, beams, scan, place, self.wall_y);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;
             let kept = keyframe.points().iter().filter(|point| keyframe.is_fixed(point.beam));
-            sectors::compare(&mut self.sectors, beams, keyframe.scan(), kept, (scan, place));
+            sectors::compare(&mut counts, beams, keyframe.scan(), kept, (scan, place));
             let seen = points.iter().filter(|point| is_fixed(point.beam));
-            sectors::compare(&mut self.sectors, beams, scan, seen, (keyframe.scan(), before));
+            sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
+        sectors::add(&mut self.sectors, &counts, self.findings.elapsed);
         let (way, turn) = self.keyframe.moved(place);
-        if (way > KEYFRAME.0 || turn > KEYFRAME.1) && !self.is_empty {
-            if way < 2.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
+        // A scan in which something seems to fail is no base for comparison before that was judged.
+        let limit = if sectors::may_fail(&counts) { 2.0 } else { 1.0 };
+        if (way > limit * KEYFRAME.0 || turn > limit * KEYFRAME.1) && !self.is_empty {
+            if way < 3.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
                 index_beams(points, &mut self.index_of);
                 self.calibration.add(&self.keyframe, beams, (place, points), &self.index_of);
             }
@@ -213,6 +216,8 @@ impl Evidence {
         self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
         let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
         let unseen_sectors = sectors::unseen(&self.sectors, self.proven, share);
+        // They have to show something again before they are relied on.
+        self.proven &= !unseen_sectors;
         let sight_m = self.sight(unseen_sectors, share);
         self.findings.is_doubtful |= sight_m < DOUBTFUL_M;
         let state = self.verdict.judge(&self.findings);

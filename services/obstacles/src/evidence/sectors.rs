@@ -18,9 +18,11 @@ const WALL_REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
 /// Time constant of the counts [s].
-const MEMORY_S: f64 = 0.3;
+const MEMORY_S: f64 = 0.15;
 /// With fewer predicted returns than this a sector is not judged.
 const NEEDED: f64 = 14.0;
+/// With fewer in one scan it is not even suspected.
+const SUSPICIOUS: f64 = 6.0;
 /// A sector has no evidence when its share of returns is below this part of that of all directions.
 const BLIND_SHARE: f64 = 0.3;
 /// A sector works when so many of its beams gave a return in one scan.
@@ -35,12 +37,17 @@ const VIEW_M: f64 = 5.0;
 /// Counts per sector: returns that were predicted, and those that came.
 pub(crate) type Counts = [[f64; 2]; SECTORS];
 
-/// Lets the counts of all sectors fade for `elapsed` seconds.
-pub(crate) fn fade(counts: &mut Counts, elapsed: f64) {
+/// Adds the counts of a scan `elapsed` seconds after the last.
+pub(crate) fn add(sums: &mut Counts, counts: &Counts, elapsed: f64) {
     let keep = (-elapsed / MEMORY_S).exp();
-    for count in counts.iter_mut().flatten() {
-        *count *= keep;
+    for (sum, count) in sums.iter_mut().flatten().zip(counts.iter().flatten()) {
+        *sum = *sum * keep + count;
     }
+}
+
+/// Whether hardly anything of what was predicted came in some sector.
+pub(crate) fn may_fail(counts: &Counts) -> bool {
+    counts.iter().any(|[predicted, came]| *predicted >= SUSPICIOUS && *came < BLIND_SHARE * *predicted)
 }
 
 /// Compares the returns of `points` that are fixed, all of `from`, with `scan`, and counts them per sector.
