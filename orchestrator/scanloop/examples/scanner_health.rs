@@ -1,8 +1,8 @@
 //! Draws how the evidence of the obstacle detector judges a scanner, over time, as an SVG file on standard output.
 //!
 //! ```text
-//! cargo run --example scanner_health -- SCENARIO [KEY=VALUE]... >picture.svg
-//! cargo run --example scanner_health -- recording FILE >picture.svg
+//! cargo run -p scanloop --example scanner_health -- SCENARIO [KEY=VALUE]... >picture.svg
+//! cargo run -p scanloop --example scanner_health -- recording FILE >picture.svg
 //! ```
 //!
 //! The first form drives a scenario in one process; `KEY=VALUE` is that of `scanloop run --set`. The second form reads
@@ -57,7 +57,7 @@ fn driven(scenario: &str, overrides: &[String]) -> anyhow::Result<Health> {
 
 /// The health over a log of the rover.
 fn recorded(text: &str) -> anyhow::Result<Health> {
-    let vehicle = Description { scanner_x_m: ROVER_SCANNER_M, surroundings: if std::env::var_os("OPEN").is_some() { vehicle::Surroundings::Open } else { vehicle::Surroundings::Hall }, ..Description::default() };
+    let vehicle = Description { scanner_x_m: ROVER_SCANNER_M, ..Description::default() };
     let mut detector = ObstacleDetector::new(Config { vehicle, ..Config::default() })?;
     let mut pose = Pose::default();
     let (mut health, mut before, mut begin_ns) = (Health::new(), None, 0);
