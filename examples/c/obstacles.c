@@ -2,8 +2,9 @@
  * the ellipse (7.35) that the robot's centre stays outside of.
  *
  * It is simpler than the built-in one in three points. Boxes lie along the track, so a long body that is turned gets
- * more room than it needs. Bodies do not move: a moving body leaves boxes behind until three scans see their places
- * free. Walls are recognised by their position alone.
+ * more room than it needs. Bodies do not move: a moving body leaves boxes behind until three scans show ranges beyond
+ * them, or for ten seconds. Walls are recognised by their position alone. Whether the scanner can be relied on is found
+ * in health.h.
  */
 #include <math.h>
 #include <stdio.h>
@@ -11,15 +12,17 @@
 
 #include "scanloop.h"
 
+#include "health.h"
+
 #define MAX_BODIES 24
-#define MAX_RANGE_M 5.75   /* a longer range is no return */
 #define GAP_M 0.25         /* returns that are further apart belong to different bodies */
 #define NEAR_M 0.15        /* a box as near as this to a remembered one is the same body */
 #define MIN_RETURNS 3           /* fewer returns than this may be noise */
-#define SEEN_FREE 3        /* a body is forgotten after so many scans that see its place free */
+#define SEEN_FREE 3        /* a body is forgotten after so many scans with ranges beyond its place */
+#define REMEMBERED_S 10.0  /* a body is forgotten when nothing was seen of it for so long */
 #define BEHIND_M 3.0       /* a body that is further behind is forgotten */
 #define BODY_M 0.44        /* half the diagonal of the robot's body, plus 0.1 m */
-#define STATE_KIND 0xb0d10001u /* number of this kind of state: `struct memory` */
+#define STATE_KIND 0xb0d10002u /* number of this kind of state: `struct memory` */
 
 /* A box along the track, in metres. */
 struct box {
@@ -40,6 +43,7 @@ struct memory {
     uint32_t count;
     uint32_t last_number;
     struct body bodies[MAX_BODIES];
+    struct health health;
 };
 
 struct settings {
@@ -64,22 +68,16 @@ static struct settings read_settings(scanloop_process *process) {
     };
 }
 
-/* Computes the position of the return of a beam; 0 when there is no return, or when it cannot be an obstacle. */
-static int locate(const scanloop_scan *scan, const scanloop_pose *pose, const struct settings *settings, int beam,
-                 double at[2]) {
-    double range = scan->ranges_mm[beam] * 1e-3;
-    if (scan->ranges_mm[beam] < SCANLOOP_MIN_RANGE_MM || range > MAX_RANGE_M) {
-        return 0;
-    }
-    /* The robot moves during the sweep, so each beam starts where the robot was at its time. */
-    double since_s = (double)(beam - SCANLOOP_FRONT_BEAM) / SCANLOOP_BEAMS * (double)scan->sweep_ns * 1e-9;
-    double course = pose->yaw_rad + pose->sideslip_rad;
-    double yaw = pose->yaw_rad + pose->yaw_rate_radps * since_s;
-    double angle = yaw + SCANLOOP_FIRST_BEAM_YAW_RAD + beam * SCANLOOP_PITCH_RAD;
-    at[0] = pose->x_m + pose->speed_mps * since_s * cos(course) + range * cos(angle);
-    at[1] = pose->y_m + pose->speed_mps * since_s * sin(course) + range * sin(angle);
+/* The lateral bounds between which a return can be an obstacle. */
+static void bounds(const struct settings *settings, double y_m[2]) {
     double room = settings->walls > 0.5 ? -settings->band_m : settings->beside_m;
-    return at[1] > settings->y_m[0] - room && at[1] < settings->y_m[1] + room;
+    y_m[0] = settings->y_m[0] - room;
+    y_m[1] = settings->y_m[1] + room;
+}
+
+/* Computes the position of the return of a beam; 0 when there is no return, or when it cannot be an obstacle. */
+static int locate(const struct view *view, const double y_m[2], int beam, double at[2]) {
+    return place(view, beam, ERRORS[0], at) && at[1] > y_m[0] && at[1] < y_m[1];
 }
 
 static int near(const struct box *one, const struct box *other) {
@@ -117,15 +115,15 @@ static void remember(struct memory *memory, const struct box *box) {
 }
 
 /* Groups the returns of a scan into boxes and remembers them. */
-static void detect(struct memory *memory, const scanloop_scan *scan, const scanloop_pose *pose,
-                 const struct settings *settings) {
+static void detect(struct memory *memory, const struct view *view, const struct settings *settings) {
     struct box box = {{0.0, 0.0}, {0.0, 0.0}};
-    double last[2] = {0.0, 0.0};
+    double last[2] = {0.0, 0.0}, y_m[2];
     int returns = 0;
+    bounds(settings, y_m);
     for (int beam = SCANLOOP_FIRST_ANALYSED_BEAM; beam <= SCANLOOP_LAST_ANALYSED_BEAM + 1; beam++) {
         double at[2] = {0.0, 0.0};
         int end = beam > SCANLOOP_LAST_ANALYSED_BEAM;
-        int hit = !end && locate(scan, pose, settings, beam, at);
+        int hit = !end && locate(view, y_m, beam, at);
         if (returns > 0 && (end || (hit && hypot(at[0] - last[0], at[1] - last[1]) > GAP_M))) {
             if (returns >= MIN_RETURNS) {
                 /* Only the front is seen: the body has at least this depth. */
@@ -145,30 +143,27 @@ static void detect(struct memory *memory, const scanloop_scan *scan, const scanl
     }
 }
 
-/* Whether a beam passes through the middle of a remembered body. */
-static int seen_free(const struct body *body, const scanloop_scan *scan, const scanloop_pose *pose) {
-    double x = (body->box.low[0] + body->box.high[0]) / 2 - pose->x_m;
-    double y = (body->box.low[1] + body->box.high[1]) / 2 - pose->y_m;
-    double angle = remainder(atan2(y, x) - pose->yaw_rad, 2 * acos(-1.0));
-    int beam = (int)lround((angle - SCANLOOP_FIRST_BEAM_YAW_RAD) / SCANLOOP_PITCH_RAD);
-    if (beam < SCANLOOP_FIRST_ANALYSED_BEAM || beam > SCANLOOP_LAST_ANALYSED_BEAM || hypot(x, y) > MAX_RANGE_M - 1.0) {
-        return 0;
+/* Whether the beam to the middle of a remembered body shows something beyond it. Without a return it shows nothing. */
+static int seen_free(const struct body *body, const struct view *view) {
+    double at[2], distance;
+    for (int axis = 0; axis < 2; axis++) {
+        at[axis] = (body->box.low[axis] + body->box.high[axis]) / 2;
     }
+    int beam = beam_to(view, at, ERRORS[0], &distance);
     double deep = hypot(body->box.high[0] - body->box.low[0], body->box.high[1] - body->box.low[1]) / 2;
-    double range = scan->ranges_mm[beam] * 1e-3;
-    return scan->ranges_mm[beam] < SCANLOOP_MIN_RANGE_MM || range > hypot(x, y) + deep + 0.2;
+    return beam >= 0 && range_of(view, beam) > distance + deep + 0.2;
 }
 
-/* Forgets bodies that are far behind, whose place was seen free, or that were seen only once. */
-static void forget(struct memory *memory, const scanloop_scan *scan, const scanloop_pose *pose) {
+/* Forgets bodies that are far behind, whose place was seen free, or that were seen only once or long ago. */
+static void forget(struct memory *memory, const struct view *view) {
     uint32_t kept = 0;
     for (uint32_t index = 0; index < memory->count; index++) {
         struct body *body = &memory->bodies[index];
-        if (body->unseen_s > 0.0 && seen_free(body, scan, pose)) {
+        if (body->unseen_s > 0.0 && seen_free(body, view)) {
             body->free_scans++;
         }
-        int speckle = body->sightings < 2 && body->unseen_s > 0.35;
-        if (body->box.high[0] > pose->x_m - BEHIND_M && body->free_scans < SEEN_FREE && !speckle) {
+        int is_gone = body->free_scans >= SEEN_FREE || body->unseen_s > (body->sightings < 2 ? 0.35 : REMEMBERED_S);
+        if (body->box.high[0] > view->x_m - BEHIND_M && !is_gone) {
             memory->bodies[kept++] = *body;
         }
     }
@@ -228,10 +223,18 @@ static void step(struct memory *memory, const struct settings *settings, const s
     for (uint32_t index = 0; index < memory->count; index++) {
         memory->bodies[index].unseen_s += fmax(elapsed_s, 1e-9);
     }
-    detect(memory, scan, pose, settings);
-    forget(memory, scan, pose);
+    struct view view = view_of(scan, pose);
+    double y_m[2];
+    bounds(settings, y_m);
+    if (scan->missing) {
+        memory->health.blind_s += elapsed_s;
+    } else if (check_scan(&memory->health, &view, y_m, elapsed_s)) {
+        detect(memory, &view, settings);
+        forget(memory, &view);
+    }
     memset(described, 0, sizeof *described);
     scanloop_answer(&scan->header, &pose->header, &described->header);
+    described->scanner = describe_health(&memory->health, scan, elapsed_s);
     describe(memory, pose, settings, described);
 }
 

@@ -17,9 +17,10 @@
 #define SCANLOOP_MIN_RANGE_MM 20 /* Ranges below this are error codes: no return [mm] */
 #define SCANLOOP_PITCH_RAD 0.006135923151542565 /* Angle between two beams [rad] */
 #define SCANLOOP_FIRST_BEAM_YAW_RAD -2.086213871524472 /* Angle of beam 0, counter-clockwise from straight ahead [rad] */
+#define SCANLOOP_SECTOR_BEAMS 11 /* Beams of one sector of evidence */
 #define SCANLOOP_MAX_OBSTACLES 16 /* How many ellipses a description can hold */
 #define SCANLOOP_PLAN_NODES 25 /* How many nodes of the plan a command carries */
-#define SCANLOOP_CHECKPOINT_BYTES 8192 /* How many bytes of state a checkpoint can hold */
+#define SCANLOOP_CHECKPOINT_BYTES 12800 /* How many bytes of state a checkpoint can hold */
 
 #define SCANLOOP_TOPIC_SCAN "scan"
 #define SCANLOOP_TOPIC_ODOMETRY "odometry"
@@ -68,6 +69,15 @@ enum scanloop_suspect {
     SCANLOOP_SUSPECT_POSITION = 6, /* The reported position jumped. */
 };
 
+/* What the ranges of the scanner can be used for. */
+enum scanloop_scanner_state {
+    SCANLOOP_SCANNER_STATE_HEALTHY = 0, /* Returns come where earlier scans predict them. */
+    SCANLOOP_SCANNER_STATE_DEGRADED = 1, /* Many returns are missing or wrong: drive slowly. */
+    SCANLOOP_SCANNER_STATE_BLIND = 2, /* Too few returns come to see an obstacle in time: block the wheels. */
+    SCANLOOP_SCANNER_STATE_STUCK = 3, /* The same ranges are repeated while the robot moves: block the wheels. */
+    SCANLOOP_SCANNER_STATE_CONTRADICTORY = 4, /* The ranges contradict the motion of the robot: block the wheels. */
+};
+
 /* What the estimator asks for because of its suspicion. */
 enum scanloop_alarm {
     SCANLOOP_ALARM_NONE = 0, /* Nothing. */
@@ -111,6 +121,7 @@ enum scanloop_stop_reason {
     SCANLOOP_STOP_REASON_SELF_CHECK = 7, /* The estimator suspects a wrong calibration. */
     SCANLOOP_STOP_REASON_STATE_LOST = 8, /* The state of the process before was lost while the robot drove: it comes to rest first. */
     SCANLOOP_STOP_REASON_NO_SAFE_SPEED = 9, /* At no speed can the robot stop in time: scans are too rare or the data too old. */
+    SCANLOOP_STOP_REASON_SCANNER = 10, /* The scanner is blind, stuck or contradictory: obstacles would not be seen. */
 };
 
 /* What the robot is told. */
@@ -174,6 +185,31 @@ _Static_assert(offsetof(scanloop_header, scan_id) == 8, "scanloop_header.scan_id
 _Static_assert(offsetof(scanloop_header, sequence) == 16, "scanloop_header.sequence");
 _Static_assert(offsetof(scanloop_header, acquired_ns) == 24, "scanloop_header.acquired_ns");
 _Static_assert(offsetof(scanloop_header, chain) == 32, "scanloop_header.chain");
+
+/* A part of samples. */
+typedef struct scanloop_scanner_health {
+    uint32_t state; /* Whether and how fast the robot may drive with these ranges, `ScannerState` */
+    uint32_t identical_scans; /* Scans in a row with the ranges of the scan before, while the robot moved */
+    uint64_t unseen_sectors; /* Sectors without evidence, one bit each: sector k has the beams 11 k to 11 k + 10 */
+    double valid_share; /* Share of the window's beams with a valid range */
+    double returned_share; /* Share of the returns that came where earlier scans predict them; 1 where none are predicted */
+    double blind_s; /* Time since the last scan with ranges; zero when this one has them [s] */
+    double seen_ahead_m; /* Farthest distance ahead, from the robot's centre, at which nothing that appears can be missed [m] */
+    double range_factor; /* Estimated ratio of the reported ranges to the true ones */
+    double range_offset_m; /* Estimated length added to the reported ranges [m] */
+    double yaw_error_rad; /* Estimated error of the mounting angle, counter-clockwise [rad] */
+} scanloop_scanner_health;
+_Static_assert(sizeof(scanloop_scanner_health) == 72, "scanloop_scanner_health");
+_Static_assert(offsetof(scanloop_scanner_health, state) == 0, "scanloop_scanner_health.state");
+_Static_assert(offsetof(scanloop_scanner_health, identical_scans) == 4, "scanloop_scanner_health.identical_scans");
+_Static_assert(offsetof(scanloop_scanner_health, unseen_sectors) == 8, "scanloop_scanner_health.unseen_sectors");
+_Static_assert(offsetof(scanloop_scanner_health, valid_share) == 16, "scanloop_scanner_health.valid_share");
+_Static_assert(offsetof(scanloop_scanner_health, returned_share) == 24, "scanloop_scanner_health.returned_share");
+_Static_assert(offsetof(scanloop_scanner_health, blind_s) == 32, "scanloop_scanner_health.blind_s");
+_Static_assert(offsetof(scanloop_scanner_health, seen_ahead_m) == 40, "scanloop_scanner_health.seen_ahead_m");
+_Static_assert(offsetof(scanloop_scanner_health, range_factor) == 48, "scanloop_scanner_health.range_factor");
+_Static_assert(offsetof(scanloop_scanner_health, range_offset_m) == 56, "scanloop_scanner_health.range_offset_m");
+_Static_assert(offsetof(scanloop_scanner_health, yaw_error_rad) == 64, "scanloop_scanner_health.yaw_error_rad");
 
 /* A part of samples. */
 typedef struct scanloop_obstacle {
@@ -353,14 +389,14 @@ typedef struct scanloop_scan {
     uint64_t sweep_ns; /* How long the sweep over all beams lasts, two thirds of the scan period [ns] */
     uint64_t period_ns; /* Time between the end of one scan and the end of the next [ns] */
     uint16_t ranges_mm[682]; /* Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm] */
-    uint32_t reserved; /* Unused, zero */
+    uint32_t missing; /* 1 when the scanner gave no ranges for this scan: all of them are zero */
 } scanloop_scan;
 _Static_assert(sizeof(scanloop_scan) == 1576, "scanloop_scan");
 _Static_assert(offsetof(scanloop_scan, header) == 0, "scanloop_scan.header");
 _Static_assert(offsetof(scanloop_scan, sweep_ns) == 192, "scanloop_scan.sweep_ns");
 _Static_assert(offsetof(scanloop_scan, period_ns) == 200, "scanloop_scan.period_ns");
 _Static_assert(offsetof(scanloop_scan, ranges_mm) == 208, "scanloop_scan.ranges_mm");
-_Static_assert(offsetof(scanloop_scan, reserved) == 1572, "scanloop_scan.reserved");
+_Static_assert(offsetof(scanloop_scan, missing) == 1572, "scanloop_scan.missing");
 
 /* Topic odometry, published once per scan, at the end of the sweep. */
 typedef struct scanloop_odometry {
@@ -439,13 +475,15 @@ typedef struct scanloop_obstacles {
     scanloop_header header; /* Identity and stamps */
     uint32_t count; /* How many of `items` are used */
     uint32_t overflow; /* Number of ellipses for which `items` had no room */
+    scanloop_scanner_health scanner; /* What the scanner can be relied on for */
     scanloop_obstacle items[16]; /* The ellipses, nearest ahead first; unused ones are zero */
 } scanloop_obstacles;
-_Static_assert(sizeof(scanloop_obstacles) == 2376, "scanloop_obstacles");
+_Static_assert(sizeof(scanloop_obstacles) == 2448, "scanloop_obstacles");
 _Static_assert(offsetof(scanloop_obstacles, header) == 0, "scanloop_obstacles.header");
 _Static_assert(offsetof(scanloop_obstacles, count) == 192, "scanloop_obstacles.count");
 _Static_assert(offsetof(scanloop_obstacles, overflow) == 196, "scanloop_obstacles.overflow");
-_Static_assert(offsetof(scanloop_obstacles, items) == 200, "scanloop_obstacles.items");
+_Static_assert(offsetof(scanloop_obstacles, scanner) == 200, "scanloop_obstacles.scanner");
+_Static_assert(offsetof(scanloop_obstacles, items) == 272, "scanloop_obstacles.items");
 
 /* Topic command, published once per scan, when pose and obstacles are there. */
 typedef struct scanloop_command {
@@ -512,8 +550,9 @@ typedef struct scanloop_actuation {
     double sent_velocity_mps; /* Velocity sent to the robot, after the correction [m/s] */
     double sent_steering_rad; /* Steering angle sent to the robot, after the correction [rad] */
     uint64_t refused; /* Commands refused since the start: not finite, not verified, stale, out of limits */
+    uint64_t gaps; /* Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block */
 } scanloop_actuation;
-_Static_assert(sizeof(scanloop_actuation) == 248, "scanloop_actuation");
+_Static_assert(sizeof(scanloop_actuation) == 256, "scanloop_actuation");
 _Static_assert(offsetof(scanloop_actuation, header) == 0, "scanloop_actuation.header");
 _Static_assert(offsetof(scanloop_actuation, kind) == 192, "scanloop_actuation.kind");
 _Static_assert(offsetof(scanloop_actuation, reason) == 196, "scanloop_actuation.reason");
@@ -524,6 +563,7 @@ _Static_assert(offsetof(scanloop_actuation, desired_steering_rad) == 216, "scanl
 _Static_assert(offsetof(scanloop_actuation, sent_velocity_mps) == 224, "scanloop_actuation.sent_velocity_mps");
 _Static_assert(offsetof(scanloop_actuation, sent_steering_rad) == 232, "scanloop_actuation.sent_steering_rad");
 _Static_assert(offsetof(scanloop_actuation, refused) == 240, "scanloop_actuation.refused");
+_Static_assert(offsetof(scanloop_actuation, gaps) == 248, "scanloop_actuation.gaps");
 
 /* Topic heartbeat, published ten times a second by each process, and at each change of its state. */
 typedef struct scanloop_heartbeat {
@@ -611,9 +651,9 @@ typedef struct scanloop_checkpoint {
     uint32_t length; /* How many of `bytes` are used */
     uint32_t reserved; /* Unused, zero */
     uint64_t issued_ns; /* When it was published [ns] */
-    uint8_t bytes[8192]; /* The state */
+    uint8_t bytes[12800]; /* The state */
 } scanloop_checkpoint;
-_Static_assert(sizeof(scanloop_checkpoint) == 8408, "scanloop_checkpoint");
+_Static_assert(sizeof(scanloop_checkpoint) == 13016, "scanloop_checkpoint");
 _Static_assert(offsetof(scanloop_checkpoint, header) == 0, "scanloop_checkpoint.header");
 _Static_assert(offsetof(scanloop_checkpoint, role) == 192, "scanloop_checkpoint.role");
 _Static_assert(offsetof(scanloop_checkpoint, state_layout) == 196, "scanloop_checkpoint.state_layout");
@@ -701,7 +741,7 @@ typedef struct scanloop_layout_row {
     SCANLOOP_STRUCTS(topic, type, name, SCANLOOP_KIND(SCANLOOP_AT(type, field[0])), field)
 
 static const scanloop_layout_row scanloop_layouts[] = {
-    SCANLOOP_SAMPLE("scan", scanloop_scan, "scanloop.Scan.v1"),
+    SCANLOOP_SAMPLE("scan", scanloop_scan, "scanloop.Scan.v2"),
     SCANLOOP_STRUCT("scan", scanloop_scan, "header", "Header", header),
     SCANLOOP_VALUE("scan", scanloop_scan, "header.layout", header.layout),
     SCANLOOP_VALUE("scan", scanloop_scan, "header.incarnation", header.incarnation),
@@ -716,7 +756,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("scan", scanloop_scan, "sweep_ns", sweep_ns),
     SCANLOOP_VALUE("scan", scanloop_scan, "period_ns", period_ns),
     SCANLOOP_VALUES("scan", scanloop_scan, "ranges_mm", ranges_mm),
-    SCANLOOP_VALUE("scan", scanloop_scan, "reserved", reserved),
+    SCANLOOP_VALUE("scan", scanloop_scan, "missing", missing),
     SCANLOOP_SAMPLE("odometry", scanloop_odometry, "scanloop.Odometry.v1"),
     SCANLOOP_STRUCT("odometry", scanloop_odometry, "header", "Header", header),
     SCANLOOP_VALUE("odometry", scanloop_odometry, "header.layout", header.layout),
@@ -770,7 +810,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("pose", scanloop_pose, "rejected", rejected),
     SCANLOOP_VALUE("pose", scanloop_pose, "suspect", suspect),
     SCANLOOP_VALUE("pose", scanloop_pose, "alarm", alarm),
-    SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v1"),
+    SCANLOOP_SAMPLE("obstacles", scanloop_obstacles, "scanloop.Obstacles.v2"),
     SCANLOOP_STRUCT("obstacles", scanloop_obstacles, "header", "Header", header),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.layout", header.layout),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.incarnation", header.incarnation),
@@ -784,6 +824,17 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "header.chain.published_ns", header.chain[0].published_ns),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "count", count),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "overflow", overflow),
+    SCANLOOP_STRUCT("obstacles", scanloop_obstacles, "scanner", "ScannerHealth", scanner),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.state", scanner.state),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.identical_scans", scanner.identical_scans),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.unseen_sectors", scanner.unseen_sectors),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.valid_share", scanner.valid_share),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.returned_share", scanner.returned_share),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.blind_s", scanner.blind_s),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.seen_ahead_m", scanner.seen_ahead_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.range_factor", scanner.range_factor),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.range_offset_m", scanner.range_offset_m),
+    SCANLOOP_VALUE("obstacles", scanloop_obstacles, "scanner.yaw_error_rad", scanner.yaw_error_rad),
     SCANLOOP_STRUCTS("obstacles", scanloop_obstacles, "items", "Obstacle", items),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.id", items[0].id),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.body", items[0].body),
@@ -854,7 +905,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("command", scanloop_command, "plan.yaw_rate_radps", plan[0].yaw_rate_radps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.velocity_mps", plan[0].velocity_mps),
     SCANLOOP_VALUE("command", scanloop_command, "plan.steering_rad", plan[0].steering_rad),
-    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v1"),
+    SCANLOOP_SAMPLE("actuation", scanloop_actuation, "scanloop.Actuation.v2"),
     SCANLOOP_STRUCT("actuation", scanloop_actuation, "header", "Header", header),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.layout", header.layout),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "header.incarnation", header.incarnation),
@@ -875,6 +926,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_velocity_mps", sent_velocity_mps),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
+    SCANLOOP_VALUE("actuation", scanloop_actuation, "gaps", gaps),
     SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v3"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
@@ -975,7 +1027,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.incarnation", authority[0].incarnation),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.previous", authority[0].previous),
     SCANLOOP_VALUE("directive", scanloop_directive, "authority.from_scan", authority[0].from_scan),
-    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v1"),
+    SCANLOOP_SAMPLE("checkpoint", scanloop_checkpoint, "scanloop.Checkpoint.v2"),
     SCANLOOP_STRUCT("checkpoint", scanloop_checkpoint, "header", "Header", header),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.layout", header.layout),
     SCANLOOP_VALUE("checkpoint", scanloop_checkpoint, "header.incarnation", header.incarnation),

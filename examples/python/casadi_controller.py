@@ -19,10 +19,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small, so thre
 import casadi as ca  # noqa: E402
 
 from scanloop import Handover, Process, Role, answer
-from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, SolveStatus, StopReason
+from scanloop_types import (
+    Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, ScannerState, SolveStatus, StopReason,
+)
 
 MAX_ELLIPSES = 4  # ellipses in the problem: the nearest that are not behind
 FAR = (-1e3, 0.0, 0.0, 0.0, 1.0, 1.0)  # an ellipse that constrains nothing
+DRIVEN = (ScannerState.HEALTHY, ScannerState.DEGRADED)  # in all other states the scanner shows no obstacle reliably
 STATE_KIND = 0xCA5AD001  # number of this kind of state: the passing side and the controls of the plan
 COARSE, FINE = 6, 90  # steps of an interval in the problem, and in the verification
 BUDGET = 0.15  # share of the period for one solve; two of them end before half a period, the limit in a swap
@@ -247,7 +250,12 @@ class Controller:
         if pose.alarm == Alarm.STOP:
             command.reason = StopReason.SELF_CHECK
             return command
-        problem.fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
+        scanner, braking_m = described.scanner, goal["x_m"] - pose.predicted_x_m - stop_m
+        if scanner.state not in DRIVEN or scanner.seen_ahead_m <= settings["vehicle"]["length_m"] / 2 + braking_m:
+            command.reason = StopReason.SCANNER
+            return command
+        careful = pose.alarm != Alarm.NONE or scanner.state != ScannerState.HEALTHY
+        problem.fastest = settings["careful_mps"] if careful else settings["cruise_mps"]
         initial = (pose.predicted_sideslip_rad, pose.predicted_yaw_rad, pose.predicted_yaw_rate_radps,
                    pose.predicted_x_m, pose.predicted_y_m)
         ellipses, bodies = self.read(pose, described)

@@ -8,11 +8,14 @@ import math
 import struct
 
 from scanloop import Handover, Process, Role, answer
-from scanloop_types import Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, StopReason
+from scanloop_types import (
+    Alarm, Command, CommandKind, Level, Obstacles, PlanNode, Pose, ScannerState, StopReason,
+)
 
 AHEAD_M, STEPS, STEP_M, LINES_M = 1.2, 40, 0.1, 0.15
 CURVATURE = 5.405  # of the path per steering angle in a steady turn [1/(m rad)]
 INSIDE = 0.05  # of (7.34): an ellipse whose middle is where the robot is contradicts the pose
+DRIVEN = (ScannerState.HEALTHY, ScannerState.DEGRADED)  # in all other states the scanner shows no obstacle reliably
 STATE_KIND = 0x11E50001  # number of this kind of state: the line that is followed
 
 
@@ -56,6 +59,9 @@ def plan(pose, described, settings, last_line):
     ellipses = described.items[: described.count]
     if pose.alarm == Alarm.STOP:
         return stop(StopReason.SELF_CHECK), last_line
+    scanner = described.scanner
+    if scanner.state not in DRIVEN or scanner.seen_ahead_m <= settings["vehicle"]["length_m"] / 2 + left_m - stop_m:
+        return stop(StopReason.SCANNER), last_line
     if any(depth(pose.predicted_x_m, pose.predicted_y_m, e) < INSIDE for e in ellipses):
         return stop(StopReason.BAD_INPUT), last_line
     room = settings["vehicle"]["width_m"] / 2 + settings["theta_m"] if walls else 0.0
@@ -66,7 +72,8 @@ def plan(pose, described, settings, last_line):
     line, path = next(((line, path) for line, path in paths if path), (last_line, None))
     if path is None:
         return stop(StopReason.BLOCKED), line
-    fastest = settings["cruise_mps"] if pose.alarm == Alarm.NONE else settings["careful_mps"]
+    careful = pose.alarm != Alarm.NONE or scanner.state != ScannerState.HEALTHY
+    fastest = settings["careful_mps"] if careful else settings["cruise_mps"]
     speed = max(bounds["velocity_min_mps"], min(fastest, left_m / settings["landing_time_s"]))
     command = Command(kind=CommandKind.DRIVE, level=Level.BEST_ITERATE, verified=1, velocity_mps=speed)
     command.steering_rad, command.plan_start_ns = path[0][3], pose.predicted_ns

@@ -14,9 +14,10 @@ LAST_ANALYSED_BEAM = 511  # Last beam analysed for obstacles, 60 deg to the left
 MIN_RANGE_MM = 20  # Ranges below this are error codes: no return [mm]
 PITCH_RAD = 0.006135923151542565  # Angle between two beams [rad]
 FIRST_BEAM_YAW_RAD = -2.086213871524472  # Angle of beam 0, counter-clockwise from straight ahead [rad]
+SECTOR_BEAMS = 11  # Beams of one sector of evidence
 MAX_OBSTACLES = 16  # How many ellipses a description can hold
 PLAN_NODES = 25  # How many nodes of the plan a command carries
-CHECKPOINT_BYTES = 8192  # How many bytes of state a checkpoint can hold
+CHECKPOINT_BYTES = 12800  # How many bytes of state a checkpoint can hold
 
 
 class Role(enum.IntEnum):
@@ -57,6 +58,16 @@ class Suspect(enum.IntEnum):
     ODOMETRY_LATERAL_RATE = 4  # The lateral drift of the odometry, dds.
     HEADING = 5  # The reported heading jumped.
     POSITION = 6  # The reported position jumped.
+
+
+class ScannerState(enum.IntEnum):
+    """What the ranges of the scanner can be used for."""
+
+    HEALTHY = 0  # Returns come where earlier scans predict them.
+    DEGRADED = 1  # Many returns are missing or wrong: drive slowly.
+    BLIND = 2  # Too few returns come to see an obstacle in time: block the wheels.
+    STUCK = 3  # The same ranges are repeated while the robot moves: block the wheels.
+    CONTRADICTORY = 4  # The ranges contradict the motion of the robot: block the wheels.
 
 
 class Alarm(enum.IntEnum):
@@ -107,6 +118,7 @@ class StopReason(enum.IntEnum):
     SELF_CHECK = 7  # The estimator suspects a wrong calibration.
     STATE_LOST = 8  # The state of the process before was lost while the robot drove: it comes to rest first.
     NO_SAFE_SPEED = 9  # At no speed can the robot stop in time: scans are too rare or the data too old.
+    SCANNER = 10  # The scanner is blind, stuck or contradictory: obstacles would not be seen.
 
 
 class ActuationKind(enum.IntEnum):
@@ -165,6 +177,23 @@ class Header(ctypes.Structure):
         ("sequence", ctypes.c_uint64),  # Number of the sample among those of its producer on its topic, from 1 without gaps
         ("acquired_ns", ctypes.c_uint64),  # When the front beam of the scan was taken [ns]
         ("chain", StageStamps * 5),  # Stamps of all stages on the way to this sample, indexed by role
+    ]
+
+
+class ScannerHealth(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("state", ctypes.c_uint32),  # Whether and how fast the robot may drive with these ranges, `ScannerState`
+        ("identical_scans", ctypes.c_uint32),  # Scans in a row with the ranges of the scan before, while the robot moved
+        ("unseen_sectors", ctypes.c_uint64),  # Sectors without evidence, one bit each: sector k has the beams 11 k to 11 k + 10
+        ("valid_share", ctypes.c_double),  # Share of the window's beams with a valid range
+        ("returned_share", ctypes.c_double),  # Share of the returns that came where earlier scans predict them; 1 where none are predicted
+        ("blind_s", ctypes.c_double),  # Time since the last scan with ranges; zero when this one has them [s]
+        ("seen_ahead_m", ctypes.c_double),  # Farthest distance ahead, from the robot's centre, at which nothing that appears can be missed [m]
+        ("range_factor", ctypes.c_double),  # Estimated ratio of the reported ranges to the true ones
+        ("range_offset_m", ctypes.c_double),  # Estimated length added to the reported ranges [m]
+        ("yaw_error_rad", ctypes.c_double),  # Estimated error of the mounting angle, counter-clockwise [rad]
     ]
 
 
@@ -294,18 +323,18 @@ class Scan(ctypes.Structure):
     """Topic scan, published once per scan, at the end of the sweep."""
 
     TOPIC = "scan"
-    LAYOUT = 0xbac3cbcf
+    LAYOUT = 0xc98639d1
     _fields_ = [
         ("header", Header),  # Identity and stamps; acquired is the time of the front beam
         ("sweep_ns", ctypes.c_uint64),  # How long the sweep over all beams lasts, two thirds of the scan period [ns]
         ("period_ns", ctypes.c_uint64),  # Time between the end of one scan and the end of the next [ns]
         ("ranges_mm", ctypes.c_uint16 * 682),  # Range per beam, counter-clockwise from the right; below 20 is an error code: no return [mm]
-        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("missing", ctypes.c_uint32),  # 1 when the scanner gave no ranges for this scan: all of them are zero
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Scan.v1"
+        return "scanloop.Scan.v2"
 
 
 class Odometry(ctypes.Structure):
@@ -369,17 +398,18 @@ class Obstacles(ctypes.Structure):
     """Topic obstacles, published once per scan, when scan and pose are there."""
 
     TOPIC = "obstacles"
-    LAYOUT = 0x30465ed3
+    LAYOUT = 0x1bdd3ff5
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("count", ctypes.c_uint32),  # How many of `items` are used
         ("overflow", ctypes.c_uint32),  # Number of ellipses for which `items` had no room
+        ("scanner", ScannerHealth),  # What the scanner can be relied on for
         ("items", Obstacle * 16),  # The ellipses, nearest ahead first; unused ones are zero
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Obstacles.v1"
+        return "scanloop.Obstacles.v2"
 
 
 class Command(ctypes.Structure):
@@ -423,7 +453,7 @@ class Actuation(ctypes.Structure):
     """Topic actuation, published once per command, and when the actuator blocks the wheels by itself."""
 
     TOPIC = "actuation"
-    LAYOUT = 0xa865884b
+    LAYOUT = 0x7cc847eb
     _fields_ = [
         ("header", Header),  # Identity and stamps of the command answered
         ("kind", ctypes.c_uint32),  # What the robot is asked to do, `ActuationKind`
@@ -435,11 +465,12 @@ class Actuation(ctypes.Structure):
         ("sent_velocity_mps", ctypes.c_double),  # Velocity sent to the robot, after the correction [m/s]
         ("sent_steering_rad", ctypes.c_double),  # Steering angle sent to the robot, after the correction [rad]
         ("refused", ctypes.c_uint64),  # Commands refused since the start: not finite, not verified, stale, out of limits
+        ("gaps", ctypes.c_uint64),  # Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Actuation.v1"
+        return "scanloop.Actuation.v2"
 
 
 class Heartbeat(ctypes.Structure):
@@ -506,7 +537,7 @@ class Checkpoint(ctypes.Structure):
     """Topic checkpoint, published once per scan by each stateful process."""
 
     TOPIC = "checkpoint"
-    LAYOUT = 0x2dc35882
+    LAYOUT = 0x1bc33c2c
     _fields_ = [
         ("header", Header),  # Identity: the scan after which the state was taken
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -514,12 +545,12 @@ class Checkpoint(ctypes.Structure):
         ("length", ctypes.c_uint32),  # How many of `bytes` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("issued_ns", ctypes.c_uint64),  # When it was published [ns]
-        ("bytes", ctypes.c_uint8 * 8192),  # The state
+        ("bytes", ctypes.c_uint8 * 12800),  # The state
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Checkpoint.v1"
+        return "scanloop.Checkpoint.v2"
 
 
 class Truth(ctypes.Structure):

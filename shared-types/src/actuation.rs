@@ -39,7 +39,7 @@ wire_enum! {
 
 sample! {
     /// One answer per command, or a block that the actuator decides by itself.
-    pub struct Actuation(248, Actuation, 0xa865_884b, "scanloop.Actuation.v1", check, is_answer) {
+    pub struct Actuation(256, Actuation, 0x7cc8_47eb, "scanloop.Actuation.v2", check, is_answer) {
         /// Identity and stamps of the command answered
         pub header: Header,
         /// What the robot is asked to do, `ActuationKind`
@@ -60,6 +60,8 @@ sample! {
         pub sent_steering_rad: f64,
         /// Commands refused since the start: not finite, not verified, stale, out of limits
         pub refused: u64,
+        /// Gaps between scans since the start: the wheels were blocked, and the next valid command ended the block
+        pub gaps: u64,
     }
 }
 

@@ -57,12 +57,14 @@ fn check(scan: &Scan) -> Result<(), Fault> {
     if scan.sweep_ns == 0 || scan.sweep_ns > scan.period_ns {
         return Err(Fault::OutOfRange { field: "sweep_ns", value: scan.sweep_ns as f64 });
     }
-    Ok(())
+    let range = scan.ranges_mm.iter().find(|range| **range != 0).filter(|_| scan.missing.is_set());
+    range.map_or(Ok(()), |range| Err(Fault::OutOfRange { field: "ranges_mm", value: f64::from(*range) }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Sample;
 
     #[test]
     fn the_sweep_covers_240_degrees_and_looks_ahead_at_the_front_beam() {
@@ -79,5 +81,17 @@ mod tests {
         scan.ranges_mm[3] = 19;
         scan.ranges_mm[4] = 20;
         assert_eq!((scan.range_m(3), scan.range_m(4)), (None, Some(0.02)));
+    }
+
+    #[test]
+    fn a_missing_scan_has_zeros_only() {
+        let header = Header { layout: Scan::LAYOUT, ..Header::default() };
+        let mut scan = Scan { header, sweep_ns: 2, period_ns: 3, ..Scan::default() };
+        scan.ranges_mm[681] = 7;
+        assert_eq!(scan.check(), Ok(()), "an error code of a scan that is there");
+        scan.missing = true.into();
+        assert_eq!(scan.check(), Err(Fault::OutOfRange { field: "ranges_mm", value: 7.0 }));
+        scan.ranges_mm[681] = 0;
+        assert_eq!(scan.check(), Ok(()));
     }
 }

@@ -23,7 +23,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the faulty program, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 53] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 59] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -53,14 +53,25 @@ const FAULTS: [(&str, &str, &str, &[&str]); 53] = [
     ("obstacles", "obstacles", "unpaired", &["missing-input"]),
     ("obstacles", "obstacles", "small", &["sees-a-box"]),
     ("obstacles", "obstacles", "phantom", &["no-phantoms"]),
-    ("obstacles", "obstacles", "needs-returns", &["blind-scan"]),
+    ("obstacles", "obstacles", "needs-returns", &["no-returns"]),
     ("obstacles", "obstacles", "far-first", &["nearest-first"]),
     ("obstacles", "obstacles", "renumbers", &["keeps-identity"]),
-    ("obstacles", "obstacles", "forgets", &["remembers"]),
+    ("obstacles", "obstacles", "forgets", &["no-returns", "covered-sector", "missing-scan", "silent-body"]),
+    (
+        "obstacles",
+        "obstacles",
+        "trusting",
+        &["no-returns", "covered-sector", "stuck", "range-factor", "mounting-angle", "random-ranges"],
+    ),
+    ("obstacles", "obstacles", "unforgiving", &["no-returns"]),
+    ("obstacles", "obstacles", "travels", &["stuck"]),
+    ("obstacles", "obstacles", "timid", &["noisy-scanner"]),
+    ("obstacles", "obstacles", "needs-scans", &["missing-scan"]),
+    ("obstacles", "obstacles", "keeps", &["seen-free"]),
     ("controller", "controller", "never", &["drives"]),
     ("controller", "controller", "blind", &["stops-before-a-barrier", "off-the-track", "obstacle-inside"]),
     ("controller", "controller", "never-lands", &["lands"]),
-    ("controller", "controller", "careless", &["obeys-alarm"]),
+    ("controller", "controller", "careless", &["obeys-alarm", "obeys-the-scanner", "degraded-scanner"]),
     ("controller", "controller", "mute", &["names-its-reason"]),
     ("controller", "controller", "planless", &["plan"]),
     ("controller", "controller", "unverified", &["verified"]),

@@ -1,7 +1,8 @@
 //! The decisions for one scan, in their order: stop, land, or drive a verified plan.
 
 use shared_types::{
-    Alarm, Command, CommandKind, Flag, Level, Obstacles, PlanNode, Pose, StopReason, plain_state,
+    Alarm, Command, CommandKind, Flag, Level, Obstacles, PlanNode, Pose, ScannerHealth, ScannerState,
+    StopReason, plain_state,
 };
 
 use crate::planner::{Plan, plans};
@@ -65,7 +66,11 @@ impl Controller {
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
         }
-        let plans = plans(&self.settings, scene.start, self.velocity_mps(pose), self.memory.line_m);
+        if !self.sees_enough(pose, &obstacles.scanner) {
+            return Err(StopReason::Scanner);
+        }
+        let velocity_mps = self.velocity_mps(pose, &obstacles.scanner);
+        let plans = plans(&self.settings, scene.start, velocity_mps, self.memory.line_m);
         for (line_m, plan) in plans {
             if let Some(verified) = scene.verify(&plan) {
                 self.memory.line_m = line_m;
@@ -79,8 +84,7 @@ impl Controller {
     fn arrive(&self, pose: &Pose) -> Result<(), StopReason> {
         let goal = &self.settings.goal;
         let speed = pose.predicted_speed_mps;
-        let braking_m = speed * speed / (2.0 * self.settings.vehicle.blocked_deceleration_mps2);
-        let left_m = goal.x_m - pose.predicted_x_m - braking_m;
+        let left_m = goal.x_m - pose.predicted_x_m - self.braking_m(speed);
         // A scan later the robot would be further away, on the other side.
         if left_m > speed.max(self.settings.vehicle.bounds.velocity_min_mps) * self.period_s / 2.0 {
             return Ok(());
@@ -89,10 +93,24 @@ impl Controller {
         Err(if miss_m <= goal.tolerance_m { StopReason::Landed } else { StopReason::GoalPassed })
     }
 
-    /// Cruising, slower near the goal, and slower while the estimator suspects its calibration.
-    fn velocity_mps(&self, pose: &Pose) -> f64 {
+    /// Whether the scanner works and the robot can stop within what it sees, two scans later.
+    fn sees_enough(&self, pose: &Pose, scanner: &ScannerHealth) -> bool {
+        let speed = pose.predicted_speed_mps.abs();
+        let front_m = self.settings.vehicle.length_m / 2.0;
+        let stop_m = front_m + 2.0 * self.period_s * speed + self.braking_m(speed);
+        !scanner.state().is_stop() && scanner.seen_ahead_m > stop_m
+    }
+
+    /// Way to rest with blocked wheels [m].
+    fn braking_m(&self, speed: f64) -> f64 {
+        speed * speed / (2.0 * self.settings.vehicle.blocked_deceleration_mps2)
+    }
+
+    /// Cruising, slower near the goal, and slower while the estimator suspects its calibration or the scanner is
+    /// degraded.
+    fn velocity_mps(&self, pose: &Pose, scanner: &ScannerHealth) -> f64 {
         let settings = &self.settings;
-        let is_careful = pose.alarm != Alarm::None.wire();
+        let is_careful = pose.alarm != Alarm::None.wire() || scanner.state() != ScannerState::Healthy;
         let fastest = if is_careful { settings.careful_mps } else { settings.cruise_mps };
         let landing = (settings.goal.x_m - pose.predicted_x_m) / settings.landing_time_s;
         landing.min(fastest).max(settings.vehicle.bounds.velocity_min_mps)

@@ -21,7 +21,7 @@ pub(crate) struct Settings {
     pub(crate) clearance_m: f64,
     /// Velocity on a free path [m/s].
     pub(crate) cruise_mps: f64,
-    /// Velocity while the estimator suspects its calibration [m/s].
+    /// Velocity while the estimator suspects its calibration, or the scanner is degraded [m/s].
     pub(crate) careful_mps: f64,
     /// Near the goal the velocity is the distance divided by this time [s].
     pub(crate) landing_time_s: f64,

@@ -2,7 +2,7 @@
 //!
 //! Scans are numbered without gaps from the first on, so each number between the first and the newest seen is a
 //! scan that was published. It is *commanded* when an actuation answered it, *late* too when that was published after
-//! the next scan, else *lost* with a reason. A number without a scan and without an answer is *unaccounted*: the robot
+//! the next scan and more than a scan period after its own, else *lost* with a reason. A number without a scan and without an answer is *unaccounted*: the robot
 //! skipped it, or the observer missed both. There must be none.
 //!
 //! Reasons are assigned by scan numbers, not by clocks. So they hold in lock-step too, where processes are restarted on
@@ -51,6 +51,7 @@ pub const WINDOW: usize = 8192;
 #[derive(Debug, Clone, Default)]
 pub struct Ledger {
     first: u64,
+    period_ns: u64,
     newest: u64,
     newest_answered: u64,
     ended_at: Option<u64>,
@@ -77,9 +78,9 @@ struct Outage {
 }
 
 impl Ledger {
-    /// A ledger that starts with the scan numbered `first`; a whole run starts with 1.
-    pub fn new(first: u64) -> Self {
-        Self { first, ..Self::default() }
+    /// A ledger that starts with the scan numbered `first`, of a scanner with this mean period; a whole run starts with 1.
+    pub fn new(first: u64, period_ns: u64) -> Self {
+        Self { first, period_ns, ..Self::default() }
     }
 
     /// Moves the start to the scan `first` and forgets earlier ones.
@@ -195,8 +196,11 @@ impl Ledger {
             return;
         };
         report.commanded += 1;
-        let next_ns = self.entries.get(&scan_id.saturating_add(1)).and_then(|next| next.published_ns);
-        if next_ns.is_some_and(|next_ns| answered_ns > next_ns) {
+        let published_ns = |scan_id: u64| self.entries.get(&scan_id).and_then(|entry| entry.published_ns);
+        // Scans of an irregular scanner may follow each other faster than any answer comes.
+        let due_ns = published_ns(scan_id).unwrap_or(0).saturating_add(self.period_ns);
+        let next_ns = published_ns(scan_id.saturating_add(1));
+        if next_ns.is_some_and(|next_ns| answered_ns > next_ns && answered_ns > due_ns) {
             report.late += 1;
         }
     }
@@ -226,7 +230,7 @@ mod tests {
 
     /// A ledger of `count` scans published every 100 ms, each answered 5 ms later unless `lost` names it.
     fn ledger(count: u64, lost: &[u64]) -> Ledger {
-        let mut ledger = Ledger::new(1);
+        let mut ledger = Ledger::new(1, PERIOD_NS);
         for scan_id in 1..=count {
             ledger.published(scan_id, scan_id * PERIOD_NS);
             if !lost.contains(&scan_id) {
@@ -238,6 +242,18 @@ mod tests {
 
     fn reasons(report: &ScanReport) -> Vec<(&str, u64)> {
         report.lost_reasons.iter().map(|(reason, count)| (reason.as_str(), *count)).collect()
+    }
+
+    #[test]
+    fn an_answer_within_a_period_is_in_time_however_soon_the_next_scan_comes() {
+        let mut ledger = Ledger::new(1, PERIOD_NS);
+        for (scan_id, published_ns, answered_ns) in
+            [(1, 0, 8), (2, 5, PERIOD_NS + 5), (3, 10, PERIOD_NS + 11), (4, 20, 21)]
+        {
+            ledger.published(scan_id, published_ns);
+            ledger.answered(scan_id, answered_ns);
+        }
+        assert_eq!((ledger.report().commanded, ledger.report().late), (4, 1));
     }
 
     #[test]
@@ -269,7 +285,7 @@ mod tests {
 
     #[test]
     fn the_order_in_which_topics_are_read_does_not_matter() {
-        let mut ledger = Ledger::new(1);
+        let mut ledger = Ledger::new(1, PERIOD_NS);
         ledger.answered(2, 250_000_000);
         ledger.answered(1, 205_000_000);
         ledger.published(2, 200_000_000);
@@ -339,7 +355,7 @@ mod tests {
         ledger.answered(8, 8 * PERIOD_NS + 1);
         let report = ledger.report();
         assert_eq!((report.published, report.commanded, report.lost, report.unaccounted), (8, 6, 0, 2));
-        let mut ledger = Ledger::new(1);
+        let mut ledger = Ledger::new(1, PERIOD_NS);
         ledger.answered(2, 1);
         assert_eq!(ledger.report().unaccounted, 1, "the first scan was missed");
     }
@@ -368,7 +384,7 @@ mod tests {
 
     #[test]
     fn samples_from_before_the_first_scan_are_not_counted() {
-        let mut ledger = Ledger::new(100);
+        let mut ledger = Ledger::new(100, PERIOD_NS);
         ledger.published(99, 1);
         ledger.answered(99, 2);
         assert_eq!(ledger.report(), ScanReport::default());
@@ -379,7 +395,7 @@ mod tests {
 
     #[test]
     fn a_ledger_can_start_with_the_first_scan_that_is_seen() {
-        let mut ledger = Ledger::new(0);
+        let mut ledger = Ledger::new(0, PERIOD_NS);
         assert_eq!(ledger.report(), ScanReport::default());
         ledger.answered(499, 1);
         ledger.begin_at(500);
@@ -401,7 +417,7 @@ mod tests {
 
     #[test]
     fn the_largest_scan_number_does_not_overflow() {
-        let mut ledger = Ledger::new(1);
+        let mut ledger = Ledger::new(1, PERIOD_NS);
         ledger.published(u64::MAX, 1);
         ledger.outage_began(Role::Robot, PROCESS_RESTARTED);
         ledger.outage_ended(Role::Robot);

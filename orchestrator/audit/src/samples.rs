@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
 use shared_types::{
     Actuation, Admission, AuthorityFilter, Command, Directive, Fault, Obstacles, Odometry, Pose, Rule,
-    Sample, Scan, Truth, YOUNG_NS,
+    Sample, Scan, Topic, Truth, YOUNG_NS,
 };
 
 use crate::ledger::SampleAudit;
@@ -128,11 +128,15 @@ pub struct ScanRecord {
     pub commands: Vec<Command>,
     /// Actuations of the scan.
     pub actuations: Vec<Actuation>,
+    /// Whether the scanner gave no ranges.
+    pub missing: bool,
 }
 
 /// All topics of the loop.
 pub struct Samples {
     scans: Observer<Scan>,
+    /// Scans without ranges that were not returned yet.
+    missing: Vec<u64>,
     odometries: Observer<Odometry>,
     truths: Queue<Truth>,
     poses: Queue<Pose>,
@@ -158,6 +162,7 @@ impl Samples {
         let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
         Ok(Self {
             scans: Observer::new(bus)?,
+            missing: Vec::new(),
             odometries: Observer::new(bus)?,
             truths: Queue::new(bus)?,
             poses,
@@ -192,9 +197,13 @@ impl Samples {
         directive: &Directive,
         sample_audit: &mut SampleAudit,
     ) -> Result<(), RuntimeError> {
-        let Self { refused, .. } = self;
+        let Self { refused, missing, .. } = self;
         self.truths.poll(directive, sample_audit, refused)?;
-        poll(&self.scans, directive, sample_audit, refused, |_| ())?;
+        poll(&self.scans, directive, sample_audit, refused, |scan| {
+            if scan.missing.is_set() && directive.counts(Topic::Scan, &scan.header) {
+                missing.push(scan.header.scan_id);
+            }
+        })?;
         poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
         // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
         let before = self.actuations.waiting.len();
@@ -251,7 +260,10 @@ impl Samples {
             return None;
         }
         let truth = self.truths.waiting.pop_front()?;
+        let missing = self.missing.contains(&scan_id);
+        self.missing.retain(|missing| *missing > scan_id);
         Some(ScanRecord {
+            missing,
             truth,
             poses: std::iter::from_fn(|| self.poses.pop_up_to(scan_id)).collect(),
             obstacles: std::iter::from_fn(|| self.obstacles.pop_up_to(scan_id)).collect(),

@@ -1,7 +1,8 @@
 //! What a controller must command: to drive where it may, and to stop where it must.
 
 use shared_types::{
-    Alarm, Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, Pose, StopReason, Suspect,
+    Alarm, Command, CommandKind, Level as CommandLevel, Obstacle, Obstacles, Pose, ScannerHealth,
+    ScannerState, StopReason, Suspect,
 };
 
 use super::case::{Case, Trouble, Verdict, failed, passed_if, require};
@@ -15,7 +16,7 @@ const SCANS: usize = 12;
 const IN_FRONT_M: f64 = 0.8;
 
 /// The cases of controllers alone.
-pub(crate) const CASES: [Case; 9] = [
+pub(crate) const CASES: [Case; 11] = [
     Case::required("drives", drives)
         .demands("On a free track it commands to drive.")
         .because("A robot that never moves is safe and of no use."),
@@ -39,6 +40,17 @@ pub(crate) const CASES: [Case; 9] = [
     Case::required("obeys-alarm", obeys_alarm)
         .demands("With a pose whose alarm is `stop` it does not drive.")
         .because("The robot is not where it seems, or moves otherwise than commanded."),
+    Case::required("obeys-the-scanner", obeys_the_scanner)
+        .demands(
+            "With a scanner that is `blind`, `stuck` or `contradictory`, or that sees 0 m ahead, it does not \
+             drive.",
+        )
+        .because("What is ahead is unknown."),
+    Case::required("degraded-scanner", degraded_scanner)
+        .demands(
+            "With a scanner that is `degraded` it commands at most `vehicle.careful_mps` after one second.",
+        )
+        .because("It takes longer to see an obstacle."),
     Case::recommended("names-its-reason", names_its_reason)
         .demands(
             "A drive command has a level above `stop` and no reason; a stop has level `stop` and a reason.",
@@ -142,6 +154,46 @@ fn obeys_alarm(suite: &Suite) -> Verdict {
             (pose.suspect, pose.alarm) = (Suspect::VelocityFactor.wire(), Alarm::Stop.wire());
         });
     })
+}
+
+fn obeys_the_scanner(suite: &Suite) -> Verdict {
+    let faults: [(&str, fn(&Drive, &mut Message)); 4] = [
+        ("a scanner that is blind", |_, message| scanner(message, ScannerState::Blind)),
+        ("a scanner that is stuck", |_, message| scanner(message, ScannerState::Stuck)),
+        ("a scanner that is contradictory", |_, message| scanner(message, ScannerState::Contradictory)),
+        ("a scanner that sees nothing ahead", |_, message| {
+            message.change(|described: &mut Obstacles| described.scanner = ScannerHealth::healthy(0.0));
+        }),
+    ];
+    for (what, fault) in faults {
+        not_driven_on(suite, what, fault)?;
+    }
+    Ok("no drive command in 12 scans".to_owned())
+}
+
+/// Changes the state of the scanner, which else sees far.
+fn scanner(message: &mut Message, state: ScannerState) {
+    message.change(|described: &mut Obstacles| {
+        described.scanner = ScannerHealth { state: state.wire(), ..ScannerHealth::healthy(4.0) };
+    });
+}
+
+fn degraded_scanner(suite: &Suite) -> Verdict {
+    let mut bench = suite.started_at(20)?;
+    let before = driven(&bench.rounds(3)?)?;
+    require(!before.is_empty(), || "it does not drive even before the scanner is degraded".to_owned())?;
+    let careful_mps = bench.drive.settings.tuning.vehicle.careful_mps;
+    let slowing = (1e9 / suite.period_ns as f64).ceil() as usize;
+    let mut fastest_mps = 0.0_f64;
+    for scan in 0..slowing + SCANS {
+        let answer = bench.round_with(|message| scanner(message, ScannerState::Degraded))?;
+        if scan >= slowing {
+            let commanded = driven(&[answer])?;
+            fastest_mps = commanded.iter().map(|command| command.velocity_mps).fold(fastest_mps, f64::max);
+        }
+    }
+    let measured = format!("at most {fastest_mps:.2} m/s, {careful_mps} are allowed");
+    passed_if(fastest_mps <= careful_mps + 0.01, measured)
 }
 
 /// Passes when spoilt inputs do not make it drive.

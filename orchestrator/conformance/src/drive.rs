@@ -3,9 +3,9 @@
 
 use emulator::scenario::{Obstacle, Shape};
 use emulator::steering_map::SteeringMap;
-use emulator::{Referee, Scenario};
+use emulator::{Emulator, Referee, Scenario};
 use pipeline::{Pipeline, Settings, Step, Tuning};
-use shared_types::{Role, Topic};
+use shared_types::{BEAMS, Odometry, Role, Scan, Topic, Truth};
 use vehicle::Description;
 use vehicle::correction::Calibration;
 
@@ -92,6 +92,27 @@ impl Drive {
             steps.push(step);
         }
         Ok(Self { settings, ended: ended.unwrap_or(steps.len()), steps })
+    }
+
+    /// The ranges that the robot would measure on its way in another scenario, scan 1 first [mm].
+    ///
+    /// The robot gets the same actuations, so it moves as recorded. The world and the scanner are those of the changed
+    /// scenario.
+    pub(crate) fn rescan(&self, change: impl FnOnce(&mut Scenario)) -> Vec<[u16; BEAMS]> {
+        let mut scenario = self.settings.scenario.clone();
+        change(&mut scenario);
+        let mut emulator = Emulator::new(&scenario, self.settings.period_ns);
+        let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
+        let measured = self.steps.iter().map(|step| {
+            let scan_id = step.scan.header.scan_id;
+            emulator.advance_to(emulator.scan_ready_ns(scan_id));
+            emulator.measure(scan_id, &mut scan, &mut odometry, &mut truth);
+            if let Some(actuation) = &step.actuation {
+                emulator.actuate(actuation);
+            }
+            scan.ranges_mm
+        });
+        measured.collect()
     }
 
     /// All samples of a scan; a scan beyond the end is the last one.

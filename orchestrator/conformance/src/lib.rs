@@ -126,7 +126,10 @@ fn cases(role: Role) -> Vec<Case> {
     match role {
         Role::Robot => all.extend(robot::CASES),
         Role::Estimator => all.extend(estimator::CASES),
-        Role::Obstacles => all.extend(obstacles::CASES),
+        Role::Obstacles => {
+            all.extend(obstacles::CASES);
+            all.extend(obstacles::scanner::CASES);
+        }
         Role::Controller => all.extend(controller::CASES),
         Role::Actuator => all.extend(actuator::CASES),
     }

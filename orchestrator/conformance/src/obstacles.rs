@@ -1,10 +1,11 @@
 //! What a list of obstacles must contain: all that is there, and nothing else.
 
-use shared_types::{Obstacle, Obstacles, Scan};
+pub(crate) mod scanner;
 
-use super::case::{Case, Trouble, Verdict, failed, require};
+use shared_types::{Obstacle, Obstacles};
+
+use super::case::{Case, Trouble, Verdict, require};
 use super::drive::Course;
-use super::message::Received;
 use super::suite::{Setup, Suite};
 use super::test_bench::TestBench;
 
@@ -18,7 +19,7 @@ const SCANS: usize = 12;
 const FIRST_SIGHTINGS: usize = 4;
 
 /// The cases of obstacle detectors alone.
-pub(crate) const CASES: [Case; 6] = [
+pub(crate) const CASES: [Case; 4] = [
     Case::required("sees-a-box", sees_a_box)
         .demands("A box of 0.1 m x 0.4 m, 1 m to 2.5 m ahead, is within an ellipse from its fifth scan on.")
         .because("The controller keeps the robot out of ellipses, not out of boxes."),
@@ -27,18 +28,12 @@ pub(crate) const CASES: [Case; 6] = [
             "On an empty track it reports no obstacle, although the scanner sees a hall 2 m outside of it.",
         )
         .because("The robot would stop in front of it, or drive around it into something real."),
-    Case::required("blind-scan", blind_scan)
-        .demands("It answers a sweep without a single return like any other.")
-        .because("A scanner in the open gets no returns, and the loop must continue."),
     Case::recommended("nearest-first", nearest_first)
         .demands("Of two boxes ahead the nearer one is listed first.")
         .because("A reader that can use only a few ellipses takes the first ones."),
     Case::recommended("keeps-identity", keeps_identity)
         .demands("The ellipse of a box keeps its number from scan to scan.")
         .because("The controller stores the passing side by this number."),
-    Case::recommended("remembers", remembers)
-        .demands("A known box is still reported for a sweep without a return.")
-        .because("Beams get lost, and an obstacle next to the robot is out of view; it is still there."),
 ];
 
 fn sees_a_box(suite: &Suite) -> Verdict {
@@ -81,23 +76,6 @@ fn no_phantoms(suite: &Suite) -> Verdict {
     Ok(format!("{} scans of an empty track", 2 * SCANS))
 }
 
-fn blind_scan(suite: &Suite) -> Verdict {
-    let mut bench = suite.started_at(20)?;
-    bench.rounds(3)?;
-    for _ in 0..3 {
-        if let Err(fault) = blind_round(&mut bench)?.message.check() {
-            return failed(format!("the answer to a sweep without returns: {fault}"));
-        }
-    }
-    bench.rounds(2)?;
-    Ok("3 sweeps without a return".to_owned())
-}
-
-/// One scan whose beams were all lost.
-fn blind_round(bench: &mut TestBench<'_>) -> Result<Received, Trouble> {
-    bench.round_with(|message| message.change(|scan: &mut Scan| scan.ranges_mm.fill(0)))
-}
-
 fn nearest_first(suite: &Suite) -> Verdict {
     let first_scan = suite.drive(Course::Two)?.scan_at(1.5);
     let mut bench = suite.started(Setup { course: Course::Two, first_scan, ..Setup::default() })?;
@@ -127,16 +105,4 @@ fn keeps_identity(suite: &Suite) -> Verdict {
     ids.dedup();
     require(ids.len() == 1, || format!("{} numbers in {scans} scans: {ids:?}", ids.len()))?;
     Ok(format!("number {} in {scans} scans", ids[0]))
-}
-
-fn remembers(suite: &Suite) -> Verdict {
-    let mut bench = before_the_box(suite)?;
-    bench.rounds(SCANS)?;
-    for _ in 0..2 {
-        let answer = blind_round(&mut bench)?;
-        let obstacles = answer.message.sample::<Obstacles>()?;
-        let known = obstacles.list().iter().any(covers_the_box);
-        require(known, || format!("scan {}: the box is forgotten", obstacles.header.scan_id))?;
-    }
-    Ok("still reported for two sweeps without a return".to_owned())
 }

@@ -289,7 +289,11 @@ impl Swap {
             Stage::Starting => {
                 if now_ns.saturating_sub(self.since_ns) >= FIRST_OUTPUT_NS {
                     let limit_s = FIRST_OUTPUT_NS / 1_000_000_000;
-                    self.refuse(format!("no output within {limit_s} s"), actions);
+                    let cause = match self.comparison.has_old() {
+                        true => "",
+                        false => "; the old process had none either: valid inputs do not come",
+                    };
+                    self.refuse(format!("no output within {limit_s} s{cause}"), actions);
                 }
             }
             Stage::Shadowing | Stage::Standby => self.judge(now_ns, actions),

@@ -98,6 +98,7 @@ impl Plan {
         scenario.robot = scenario.robot.resolved(&system.vehicle, scenario.seed);
         // What the stages take from the scenario may be allowed there and too much for them.
         let together = system.tuning().for_scenario(&scenario).validate();
+        let together = together.and_then(|()| scenario.scanner.validate_mean(system.period_ns()));
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
         Ok(Self { scenario, system, warnings })
     }

@@ -13,7 +13,7 @@ mod tally;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use audit::ledger::Ledger;
+use audit::ledger::{Ledger, ScanReport};
 use console::progress::View;
 use handover::swap::Certificate;
 use shared_types::{
@@ -52,6 +52,8 @@ pub struct RunInfo {
     pub lockstep: bool,
     /// Number of the first scan of the ledger: 1 for a whole run, 0 for the first one that is seen.
     pub first_scan: u64,
+    /// Scan period [ns].
+    pub period_ns: u64,
     /// Position of the goal [m].
     pub goal_m: [f64; 2],
 }
@@ -76,6 +78,8 @@ pub struct RunResult {
 pub struct Recorder {
     info: RunInfo,
     ledger: Ledger,
+    /// Scans without ranges.
+    missing: u64,
     latencies: Latencies,
     rows: Rows,
     tally: Tally,
@@ -96,7 +100,8 @@ impl Recorder {
     /// An empty recorder.
     pub fn new(info: RunInfo) -> Self {
         Self {
-            ledger: Ledger::new(info.first_scan),
+            ledger: Ledger::new(info.first_scan, info.period_ns),
+            missing: 0,
             latencies: Latencies::new(info.lockstep),
             tally: Tally::new(info.lockstep),
             info,
@@ -144,6 +149,11 @@ impl Recorder {
         if self.truth.is_none_or(|newest| newest.header.scan_id <= scan_id) {
             self.truth = Some(*truth);
         }
+    }
+
+    /// The scanner gave no ranges for a scan.
+    pub fn scan_missing(&mut self) {
+        self.missing += 1;
     }
 
     /// The estimate for a scan.
@@ -280,7 +290,7 @@ impl Recorder {
             adopted: self.info.first_scan == 0,
             adopted_from_scan: (self.info.first_scan == 0).then(|| self.ledger.first()),
             duration_s: self.duration_s(),
-            scans: self.ledger.report(),
+            scans: ScanReport { missing: self.missing, ..self.ledger.report() },
             ledger: result.ledger.clone(),
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
@@ -372,6 +382,7 @@ mod tests {
             surroundings: Surroundings::Open,
             lockstep,
             first_scan: 1,
+            period_ns: 100_000_000,
             goal_m: [10.0, 0.0],
         }
     }

@@ -85,10 +85,14 @@ fn estimate_error(drive: &DriveReport) -> String {
 }
 
 fn scans(scans: &ScanReport) -> String {
-    let ScanReport { published, commanded, late, lost, unaccounted, duplicates, ref lost_reasons } = *scans;
+    let ScanReport { published, commanded, late, lost, unaccounted, duplicates, missing, ref lost_reasons } =
+        *scans;
     let mut text = format!("{published} published, {commanded} commanded, {late} late, {lost} lost");
     if lost > 0 {
         text += &format!(" ({})", counts(lost_reasons.iter()));
+    }
+    if missing > 0 {
+        text += &format!(", {missing} without ranges");
     }
     if unaccounted > 0 {
         text += &format!(", {unaccounted} UNACCOUNTED");

@@ -94,10 +94,9 @@ impl Session {
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
         let supervisor = Supervisor::new(entries.map(|entry| entry.policy(period_ns)).collect());
-        let misses_scans = plan.scenario.misses_scans();
         let audit = match first_scan {
             0 => SampleAudit::midway(),
-            _ => SampleAudit::new(lockstep && !misses_scans),
+            _ => SampleAudit::new(lockstep),
         };
         let scenario = plan.scenario.name.clone();
         Ok(Self {
@@ -107,7 +106,7 @@ impl Session {
             shadows: Shadows::new(period_ns),
             conclusion: Conclusion::new(lockstep, period_ns),
             audit: Reconciliation::new(audit, lockstep),
-            recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan),
+            recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan, period_ns),
             vitals: Vitals::new(&bus)?,
             samples: Samples::new(&bus, period_ns)?,
             watches: Watches::default(),

@@ -164,6 +164,7 @@ impl Supervisor {
             Event::Refused { role, incarnation, reader, reason } => {
                 self.refused(&mut turn, role, incarnation, Refused { reader, reason });
             }
+            Event::InputsLate { reader } => self.forgive_late_inputs(reader),
             Event::Exited { role, incarnation, exit } => self.exited(&mut turn, role, incarnation, exit),
             Event::Tick => self.tick(&mut turn),
             Event::StopRequested => self.stop(&mut turn),

@@ -7,6 +7,7 @@
 //! * commanded or landed: with the next command that passes;
 //! * silence: after [`Config::recovery`] valid commands in a row without another silence, where commands that come within
 //!   half a period count as one, because they were delayed together;
+//! * gap, a silence because the scanner took no scan: with the next command that passes;
 //! * refused: with the next command that passes; when the scan has no other, its refusal is a silence as well;
 //! * explicit stop: with [`Actuator::release`] only.
 //!
@@ -64,8 +65,11 @@ impl Actuator {
     /// `answers` is 1 once per scan. A command for a scan answered before, or for one that lies in the future, gets
     /// a block that the actuator decides by itself (`answers` = 0), because its header cannot be trusted.
     pub fn answer(&mut self, command: &Command, now_ns: u64) -> Actuation {
-        if self.state.commanded.is_set() && self.silence_ns(now_ns) > self.timeout_ns {
-            self.fall_silent();
+        let is_silence = self.state.commanded.is_set() && self.silence_ns(now_ns) > self.timeout_ns;
+        let is_gap = is_silence && self.is_gap(&command.header, now_ns);
+        if is_silence && !is_gap {
+            self.state.silenced = true.into();
+            self.state.streak = 0;
         }
         self.state.told_ns = now_ns;
         self.state.awake = true.into();
@@ -91,6 +95,7 @@ impl Actuator {
             }
             Ok(desired) => {
                 self.accept(now_ns);
+                self.state.gaps += u64::from(is_gap);
                 match desired {
                     DesiredCommand::Block(reason) => self.block(reason, stop_reason),
                     DesiredCommand::Drive(_) if self.state.silenced.is_set() => {
@@ -125,9 +130,6 @@ impl Actuator {
         }
         if self.silence_ns(now_ns) <= self.timeout_ns {
             return None;
-        }
-        if self.state.commanded.is_set() {
-            self.fall_silent();
         }
         let reason = match self.state.commanded.is_set() {
             _ if self.dropped => BlockReason::InvalidCommand,
@@ -177,9 +179,12 @@ impl Actuator {
         now_ns.saturating_sub(self.state.valid_ns)
     }
 
-    fn fall_silent(&mut self) {
-        self.state.silenced = true.into();
-        self.state.streak = 0;
+    /// Whether the scanner explains a silence: the command answers the very next scan, and the scans are as far apart as
+    /// the commands. Without a scan no process could command anything.
+    fn is_gap(&self, header: &Header, now_ns: u64) -> bool {
+        let last = &self.state.header;
+        let apart_ns = header.acquired_ns.saturating_sub(last.acquired_ns);
+        header.scan_id == last.scan_id + 1 && self.silence_ns(now_ns) <= apart_ns + self.period_ns / 2
     }
 
     /// Why the header of a command cannot be trusted; `None` when it can.
@@ -254,6 +259,7 @@ impl Actuator {
             sent_velocity_mps,
             sent_steering_rad: self.state.sent_steering_rad,
             refused: self.state.refused,
+            gaps: self.state.gaps,
         }
     }
 }

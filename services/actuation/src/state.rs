@@ -14,6 +14,8 @@ plain_state! {
         pub told_ns: u64,
         /// Commands refused since the start
         pub refused: u64,
+        /// Gaps between scans since the start
+        pub gaps: u64,
         /// Last steering angle desired while driving; blocked wheels keep it [rad]
         pub steering_rad: f64,
         /// Last steering angle sent while driving [rad]

@@ -97,16 +97,6 @@ impl Emulator {
         self.schedule.stamp_ns(scan_id)
     }
 
-    /// Whether the scanner and the odometer give no sample of this scan.
-    pub fn is_missing(&self, scan_id: u64) -> bool {
-        self.schedule.is_missing(scan_id)
-    }
-
-    /// The first scan from `scan_id` on that is not missing.
-    pub fn next_scan(&self, scan_id: u64) -> u64 {
-        self.schedule.next_scan(scan_id)
-    }
-
     /// How long the sweep over all beams lasts: two thirds of the period [ns].
     pub fn sweep_ns(&self) -> u64 {
         self.period_ns / 3 * 2 + self.period_ns % 3 * 2 / 3
@@ -218,8 +208,12 @@ impl Emulator {
         let sweep = Sweep { scan_id, front_ns: self.acquired_ns(scan_id), duration_ns: self.sweep_ns() };
         scan.sweep_ns = sweep.duration_ns;
         scan.period_ns = self.period_ns;
-        scan.missing = shared_types::Flag::default();
         self.laser.measure(&sweep, &self.history, &self.scene, &mut scan.ranges_mm);
+        let is_missing = self.schedule.is_missing(scan_id);
+        scan.missing = is_missing.into();
+        if is_missing {
+            scan.ranges_mm.fill(0);
+        }
         let front = self.history.at(sweep.front_ns);
         if self.odometer.last.is_none() {
             self.reckoning.begin(seconds(self.state.plant_ns.saturating_sub(sweep.front_ns)));

@@ -35,6 +35,8 @@ pub enum Purpose {
     Salt = 12,
     /// Random ranges near the scanner.
     Dust = 13,
+    /// Delays of irregular scans.
+    Period = 14,
 }
 
 /// A stream of random numbers.

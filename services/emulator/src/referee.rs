@@ -42,6 +42,8 @@ pub struct Referee {
     blocked_since_s: Option<f64>,
     /// The last actuation, if it blocks the wheels.
     block: Option<Block>,
+    /// The last scan that was answered with turning wheels.
+    driven_scan: u64,
     reason: String,
 }
 
@@ -73,6 +75,7 @@ impl Referee {
             stop_final_s: scenario.stop_final_s,
             blocked_since_s: None,
             block: None,
+            driven_scan: 0,
             reason: String::new(),
         }
     }
@@ -81,10 +84,15 @@ impl Referee {
     ///
     /// `actuation` is the newest one, the same as before when none was published since.
     pub fn observe(&mut self, truth: &Truth, actuation: Option<&Actuation>) -> Option<Outcome> {
+        // Wheels that turned until a gap between scans blocked them were not blocked without a break.
+        let turned = self.driven_scan > 0 && self.driven_scan == truth.actuation_scan;
         if let Some(actuation) = actuation {
             self.block = Block::of(actuation);
+            if self.block.is_none() && actuation.answers == 1 {
+                self.driven_scan = actuation.header.scan_id;
+            }
         }
-        if truth.blocked == 0 {
+        if truth.blocked == 0 || turned {
             self.blocked_since_s = None;
         } else if self.blocked_since_s.is_none() {
             self.blocked_since_s = Some(truth.time_s);
@@ -226,6 +234,25 @@ mod tests {
         assert_eq!(referee.observe(&truth(9.9, 9.0, 1), Some(&blocked)), None);
         assert_eq!(referee.observe(&truth(10.0, 9.0, 1), Some(&blocked)), Some(Outcome::Stopped));
         assert_eq!(referee.reason(), "wheels blocked for 5 s: no_command");
+    }
+
+    #[test]
+    fn gaps_between_scans_are_no_stop() {
+        let mut referee = referee();
+        for scan_id in 1..=100 {
+            let mut drive = Actuation { answers: 1, ..drive() };
+            drive.header.scan_id = scan_id;
+            let seen = Truth { actuation_scan: scan_id - 1, ..truth(0.2 * scan_id as f64, 9.0, 1) };
+            assert_eq!(referee.observe(&seen, Some(&drive)), None, "scan {scan_id}");
+        }
+        // The same for a robot that receives none of them.
+        let mut referee = self::referee();
+        let outcomes = (1..=100).filter_map(|scan_id| {
+            let mut drive = Actuation { answers: 1, ..drive() };
+            drive.header.scan_id = scan_id;
+            referee.observe(&truth(0.2 * scan_id as f64, 9.0, 1), Some(&drive))
+        });
+        assert_eq!(outcomes.last(), Some(Outcome::Stopped));
     }
 
     #[test]

@@ -146,11 +146,6 @@ impl Scenario {
         self.robot.values(self.seed)
     }
 
-    /// Whether the scanner loses scans.
-    pub fn misses_scans(&self) -> bool {
-        self.robot_values().scan_missing_every > 0 || self.scanner.missing_every > 0
-    }
-
     /// The body of the robot with its centre at a pose.
     pub fn body(&self, x: f64, y: f64, yaw: f64) -> Rectangle {
         Rectangle { centre: Vector2::new(x, y), yaw, length: self.robot.length_m, width: self.robot.width_m }

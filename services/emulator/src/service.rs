@@ -221,10 +221,8 @@ impl Robot {
             self.pending = self.next_actuation();
         }
         let (scan_id, acts_ns) = if simulated {
-            let granted_scan = process.directive().granted_scan;
-            // A grant for a missing scan holds for the next one.
-            let first = self.state.answered + 1;
-            let granted = self.emulator.next_scan(first) == self.state.next_scan && first <= granted_scan;
+            let granted = self.state.answered + 1 == self.state.next_scan
+                && self.state.next_scan <= process.directive().granted_scan;
             // The answer to a scan that is yet to be published here waits for it.
             let waits = |actuation: &Taken<Actuation>| actuation.header.scan_id >= self.state.next_scan;
             let acts = self.pending.as_ref().filter(|actuation| !waits(actuation));
@@ -232,14 +230,13 @@ impl Robot {
         } else {
             // One period is left for the stages between scanner and wheels.
             let max_age_ns = process.max_age_ns() - process.period_ns();
-            let is_present = |scan_id: &u64| !self.emulator.is_missing(*scan_id);
-            let is_young = |scan_id| {
-                is_present(&scan_id) && now_ns.saturating_sub(self.emulator.acquired_ns(scan_id)) < max_age_ns
-            };
+            let sweep_ns = process.period_ns() / 3;
+            // A scan that the scanner itself has delayed is not skipped: its readers refuse it.
+            let is_young =
+                |scan_id| now_ns.saturating_sub(self.emulator.scan_ready_ns(scan_id)) + sweep_ns < max_age_ns;
             let due = (self.state.next_scan..)
                 .take_while(|scan_id| self.emulator.scan_ready_ns(*scan_id) <= now_ns);
-            let scan_id =
-                due.filter(is_present).last().map(|newest| next_due(self.state.next_scan, newest, is_young));
+            let scan_id = due.last().map(|newest| next_due(self.state.next_scan, newest, is_young));
             (scan_id, self.pending.as_ref().map(|actuation| self.acts_ns(actuation, now_ns)))
         };
         let scan_id = scan_id.filter(|_| may_publish(process));
@@ -301,7 +298,7 @@ impl Robot {
         self.truths.publish_silently(&mut truth)?;
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
-        self.state.next_scan = self.emulator.next_scan(scan_id + 1);
+        self.state.next_scan = scan_id + 1;
         self.save(process, &odometry.header)
     }
 

@@ -35,7 +35,6 @@ pub fn run() -> anyhow::Result<()> {
         odometry.skip(|measured| !estimator.is_newer(measured));
     }
     let mut actuated = process.handed_scan();
-    let mut taken = None;
     while process.wait(None)? {
         loop {
             while let Some(newer) = actuation.take() {
@@ -47,14 +46,11 @@ pub fn run() -> anyhow::Result<()> {
                 }
             }
             let Some(scan_id) = odometry.next_scan() else { break };
-            // In lock-step, wait for the actuation of the scan before: the result must not depend on when it arrives. A scan
-            // may be missing, so the one before is the one that was taken last.
-            let before = taken.unwrap_or(scan_id.saturating_sub(1));
-            if process.clock().is_simulated() && actuated < before {
+            // In lock-step, wait for the actuation of the scan before: the result must not depend on when it arrives.
+            if process.clock().is_simulated() && actuated < scan_id.saturating_sub(1) {
                 break;
             }
             let Some(measured) = odometry.take() else { break };
-            taken = Some(scan_id);
             if lost {
                 continue;
             }

@@ -228,10 +228,12 @@ impl Controller {
         }
     }
 
-    /// Time between the last two scans [s].
+    /// Time between the last two scans [s]. Scans that follow each other much faster than the scan period, after a gap, do
+    /// not promise that the next one does.
     fn period(&self, pose: &Pose) -> f64 {
         let since = pose.header.acquired_ns.saturating_sub(self.state.acquired_ns) as f64 * 1e-9;
-        if self.state.acquired_ns != 0 && (0.005..=1.0).contains(&since) {
+        let shortest = self.config.period_s / 2.0;
+        if self.state.acquired_ns != 0 && (shortest..=1.0).contains(&since) {
             since
         } else {
             self.config.period_s

@@ -160,6 +160,21 @@ fn any_number() -> impl Strategy<Value = f64> {
     ]
 }
 
+/// After a gap, scans of an irregular scanner may be 5 ms apart; the next one may come after the whole period.
+#[test]
+fn scans_in_quick_succession_do_not_raise_the_speed_limit() {
+    let limit_mps = |apart_ns: u64| {
+        let mut controller = controller();
+        controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+        let mut second = pose(2, 0.0, 0.0);
+        second.header.acquired_ns = 100_000_000 + apart_ns;
+        second.predicted_ns = second.header.acquired_ns + 33_000_000;
+        controller.step(&second, &obstacles(2, &[]), &BUDGET).speed_limit_mps
+    };
+    assert_eq!(limit_mps(5_000_000), limit_mps(100_000_000));
+    assert!(limit_mps(150_000_000) < limit_mps(100_000_000));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     #[test]

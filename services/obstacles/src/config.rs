@@ -1,7 +1,7 @@
 //! Settings of the description.
 
 use serde::{Deserialize, Serialize};
-use vehicle::{Description, Invalid, Setting, Surroundings, settings};
+use vehicle::{Ascending, Description, Invalid, Setting, Surroundings, settings};
 
 /// How large the ellipses are that cover an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -25,9 +25,11 @@ settings! {
         /// Surfaces of the right and left wall, or without walls the lateral bounds of the track; `run` takes them from the
         /// scenario [m].
         pub wall_y_m: [f64; 2] = [-1.5, 1.5], (-1e4..=1e4, "the second at least 0.5 m above the first");
+        /// Ends of the track along it; `run` takes them from the scenario [m].
+        pub track_x_m: [f64; 2] = [-1e4, 1e4], Ascending(-1e4..=1e4);
         /// Returns within this distance of a wall belong to the wall [m].
         pub wall_band_m: f64 = 0.12, 0.02..=0.5;
-        /// Without walls, returns farther than this outside of the track are ignored [m].
+        /// Returns farther than this outside of the track are ignored where it has no walls [m].
         pub beside_m: f64 = 0.6, 0.0..=10.0;
         /// Size of the ellipses: `tight` leaves gaps open that the robot fits through, `source` is (7.35) as printed.
         pub cover: CoverRule = CoverRule::Tight;

@@ -60,9 +60,9 @@ impl Place {
         Some(Self { at, yaw: yaw_rad + vehicle.scanner_yaw_rad, velocity, yaw_rate })
     }
 
-    /// Where the scanner is and where it points `time` seconds after the front beam [m, rad].
+    /// Where the scanner is, and how far it has turned, `time` seconds after the front beam [m, rad].
     pub(crate) fn moved_by(&self, time: f64) -> (Vector2<f64>, f64) {
-        (self.at + self.velocity * time, self.yaw + self.yaw_rate * time)
+        (self.at + self.velocity * time, self.yaw_rate * time)
     }
 
     /// The place as plain numbers, see [`Self::from_array`].

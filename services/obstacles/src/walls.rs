@@ -31,6 +31,7 @@ struct Wall {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Walls {
     sides: Option<[Wall; 2]>,
+    along: [f64; 2],
     inside: [f64; 2],
     band: f64,
 }
@@ -38,16 +39,20 @@ pub(crate) struct Walls {
 impl Walls {
     /// Fits the walls to the points of one scan.
     pub(crate) fn fit(config: &Config, place: &Place, points: &[Point]) -> Self {
+        let outside = |[low, high]: [f64; 2]| [low - config.beside_m, high + config.beside_m];
+        let along = outside(config.track_x_m);
         if !config.walls {
-            let [low, high] = config.wall_y_m;
-            return Self { sides: None, inside: [low - config.beside_m, high + config.beside_m], band: 0.0 };
+            return Self { sides: None, along, inside: outside(config.wall_y_m), band: 0.0 };
         }
         let sides = config.wall_y_m.map(|y| Wall::fit(config, y, place, points));
-        Self { sides: Some(sides), inside: config.wall_y_m, band: config.wall_band_m }
+        Self { sides: Some(sides), along, inside: config.wall_y_m, band: config.wall_band_m }
     }
 
     /// Whether a point can belong to an obstacle: inside of the track and not on a wall.
     pub(crate) fn leaves(&self, point: Vector2<f64>) -> bool {
+        if point.x < self.along[0] || point.x > self.along[1] {
+            return false;
+        }
         match &self.sides {
             None => point.y > self.inside[0] && point.y < self.inside[1],
             Some([right, left]) => right.inward(point) > self.band && left.inward(point) < -self.band,
@@ -126,9 +131,11 @@ mod tests {
     }
 
     #[test]
-    fn without_walls_only_what_is_far_beside_the_track_is_ignored() {
+    fn without_walls_only_what_is_far_outside_of_the_track_is_ignored() {
         let place = Place::standing(Vector2::zeros(), 0.0);
-        let walls = Walls::fit(&Config::default(), &place, &[]);
+        let config = Config { track_x_m: [0.0, 5.0], ..Config::default() };
+        let walls = Walls::fit(&config, &place, &[]);
+        assert!(walls.leaves(Vector2::new(5.5, 0.0)) && !walls.leaves(Vector2::new(5.7, 0.0)));
         assert!(walls.leaves(Vector2::new(3.0, 2.05)) && !walls.leaves(Vector2::new(3.0, -2.15)));
     }
 }

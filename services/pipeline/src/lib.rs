@@ -54,8 +54,6 @@ pub struct Pipeline {
     actuator: Actuator,
     iterations: u32,
     scan_id: u64,
-    /// Scans so far: the sequence number of all samples.
-    sequence: u64,
     step: Box<Step>,
 }
 
@@ -75,17 +73,15 @@ impl Pipeline {
             controller: Controller::new(tuning.controller).map_err(|error| error.within("controller"))?,
             actuator: Actuator::new(tuning.actuator, *period_ns).map_err(|error| error.within("actuator"))?,
             scan_id: 0,
-            sequence: 0,
             step: Box::default(),
         })
     }
 
-    /// One scan that is not missing: measure, estimate, describe, control, actuate.
+    /// One scan: measure, estimate, describe, control, actuate.
     pub fn step(&mut self) -> &Step {
-        self.scan_id = self.emulator.next_scan(self.scan_id + 1);
-        self.sequence += 1;
+        self.scan_id += 1;
         let now_ns = self.emulator.scan_ready_ns(self.scan_id);
-        let publish = Publisher { sequence: self.sequence, now_ns };
+        let publish = Publisher { sequence: self.scan_id, now_ns };
         let step = &mut *self.step;
         (step.pose, step.obstacles, step.command, step.actuation) = (None, None, None, None);
 

@@ -52,6 +52,7 @@ impl Tuning {
         self.controller.track = scenario.track;
         self.obstacles.walls = scenario.track.walls;
         self.obstacles.wall_y_m = scenario.track.y_m;
+        self.obstacles.track_x_m = scenario.track.x_m;
         self
     }
 }

@@ -75,13 +75,14 @@ fn open_surroundings_limit_the_speed_and_are_named_by_check_run_and_report() {
     let rows: Vec<_> =
         wrong.differences.iter().map(|it| (it.key.as_str(), &it.truth, &it.believed)).collect();
     assert_eq!(rows, [("surroundings", &json!("open"), &json!("hall"))]);
+    // Stages that expect a hall take an open world for a blind scanner.
     assert_eq!(
         (wrong.surroundings, wrong.outcome),
-        (Surroundings::Open, Outcome::Reached),
+        (Surroundings::Open, Outcome::Stopped),
         "{}",
         wrong.reason
     );
-    assert!(wrong.duration_s < 15.0, "{} s", wrong.duration_s);
+    assert!(wrong.reason.contains("scanner"), "{}", wrong.reason);
     assert_eq!(system.lockstep(&["free", "--duration", "0.5"]).surroundings, Surroundings::Hall);
     system.assert_nothing_left();
 }

@@ -47,22 +47,22 @@ fn a_drive_continues_after_missing_scans() {
     let drive = || system.lockstep(&["corridor", "--seed", "2", "--set", "robot.scan_missing_every=10"]);
     let (report, again) = (drive(), drive());
     assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
-    assert!(report.scans.lost >= 3, "about one in ten: {:?}", report.scans);
-    assert_eq!(report.scans.published, report.scans.commanded + report.scans.lost);
-    assert_eq!(report.scans.unaccounted, 0);
+    assert!(report.scans.missing >= 3, "about one in ten: {:?}", report.scans);
+    assert_eq!((report.scans.published, report.scans.lost), (report.scans.commanded, 0));
+    assert_eq!((report.scans.unaccounted, again.scans.missing), (0, report.scans.missing));
     assert_eq!(again.digests, report.digests);
 }
 
-/// Late scans shift a drive; scans that are missing, at random or for two seconds, interrupt it. In all of them, every
-/// scan that was published is answered, and processes and pipeline agree.
+/// Late and irregular scans, and scans without ranges: every one is answered, and processes and pipeline agree.
 #[test]
-fn every_scan_of_a_scanner_that_is_late_or_silent_is_accounted_for() {
+fn every_scan_of_a_scanner_that_is_late_irregular_or_blind_is_answered() {
     let system = System::new(EXECUTABLE);
-    let faults: [(&str, &[&str]); 4] = [
+    let faults: [(&str, &[&str]); 5] = [
         ("constantly late", &["scanner.late_s=0.05"]),
         ("late for a second", &["scanner.late_s=0.25", "scanner.from_s=3.0", "scanner.to_s=4.0"]),
         ("one in five missing", &["scanner.missing_every=5", "scanner.stamp_jitter_s=0.02"]),
-        ("silent for two seconds", &["scanner.missing_every=1", "scanner.from_s=3.0", "scanner.to_s=5.0"]),
+        ("blind for two seconds", &["scanner.missing_every=1", "scanner.from_s=3.0", "scanner.to_s=5.0"]),
+        ("irregular", &["scanner.period_s=[0.005, 0.255]", "scanner.stamp_jitter_s=0.02"]),
     ];
     for (name, keys) in faults {
         let mut arguments = vec!["corridor"];
@@ -74,8 +74,10 @@ fn every_scan_of_a_scanner_that_is_late_or_silent_is_accounted_for() {
             "{name}: {:?}",
             report.scans
         );
-        assert_eq!(report.scans.published, report.scans.commanded + report.scans.lost, "{name}");
-        assert_eq!(report.scans.lost > 0, name.contains("missing") || name.contains("silent"), "{name}");
+        let scans = &report.scans;
+        assert_eq!((scans.commanded, scans.lost, scans.late), (scans.published, 0, 0), "{name}");
+        assert_eq!(scans.missing > 0, name.contains("missing") || name.contains("blind"), "{name}");
+        assert_eq!(report.stop_reasons.contains_key("gap"), name == "irregular", "{name}");
         let table: String =
             keys.iter().map(|key| key.trim_start_matches("scanner.").to_owned() + "\n").collect();
         let text = format!("{}\n[scanner]\n{table}", Scenario::shipped("corridor").unwrap());

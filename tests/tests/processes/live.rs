@@ -67,25 +67,71 @@ fn a_controller_that_hangs_is_killed_and_restarted() {
     survives(Role::Controller, Signal::STOP);
 }
 
-/// For two seconds there is nothing to answer: no process hangs, the wheels are blocked, and then the drive continues.
-#[test]
-fn a_scanner_that_is_silent_for_two_seconds_restarts_no_process() {
+/// Drives the corridor in real time with these keys of the scanner; no process is restarted, and all is accounted for.
+fn live(duration_s: &str, keys: &[&str]) -> Report {
     let mut system = System::new(EXECUTABLE);
-    let silent = ["scanner.missing_every=1", "scanner.from_s=2.0", "scanner.to_s=4.0"];
-    let mut arguments = vec!["--duration", "6"];
-    silent.iter().for_each(|key| arguments.extend(["--set", key]));
+    let mut arguments = vec!["--duration", duration_s];
+    keys.iter().for_each(|key| arguments.extend(["--set", key]));
     system.start(&arguments);
     system.wait();
     let report = system.report();
-    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
     assert!(report.processes.iter().all(|process| process.restarts == 0), "{report:?}");
     assert!(report.drive.longest_blind_s <= MAX_BLIND_S && !report.drive.collided);
-    assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
-    assert!(report.scans.lost >= 20, "{:?}", report.scans);
-    let x_at = |time_s: f64| {
-        report.trajectory.iter().rfind(|place| place[0] <= time_s).map_or(0.0, |place| place[1])
-    };
-    assert!(x_at(6.0) > x_at(4.05) + 0.5, "{} m at 4 s, {} m at 6 s", x_at(4.05), x_at(6.0));
+    assert_eq!((report.scans.unaccounted, report.ledger.residual, report.ledger.reordered), (0, 0, 0));
+    system.assert_nothing_left();
+    report
+}
+
+fn x_at(report: &Report, time_s: f64) -> f64 {
+    report.trajectory.iter().rfind(|place| place[0] <= time_s).map_or(0.0, |place| place[1])
+}
+
+/// There is nothing to answer for longer than a hang takes: no process hangs, the wheels are blocked, and then the
+/// drive continues.
+#[test]
+fn a_scanner_that_is_silent_for_a_second_restarts_no_process() {
+    let report = live("12", &["scanner.period_s=[0.005, 3.0]", "scanner.from_s=2.0", "scanner.to_s=6.0"]);
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    let longest = report.trajectory.windows(2).map(|pair| pair[1][0] - pair[0][0]).fold(0.0, f64::max);
+    assert!(longest > 1.0, "{longest} s without any scan");
+    assert!(report.stop_reasons["gap"] >= 1, "{:?}", report.stop_reasons);
+    assert!(x_at(&report, 12.0) > x_at(&report, 9.5) + 0.5, "{:?}", report.trajectory);
+}
+
+#[test]
+fn irregular_scans_are_no_hang_and_late_or_out_of_order_for_no_process() {
+    let report = live("8", &["scanner.period_s=[0.005, 0.255]", "scanner.stamp_jitter_s=0.02"]);
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    assert_eq!((report.scans.lost, report.scans.late), (0, 0), "{:?}", report.scans);
+    assert!(report.stop_reasons["gap"] >= 1, "{:?}", report.stop_reasons);
+    assert_eq!(report.stop_reasons.get("no_command"), None, "{:?}", report.stop_reasons);
+    assert!(x_at(&report, 8.0) > 4.0, "{:?}", report.trajectory.last());
+}
+
+#[test]
+fn late_scans_block_the_wheels_and_the_drive_continues_after_them() {
+    let report = live("9", &["scanner.late_s=0.3", "scanner.from_s=2.0", "scanner.to_s=4.0"]);
+    assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
+    assert!(x_at(&report, 4.0) < x_at(&report, 3.0) + 0.02, "it stands");
+    assert!(x_at(&report, 9.0) > x_at(&report, 5.0) + 1.0, "{:?}", report.trajectory.last());
+    assert_eq!(report.scans.lost, report.scans.lost_reasons["too_old"], "{:?}", report.scans);
+}
+
+#[test]
+fn a_swap_while_all_scans_are_late_is_refused_with_the_reason() {
+    let mut system = System::new(EXECUTABLE);
+    let late = ["--set", "scanner.late_s=0.3", "--set", "scanner.from_s=1.0", "--set", "stop_final_s=60"];
+    system.start(&late);
+    system.wait_until("scans are late", |system| system.status().is_some_and(|status| status.scan > 15));
+    let swap = system.run(&["swap", "controller", "--to", "nmpc"]);
+    let message = String::from_utf8_lossy(&swap.stderr).into_owned();
+    assert_eq!(swap.status.code(), Some(1), "{message}");
+    assert!(message.contains("the old process had none either: valid inputs do not come"), "{message}");
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    let report = system.report();
+    assert!(report.processes.iter().all(|process| process.restarts == 0), "{report:?}");
+    assert_eq!(report.drive.final_speed_mps, 0.0);
     system.assert_nothing_left();
 }
 

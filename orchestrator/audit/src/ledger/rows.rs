@@ -15,12 +15,14 @@ pub struct ScanReport {
     pub published: u64,
     /// Scans that an actuation answered, the late ones included.
     pub commanded: u64,
-    /// Scans answered after the next one was published.
+    /// Scans answered more than a period after they were published, and after the next one.
     pub late: u64,
     /// Scans never answered.
     pub lost: u64,
     /// Scans without a fate; must be 0.
     pub unaccounted: u64,
+    /// Scans that the scanner gave no ranges for; they are commanded or lost like any other.
+    pub missing: u64,
     /// Answers to scans that had been answered already.
     pub duplicates: u64,
     /// How many scans were lost for which reason.

@@ -77,7 +77,7 @@ struct Debt {
 }
 
 impl SampleAudit {
-    /// An empty audit. A robot that is held up skips scans; in lock-step only one whose scanner misses some does.
+    /// An empty audit. A robot that is held up skips scans; in lock-step none is.
     pub fn new(skips_are_faults: bool) -> Self {
         Self {
             skips_are_faults,

@@ -63,6 +63,11 @@ impl Comparison {
         self.pairs.get(&scan).is_some_and(|pair| pair.old.is_some() && pair.new.is_some())
     }
 
+    /// Whether the old one has answered any scan.
+    pub(super) fn has_old(&self) -> bool {
+        self.pairs.values().any(|pair| pair.old.is_some())
+    }
+
     /// Takes an output in; `newest` is the newest scan that is known to exist.
     pub(super) fn keep(&mut self, now_ns: u64, newest: u64, party: Party, output: Output) {
         let scan = output.scan;

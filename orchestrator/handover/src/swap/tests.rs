@@ -199,13 +199,22 @@ fn a_default_swap_has_its_certificate_within_three_seconds() {
 
 #[test]
 fn a_process_without_output_is_refused_after_three_seconds() {
-    let mut trial = Trial::new();
-    trial.now_ns += FIRST_OUTPUT_NS - 1;
-    trial.send(SwapEvent::Tick);
-    assert!(trial.actions.is_empty());
-    trial.now_ns += 1;
-    trial.send(SwapEvent::Tick);
-    assert_eq!(trial.refused(), "no output within 3 s");
+    for old_answers in [true, false] {
+        let mut trial = Trial::new();
+        let started_ns = trial.now_ns;
+        if old_answers {
+            trial.publish();
+            trial.output(Party::Old, 2, Ok(command(0.04)));
+        }
+        trial.now_ns = started_ns + FIRST_OUTPUT_NS - 1;
+        trial.send(SwapEvent::Tick);
+        assert!(trial.actions.is_empty());
+        trial.now_ns += 1;
+        trial.send(SwapEvent::Tick);
+        let cause =
+            if old_answers { "" } else { "; the old process had none either: valid inputs do not come" };
+        assert_eq!(trial.refused(), format!("no output within 3 s{cause}"));
+    }
 }
 
 #[test]

@@ -9,6 +9,9 @@ use shared_types::{
 
 use crate::report::{ControllerReport, SelfCheckReport};
 
+/// Name of a block because the scanner took no scan in time.
+const GAP: &str = "gap";
+
 /// Figures of the solver, and why the wheels were blocked.
 #[derive(Debug, Clone)]
 pub(super) struct Tally {
@@ -19,6 +22,10 @@ pub(super) struct Tally {
     level: BTreeMap<String, u64>,
     stops: BTreeMap<String, u64>,
     actuator_blocks: Option<BlockReason>,
+    /// Gaps that the newest actuation has counted.
+    gaps: Option<u64>,
+    /// Whether the newest block is a silence, which may turn out to be a gap.
+    is_silent: bool,
     self_check: SelfCheckReport,
     alarmed: bool,
 }
@@ -34,6 +41,8 @@ impl Tally {
             level: BTreeMap::new(),
             stops: BTreeMap::new(),
             actuator_blocks: None,
+            gaps: None,
+            is_silent: false,
             self_check: SelfCheckReport {
                 suspect: Suspect::None.name().to_owned(),
                 alarm: Alarm::None.name().to_owned(),
@@ -87,8 +96,9 @@ impl Tally {
         }
     }
 
-    /// Counts blocks that the actuator decided by itself, each once, however often it is repeated.
+    /// Counts blocks that the actuator decided by itself, each once, however often it is repeated, and gaps.
     pub(super) fn actuation(&mut self, actuation: &Actuation) {
+        self.count_gaps(actuation.gaps);
         let reason = BlockReason::try_from(actuation.reason).ok().filter(|reason| {
             actuation.kind == ActuationKind::Block.wire()
                 && !matches!(
@@ -96,10 +106,29 @@ impl Tally {
                     BlockReason::None | BlockReason::Landed | BlockReason::Commanded | BlockReason::Start
                 )
         });
-        if let (Some(name), true) = (reason.map(BlockReason::name), reason != self.actuator_blocks) {
+        let is_new = reason != self.actuator_blocks;
+        if let (Some(name), true) = (reason.map(BlockReason::name), is_new) {
             count(&mut self.stops, name);
         }
+        if is_new || actuation.answers == 1 {
+            self.is_silent = actuation.answers == 0 && reason == Some(BlockReason::NoCommand);
+        }
         self.actuator_blocks = reason;
+    }
+
+    /// Counts gaps between scans. A block that was counted as silence, before a scan showed the gap, is one of them.
+    fn count_gaps(&mut self, gaps: u64) {
+        let new = gaps.saturating_sub(self.gaps.replace(gaps).unwrap_or(gaps));
+        if new == 0 {
+            return;
+        }
+        *self.stops.entry(GAP.to_owned()).or_default() += new;
+        if std::mem::take(&mut self.is_silent)
+            && let Some(silences) = self.stops.get_mut(BlockReason::NoCommand.name())
+        {
+            *silences -= 1;
+            self.stops.retain(|_, count| *count > 0);
+        }
     }
 
     /// The controller's part of the report.
@@ -176,5 +205,20 @@ mod tests {
             tally.actuation(&actuation);
         }
         assert_eq!(tally.stops(), BTreeMap::from([("no_command".to_owned(), 2)]));
+    }
+
+    #[test]
+    fn a_gap_between_scans_counts_under_its_own_name() {
+        let mut tally = Tally::new(false);
+        let block = Actuation { kind: 0, reason: BlockReason::NoCommand.wire(), ..Actuation::default() };
+        let drive = |gaps| Actuation { kind: ActuationKind::Drive.wire(), gaps, ..Actuation::default() };
+        let refused = Actuation { answers: 1, ..block };
+        // A silence, one that a command answers in vain, a gap, and one without a block, as in lock-step.
+        for actuation in
+            [drive(0), block, drive(0), block, refused, drive(0), block, block, drive(1), drive(2)]
+        {
+            tally.actuation(&actuation);
+        }
+        assert_eq!(tally.stops(), BTreeMap::from([("gap".to_owned(), 2), ("no_command".to_owned(), 2)]));
     }
 }

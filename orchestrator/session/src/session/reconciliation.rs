@@ -6,7 +6,7 @@
 use audit::ledger::{RefusedRow, SampleAudit};
 use report::Outcome;
 use runtime::monotonic_ns;
-use shared_types::Rule;
+use shared_types::{Role, Rule};
 use supervision::supervisor::Event;
 
 use super::Session;
@@ -22,6 +22,8 @@ const STALLED_NS: u64 = 100_000_000;
 const RECENT_NS: u64 = 500_000_000;
 /// The same in scans, for long periods.
 const RECENT_SCANS: u64 = 5;
+/// So many late scans of one heartbeat are named, besides the newest.
+const RECENT_LATE_SCANS: u64 = 1_000;
 
 /// The sample audit, and when it is due.
 pub(crate) struct Reconciliation {
@@ -97,7 +99,15 @@ impl Session {
             self.recording.recorder.sample_refused(scan_id, rule);
         }
         for refusal in self.audit.samples.new_refusals() {
-            let RefusedRow { topic, incarnation, reader, newest_scan, .. } = &refusal.row;
+            let RefusedRow { topic, incarnation, reader, newest_scan, count, .. } = &refusal.row;
+            if refusal.writer == Role::Robot && refusal.rule == Rule::TooOld {
+                // No stage takes a scan that comes too late, so its readers alone know why it has no command.
+                let others = count.saturating_sub(1).min(RECENT_LATE_SCANS);
+                for scan_id in newest_scan.saturating_sub(others)..=*newest_scan {
+                    self.recording.recorder.sample_refused(scan_id, refusal.rule);
+                }
+                self.handle(Event::InputsLate { reader: refusal.reader })?;
+            }
             let (role, incarnation) = (refusal.writer, *incarnation);
             let fault = refusal.row.fault();
             let reason = format!("its {topic} for scan {newest_scan} was dropped by {reader}: {fault}");
@@ -121,7 +131,10 @@ impl Session {
         let newest = self.samples.newest_scan();
         let of_writer = |name: &str| Rule::ALL.iter().any(|rule| rule.name() == name && rule.is_of_writer());
         let rows = self.audit.samples.refused().iter();
-        rows.filter(|row| row.newest_scan.saturating_add(recent) >= newest && of_writer(&row.rule))
+        // The robot is the first stage, so no other is to blame for the age of its samples.
+        let is_late = |row: &RefusedRow| row.writer == Role::Robot.name() && row.rule == Rule::TooOld.name();
+        rows.filter(|row| row.newest_scan.saturating_add(recent) >= newest)
+            .filter(|row| of_writer(&row.rule) || is_late(row))
             .map(|row| format!("; {row}"))
             .collect()
     }

@@ -24,7 +24,13 @@ pub(crate) struct Recording {
 }
 
 impl Recording {
-    pub(super) fn new(run_id: &str, scenario: &Scenario, options: &RunOptions, first_scan: u64) -> Self {
+    pub(super) fn new(
+        run_id: &str,
+        scenario: &Scenario,
+        options: &RunOptions,
+        first_scan: u64,
+        period_ns: u64,
+    ) -> Self {
         let info = RunInfo {
             run_id: run_id.to_owned(),
             scenario: scenario.name.clone(),
@@ -32,6 +38,7 @@ impl Recording {
             surroundings: scenario.track.surroundings,
             lockstep: options.lockstep,
             first_scan,
+            period_ns,
             goal_m: [scenario.goal.x_m, scenario.goal.y_m],
         };
         Self {
@@ -56,6 +63,9 @@ impl Recording {
         scan.obstacles.iter().for_each(|obstacles| self.recorder.obstacles(obstacles));
         scan.commands.iter().for_each(|command| self.recorder.command(command));
         self.recorder.truth(&scan.truth);
+        if scan.missing {
+            self.recorder.scan_missing();
+        }
         scan.actuations.iter().for_each(|actuation| self.recorder.actuation(actuation));
     }
 
@@ -89,7 +99,7 @@ mod tests {
         let scenario: Scenario = toml::from_str("").unwrap();
         let options =
             RunOptions { lockstep: true, duration_s: Some(2.0), quiet: true, out: PathBuf::from("/") };
-        let mut recording = Recording::new("run", &scenario, &options, 1);
+        let mut recording = Recording::new("run", &scenario, &options, 1, 100_000_000);
         let truth = |time_s| Truth { time_s, ..Truth::default() };
         assert_eq!(recording.judge(&truth(1.9)), None);
         let (outcome, reason) = recording.judge(&truth(2.0)).unwrap();

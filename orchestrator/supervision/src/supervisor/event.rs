@@ -70,6 +70,11 @@ pub enum Event {
         /// Which sample it was, and what is wrong with it.
         reason: String,
     },
+    /// A reader dropped samples because of their age: it has no inputs for its first output.
+    InputsLate {
+        /// Role of the reader.
+        reader: Role,
+    },
     /// A process of [`super::Supervisor::suspects`] has work to do and does not get a processor.
     Starved {
         /// Its role.

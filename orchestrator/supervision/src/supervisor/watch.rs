@@ -117,6 +117,17 @@ impl Supervisor {
         }
     }
 
+    /// The timeout for the first output of a reader begins anew.
+    pub(super) fn forgive_late_inputs(&mut self, reader: Role) {
+        if let Some(slot) = self.slot(reader)
+            && let Life::Alive(alive) = &mut slot.life
+            && alive.reached >= Some(ProcessState::Connected)
+            && alive.ending.is_none()
+        {
+            alive.start_deadline_ns = None;
+        }
+    }
+
     pub(super) fn starved(&mut self, now_ns: u64, role: Role, incarnation: u32) {
         let Some(slot) = self.slot(role) else { return };
         let again_ns = nanoseconds(slot.policy.hang_after_ms) / 6;

@@ -204,6 +204,12 @@ impl World {
         self.send(Event::Refused { role, incarnation, reader, reason });
     }
 
+    /// A reader drops its inputs because of their age.
+    pub(super) fn inputs_late(&mut self, reader: Role) {
+        self.places[reader.index()].mute_since_ns = None;
+        self.send(Event::InputsLate { reader });
+    }
+
     pub(super) fn progress(&mut self, role: Role) {
         let Some(process) = &self.place(role).process else { return };
         let incarnation = process.incarnation;

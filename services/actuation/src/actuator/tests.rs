@@ -271,6 +271,44 @@ fn silence_that_no_tick_saw_counts_as_well() {
     assert!(turns(&actuator.answer(&drive(6), arrival(6))));
 }
 
+/// A command whose scan was taken `late_ns` later than a regular one.
+fn drive_late(scan: u64, late_ns: u64) -> Command {
+    let mut command = drive(scan);
+    command.header.acquired_ns += late_ns;
+    command
+}
+
+#[test]
+fn a_gap_between_scans_ends_with_the_next_valid_command_and_is_counted() {
+    let gap_ns = 2 * PERIOD_NS;
+    let mut actuator = driving(3);
+    assert_blocked(&actuator.tick(arrival(5)).unwrap(), BlockReason::NoCommand, 0);
+    let refused = Command { verified: 0, ..drive_late(4, gap_ns) };
+    assert_blocked(&actuator.clone().answer(&refused, arrival(4) + gap_ns), BlockReason::InvalidCommand, 1);
+    let actuation = actuator.answer(&drive_late(4, gap_ns), arrival(4) + gap_ns);
+    assert!(turns(&actuation));
+    assert_eq!(actuation.gaps, 1);
+    assert!(turns(&actuator.answer(&drive_late(5, gap_ns), arrival(5) + gap_ns)));
+    // In lock-step no tick sees it.
+    let untold = driving(3).answer(&drive_late(4, gap_ns), arrival(4) + gap_ns);
+    assert_eq!((turns(&untold), untold.gaps), (true, 1));
+}
+
+#[test]
+fn a_silence_that_the_scanner_does_not_explain_is_no_gap() {
+    let gap_ns = 2 * PERIOD_NS;
+    // The scan was there in time, or one between was not answered.
+    for command in [drive(4), drive_late(4, PERIOD_NS), drive_late(5, PERIOD_NS)] {
+        let mut actuator = driving(3);
+        let actuation = actuator.answer(&command, arrival(4) + gap_ns);
+        assert_blocked(&actuation, BlockReason::NoCommand, 1);
+        assert_eq!(actuation.gaps, 0);
+    }
+    // Two periods more are allowed before a command is stale.
+    let on_time = driving(3).answer(&drive_late(4, PERIOD_NS / 2), arrival(4) + PERIOD_NS / 2);
+    assert_eq!((turns(&on_time), on_time.gaps), (true, 0), "a timeout of one and a half periods");
+}
+
 #[test]
 fn refused_commands_do_not_break_the_silence() {
     let mut actuator = driving(3);

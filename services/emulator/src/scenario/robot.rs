@@ -116,7 +116,7 @@ settings! {
         pub gyro_bias_walk_radps: Option<f64> = None, 0.0..=1.0;
         /// Standard deviation of the error of a scan's time stamp [s].
         pub scan_stamp_jitter_s: Option<f64> = None, 0.0..=1.0;
-        /// One scan in this many is missing, at random and not among the first ten; 0 for none.
+        /// One scan in this many is missing, at random: it is published without ranges; 0 for none.
         pub scan_missing_every: Option<u64> = None, 0.0..=1e9;
         /// Position of the scanner ahead of the robot's centre [m].
         pub scanner_x_m: Option<f64> = None, -2.0..=2.0;

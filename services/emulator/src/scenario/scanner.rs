@@ -1,4 +1,4 @@
-//! Faults of the scanner: what it measures wrongly, and which scans come late or not at all.
+//! Faults of the scanner: what it measures wrongly, and which scans come late, irregularly, or without ranges.
 
 use std::f64::consts::PI;
 
@@ -41,21 +41,23 @@ settings! {
         pub stamp_jitter_s: f64 = 0.0, 0.0..=1.0;
         /// Scans, with their odometry, are published this much later, in their order [s].
         pub late_s: f64 = 0.0, 0.0..=MAX_LATE_S;
-        /// One scan in this many is missing, at random and not among the first ten; 0 for none. Of
+        /// Shortest and longest time between two scans; without the key scans are regular. Each scan is delayed against the
+        /// regular time, and follows the one before after the shortest time at the earliest. Nine of ten delays are
+        /// uniform up to a quarter of the longest time minus the scan period, one of ten is up to all of it. So a long
+        /// time is followed by short ones, and the scan period is the mean [s].
+        pub period_s: Option<[f64; 2]> = None, Periods;
+        /// One scan in this many is missing, at random: it is published without ranges; 0 for none. Of
         /// `robot.scan_missing_every` and this, the one that loses more scans acts.
-        pub missing_every: u64 = 0, (0.0..=1e9, "1 only with `to_s`");
+        pub missing_every: u64 = 0, 0.0..=1e9;
     }
 }
 
 impl Scanner {
-    /// Passes when the times are in order and scans come again after all are missing.
+    /// Passes when the times are in order.
     pub(super) fn validate(&self) -> Result<(), Invalid> {
         match self.to_s {
             Some(to_s) if to_s <= self.from_s => {
                 Err(Invalid::new("to_s", to_s, format!("above {}, the time from_s", self.from_s)))
-            }
-            None if self.missing_every == 1 => {
-                Err(Invalid::new("missing_every", 1, "1 only with to_s: without any scan nothing continues"))
             }
             _ => Ok(()),
         }
@@ -69,6 +71,25 @@ impl Scanner {
     /// Until when the faults act [ns].
     pub fn end_ns(&self) -> u64 {
         self.to_s.map_or(u64::MAX, nanoseconds)
+    }
+
+    /// Shortest and longest time between two scans, where they are irregular [ns].
+    pub fn periods_ns(&self) -> Option<[u64; 2]> {
+        self.period_s.map(|periods| periods.map(nanoseconds))
+    }
+
+    /// Passes when the scan period, which is the mean, lies between the shortest and the longest time.
+    ///
+    /// # Errors
+    /// [`Invalid`] with the key, the value and the period.
+    pub fn validate_mean(&self, mean_ns: u64) -> Result<(), Invalid> {
+        match (self.period_s, self.periods_ns()) {
+            (Some([from, to]), Some([shortest, longest])) if !(shortest..=longest).contains(&mean_ns) => {
+                let allowed = format!("one above and one below {}, the scan period", mean_ns as f64 * 1e-9);
+                Err(Invalid::new("period_s", format!("[{from}, {to}]"), allowed).within("scanner"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Whether ranges are repeated at a time [ns].
@@ -85,6 +106,24 @@ impl Scanner {
 
 fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
+}
+
+/// Two times in ascending order.
+struct Periods;
+
+impl Rule<Option<[f64; 2]>> for Periods {
+    fn text(&self) -> String {
+        format!("`[shortest, longest]` from 0.001 to {MAX_LATE_S}; the scan period lies between them")
+    }
+
+    fn require(&self, key: &str, periods: &Option<[f64; 2]>) -> Result<(), Invalid> {
+        match periods {
+            Some([from, to]) if !(*from >= 0.001 && from <= to && *to <= MAX_LATE_S) => {
+                Err(Invalid::new(key, format!("[{from}, {to}]"), self.text()))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Pairs of angles in ascending order.
@@ -150,6 +189,7 @@ mod tests {
     fn messages_name_key_value_and_what_is_allowed() {
         let sectors = "pairs `[from, to]` from -pi to pi, the smaller one first";
         let steps = "pairs `[time, share]`: times from 0 to 1e6 s in ascending order, shares from 0 to 1";
+        let periods = "`[shortest, longest]` from 0.001 to 10; the scan period lies between them";
         let cases = [
             ("from_s = 2\nto_s = 2", "to_s = 2 is not allowed: above 2, the time from_s".to_owned()),
             ("to_s = nan", "to_s = NaN is not allowed: 0 to 1000000".to_owned()),
@@ -178,11 +218,10 @@ mod tests {
             ("late_s = 11", "late_s = 11 is not allowed: 0 to 10".to_owned()),
             ("stuck_s = -1", "stuck_s = -1 is not allowed: 0 to 1000000".to_owned()),
             ("stamp_jitter_s = 2", "stamp_jitter_s = 2 is not allowed: 0 to 1".to_owned()),
-            (
-                "missing_every = 1",
-                "missing_every = 1 is not allowed: 1 only with to_s: without any scan nothing continues"
-                    .to_owned(),
-            ),
+            ("period_s = [0.2, 0.1]", format!("period_s = [0.2, 0.1] is not allowed: {periods}")),
+            ("period_s = [0, 0.1]", format!("period_s = [0, 0.1] is not allowed: {periods}")),
+            ("period_s = [0.1, nan]", format!("period_s = [0.1, NaN] is not allowed: {periods}")),
+            ("period_s = 0.1", "period_s = 0.1 is not allowed: an array of two numbers".to_owned()),
         ];
         for (keys, expected) in cases {
             let error = Scenario::parse(&format!("[scanner]\n{keys}"), "my.toml").unwrap_err();
@@ -202,6 +241,20 @@ mod tests {
     }
 
     #[test]
+    fn the_scan_period_must_lie_between_the_shortest_and_the_longest_time() {
+        let irregular = scanner("period_s = [0.005, 0.255]");
+        for mean_ns in [5_000_000, 100_000_000, 255_000_000] {
+            assert_eq!(irregular.validate_mean(mean_ns), Ok(()));
+        }
+        assert_eq!(
+            irregular.validate_mean(500_000_000).unwrap_err().to_string(),
+            "scanner.period_s = [0.005, 0.255] is not allowed: one above and one below 0.5, the scan period"
+        );
+        assert!(irregular.validate_mean(4_999_999).is_err());
+        assert_eq!(scanner("").validate_mean(1), Ok(()));
+    }
+
+    #[test]
     fn the_share_of_dropouts_is_that_of_the_last_step() {
         let scanner = scanner("dropout_steps = [[1, 0.5], [2, 0.9], [4, 0]]");
         let shares = [0, 999_999_999, 1_000_000_000, 2_000_000_000, 3_999_999_999, 4_000_000_000]
@@ -214,7 +267,7 @@ mod tests {
         let keys = "from_s = 1\nto_s = 9\ndead_rad = [[-0.5, 0.1], [1, 2]]\nstuck_s = 2\n\
                     dropout_steps = [[1, 0.5], [2, 1]]\nrange_factor = 1.1\nrange_offset_m = -0.1\nyaw_rad = 0.05\n\
                     salt = 0.01\ndust = 0.02\nblack_range_m = 1\nstamp_jitter_s = 0.02\nlate_s = 0.05\n\
-                    missing_every = 5";
+                    missing_every = 5\nperiod_s = [0.005, 0.255]";
         let post = "[[obstacle]]\nshape = \"circle\"\nx_m = 5\ny_m = 0\nradius_m = 0.1\nblack = true";
         let scenario = Scenario::parse(&format!("[scanner]\n{keys}\n{post}"), "test").unwrap();
         assert!(scenario.obstacles[0].black && scenario.scanner.dead_rad.len() == 2);

@@ -13,7 +13,7 @@
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector4};
 use shared_types::{BEAMS, Flag, plain_state};
 
-use crate::evidence::snapshot::{Snapshot, expected, normal_at};
+use crate::evidence::snapshot::{Snapshot, Viewpoint, normal_at};
 use crate::points::{Beams, Place, Point};
 
 /// Points farther apart than this are not the same [m].
@@ -82,10 +82,11 @@ impl CalibrationState {
         // Unknowns: factor, offset, angle, factor of the odometry, and its errors along x, along y and in yaw.
         let mut normal = SMatrix::<f64, 7, 7>::zeros();
         let mut right = SVector::<f64, 7>::zeros();
+        let view = Viewpoint::new(beams, earlier.scan(), place);
         let weight = 1.0 / (SHARED * NOISE_M * NOISE_M);
         for (index, point) in earlier.points().iter().enumerate().step_by(2) {
             let Some(direction) = normal_at(earlier.points(), index) else { continue };
-            let Some(found) = matching(beams, now, index_of, point, earlier) else { continue };
+            let Some(found) = matching(&view, now.1, index_of, point) else { continue };
             let residual = direction.dot(&(found.at - point.at));
             let (one, other) = (point.at - place.at, point.at - before.at);
             let across = |ray: Vector2<f64>| Vector2::new(-ray.y, ray.x);
@@ -190,13 +191,12 @@ fn without(matrix: &Matrix4<f64>, fixed: &[usize]) -> Matrix4<f64> {
 
 /// The return that shows what `point` of the earlier scan shows.
 fn matching<'a>(
-    beams: &Beams,
-    (place, points): (&Place, &'a [Point]),
+    view: &Viewpoint<'_>,
+    points: &'a [Point],
     index_of: &[u16],
     point: &Point,
-    earlier: &Snapshot,
 ) -> Option<&'a Point> {
-    let expected = expected(beams, earlier.scan(), place, point)?;
+    let expected = view.expected(point)?;
     let low = index_of[expected.beam.saturating_sub(SEARCH_BEAMS)] as usize;
     let high = index_of[(expected.beam + SEARCH_BEAMS).min(BEAMS - 1)] as usize;
     let nearest = points[low..high.max(low)]

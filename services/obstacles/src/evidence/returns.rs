@@ -2,7 +2,7 @@
 
 use shared_types::{BEAMS, Scan, plain_state};
 
-use crate::evidence::snapshot::{Snapshot, expected, is_surface};
+use crate::evidence::snapshot::{Snapshot, Viewpoint, is_surface};
 use crate::points::{Beams, Place, range_of};
 
 /// Returns predicted from farther away need not come [m].
@@ -32,8 +32,9 @@ impl Returns {
     /// Counts what `scan` makes of the returns of an earlier scan.
     pub(crate) fn count(earlier: &Snapshot, beams: &Beams, scan: &Scan, place: &Place) -> Self {
         let mut counts = Self::default();
+        let view = Viewpoint::new(beams, scan, place);
         for point in earlier.points() {
-            let Some(expected) = expected(beams, scan, place, point) else { continue };
+            let Some(expected) = view.expected(point) else { continue };
             let is_inside = (BESIDE..BEAMS - BESIDE).contains(&expected.beam);
             if !is_inside || expected.range > REACH_M || !is_surface(earlier.scan(), point) {
                 continue;

@@ -7,14 +7,12 @@
 
 use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan};
 
-use crate::evidence::snapshot::{expected, is_surface};
+use crate::evidence::snapshot::{Viewpoint, is_surface};
 use crate::points::{Beams, Place, Point, range_of};
 use vehicle::frame::to_track;
 
 /// Returns predicted from farther away need not come [m].
-const REACH_M: f64 = 5.0;
-/// Walls that are farther away than this need not return anything [m].
-const WALL_REACH_M: f64 = 5.4;
+const REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
 /// Time constant of the counts [s].
@@ -58,8 +56,9 @@ pub(crate) fn compare<'a>(
     points: impl Iterator<Item = &'a Point>,
     (scan, place): (&Scan, &Place),
 ) {
+    let view = Viewpoint::new(beams, scan, place);
     for point in points {
-        let Some(expected) = expected(beams, scan, place, point) else { continue };
+        let Some(expected) = view.expected(point) else { continue };
         let is_inside = (1..BEAMS - 1).contains(&expected.beam) && expected.range < REACH_M;
         if !is_inside || !is_surface(from, point) {
             continue;
@@ -102,7 +101,7 @@ fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize
     let unit = beams.unit(beam);
     let across = to_track(place.yaw, unit.x, unit.y).y;
     let distance = if across > 0.0 { high - place.at.y } else { place.at.y - low };
-    distance > 0.0 && distance < WALL_REACH_M * across.abs()
+    distance > 0.0 && distance < REACH_M * across.abs()
 }
 
 /// The sectors without evidence, one bit each; `share` of all predicted returns come.

@@ -1,8 +1,7 @@
 //! A scan that is kept for comparison, with the pose that it was taken from.
 
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Header, PITCH_RAD, Scan, plain_state};
-use vehicle::frame::to_robot;
+use shared_types::{BEAMS, FRONT_BEAM, PITCH_RAD, Scan, plain_state};
 
 use crate::points::{Beams, Place, Point, range_of};
 
@@ -30,9 +29,9 @@ plain_state! {
 /// A kept scan with its returns placed on the track.
 #[derive(Debug, Clone)]
 pub(crate) struct Snapshot {
-    state: SnapshotState,
     scan: Scan,
     place: Option<Place>,
+    fixed: [u64; WORDS],
     points: Vec<Point>,
 }
 
@@ -48,33 +47,28 @@ pub(crate) struct Expected {
 impl Snapshot {
     /// No scan yet.
     pub(crate) fn empty() -> Self {
-        Self {
-            state: SnapshotState::default(),
-            scan: Scan::default(),
-            place: None,
-            points: Vec::with_capacity(BEAMS),
-        }
+        Self { scan: Scan::default(), place: None, fixed: [0; WORDS], points: Vec::with_capacity(BEAMS) }
     }
 
     /// The scan as plain bytes.
     pub(crate) fn state(&self) -> SnapshotState {
-        self.state
+        self.place.map_or_else(SnapshotState::default, |place| SnapshotState {
+            place: place.to_array(),
+            sweep_ns: self.scan.sweep_ns,
+            fixed: self.fixed,
+            ranges_mm: self.scan.ranges_mm,
+            reserved: 0,
+        })
     }
 
     /// The scan of a state; none where its place is impossible.
     pub(crate) fn resume(&mut self, state: &SnapshotState, beams: &Beams) {
-        let is_sound = state.sweep_ns > 0 && state.place.iter().all(|value| value.abs() < 1e6);
-        if !is_sound {
-            *self = Self::empty();
+        self.clear();
+        if state.sweep_ns == 0 || !state.place.iter().all(|value| value.abs() < 1e6) {
             return;
         }
-        self.state = *state;
-        self.scan = Scan {
-            header: Header::default(),
-            sweep_ns: state.sweep_ns,
-            ranges_mm: state.ranges_mm,
-            ..Scan::default()
-        };
+        (self.scan.sweep_ns, self.scan.ranges_mm, self.fixed) =
+            (state.sweep_ns, state.ranges_mm, state.fixed);
         let place = Place::from_array(state.place);
         beams.place(&self.scan, &place, &mut self.points);
         self.place = Some(place);
@@ -89,31 +83,20 @@ impl Snapshot {
         is_fixed: impl Fn(usize) -> bool,
     ) {
         self.place = Some(*place);
-        self.scan.sweep_ns = scan.sweep_ns;
-        self.scan.ranges_mm = scan.ranges_mm;
+        (self.scan.sweep_ns, self.scan.ranges_mm) = (scan.sweep_ns, scan.ranges_mm);
         self.points.clear();
         self.points.extend_from_slice(points);
-        let mut fixed = [0_u64; WORDS];
+        self.fixed = [0; WORDS];
         for point in points.iter().filter(|point| is_fixed(point.beam)) {
-            fixed[point.beam / 64] |= 1 << (point.beam % 64);
+            self.fixed[point.beam / 64] |= 1 << (point.beam % 64);
         }
-        self.state = SnapshotState {
-            place: place.to_array(),
-            sweep_ns: scan.sweep_ns,
-            fixed,
-            ranges_mm: scan.ranges_mm,
-            reserved: 0,
-        };
     }
 
     /// Forgets the scan.
     pub(crate) fn clear(&mut self) {
-        *self = Self { points: std::mem::take(&mut self.points), ..Self::empty_without_room() };
+        self.place = None;
+        self.fixed = [0; WORDS];
         self.points.clear();
-    }
-
-    fn empty_without_room() -> Self {
-        Self { state: SnapshotState::default(), scan: Scan::default(), place: None, points: Vec::new() }
     }
 
     /// Pose of the scanner, `None` when no scan is kept.
@@ -133,7 +116,7 @@ impl Snapshot {
 
     /// Whether the return of a beam is of something that does not move.
     pub(crate) fn is_fixed(&self, beam: usize) -> bool {
-        self.state.fixed[beam / 64] >> (beam % 64) & 1 == 1
+        self.fixed[beam / 64] >> (beam % 64) & 1 == 1
     }
 
     /// How far the scanner is from where the scan was taken, and how far it has turned [m, rad].
@@ -144,22 +127,48 @@ impl Snapshot {
     }
 }
 
-/// Where a return at `point` is expected in a scan from `place`; `None` when the view has changed too much.
-pub(crate) fn expected(beams: &Beams, scan: &Scan, place: &Place, point: &Point) -> Option<Expected> {
-    let (at, yaw) = place.moved_by(scan.beam_time_s(point.beam));
-    let offset = point.at - at;
-    let seen = to_robot(yaw, offset.x, offset.y);
-    let range = seen.norm();
-    let unit = beams.unit(point.beam);
-    let sine = (unit.x * seen.y - unit.y * seen.x) / range.max(1e-6);
-    if sine.abs() > MAX_TURN || unit.dot(&seen) <= 0.0 {
-        return None;
+/// What a scan would see of points that are known: its pose with sine and cosine of the yaw.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Viewpoint<'a> {
+    beams: &'a Beams,
+    place: &'a Place,
+    /// Time from one beam to the next [s].
+    beam_s: f64,
+    sin: f64,
+    cos: f64,
+}
+
+impl<'a> Viewpoint<'a> {
+    /// The view of a scan from `place`.
+    pub(crate) fn new(beams: &'a Beams, scan: &Scan, place: &'a Place) -> Self {
+        let (sin, cos) = place.yaw.sin_cos();
+        Self { beams, place, beam_s: scan.beam_time_s(FRONT_BEAM + 1), sin, cos }
     }
-    // Series of the arc sine: 1e-3 rad off at the largest turn.
-    let square = sine * sine;
-    let turn = sine * (1.0 + square * (1.0 / 6.0 + square * (0.075 + square * (0.0446 + square * 0.0304))));
-    let beam = point.beam as f64 + (turn / PITCH_RAD).round();
-    (0.0..BEAMS as f64).contains(&beam).then_some(Expected { beam: beam as usize, range })
+
+    /// Where the return at `point` is expected; `None` when the view has changed too much.
+    pub(crate) fn expected(&self, point: &Point) -> Option<Expected> {
+        let time = self.beam_s * (point.beam as f64 - FRONT_BEAM as f64);
+        let (at, turned) = self.place.moved_by(time);
+        let offset = point.at - at;
+        // The turn within a sweep is below 0.1 rad, where the error of the series is 1e-6.
+        let (turn_sin, turn_cos) = (turned - turned * turned * turned / 6.0, 1.0 - turned * turned / 2.0);
+        let (sin, cos) =
+            (self.sin * turn_cos + self.cos * turn_sin, self.cos * turn_cos - self.sin * turn_sin);
+        let seen = Vector2::new(cos * offset.x + sin * offset.y, cos * offset.y - sin * offset.x);
+        let range = seen.norm();
+        let unit = self.beams.unit(point.beam);
+        let sine = (unit.x * seen.y - unit.y * seen.x) / range.max(1e-6);
+        if sine.abs() > MAX_TURN || unit.dot(&seen) <= 0.0 {
+            return None;
+        }
+        // Series of the arc sine: 1e-3 rad off at the largest turn.
+        let square = sine * sine;
+        let turn =
+            sine * (1.0 + square * (1.0 / 6.0 + square * (0.075 + square * (0.0446 + square * 0.0304))));
+        // Rounded to the nearest beam; the sum is positive where the beam exists.
+        let beam = point.beam as f64 + turn * (1.0 / PITCH_RAD) + 0.5;
+        (0.0..BEAMS as f64).contains(&beam).then_some(Expected { beam: beam as usize, range })
+    }
 }
 
 /// Whether the returns around a beam have about the same range, so that it shows a surface and no edge.
@@ -171,7 +180,7 @@ pub(crate) fn is_surface(scan: &Scan, point: &Point) -> bool {
         .all(|range| (range - point.range).abs() < 0.1 + 0.1 * point.range)
 }
 
-/// Distance of two points along the surface normal at the first, and the normal; `None` without a surface.
+/// Normal of the surface at a return; `None` at an edge, a corner, or a return that stands alone.
 pub(crate) fn normal_at(points: &[Point], index: usize) -> Option<Vector2<f64>> {
     let reach = 3;
     let (low, high) = (index.saturating_sub(reach), (index + reach).min(points.len().saturating_sub(1)));

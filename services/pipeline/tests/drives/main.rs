@@ -3,6 +3,7 @@
 
 mod gaps;
 mod presets;
+mod scanner;
 mod seeds;
 mod stopping;
 

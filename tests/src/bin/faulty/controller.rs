@@ -2,7 +2,7 @@
 
 use nmpc::{Budget, Controller};
 use runtime::{Process, join};
-use shared_types::{Command, CommandKind, Obstacles, Pose, Role, StopReason};
+use shared_types::{Command, CommandKind, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
 use crate::Outcome;
 
@@ -27,6 +27,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
             }
             if fault == "careless" {
                 pose.alarm = 0;
+                obstacles.scanner = ScannerHealth::healthy(5.0);
             }
             let mut command = controller.step(&pose, &obstacles, &budget);
             match fault {

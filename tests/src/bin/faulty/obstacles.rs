@@ -1,11 +1,14 @@
 //! Obstacle detectors with a fault.
 
-use runtime::{Process, join};
-use shared_types::{Obstacles, Pose, Role, Scan};
+use std::error::Error;
+
+use runtime::{Input, Process, join};
+use shared_types::{MIN_RANGE_MM, Obstacle, Obstacles, Pose, Role, Scan, ScannerHealth, ScannerState};
 
 use crate::Outcome;
 
-/// Faults: `small`, `phantom`, `needs-returns`, `far-first`, `renumbers`, `forgets`, `unpaired`.
+/// Faults: `small`, `phantom`, `needs-returns`, `far-first`, `renumbers`, `forgets`, `unpaired`, `trusting`, `timid`,
+/// `unforgiving`, `needs-scans`, `keeps`, `travels`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Obstacles)?;
     let mut detector = obstacles::ObstacleDetector::new(process.settings::<obstacles::Config>("obstacles")?)?;
@@ -15,44 +18,93 @@ pub(crate) fn run(fault: &str) -> Outcome {
     if !process.start()? {
         return Ok(());
     }
-    let (mut last, mut count) = (Pose::default(), 0);
+    let mut last = Pose::default();
+    let mut memory = Memory::default();
     while process.wait(None)? {
-        let mut pairs = Vec::new();
-        if fault == "unpaired" {
-            while let Some(pose) = poses.take() {
-                last = *pose;
-            }
-            while let Some(scan) = scans.take() {
-                pairs.push((*scan, last));
-            }
-        } else {
-            while let Some((scan, pose)) = join(&scans, &poses) {
-                pairs.push((*scan, *pose));
-            }
-        }
-        for (scan, pose) in pairs {
-            if fault == "needs-returns" && scan.ranges_mm.iter().all(|range| *range == 0) {
+        for (scan, pose) in pairs(fault, &scans, &poses, &mut last)? {
+            let has_returns = scan.ranges_mm.iter().any(|range| *range >= MIN_RANGE_MM);
+            if fault == "needs-returns" && !has_returns || fault == "needs-scans" && scan.missing.is_set() {
                 continue;
             }
             let mut description = detector.step(&scan, &pose);
-            count += 1;
-            spoil(fault, &mut description, count);
+            memory.see(&scan, &pose, &description);
+            spoil(fault, &mut description, &mut memory);
             output.publish(&mut description)?;
         }
     }
     Ok(())
 }
 
-fn spoil(fault: &str, description: &mut Obstacles, count: u32) {
+/// Scans with their poses; `unpaired` takes the newest pose.
+fn pairs(
+    fault: &str,
+    scans: &Input<Scan>,
+    poses: &Input<Pose>,
+    last: &mut Pose,
+) -> Result<Vec<(Scan, Pose)>, Box<dyn Error>> {
+    let mut pairs = Vec::new();
+    if fault == "unpaired" {
+        while let Some(pose) = poses.take() {
+            *last = *pose;
+        }
+        while let Some(scan) = scans.take() {
+            pairs.push((*scan, *last));
+        }
+    } else {
+        while let Some((scan, pose)) = join(scans, poses) {
+            pairs.push((*scan, *pose));
+        }
+    }
+    Ok(pairs)
+}
+
+/// What faults depend on.
+#[derive(Default)]
+struct Memory {
+    count: u32,
+    /// The scan before, and the way since its ranges were new [m].
+    ranges_mm: Vec<u16>,
+    x_m: f64,
+    way_m: f64,
+    /// All ellipses that were ever reported.
+    known: Vec<Obstacle>,
+    /// The last state that stopped the robot.
+    stopped: Option<ScannerState>,
+}
+
+impl Memory {
+    fn see(&mut self, scan: &Scan, pose: &Pose, description: &Obstacles) {
+        self.count += 1;
+        if self.ranges_mm != scan.ranges_mm {
+            (self.ranges_mm, self.x_m) = (scan.ranges_mm.to_vec(), pose.x_m);
+        }
+        self.way_m = pose.x_m - self.x_m;
+        for item in description.list() {
+            if self.known.iter().all(|known| known.id != item.id) {
+                self.known.push(*item);
+            }
+        }
+        let state = description.scanner.state();
+        self.stopped = if state.is_stop() { Some(state) } else { self.stopped };
+    }
+}
+
+fn spoil(fault: &str, description: &mut Obstacles, memory: &mut Memory) {
     let mut list = description.list().to_vec();
+    let health = &mut description.scanner;
     match fault {
         "small" => list.iter_mut().for_each(|item| (item.a_m, item.b_m) = (0.1, 0.1)),
         "phantom" if list.is_empty() => {
-            list.push(shared_types::Obstacle { id: 1, a_m: 1.0, b_m: 1.0, ..Default::default() });
+            list.push(Obstacle { id: 1, a_m: 1.0, b_m: 1.0, ..Obstacle::default() });
         }
         "far-first" => list.reverse(),
-        "renumbers" => list.iter_mut().for_each(|item| item.id += 100 * count),
+        "renumbers" => list.iter_mut().for_each(|item| item.id += 100 * memory.count),
         "forgets" => list.retain(|item| item.unseen_s == 0.0),
+        "keeps" => list.clone_from(&memory.known),
+        "travels" => list.iter_mut().for_each(|item| item.x_m += memory.way_m),
+        "trusting" => *health = ScannerHealth::healthy(5.0),
+        "timid" if health.valid_share < 0.3 => health.state = ScannerState::Blind.wire(),
+        "unforgiving" => health.state = memory.stopped.map_or(health.state, ScannerState::wire),
         _ => {}
     }
     description.items = Default::default();

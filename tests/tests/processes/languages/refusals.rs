@@ -76,7 +76,7 @@ const VERSIONS: [Version; 9] = [
     },
     Version {
         role: Role::Actuator,
-        changes: &[("uint32_t state;", "uint64_t state;")],
+        changes: &[("uint32_t state; /* State that", "uint64_t state; /* State that")],
         message: "topic heartbeat: field state is of type u64 in this process, u32 in the system",
     },
     Version {

@@ -36,7 +36,14 @@ fn begun(lockstep: bool) -> Swaps {
 fn scan_record(scan: u64) -> ScanRecord {
     let truth = Truth { header: Header { scan_id: scan, ..Header::default() }, ..Truth::default() };
     let actuations = vec![Actuation { answers: 1, ..Actuation::default() }];
-    ScanRecord { truth, poses: Vec::new(), obstacles: Vec::new(), commands: Vec::new(), actuations }
+    ScanRecord {
+        truth,
+        poses: Vec::new(),
+        obstacles: Vec::new(),
+        commands: Vec::new(),
+        actuations,
+        missing: false,
+    }
 }
 
 /// Both processes answer a scan alike, and it is recorded.

@@ -48,6 +48,18 @@ fn a_process_whose_outputs_are_dropped_is_ended_for_them_and_its_reader_is_not()
 }
 
 #[test]
+fn a_process_whose_inputs_all_come_too_late_is_not_ended_for_its_silence() {
+    let mut world = with_a_new_reader();
+    for _ in 0..5 {
+        watch(&mut world, 90);
+        world.inputs_late(Role::Obstacles);
+    }
+    assert_eq!(killed(&world), []);
+    watch(&mut world, 101);
+    assert_eq!(killed(&world), [Role::Obstacles], "they come in time now");
+}
+
+#[test]
 fn a_reader_that_had_a_valid_input_after_all_ends_the_blame() {
     let mut world = with_a_new_reader();
     world.refuse(Role::Estimator, Role::Obstacles);
