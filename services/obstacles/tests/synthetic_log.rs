@@ -6,6 +6,8 @@
 
 mod scene;
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::Vector2;
 use obstacles::{Config, ObstacleDetector};
 use scene::{Body, Robot, Scene, block};
@@ -23,14 +25,14 @@ const COURSE: [[f64; 3]; 21] = [
     [0.0, 0.8, 1.9635],
     // Through the second door.
     [0.5, 0.0, 6.5],
-    [0.0, -1.0, 1.5708],
+    [0.0, -1.0, FRAC_PI_2],
     [0.0, 0.0, 5.0],
-    [0.0, -1.0, 1.5708],
+    [0.0, -1.0, FRAC_PI_2],
     [0.0, 0.0, 2.0],
     [0.85, 0.0, 2.35],
     [0.0, 0.0, 1.2],
     [0.3, 0.0, 5.5],
-    [0.0, -1.0, 1.5708],
+    [0.0, -1.0, FRAC_PI_2],
     [0.5, 0.0, 8.0],
     [0.0, -0.4, 3.927],
     // Back through the first door.
