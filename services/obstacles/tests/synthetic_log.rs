@@ -43,7 +43,7 @@ const COURSE: [[f64; 3]; 21] = [
 /// Where the way begins [m].
 const START: (f64, f64) = (-2.0, -0.5);
 /// What the odometry reports of ways and turns.
-const ODOMETRY: (f64, f64) = (1.01, 0.98);
+const ODOMETRY: (f64, f64) = (1.02, 0.94);
 /// Times at which a scan comes late, with the next ones too early and repeated; the rover rests [s].
 const HICCUPS_S: [f64; 2] = [19.0, 42.5];
 /// Error codes and how many of 10,000 beams without a return carry them.
@@ -253,12 +253,13 @@ fn the_log_has_the_statistics_of_the_recording() {
 fn a_healthy_scanner_with_the_statistics_of_the_recording_is_never_blind_stuck_or_contradictory() {
     for seed in 1..=4 {
         let mut detector = ObstacleDetector::new(Config::default()).unwrap();
-        let mut states = [0_usize; 5];
+        let (mut states, mut lowest) = ([0_usize; 5], 1.0_f64);
         for (index, row) in log(seed).iter().enumerate() {
             let health = detector.step(&row.scan, &row.pose).scanner;
             states[health.state().wire() as usize] += 1;
+            lowest = lowest.min(health.returned_share);
             assert!(!health.state().is_stop(), "seed {seed}, scan {index}: {health}");
         }
-        eprintln!("seed {seed}: {states:?}");
+        eprintln!("seed {seed}: {states:?}, at least {lowest:.2} of the predicted returns");
     }
 }
