@@ -1,5 +1,7 @@
 //! What the description of obstacles can rely on: the health of the scanner.
 
+use std::fmt;
+
 use crate::describe::layout;
 use crate::fault::finite;
 use crate::named::wire_enum;
@@ -9,6 +11,9 @@ use crate::{BEAMS, Fault};
 pub const SECTOR_BEAMS: usize = 11;
 /// Number of sectors of evidence, as many as have a bit in [`ScannerHealth::unseen_sectors`].
 pub const SECTORS: usize = BEAMS / SECTOR_BEAMS;
+
+/// Errors of factor, offset [m] and mounting angle [rad] that are named where the ranges contradict the motion.
+const NAMED: [f64; 3] = [0.07, 0.12, 0.1];
 
 const _: () = assert!(SECTORS * SECTOR_BEAMS == BEAMS && SECTORS <= 64);
 
@@ -72,6 +77,20 @@ impl ScannerHealth {
         ScannerState::try_from(self.state).unwrap_or(ScannerState::Blind)
     }
 
+    /// Which error of the ranges contradicts the motion most, with its figure.
+    fn contradiction(&self) -> String {
+        let errors = [self.range_factor - 1.0, self.range_offset_m, self.yaw_error_rad];
+        let relative: [f64; 3] = std::array::from_fn(|index| (errors[index] / NAMED[index]).abs());
+        let largest = relative.into_iter().fold(1.0, f64::max);
+        let factor = self.range_factor;
+        match relative.iter().position(|error| *error >= largest) {
+            Some(0) => format!("ranges {factor:.2} times the true ones by the motion"),
+            Some(1) => format!("ranges {:+.2} m off the true ones by the motion", self.range_offset_m),
+            Some(_) => format!("turned by {:+.2} rad by the motion", self.yaw_error_rad),
+            None => "ranges differ from those that earlier scans predict".to_owned(),
+        }
+    }
+
     /// Passes when all numbers are possible.
     pub(crate) fn check(&self) -> Result<(), Fault> {
         if ScannerState::try_from(self.state).is_err() {
@@ -95,9 +114,57 @@ impl ScannerHealth {
     }
 }
 
+impl fmt::Display for ScannerHealth {
+    /// The state with the figures that explain it, like `blind: no new ranges for 0.4 s`.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let state = self.state();
+        write!(formatter, "{state}: ")?;
+        match state {
+            ScannerState::Blind if self.blind_s > 0.0 => {
+                write!(formatter, "no new ranges for {:.1} s", self.blind_s)
+            }
+            ScannerState::Stuck => {
+                write!(formatter, "the same ranges in {} more scans", self.identical_scans)
+            }
+            ScannerState::Contradictory => write!(formatter, "{}", self.contradiction()),
+            ScannerState::Healthy | ScannerState::Degraded | ScannerState::Blind => write!(
+                formatter,
+                "{:.0} % of the predicted returns come, {} of {SECTORS} sectors without evidence, {:.1} m seen ahead",
+                100.0 * self.returned_share,
+                self.unseen_sectors.count_ones(),
+                self.seen_ahead_m
+            ),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_state_is_explained_by_its_figures() {
+        let of = |state: ScannerState| ScannerHealth { state: state.wire(), ..ScannerHealth::healthy(1.2) };
+        let blind = ScannerHealth { blind_s: 0.44, ..of(ScannerState::Blind) };
+        assert_eq!(blind.to_string(), "blind: no new ranges for 0.4 s");
+        let degraded =
+            ScannerHealth { returned_share: 0.34, unseen_sectors: 0b110, ..of(ScannerState::Degraded) };
+        assert_eq!(
+            degraded.to_string(),
+            "degraded: 34 % of the predicted returns come, 2 of 62 sectors without evidence, 1.2 m seen ahead"
+        );
+        let stuck = ScannerHealth { identical_scans: 7, ..of(ScannerState::Stuck) };
+        assert_eq!(stuck.to_string(), "stuck: the same ranges in 7 more scans");
+        let wrong = |range_factor, range_offset_m, yaw_error_rad| {
+            let health = of(ScannerState::Contradictory);
+            ScannerHealth { range_factor, range_offset_m, yaw_error_rad, ..health }.to_string()
+        };
+        let text = "contradictory: ranges";
+        assert_eq!(wrong(1.36, 0.2, 0.1), format!("{text} 1.36 times the true ones by the motion"));
+        assert_eq!(wrong(1.01, -0.2, 0.1), format!("{text} -0.20 m off the true ones by the motion"));
+        assert_eq!(wrong(0.95, 0.0, 0.3), "contradictory: turned by +0.30 rad by the motion");
+        assert_eq!(wrong(1.06, 0.1, 0.09), format!("{text} differ from those that earlier scans predict"));
+    }
 
     #[test]
     fn an_unknown_state_and_a_share_above_one_are_refused() {

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use runtime::{Priority, show_live_line, start_terminal};
-use shared_types::{Blocking, Role};
+use shared_types::{Blocking, Role, ScannerHealth};
 
 /// Width of a plain line.
 pub const COLUMNS: usize = 100;
@@ -38,6 +38,8 @@ pub struct View {
     pub lockstep: bool,
     /// The obstacle that the wheels are blocked for.
     pub blocking: Option<Blocking>,
+    /// The scanner that the wheels are blocked for.
+    pub scanner: Option<ScannerHealth>,
 }
 
 /// The name of the state of one process.
@@ -193,6 +195,9 @@ fn figures(view: &View) -> String {
     if let Some(blocking) = &view.blocking {
         return format!("{goal}  blocked by {blocking}");
     }
+    if let Some(scanner) = &view.scanner {
+        return format!("{goal}  scanner {scanner}");
+    }
     format!("{goal}  {:.2} m/s  {:+.3} rad  {reaction}", view.speed_mps, view.steering_rad)
 }
 
@@ -223,6 +228,7 @@ mod tests {
         reaction_ms: Some([1.84, 2.91]),
         lockstep: false,
         blocking: None,
+        scanner: None,
     };
 
     #[test]
@@ -260,6 +266,13 @@ mod tests {
             let text = line(&view, &processes("ready"), columns);
             assert!(text.starts_with(expected), "{text}");
         }
+    }
+
+    #[test]
+    fn a_stop_for_the_scanner_is_explained() {
+        let scanner = ScannerHealth { state: 2, blind_s: 0.4, ..ScannerHealth::default() };
+        let text = line(&View { scanner: Some(scanner), ..VIEW }, &processes("ready"), TERMINAL_COLUMNS);
+        assert!(text.starts_with("goal 7.46 m  scanner blind: no new ranges for 0.4 s"), "{text}");
     }
 
     #[test]

@@ -8,6 +8,7 @@
 
 mod margins;
 mod rows;
+mod scanner;
 mod tally;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -15,11 +16,14 @@ use std::collections::{BTreeMap, VecDeque};
 use audit::ledger::{Ledger, ScanReport};
 use console::progress::View;
 use handover::swap::Certificate;
-use shared_types::{Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, Truth};
+use shared_types::{
+    Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, ScannerHealth, StopReason, Truth,
+};
 use vehicle::Surroundings;
 
 use self::margins::Margins;
 use self::rows::{Estimate, Rows};
+use self::scanner::Scanner;
 use self::tally::Tally;
 use crate::latency::{self, Latencies};
 use crate::picture::{Drive, Ellipse, Moment};
@@ -80,6 +84,7 @@ pub struct Recorder {
     rows: Rows,
     tally: Tally,
     margins: Margins,
+    scanner: Scanner,
     /// The obstacle of the last stop, and whether the newest command is that stop.
     blocking: Option<(Blocking, bool)>,
     truth: Option<Truth>,
@@ -102,6 +107,7 @@ impl Recorder {
             info,
             rows: Rows::default(),
             margins: Margins::default(),
+            scanner: Scanner::default(),
             blocking: None,
             truth: None,
             pose: None,
@@ -160,6 +166,7 @@ impl Recorder {
 
     /// The obstacles described for a scan.
     pub fn obstacles(&mut self, obstacles: &Obstacles) {
+        self.scanner.add(obstacles.scanner);
         for item in obstacles.list() {
             let ellipse = Ellipse { x_m: item.x_m, y_m: item.y_m, a_m: item.a_m, b_m: item.b_m };
             self.ellipses.insert(item.id, ellipse);
@@ -173,6 +180,7 @@ impl Recorder {
     pub fn command(&mut self, command: &Command) {
         self.tally.command(command);
         self.margins.command(command);
+        self.scanner.stops = command.reason == StopReason::Scanner.wire();
         let last = self.blocking.map(|(blocking, _)| (blocking, false));
         self.blocking = command.stopped_for().map(|blocking| (blocking, true)).or(last);
     }
@@ -180,6 +188,16 @@ impl Recorder {
     /// The obstacle that the newest command blocks the wheels for.
     pub fn stopped_for(&self) -> Option<Blocking> {
         self.blocking.and_then(|(blocking, is_now)| is_now.then_some(blocking))
+    }
+
+    /// The newest state of the scanner, if any.
+    pub fn scanner(&self) -> Option<ScannerHealth> {
+        self.scanner.newest
+    }
+
+    /// The scanner that the newest command blocks the wheels for.
+    pub fn stopped_for_scanner(&self) -> Option<ScannerHealth> {
+        self.scanner.newest.filter(|_| self.scanner.stops)
     }
 
     /// What was sent to the robot.
@@ -245,6 +263,7 @@ impl Recorder {
             reaction_ms,
             lockstep: self.info.lockstep,
             blocking: self.stopped_for(),
+            scanner: self.stopped_for_scanner(),
         }
     }
 
@@ -276,6 +295,7 @@ impl Recorder {
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
             margin_m: self.margins.means(),
+            scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),
             controller: self.tally.controller(),
@@ -352,7 +372,7 @@ impl Recorder {
 mod tests {
     use super::*;
     use crate::latency::tests::chain;
-    use shared_types::{Header, Obstacle, StopReason};
+    use shared_types::{Header, Obstacle, ScannerState};
 
     fn info(lockstep: bool) -> RunInfo {
         RunInfo {
@@ -478,6 +498,21 @@ mod tests {
         let report = recorder.report(&RunResult::default());
         assert_eq!(report.blocking, Some(blocking.into()));
         assert_eq!(drive(true).report(&RunResult::default()).blocking, None);
+    }
+
+    #[test]
+    fn a_stop_for_the_scanner_is_shown_with_its_state_while_it_lasts() {
+        let mut recorder = drive(true);
+        let scanner = ScannerHealth { state: ScannerState::Stuck.wire(), ..ScannerHealth::healthy(0.0) };
+        let obstacles = Obstacles { scanner, ..Obstacles::default() };
+        recorder.obstacles(&obstacles);
+        assert_eq!((recorder.stopped_for_scanner(), recorder.view().scanner), (None, None));
+        recorder.command(&Command { reason: StopReason::Scanner.wire(), ..Command::default() });
+        assert_eq!(recorder.stopped_for_scanner(), Some(obstacles.scanner));
+        assert_eq!(recorder.view().scanner, Some(obstacles.scanner));
+        recorder.command(&Command { reason: StopReason::Blocked.wire(), ..Command::default() });
+        assert_eq!((recorder.stopped_for_scanner(), recorder.scanner()), (None, Some(obstacles.scanner)));
+        assert_eq!(recorder.report(&RunResult::default()).scanner.stuck_scans, 1);
     }
 
     #[test]

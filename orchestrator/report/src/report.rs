@@ -21,7 +21,7 @@ use vehicle::Surroundings;
 
 use self::write::join_leaves;
 
-pub use self::parts::{BlockingReport, Difference, MarginReport};
+pub use self::parts::{BlockingReport, Difference, MarginReport, ScannerReport, ScannerStatus};
 pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -64,6 +64,8 @@ pub struct Report {
     pub drive: DriveReport,
     /// The clearance that the driven plans kept, by its parts [m].
     pub margin_m: MarginReport,
+    /// How the scanner was.
+    pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.
     pub blocking: Option<BlockingReport>,
     /// Where the scenario differs from the description of the robot.
@@ -352,6 +354,11 @@ mod tests {
             "/margin_m/latency",
             "/margin_m/model",
             "/margin_m/perception",
+            "/scanner/valid_share",
+            "/scanner/stuck_scans",
+            "/scanner/degraded_scans",
+            "/scanner/blind_scans",
+            "/scanner/contradictory_scans",
             "/blocking",
             "/differences/0/key",
             "/differences/0/truth",

@@ -8,7 +8,7 @@ use figures::Figures;
 use crate::latency::STAGES;
 use crate::report::{
     DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
-    SelfCheckReport,
+    ScannerReport, SelfCheckReport,
 };
 
 /// The summary of a run; `folder` is where its files are, if any were written.
@@ -19,6 +19,10 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     rows.push(("clearance", clearance(&report.drive)));
     if report.margin_m.sum() > 0.0 {
         rows.push(("margin", report.margin_m.to_string()));
+    }
+    let ScannerReport { valid_share, .. } = report.scanner;
+    if report.scanner != (ScannerReport { valid_share, ..ScannerReport::default() }) {
+        rows.push(("scanner", report.scanner.to_string()));
     }
     rows.push(("estimate error", estimate_error(&report.drive)));
     rows.push(("scans", scans(&report.scans)));
@@ -272,6 +276,15 @@ files           out/corridor
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }
+    }
+
+    #[test]
+    fn a_scanner_that_was_not_always_healthy_has_a_row() {
+        let of = |scanner| text(&Report { scanner, ..report() }, None);
+        let healthy = ScannerReport { valid_share: 0.88, ..ScannerReport::default() };
+        assert!(!of(healthy).contains("scanner"));
+        let text = of(ScannerReport { blind_scans: 12, ..healthy });
+        assert!(text.contains("scanner         88.0 % of beams valid, 12 scans blind\n"), "{text}");
     }
 
     #[test]

@@ -55,7 +55,8 @@ pub enum Command {
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     ///
     /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
-    /// needs. JSON keys: `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `processes`, `refused`.
+    /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. JSON keys:
+    /// `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `scanner`, `processes`, `refused`.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]

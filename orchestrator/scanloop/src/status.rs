@@ -7,7 +7,7 @@ use console::note;
 use runtime::{Domain, RuntimeError};
 use session::control::{Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
-use shared_types::Role;
+use shared_types::{Role, ScannerState};
 
 use crate::print_json;
 
@@ -41,10 +41,13 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 fn table(status: &Status) -> String {
     let Status { system_id, state, scenario, scan, .. } = status;
     let blocking = status.blocking.map(|blocking| format!("stopped: blocked by {blocking}\n"));
+    let scanner = status.scanner.as_ref().filter(|scanner| scanner.state != ScannerState::Healthy.name());
+    let scanner = scanner.map(|scanner| format!("scanner {}\n", scanner.explanation));
     let mut text = format!(
-        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n{}\
+        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n{}{}\
          {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
         blocking.unwrap_or_default(),
+        scanner.unwrap_or_default(),
         "role",
         "implementation",
         "pid",
@@ -85,7 +88,33 @@ fn table(status: &Status) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use report::BlockingReport;
+    use report::{BlockingReport, ScannerStatus};
+    use shared_types::ScannerHealth;
+
+    #[test]
+    fn a_scanner_that_is_not_healthy_has_a_line_of_its_own() {
+        let status = |health: ScannerHealth| Status { scanner: Some(health.into()), ..Status::default() };
+        let healthy = ScannerHealth::healthy(5.0);
+        assert!(!table(&status(healthy)).contains("scanner "));
+        let wrong = ScannerHealth {
+            state: ScannerState::Contradictory.wire(),
+            range_factor: 1.36,
+            seen_ahead_m: 0.0,
+            ..healthy
+        };
+        let expected = "scanner contradictory: ranges 1.36 times the true ones by the motion";
+        assert_eq!(table(&status(wrong)).lines().nth(1), Some(expected));
+        let json: serde_json::Value = serde_json::to_value(status(wrong)).unwrap();
+        let keys = serde_json::json!({
+            "state": "contradictory",
+            "explanation": expected.strip_prefix("scanner ").unwrap(),
+            "valid_share": 1.0,
+            "returned_share": 1.0,
+            "seen_ahead_m": 0.0,
+        });
+        assert_eq!(json["scanner"], keys);
+        assert_eq!(ScannerStatus::from(healthy).state, "healthy");
+    }
 
     #[test]
     fn a_stop_for_an_obstacle_has_a_line_of_its_own() {

@@ -16,7 +16,7 @@ use anyhow::Context;
 use audit::ledger::RefusedRow;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
-use report::BlockingReport;
+use report::{BlockingReport, ScannerStatus};
 use runtime::{Domain, RuntimeError, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -74,6 +74,9 @@ pub struct Status {
     /// The obstacle that the wheels are blocked for now.
     #[serde(default)]
     pub blocking: Option<BlockingReport>,
+    /// The state of the scanner, once obstacles are described.
+    #[serde(default)]
+    pub scanner: Option<ScannerStatus>,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.

@@ -68,8 +68,9 @@ pub fn status(domain: &Domain) -> Option<Status> {
         scan,
         // A run in lock-step does not move without an orchestrator.
         lockstep: false,
-        // No process records the drive, so the obstacle of a stop is not known.
+        // No process records the drive, so neither the obstacle of a stop nor the scanner is known.
         blocking: None,
+        scanner: None,
         processes,
         refused: Vec::new(),
     })

@@ -274,15 +274,19 @@ impl Session {
             let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
             let reason = match is_explained {
                 true => reason.to_owned(),
-                false => reason.to_owned() + &self.named_obstacle(reason) + &self.blame(),
+                false => reason.to_owned() + &self.named_cause(reason) + &self.blame(),
             };
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
         }
     }
 
-    /// The obstacle that the wheels are blocked for now, as a continuation of the reason for the end of a run.
-    fn named_obstacle(&self, reason: &str) -> String {
+    /// The obstacle or the scanner that the wheels are blocked for now, as a continuation of the reason for the end.
+    fn named_cause(&self, reason: &str) -> String {
+        if let Some(scanner) = self.recording.recorder.stopped_for_scanner() {
+            let start = if reason.ends_with(StopReason::Scanner.name()) { "" } else { "; scanner" };
+            return format!("{start} {scanner}");
+        }
         let start = if reason.ends_with(StopReason::Blocked.name()) { " by" } else { "; blocked by" };
         let blocking = self.recording.recorder.stopped_for();
         blocking.map_or_else(String::new, |blocking| format!("{start} {blocking}"))

@@ -2,7 +2,7 @@
 
 use ocp::Budget;
 use runtime::{Handover, Process, join, monotonic_ns};
-use shared_types::{Blocking, Command, Obstacles, Pose, Role};
+use shared_types::{Blocking, Command, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
 use crate::config::Config;
 use crate::controller::Controller;
@@ -50,21 +50,22 @@ pub fn run() -> anyhow::Result<()> {
             let mut command = controller.step(&pose, &obstacles, &budget);
             command.solve_ns = if simulated { 0 } else { monotonic_ns() - started_ns };
             commands.publish(&mut command)?;
-            stop.follow(&command);
+            stop.follow(&command, &obstacles.scanner);
             process.save(&command.header, &controller.state())?;
         }
     }
     Ok(())
 }
 
-/// Logs when a stop for an obstacle begins and when it ends.
+/// Logs when a stop for an obstacle or for the scanner begins and when it ends.
 #[derive(Debug, Default)]
 struct StopLog {
     stopped_for: Option<Blocking>,
+    scanner_stops: bool,
 }
 
 impl StopLog {
-    fn follow(&mut self, command: &Command) {
+    fn follow(&mut self, command: &Command, scanner: &ScannerHealth) {
         let scan_id = command.header.scan_id;
         match (self.stopped_for, command.stopped_for()) {
             (None, Some(blocking)) => tracing::warn!("scan {scan_id}: stopped: blocked by {blocking}"),
@@ -72,5 +73,12 @@ impl StopLog {
             _ => {}
         }
         self.stopped_for = command.stopped_for();
+        let scanner_stops = command.reason == StopReason::Scanner.wire();
+        match (self.scanner_stops, scanner_stops) {
+            (false, true) => tracing::warn!("scan {scan_id}: stopped: scanner {scanner}"),
+            (true, false) => tracing::info!("scan {scan_id}: no longer stopped for the scanner"),
+            _ => {}
+        }
+        self.scanner_stops = scanner_stops;
     }
 }

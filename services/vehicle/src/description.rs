@@ -58,7 +58,7 @@ settings! {
         pub sudden_m: f64 = 1.2, 0.1..=100.0;
         /// What the scanner sees where the track is empty; without the key `track.surroundings` of the scenario holds.
         pub surroundings: Surroundings = Surroundings::Hall;
-        /// Largest velocity in open surroundings, where a blind scanner is not detected [m/s].
+        /// Largest velocity in open surroundings, where a blind scanner is not detected, and with a degraded one [m/s].
         pub careful_mps: f64 = 0.3, 0.05..=2.0;
     }
 }

@@ -1,10 +1,10 @@
-//! Small parts of the report: margins, the obstacle of a stop, differences between scenario and description.
+//! Small parts of the report: margins, the scanner, the obstacle of a stop, differences between scenario and description.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use shared_types::Blocking;
+use shared_types::{Blocking, ScannerHealth};
 
 /// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -37,6 +37,64 @@ impl fmt::Display for MarginReport {
         let parts = [("base", base), ("pose", pose), ("latency", latency), ("model", model)];
         parts.iter().try_for_each(|(name, part)| write!(formatter, "{name} {:.1} + ", 100.0 * **part))?;
         write!(formatter, "perception {:.1}", 100.0 * perception)
+    }
+}
+
+/// How the scanner was, by the evidence of the obstacle description (docs/obstacles.md).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ScannerReport {
+    /// Mean share of the window's beams with a valid range; a missing scan has none.
+    pub valid_share: f64,
+    /// Scans in the state `degraded`.
+    pub degraded_scans: u64,
+    /// Scans in the state `blind`.
+    pub blind_scans: u64,
+    /// Scans in the state `stuck`.
+    pub stuck_scans: u64,
+    /// Scans in the state `contradictory`.
+    pub contradictory_scans: u64,
+}
+
+impl fmt::Display for ScannerReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { valid_share, degraded_scans, blind_scans, stuck_scans, contradictory_scans } = *self;
+        write!(formatter, "{:.1} % of beams valid", 100.0 * valid_share)?;
+        let counts = [
+            (degraded_scans, "degraded"),
+            (blind_scans, "blind"),
+            (stuck_scans, "stuck"),
+            (contradictory_scans, "contradictory"),
+        ];
+        let mut seen = counts.iter().filter(|(count, _)| *count > 0);
+        seen.try_for_each(|(count, state)| write!(formatter, ", {count} scans {state}"))
+    }
+}
+
+/// The present state of the scanner.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScannerStatus {
+    /// healthy, degraded, blind, stuck or contradictory.
+    pub state: String,
+    /// The state with the figures that explain it.
+    pub explanation: String,
+    /// Share of the window's beams with a valid range.
+    pub valid_share: f64,
+    /// Share of the returns that came where earlier scans predict them.
+    pub returned_share: f64,
+    /// Farthest distance ahead at which nothing that appears can be missed [m].
+    pub seen_ahead_m: f64,
+}
+
+impl From<ScannerHealth> for ScannerStatus {
+    fn from(health: ScannerHealth) -> Self {
+        Self {
+            state: health.state().name().to_owned(),
+            explanation: health.to_string(),
+            valid_share: health.valid_share,
+            returned_share: health.returned_share,
+            seen_ahead_m: health.seen_ahead_m,
+        }
     }
 }
 

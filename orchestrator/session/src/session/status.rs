@@ -53,6 +53,7 @@ impl Session {
             scan: self.samples.newest_scan(),
             lockstep: self.run.lockstep,
             blocking: self.recording.recorder.stopped_for().map(Into::into),
+            scanner: self.recording.recorder.scanner().map(Into::into),
             processes,
             refused: self.audit.samples.refused().to_vec(),
         }

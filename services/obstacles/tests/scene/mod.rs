@@ -139,7 +139,7 @@ impl Scene {
         (scan, pose)
     }
 
-    fn cast(&self, from: Vector2<f64>, direction: Vector2<f64>, now: f64) -> Option<f64> {
+    pub fn cast(&self, from: Vector2<f64>, direction: Vector2<f64>, now: f64) -> Option<f64> {
         let mut nearest = f64::INFINITY;
         for body in &self.bodies {
             let hit = match *body {
