@@ -15,7 +15,7 @@ use crate::segment::Segments;
 use crate::shape::Directions;
 use crate::state::{ObstaclesState, TRACKS, TrackState};
 use crate::track::{Track, View};
-use crate::visibility::{Sight, sight};
+use crate::visibility::{Sight, beams_towards, sight};
 use crate::walls::Walls;
 
 /// Identity of an ellipse: that of its body times this, plus the number of the piece.
@@ -31,6 +31,8 @@ const GATE_PER_M: f64 = 0.03;
 const TOUCHING_M: f64 = 0.04;
 /// A body that is not confirmed is forgotten after this time [s].
 const SPECKLE_MEMORY_S: f64 = 0.35;
+/// When a body that stands should be in view and has shown nothing for this long, the scanner is doubted there [s].
+const DOUBTFUL_S: f64 = 0.25;
 /// Scans that must have shown a body before it counts as standing.
 const STANDING: u32 = 5;
 /// A body further away than this is out of reach: the pose must have jumped [m].
@@ -328,11 +330,21 @@ impl ObstacleDetector {
     fn forget(&mut self, scan: &Scan, place: &Place, elapsed: f64) {
         let is_reliable = self.evidence.is_reliable();
         for track in self.tracks.iter_mut().filter(|track| track.unseen_s > 0.0) {
-            match sight(scan, &self.beams, place, &track.rectangle(&self.directions)) {
+            let rectangle = track.rectangle(&self.directions);
+            match sight(scan, &self.beams, place, &rectangle) {
                 Sight::Free => track.free = track.free.saturating_add(1),
                 Sight::Taken => track.free = 0,
-                Sight::Silent if is_reliable => track.silent_s += elapsed,
-                Sight::Silent | Sight::Unknown => {}
+                Sight::Silent => {
+                    track.silent_s += if is_reliable { elapsed } else { 0.0 };
+                    let stands = !track.moving && track.sightings >= STANDING;
+                    if stands
+                        && track.silent_s > DOUBTFUL_S
+                        && let Some(beams) = beams_towards(place, &rectangle)
+                    {
+                        self.evidence.doubt(beams);
+                    }
+                }
+                Sight::Unknown => {}
             }
         }
         let limit = self.config.free_scans;

@@ -16,7 +16,8 @@ mod sectors;
 mod snapshot;
 mod verdict;
 
-use shared_types::{BEAMS, PITCH_RAD, SECTORS, Scan, ScannerHealth, WINDOW, plain_state};
+use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan, ScannerHealth, WINDOW, plain_state};
+use std::ops::RangeInclusive;
 use vehicle::{Description, Surroundings};
 
 use crate::points::{Beams, Place, Point, range_of};
@@ -97,6 +98,8 @@ pub(crate) struct Evidence {
     findings: Findings,
     valid_share: f64,
     is_empty: bool,
+    /// Sectors in which a remembered body should be seen and is not, one bit each.
+    silent: u64,
 }
 
 impl Evidence {
@@ -115,6 +118,7 @@ impl Evidence {
             findings: Findings::default(),
             valid_share: 0.0,
             is_empty: false,
+            silent: 0,
         }
     }
 
@@ -137,6 +141,7 @@ impl Evidence {
         self.valid_share = window as f64 / WINDOW.count() as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
             && (points.len() as f64) < SWEEP_SHARE * BEAMS as f64;
+        self.silent = 0;
         let brought = self.bring(beams, scan, place, points, elapsed);
         self.findings = Findings { elapsed, brought, ..Findings::default() };
         match brought {
@@ -161,7 +166,10 @@ impl Evidence {
         let counts = Returns::count(&self.previous, beams, scan, place);
         let is_comparable = way < INCOMPARABLE.0 && turn < INCOMPARABLE.1;
         let is_wrong = counts.right_share(CONTRADICTION_RETURNS).is_some_and(|share| share < CONTRADICTION);
-        if is_wrong && is_comparable {
+        if is_wrong {
+            if !is_comparable {
+                self.previous.keep(scan, place, points, |_| false);
+            }
             if !self.calibration.contradicts() {
                 return Brought::Jump;
             }
@@ -207,6 +215,12 @@ impl Evidence {
         }
     }
 
+    /// Counts the sectors of these beams as without evidence: a remembered body that they should show is not seen.
+    pub(crate) fn doubt(&mut self, beams: RangeInclusive<usize>) {
+        let (first, last) = (beams.start() / SECTOR_BEAMS, beams.end() / SECTOR_BEAMS);
+        (first..=last.min(SECTORS - 1)).for_each(|sector| self.silent |= 1 << sector);
+    }
+
     /// The health of the scanner after this scan; `speed` is the robot's [m/s].
     pub(crate) fn health(&mut self, speed: f64) -> ScannerHealth {
         let (agreed, errors) = (self.returns.agreed_share(PREDICTED), self.calibration.errors());
@@ -215,7 +229,7 @@ impl Evidence {
         self.findings.contradicts = self.calibration.contradicts();
         self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
         let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
-        let unseen_sectors = sectors::unseen(&self.sectors, self.proven, share);
+        let unseen_sectors = sectors::unseen(&self.sectors, self.silent, self.proven, share);
         // They have to show something again before they are relied on.
         self.proven &= !unseen_sectors;
         let sight_m = self.sight(unseen_sectors, share);

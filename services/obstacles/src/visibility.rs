@@ -1,5 +1,7 @@
 //! Whether a scan shows that the place of a body is free, for bodies that it did not show.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Vector2;
 use shared_types::{BEAMS, FIRST_BEAM_YAW_RAD, PITCH_RAD, Scan};
 use vehicle::frame::{to_robot, wrap_angle};
@@ -29,15 +31,11 @@ pub(crate) enum Sight {
     Unknown,
 }
 
-/// What the scan shows at the place of `rectangle`.
-pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle) -> Sight {
+/// The beams towards `rectangle`, without those at its rim; `None` when the scanner stands on it, or it is too far.
+pub(crate) fn beams_towards(place: &Place, rectangle: &Rectangle) -> Option<RangeInclusive<usize>> {
     let distance = rectangle.distance_to_point(place.at);
-    if distance <= 0.0 {
-        // The robot stands at this place, so no body is there.
-        return Sight::Free;
-    }
-    if distance > REACH_M {
-        return Sight::Unknown;
+    if !(distance > 0.0 && distance <= REACH_M) {
+        return None;
     }
     let bearing = |point: Vector2<f64>| {
         let offset = point - place.at;
@@ -55,16 +53,24 @@ pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Recta
     // A body narrower than a beam still has the one nearest to its middle.
     let to = index(middle + high - rim).floor().max(index(middle).round()).min((BEAMS - 1) as f64);
     let from = from.min(index(middle).round().max(0.0));
+    (to >= from).then_some(from as usize..=to as usize)
+}
+
+/// What the scan shows at the place of `rectangle`.
+pub(crate) fn sight(scan: &Scan, beams: &Beams, place: &Place, rectangle: &Rectangle) -> Sight {
+    if rectangle.distance_to_point(place.at) <= 0.0 {
+        // The robot stands at this place, so no body is there.
+        return Sight::Free;
+    }
+    let Some(towards) = beams_towards(place, rectangle) else { return Sight::Unknown };
     let (mut through, mut there, mut silent) = (0_u32, 0_u32, 0_u32);
-    let mut beam = from;
-    while beam <= to {
-        match along(scan, beams, place, rectangle, beam as usize) {
+    for beam in towards {
+        match along(scan, beams, place, rectangle, beam) {
             Passage::Through => through += 1,
             Passage::Ends => there += 1,
             Passage::Silent => silent += 1,
             Passage::Elsewhere => {}
         }
-        beam += 1.0;
     }
     match (through, there, silent) {
         (0, 0, 0) => Sight::Unknown,

@@ -2,6 +2,8 @@
 //!
 //! The recording is not part of the project: the test uses it where it lies beside the checkout, and tells when not.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::f64::consts::PI;
 
 use obstacles::{Config, ObstacleDetector};

@@ -100,7 +100,7 @@ impl CalibrationState {
                 direction.dot(&across(one)),
             ]);
             // Where it seems to be by the errors that are known so far: without them the nearest return is the wrong one.
-            let shift = motion(&guess, moved, across(one) * turned);
+            let shift = motion(&guess, moved, bends, across(one) * turned);
             let Some(found) = matching(&view, now.1, index_of, point, point.at + shift) else { continue };
             let residual = direction.dot(&(found.at - point.at));
             let unexplained = residual - direction.dot(&shift);
@@ -154,10 +154,10 @@ impl CalibrationState {
         (Matrix4::from_column_slice(&self.information) + Matrix4::from_diagonal(&prior), self.right.into())
     }
 
-    /// Factor and angle, or factor of the odometry where that is blamed, as far as they are significant; the rest is zero.
+    /// Errors of the scanner, or factor of the odometry where that is blamed, as far as they are significant; the rest is zero.
     fn solution(&self) -> Vector4<f64> {
         let (information, right) = self.equations();
-        let fixed: &[usize] = if self.blames_odometry.is_set() { &[0, 1, 2] } else { &[1, 3] };
+        let fixed: &[usize] = if self.blames_odometry.is_set() { &[0, 1, 2] } else { &[3] };
         let mut right = right;
         fixed.iter().for_each(|index| right[*index] = 0.0);
         let Some(covariance) = without(&information, fixed).try_inverse() else { return Vector4::zeros() };
@@ -208,9 +208,14 @@ fn without(matrix: &Matrix4<f64>, fixed: &[usize]) -> Matrix4<f64> {
 }
 
 /// How far something that does not move seems to have moved, with errors of the scanner and the odometry [m].
-fn motion(errors: &Vector4<f64>, moved: Vector2<f64>, turned: Vector2<f64>) -> Vector2<f64> {
+fn motion(
+    errors: &Vector4<f64>,
+    moved: Vector2<f64>,
+    bends: Vector2<f64>,
+    turned: Vector2<f64>,
+) -> Vector2<f64> {
     let across = Vector2::new(-moved.y, moved.x);
-    -moved * errors.x - across * errors.z - (moved + turned) * errors.w
+    bends * errors.y - moved * errors.x - across * errors.z - (moved + turned) * errors.w
 }
 
 /// The return that shows what `point` of the earlier scan shows, which is expected at `target`.

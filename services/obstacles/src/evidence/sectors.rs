@@ -104,15 +104,15 @@ fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize
     distance > 0.0 && distance < REACH_M * across.abs()
 }
 
-/// The sectors without evidence, one bit each; `share` of all predicted returns come.
-pub(crate) fn unseen(counts: &Counts, proven: u64, share: f64) -> u64 {
+/// The sectors without evidence, one bit each: those of `silent` are, and `share` of all predicted returns come.
+pub(crate) fn unseen(counts: &Counts, silent: u64, proven: u64, share: f64) -> u64 {
     let is_unseen = |[predicted, came]: &[f64; 2]| {
         *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
     };
     let failing = (0..)
         .zip(counts)
         .filter(|(_, count)| is_unseen(count))
-        .fold(0, |mask, (sector, _)| mask | 1 << sector);
+        .fold(silent, |mask, (sector, _)| mask | 1 << sector);
     between(failing, proven)
 }
 
