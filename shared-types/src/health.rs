@@ -12,8 +12,8 @@ pub const SECTOR_BEAMS: usize = 11;
 /// Number of sectors of evidence, as many as have a bit in [`ScannerHealth::unseen_sectors`].
 pub const SECTORS: usize = BEAMS / SECTOR_BEAMS;
 
-/// Errors of factor, offset [m] and mounting angle [rad] that are named where the ranges contradict the motion.
-const NAMED: [f64; 3] = [0.07, 0.12, 0.1];
+/// Errors of factor, offset [m] and mounting angle [rad] that the margins of the controller cover.
+pub const TOLERATED_ERRORS: [f64; 3] = [0.07, 0.12, 0.1];
 
 const _: () = assert!(SECTORS * SECTOR_BEAMS == BEAMS && SECTORS <= 64);
 
@@ -80,7 +80,7 @@ impl ScannerHealth {
     /// Which error of the ranges contradicts the motion most, with its figure.
     fn contradiction(&self) -> String {
         let errors = [self.range_factor - 1.0, self.range_offset_m, self.yaw_error_rad];
-        let relative: [f64; 3] = std::array::from_fn(|index| (errors[index] / NAMED[index]).abs());
+        let relative: [f64; 3] = std::array::from_fn(|index| (errors[index] / TOLERATED_ERRORS[index]).abs());
         let largest = relative.into_iter().fold(1.0, f64::max);
         let factor = self.range_factor;
         match relative.iter().position(|error| *error >= largest) {

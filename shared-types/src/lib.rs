@@ -42,7 +42,7 @@ pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
-pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState};
+pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
 pub use layouts::{Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};
 pub use named::UnknownName;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};

@@ -16,9 +16,11 @@ use super::test_bench::{ANSWER_NS, TestBench};
 const FIRST_SCAN: u64 = 20;
 /// Scans of a case.
 const SCANS: usize = 10;
+/// Scans that nothing answers during a silence.
+const MISSED_SCANS: u64 = 2;
 
 /// The cases of actuators alone.
-pub(crate) const CASES: [Case; 10] = [
+pub(crate) const CASES: [Case; 11] = [
     Case::required("limits", limits)
         .demands("A command to drive outside the limits (7.41) blocks the wheels.")
         .because("The controller that sent it is faulty."),
@@ -40,6 +42,9 @@ pub(crate) const CASES: [Case; 10] = [
     Case::required("two-after-silence", two_after_silence)
         .demands("After a time without commands it drives again with the second valid command in a row.")
         .because("A single command may be the last of a process that is about to die."),
+    Case::recommended("gap", gap)
+        .demands("When the scanner took no scan for a while, it drives again with the first valid command.")
+        .because("Real scanners have single periods of a quarter of a second."),
     Case::required("future", future)
         .demands("A command of a scan that lies in the future is not driven.")
         .because("If its header is wrong, nothing in it can be trusted."),
@@ -153,6 +158,8 @@ fn silence(suite: &Suite) -> Verdict {
 fn two_after_silence(suite: &Suite) -> Verdict {
     let mut bench = driving(suite)?;
     wait_for_block(&mut bench)?;
+    // Scans came meanwhile and were not answered.
+    bench.scan_id += MISSED_SCANS;
     bench.begin();
     let kinds: Vec<bool> = bench.rounds(3)?.iter().map(drives).collect();
     require(kinds == [false, true, true], || {
@@ -160,6 +167,15 @@ fn two_after_silence(suite: &Suite) -> Verdict {
         format!("{} after the silence", names.collect::<Vec<_>>().join(", "))
     })?;
     Ok("block, drive, drive".to_owned())
+}
+
+fn gap(suite: &Suite) -> Verdict {
+    let mut bench = driving(suite)?;
+    wait_for_block(&mut bench)?;
+    bench.begin();
+    let answers = bench.rounds(2)?;
+    require(answers.iter().all(drives), || "it waits for a second command after a gap".to_owned())?;
+    Ok("drives with the first command after the gap".to_owned())
 }
 
 /// Waits until the actuator blocks the wheels without a command.

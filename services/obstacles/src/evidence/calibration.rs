@@ -11,7 +11,7 @@
 //! explain: when that factor alone explains more than all errors of the scanner do, it is the odometry.
 
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector4};
-use shared_types::{BEAMS, Flag, plain_state};
+use shared_types::{BEAMS, Flag, TOLERATED_ERRORS, plain_state};
 
 use crate::evidence::snapshot::{Snapshot, Viewpoint, normal_at};
 use crate::points::{Beams, Place, Point};
@@ -36,9 +36,7 @@ const PRIOR: [f64; 4] = [0.5, 0.5, 0.5, 0.5];
 /// The factor of the odometry must explain so much more than the scanner before it is suspected, and so much less
 /// before it no longer is: differences of chi squared.
 const BLAMED: [f64; 2] = [8.0, 150.0];
-/// Errors up to these are covered by the margins of the controller: factor, offset [m], angle [rad].
-const ALLOWED: [f64; 3] = [0.07, 0.12, 0.1];
-/// An error counts when it is this many standard deviations beyond what is allowed.
+/// An error counts when it is this many standard deviations beyond what is tolerated.
 const SIGNIFICANT: f64 = 3.0;
 
 plain_state! {
@@ -128,7 +126,8 @@ impl CalibrationState {
     /// Whether the ranges contradict the motion: one of the errors is clearly larger than what the margins cover.
     pub(crate) fn contradicts(&self) -> bool {
         let Errors { values, deviations } = self.errors();
-        let is_large = |index: usize| values[index].abs() > ALLOWED[index] + SIGNIFICANT * deviations[index];
+        let is_large =
+            |index: usize| values[index].abs() > TOLERATED_ERRORS[index] + SIGNIFICANT * deviations[index];
         !self.blames_odometry.is_set() && (0..3).any(is_large)
     }
 
