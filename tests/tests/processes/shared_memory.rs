@@ -241,7 +241,7 @@ fn a_swap_with_the_directory_of_the_system_full_is_refused_with_the_file() {
     let mut certificates = vec![];
     // Room for nothing, for a part of the state of the old one, and for that but not for the list of processes.
     for (free, name) in
-        [(0, "controller.checkpoint"), (4 << 10, "controller.checkpoint"), (12 << 10, "processes")]
+        [(0, "controller.checkpoint"), (4 << 10, "controller.checkpoint"), (16 << 10, "processes")]
     {
         let ballast = Ballast::leave(free, place);
         let refusal = refused(&system, "No space left on device");
