@@ -23,7 +23,7 @@ const BUILT_IN: [(&str, &str); 5] = [
 ];
 
 /// Role, the faulty program, its fault, and the cases that must find it.
-const FAULTS: [(&str, &str, &str, &[&str]); 59] = [
+const FAULTS: [(&str, &str, &str, &[&str]); 60] = [
     ("estimator", "loner", "unready", &["states"]),
     ("estimator", "loner", "silent", &["heartbeats"]),
     ("estimator", "loner", "early-only", &["joins-late"]),
@@ -81,6 +81,7 @@ const FAULTS: [(&str, &str, &str, &[&str]); 59] = [
     ("actuator", "actuator", "ignores-stop", &["stop-wins"]),
     ("actuator", "actuator", "patient", &["silence"]),
     ("actuator", "actuator", "hasty", &["two-after-silence"]),
+    ("actuator", "actuator", "wary", &["gap"]),
     ("actuator", "actuator", "believes", &["future"]),
     ("actuator", "actuator", "wordless", &["last-word"]),
     ("actuator", "actuator", "eager", &["first-word"]),

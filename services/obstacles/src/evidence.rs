@@ -35,7 +35,7 @@ const KEYFRAME: (f64, f64) = (0.25, 0.06);
 /// A scan with less than this share of the predicted ranges contradicts the one before ...
 const CONTRADICTION: f64 = 0.2;
 /// ... when so many returns came where some were predicted.
-const CONTRADICTION_RETURNS: f64 = 60.0;
+const CONTRADICTION_RETURNS: f64 = 30.0;
 /// After this way or turn a scan is no longer compared with one from before [m, rad].
 const INCOMPARABLE: (f64, f64) = (0.8, 0.6);
 /// With ranges that contradict those before for longer than this nothing ahead is seen [s].
@@ -43,7 +43,7 @@ const DOUBTFUL_S: f64 = 0.15;
 /// Share of all beams that return something in any surroundings.
 const SWEEP_SHARE: f64 = 0.04;
 /// With fewer predicted returns than this their share tells nothing.
-const PREDICTED: f64 = 40.0;
+const PREDICTED: f64 = 25.0;
 /// A body of this width is seen with three returns [m].
 const THIN_M: f64 = 0.1;
 /// With less sight ahead than this the scanner is degraded [m].
@@ -197,9 +197,11 @@ impl Evidence {
         sectors::prove(&mut counts, &mut self.proven, beams, scan, place, self.wall_y);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;
-            let kept = keyframe.points().iter().filter(|point| keyframe.is_fixed(point.beam));
+            // Every other beam each way: half of the time, and still all sectors.
+            let kept =
+                keyframe.points().iter().filter(|point| point.beam % 2 == 0 && keyframe.is_fixed(point.beam));
             sectors::compare(&mut counts, beams, keyframe.scan(), kept, (scan, place));
-            let seen = points.iter().filter(|point| is_fixed(point.beam));
+            let seen = points.iter().filter(|point| point.beam % 2 == 1 && is_fixed(point.beam));
             sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
         sectors::add(&mut self.sectors, &counts, self.findings.elapsed);

@@ -29,11 +29,11 @@ plain_state! {
 }
 
 impl Returns {
-    /// Counts what `scan` makes of the returns of an earlier scan.
+    /// Counts what `scan` makes of every other return of an earlier scan.
     pub(crate) fn count(earlier: &Snapshot, beams: &Beams, scan: &Scan, place: &Place) -> Self {
         let mut counts = Self::default();
         let view = Viewpoint::new(beams, scan, place);
-        for point in earlier.points() {
+        for point in earlier.points().iter().step_by(2) {
             let Some(expected) = view.expected(point) else { continue };
             let is_inside = (BESIDE..BEAMS - BESIDE).contains(&expected.beam);
             if !is_inside || expected.range > REACH_M || !is_surface(earlier.scan(), point) {

@@ -18,9 +18,9 @@ const HIDING_M: f64 = 0.2;
 /// Time constant of the counts [s].
 const MEMORY_S: f64 = 0.15;
 /// With fewer predicted returns than this a sector is not judged.
-const NEEDED: f64 = 14.0;
+const NEEDED: f64 = 10.0;
 /// With fewer in one scan it is not even suspected.
-const SUSPICIOUS: f64 = 6.0;
+const SUSPICIOUS: f64 = 4.0;
 /// A sector has no evidence when its share of returns is below this part of that of all directions.
 const BLIND_SHARE: f64 = 0.3;
 /// A sector works when so many of its beams gave a return in one scan.

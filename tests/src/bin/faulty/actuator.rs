@@ -8,7 +8,7 @@ use vehicle::correction::Calibration;
 use crate::Outcome;
 
 /// Faults: `clamps`, `factor`, `uncalibrated`, `drives-on`, `ignores-stop`, `patient`, `hasty`, `believes`, `wordless`,
-/// `eager`.
+/// `eager`, `wary`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Actuator)?;
     let mut config = process.settings::<Config>("actuator")?;
@@ -34,6 +34,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         })?;
     }
     let poll_ns = process.period_ns() / 10;
+    let mut fell_silent = false;
     while process.wait(Some(process.clock().now_ns() + poll_ns))? {
         let now_ns = process.clock().now_ns();
         let stop = process.directive().stop == 1 && fault != "ignores-stop";
@@ -51,6 +52,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
                     command.steering_rad =
                         command.steering_rad.clamp(-bounds.steering_max_rad, bounds.steering_max_rad);
                 }
+                // It trusts no first command after a silence, whatever caused it.
+                "wary" if fell_silent => (command.verified, fell_silent) = (0, false),
                 "believes" => command.header.acquired_ns = now_ns,
                 "drives-on" if command.reason != StopReason::None.wire() => {
                     (command.kind, command.verified) = (CommandKind::Drive.wire(), 1);
@@ -67,6 +70,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
         if fault != "patient"
             && let Some(mut block) = actuator.tick(process.clock().now_ns())
         {
+            fell_silent = true;
             actuations.publish(&mut block)?;
         }
     }
