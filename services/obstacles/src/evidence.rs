@@ -40,6 +40,8 @@ const CONTRADICTION_RETURNS: f64 = 30.0;
 const INCOMPARABLE: (f64, f64) = (0.8, 0.6);
 /// With ranges that contradict those before for longer than this nothing ahead is seen [s].
 const DOUBTFUL_S: f64 = 0.15;
+/// With so many scans that repeat ranges while the robot moves nothing ahead is seen: noise never does that.
+const DOUBTFUL_SCANS: u32 = 2;
 /// Share of all beams that return something in any surroundings.
 const SWEEP_SHARE: f64 = 0.04;
 /// With fewer predicted returns than this their share tells nothing.
@@ -255,7 +257,8 @@ impl Evidence {
     /// Distance ahead of the robot's centre within which the scanner misses nothing that stands there [m].
     fn sight(&self, unseen_sectors: u64, share: f64) -> f64 {
         let has_seen = self.previous.place().is_some();
-        if !has_seen || self.is_empty || self.verdict.jumped_s > DOUBTFUL_S {
+        let is_doubtful = self.verdict.jumped_s > DOUBTFUL_S || self.verdict.identical >= DOUBTFUL_SCANS;
+        if !has_seen || self.is_empty || is_doubtful {
             return 0.0;
         }
         let strip = self.vehicle.width_m / 2.0 + STRIP_M;

@@ -17,7 +17,7 @@ use crate::evidence::snapshot::{Snapshot, Viewpoint, normal_at};
 use crate::points::{Beams, Place, Point};
 
 /// Points farther apart than this are not the same [m].
-const GATE_M: f64 = 0.35;
+const GATE_M: f64 = 0.6;
 /// Beams beside the expected one in which the matching point is searched.
 const SEARCH_BEAMS: usize = 14;
 /// Standard deviation of the distance of two matching points [m].
