@@ -105,7 +105,7 @@ impl Estimator {
             let mut update = None;
             if dt <= self.settings.max_gap_s {
                 self.predict(odometry, dt);
-                update = Some(self.update_and_check(measured, odometry));
+                update = Some(self.update_and_check(measured, odometry, dt));
                 if gap_explains && self.state.rejected > before.rejected {
                     // Undo the comparison: the gap explains the misfit, so it is no evidence against the calibration.
                     (self.state, update) = (before, None);
@@ -241,7 +241,7 @@ impl Estimator {
     }
 
     /// Measurement update, followed by the check of the calibration.
-    fn update_and_check(&mut self, measured: Planar, odometry: &Odometry) -> Update {
+    fn update_and_check(&mut self, measured: Planar, odometry: &Odometry, dt_s: f64) -> Update {
         let (expected, refused, restarts) = (self.filter(), self.state.rejected, self.state.restarts);
         let update = self.update(measured, odometry);
         if self.settings.self_check {
@@ -249,6 +249,7 @@ impl Estimator {
             let in_force = self.state.motion.in_force(acquired_ns);
             self.state.self_check.observe(&Evidence {
                 acquired_ns,
+                dt_s,
                 speed_mps: plausible_speed(odometry.speed_mps).unwrap_or(self.state.motion.speed_mps),
                 desired_mps: in_force
                     .filter(|control| control.drives == 1)
