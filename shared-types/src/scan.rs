@@ -36,6 +36,7 @@ sample! {
 
 impl Scan {
     /// Range of a beam [m], `None` when nothing came back.
+    #[inline]
     pub fn range_m(&self, beam: usize) -> Option<f64> {
         let range = self.ranges_mm[beam];
         (range >= MIN_RANGE_MM).then(|| f64::from(range) * 1e-3)

@@ -8,7 +8,7 @@ use vehicle::geometry::Rectangle;
 
 use crate::Config;
 use crate::ellipse::{MAX_PIECES, cover};
-use crate::evidence::{Evidence, Use};
+use crate::evidence::Evidence;
 use crate::outline::{Vertex, trace};
 use crate::points::{Beams, Place, Point};
 use crate::segment::Segments;
@@ -192,7 +192,7 @@ impl ObstacleDetector {
     fn find(&mut self, scan: &Scan, place: &Place, elapsed: f64) -> u32 {
         self.beams.place(scan, place, &mut self.points);
         self.returns.clone_from(&self.points);
-        if self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) == Use::Nothing {
+        if !self.evidence.receive(&self.beams, scan, place, &self.returns, elapsed) {
             return 0;
         }
         self.outline(scan, place);

@@ -21,7 +21,7 @@ use std::ops::RangeInclusive;
 use vehicle::{Description, Surroundings};
 
 use crate::points::{Beams, Place, Point, range_of};
-use calibration::{CalibrationState, index_beams};
+use calibration::{CalibrationState, Errors, index_beams};
 use returns::Returns;
 use snapshot::{Snapshot, SnapshotState};
 use verdict::{Brought, Findings, VerdictState};
@@ -30,6 +30,10 @@ use verdict::{Brought, Findings, VerdictState};
 const REST: (f64, f64) = (0.003, 0.003);
 /// Ranges that are repeated count only with at least so many returns.
 const STUCK_RETURNS: usize = 20;
+/// Time between two comparisons per direction [s]: at higher scan rates they show nothing new.
+const COMPARISON_S: f64 = 0.045;
+/// A sector has shown something lately when it was in this time, or the time of this length before [s].
+const LATELY_S: f64 = 1.0;
 /// Way and turn after which what does not move is kept anew for comparison [m, rad].
 const KEYFRAME: (f64, f64) = (0.25, 0.06);
 /// A scan with less than this share of the predicted ranges contradicts the one before ...
@@ -64,22 +68,19 @@ plain_state! {
         pub returns: Returns,
         /// Per sector: returns of what does not move that were predicted, and those that came
         pub sectors: [[f64; 2]; SECTORS],
+        /// Time since the last comparison per sector [s]
+        pub waited_s: f64,
         /// Whether the ranges fit the motion
         pub calibration: CalibrationState,
         /// Sectors that have shown something, one bit each
         pub proven: u64,
+        /// Those of them in this second, and in the one before
+        pub shown: [u64; 2],
+        /// Since when this second lasts [s]
+        pub shown_s: f64,
         /// State of the scanner
         pub verdict: VerdictState,
     }
-}
-
-/// What a scan can be used for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Use {
-    /// Bodies are found in it.
-    Ranges,
-    /// As if it had not come.
-    Nothing,
 }
 
 /// Compares scans with what earlier ones predict.
@@ -91,9 +92,14 @@ pub(crate) struct Evidence {
     returns: Returns,
     sectors: [[f64; 2]; SECTORS],
     proven: u64,
+    shown: [u64; 2],
+    shown_s: f64,
     /// Walls that are in view when nothing is on the track [m].
     wall_y: [f64; 2],
+    waited_s: f64,
     calibration: CalibrationState,
+    /// By `calibration`, which changes seldom.
+    errors: Errors,
     verdict: VerdictState,
     index_of: Vec<u16>,
     /// Of this scan.
@@ -109,12 +115,16 @@ impl Evidence {
         Self {
             vehicle,
             proven: 0,
+            shown: [0; 2],
+            shown_s: 0.0,
             wall_y: wall_y.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]),
             previous: Snapshot::empty(),
             keyframe: Snapshot::empty(),
             returns: Returns::default(),
             sectors: [[0.0; 2]; SECTORS],
+            waited_s: 0.0,
             calibration: CalibrationState::default(),
+            errors: CalibrationState::default().errors(),
             verdict: VerdictState::default(),
             index_of: Vec::with_capacity(BEAMS),
             findings: Findings::default(),
@@ -130,7 +140,8 @@ impl Evidence {
         (self.valid_share, self.is_empty) = (0.0, false);
     }
 
-    /// Compares a scan with the one before; `points` are its returns.
+    /// Compares a scan with the one before; `points` are its returns. Whether bodies can be found in it: otherwise it is as
+    /// if it had not come.
     pub(crate) fn receive(
         &mut self,
         beams: &Beams,
@@ -138,7 +149,7 @@ impl Evidence {
         place: &Place,
         points: &[Point],
         elapsed: f64,
-    ) -> Use {
+    ) -> bool {
         let window = WINDOW.filter(|beam| range_of(scan, *beam).is_some()).count();
         self.valid_share = window as f64 / WINDOW.count() as f64;
         self.is_empty = self.vehicle.surroundings == Surroundings::Hall
@@ -146,10 +157,7 @@ impl Evidence {
         self.silent = 0;
         let brought = self.bring(beams, scan, place, points, elapsed);
         self.findings = Findings { elapsed, brought, ..Findings::default() };
-        match brought {
-            Brought::Ranges | Brought::Nothing => Use::Ranges,
-            Brought::Repetition | Brought::Jump => Use::Nothing,
-        }
+        matches!(brought, Brought::Ranges | Brought::Nothing)
     }
 
     fn bring(
@@ -172,11 +180,12 @@ impl Evidence {
             if !is_comparable {
                 self.previous.keep(scan, place, points, |_| false);
             }
-            if !self.calibration.contradicts() {
+            if !self.calibration.contradicts(&self.errors) {
                 return Brought::Jump;
             }
             // The ranges changed as a whole: what contradicted the motion has ended.
             self.calibration = CalibrationState::default();
+            self.errors = self.calibration.errors();
             self.returns = Returns::default();
             self.keyframe.clear();
         } else {
@@ -195,8 +204,14 @@ impl Evidence {
         points: &[Point],
         is_fixed: impl Fn(usize) -> bool + Copy,
     ) {
+        self.waited_s += self.findings.elapsed;
+        if self.waited_s < COMPARISON_S {
+            return;
+        }
+        let waited = std::mem::take(&mut self.waited_s);
         let mut counts = [[0.0; 2]; SECTORS];
-        sectors::prove(&mut counts, &mut self.proven, beams, scan, place, self.wall_y);
+        let shown = sectors::show(&mut counts, self.proven, beams, scan, place, self.wall_y);
+        self.note(shown, waited);
         if let Some(before) = self.keyframe.place() {
             let keyframe = &self.keyframe;
             // Every other beam each way: half of the time, and still all sectors.
@@ -206,7 +221,7 @@ impl Evidence {
             let seen = points.iter().filter(|point| point.beam % 2 == 1 && is_fixed(point.beam));
             sectors::compare(&mut counts, beams, scan, seen, (keyframe.scan(), before));
         }
-        sectors::add(&mut self.sectors, &counts, self.findings.elapsed);
+        sectors::add(&mut self.sectors, &counts, waited);
         let (way, turn) = self.keyframe.moved(place);
         // A scan in which something seems to fail is no base for comparison before that was judged.
         let limit = if sectors::may_fail(&counts) { 2.0 } else { 1.0 };
@@ -214,9 +229,20 @@ impl Evidence {
             if way < 3.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
                 index_beams(points, &mut self.index_of);
                 self.calibration.add(&self.keyframe, beams, (place, points), &self.index_of);
+                self.errors = self.calibration.errors();
             }
             self.keyframe.keep(scan, place, points, is_fixed);
         }
+    }
+
+    /// Notes the sectors that a scan shows something in.
+    fn note(&mut self, shown: u64, elapsed: f64) {
+        self.proven |= shown;
+        self.shown_s += elapsed;
+        if self.shown_s > LATELY_S {
+            (self.shown, self.shown_s) = ([0, self.shown[0]], 0.0);
+        }
+        self.shown[0] |= shown;
     }
 
     /// Counts the sectors of these beams as without evidence: a remembered body that they should show is not seen.
@@ -227,19 +253,20 @@ impl Evidence {
 
     /// The health of the scanner after this scan; `speed` is the robot's [m/s].
     pub(crate) fn health(&mut self, speed: f64) -> ScannerHealth {
-        let (agreed, errors) = (self.returns.agreed_share(PREDICTED), self.calibration.errors());
+        let agreed = self.returns.agreed_share(PREDICTED);
         self.findings.agreed_share = agreed;
         self.findings.right_share = self.returns.right_share(PREDICTED);
-        self.findings.contradicts = self.calibration.contradicts();
+        self.findings.contradicts = self.calibration.contradicts(&self.errors);
         self.findings.is_doubtful = self.calibration.blames_odometry.is_set();
         let share = agreed.unwrap_or(1.0).clamp(0.0, 1.0);
-        let unseen_sectors = sectors::unseen(&self.sectors, self.silent, self.proven, share);
+        let lately = self.shown[0] | self.shown[1];
+        let unseen_sectors = sectors::unseen(&self.sectors, self.silent, lately, share);
         // They have to show something again before they are relied on.
         self.proven &= !unseen_sectors;
         let sight_m = self.sight(unseen_sectors, share);
         self.findings.is_doubtful |= sight_m < DOUBTFUL_M;
         let state = self.verdict.judge(&self.findings);
-        let [factor, range_offset_m, yaw_error_rad] = errors.values;
+        let [factor, range_offset_m, yaw_error_rad] = self.errors.values;
         ScannerHealth {
             state: state.wire(),
             identical_scans: self.verdict.identical,
@@ -279,6 +306,9 @@ impl Evidence {
             returns: self.returns,
             sectors: self.sectors,
             proven: self.proven,
+            shown: self.shown,
+            shown_s: self.shown_s,
+            waited_s: self.waited_s,
             calibration: self.calibration,
             verdict: self.verdict,
         }
@@ -288,6 +318,7 @@ impl Evidence {
     pub(crate) fn is_sound(state: &EvidenceState) -> bool {
         let counts = state.sectors.iter().flatten();
         counts.copied().all(|count| (0.0..1e9).contains(&count))
+            && [state.waited_s, state.shown_s].iter().all(|time| (0.0..1e9).contains(time))
             && state.returns.is_sound()
             && state.calibration.is_sound()
             && state.verdict.is_sound()
@@ -300,7 +331,10 @@ impl Evidence {
         self.returns = state.returns;
         self.sectors = state.sectors;
         self.proven = state.proven;
+        (self.shown, self.shown_s) = (state.shown, state.shown_s);
+        self.waited_s = state.waited_s;
         self.calibration = state.calibration;
+        self.errors = self.calibration.errors();
         self.verdict = state.verdict;
     }
 

@@ -83,6 +83,7 @@ impl Place {
 }
 
 /// Range of a beam [m]; a reading beyond the device's reach is no return.
+#[inline]
 pub(crate) fn range_of(scan: &Scan, beam: usize) -> Option<f64> {
     scan.range_m(beam).filter(|range| *range <= MAX_RANGE_M)
 }

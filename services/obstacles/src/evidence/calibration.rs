@@ -103,8 +103,8 @@ impl CalibrationState {
             let residual = direction.dot(&(found.at - point.at));
             let unexplained = residual - direction.dot(&shift);
             let robust = 1.0 / (1.0 + (unexplained / (ROBUST * NOISE_M)).powi(2)).sqrt();
-            normal += row * row.transpose() * (weight * robust);
-            right += row * (residual * weight * robust);
+            normal.ger(weight * robust, &row, &row, 1.0);
+            right.axpy(residual * weight * robust, &row, 1.0);
         }
         let prior = nalgebra::Vector3::new(shift, shift, angle).map(|deviation| deviation.powi(-2));
         let block = normal.fixed_view::<3, 3>(4, 4) + Matrix3::from_diagonal(&prior);
@@ -123,9 +123,8 @@ impl CalibrationState {
         self.blame();
     }
 
-    /// Whether the ranges contradict the motion: one of the errors is clearly larger than what the margins cover.
-    pub(crate) fn contradicts(&self) -> bool {
-        let Errors { values, deviations } = self.errors();
+    /// Whether the ranges contradict the motion: one of the errors, [`Self::errors`], is clearly larger than what the margins cover.
+    pub(crate) fn contradicts(&self, Errors { values, deviations }: &Errors) -> bool {
         let is_large =
             |index: usize| values[index].abs() > TOLERATED_ERRORS[index] + SIGNIFICANT * deviations[index];
         !self.blames_odometry.is_set() && (0..3).any(is_large)
@@ -228,10 +227,11 @@ fn matching<'a>(
     let expected = view.expected(point)?;
     let low = index_of[expected.beam.saturating_sub(SEARCH_BEAMS)] as usize;
     let high = index_of[(expected.beam + SEARCH_BEAMS).min(BEAMS - 1)] as usize;
-    let nearest = points[low..high.max(low)]
+    let (square, nearest) = points[low..high.max(low)]
         .iter()
-        .min_by(|a, b| (a.at - target).norm_squared().total_cmp(&(b.at - target).norm_squared()))?;
-    ((nearest.at - target).norm() < GATE_M).then_some(nearest)
+        .map(|point| ((point.at - target).norm_squared(), point))
+        .min_by(|one, other| one.0.total_cmp(&other.0))?;
+    (square < GATE_M * GATE_M).then_some(nearest)
 }
 
 /// For each beam the index of the first of `points` that is not before it.

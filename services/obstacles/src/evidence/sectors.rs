@@ -3,7 +3,8 @@
 //! What does not move is compared between the scan and one that was taken some way before, both ways: a return of
 //! either must be in the other, unless something nearer hides it. A sector that has not shown anything yet is compared
 //! with the walls that stand around. A sector in which hardly any of these returns come has no evidence: its missing
-//! returns show nothing. The same holds for sectors that have not shown anything yet and lie between such sectors.
+//! returns show nothing. The same holds for sectors that have not shown anything lately and lie between such
+//! sectors.
 
 use shared_types::{BEAMS, PITCH_RAD, SECTOR_BEAMS, SECTORS, Scan};
 
@@ -74,26 +75,30 @@ pub(crate) fn compare<'a>(
     }
 }
 
-/// Marks the sectors that have shown something in `proven`, and compares the others with the walls at `wall_y`.
-pub(crate) fn prove(
+/// The sectors that show something in a scan, one bit each. Those of the others that are not `proven` are compared with the
+/// walls at `wall_y`.
+pub(crate) fn show(
     counts: &mut Counts,
-    proven: &mut u64,
+    proven: u64,
     beams: &Beams,
     scan: &Scan,
     place: &Place,
     wall_y: [f64; 2],
-) {
+) -> u64 {
+    let mut shown = 0;
     for (sector, [predicted, came]) in counts.iter_mut().enumerate() {
         let first = sector * SECTOR_BEAMS;
         let returns = (first..first + SECTOR_BEAMS).filter(|beam| range_of(scan, *beam).is_some()).count();
         if returns >= PROOF {
-            *proven |= 1 << sector;
+            shown |= 1 << sector;
         }
-        if *proven >> sector & 1 == 0 && is_wall_near(beams, place, wall_y, first + SECTOR_BEAMS / 2) {
+        if (proven | shown) >> sector & 1 == 0 && is_wall_near(beams, place, wall_y, first + SECTOR_BEAMS / 2)
+        {
             *predicted += SECTOR_BEAMS as f64;
             *came += returns as f64;
         }
     }
+    shown
 }
 
 /// Whether a beam ends at one of the walls at `wall_y` within the reach of the scanner.
@@ -104,8 +109,9 @@ fn is_wall_near(beams: &Beams, place: &Place, [low, high]: [f64; 2], beam: usize
     distance > 0.0 && distance < REACH_M * across.abs()
 }
 
-/// The sectors without evidence, one bit each: those of `silent` are, and `share` of all predicted returns come.
-pub(crate) fn unseen(counts: &Counts, silent: u64, proven: u64, share: f64) -> u64 {
+/// The sectors without evidence, one bit each: those of `silent` are, `lately` are those that have shown something lately,
+/// and `share` of all predicted returns come.
+pub(crate) fn unseen(counts: &Counts, silent: u64, lately: u64, share: f64) -> u64 {
     let is_unseen = |[predicted, came]: &[f64; 2]| {
         *predicted >= NEEDED && *came < BLIND_SHARE * share.min(1.0) * *predicted
     };
@@ -113,11 +119,11 @@ pub(crate) fn unseen(counts: &Counts, silent: u64, proven: u64, share: f64) -> u
         .zip(counts)
         .filter(|(_, count)| is_unseen(count))
         .fold(silent, |mask, (sector, _)| mask | 1 << sector);
-    between(failing, proven)
+    between(failing, lately)
 }
 
-/// `failing` with the sectors that have not shown anything and have failing ones at both ends.
-fn between(failing: u64, proven: u64) -> u64 {
+/// `failing` with the sectors that have not shown anything lately and have failing ones at both ends.
+fn between(failing: u64, lately: u64) -> u64 {
     let mut unseen = failing;
     let mut begin = None;
     for sector in 0..SECTORS {
@@ -126,7 +132,7 @@ fn between(failing: u64, proven: u64) -> u64 {
                 (begin..sector).for_each(|sector| unseen |= 1 << sector);
             }
             begin = Some(sector + 1);
-        } else if proven >> sector & 1 == 1 {
+        } else if lately >> sector & 1 == 1 {
             begin = None;
         }
     }
@@ -180,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gap_between_failing_sectors_is_unseen_unless_one_of_it_has_shown_something() {
+    fn a_gap_between_failing_sectors_is_unseen_unless_one_of_it_has_shown_something_lately() {
         assert_eq!(between(0b100_0100, 0), 0b111_1100);
         assert_eq!(between(0b100_0100, 0b1_0000), 0b100_0100);
         assert_eq!(between(0b100, 0), 0b100);

@@ -146,6 +146,7 @@ impl<'a> Viewpoint<'a> {
     }
 
     /// Where the return at `point` is expected; `None` when the view has changed too much.
+    #[inline]
     pub(crate) fn expected(&self, point: &Point) -> Option<Expected> {
         let time = self.beam_s * (point.beam as f64 - FRONT_BEAM as f64);
         let (at, turned) = self.place.moved_by(time);

@@ -96,6 +96,20 @@ fn no_fault_of_the_scanner_ends_in_a_contact() {
 }
 
 #[test]
+fn a_front_that_is_covered_while_a_body_stands_there_stays_unseen() {
+    let covered = with_scanner("sudden", "ideal", 508_713, "dead_rad = [[-0.780, 0.749]]\nfrom_s = 4.3");
+    assert!(covered.is_untouched(), "{covered:?}");
+}
+
+#[test]
+fn stamps_that_jitter_are_no_wrong_calibration() {
+    for seed in [14, 21, 23] {
+        let end = with_scanner("crossing", "summit", seed, "stamp_jitter_s = 0.02");
+        assert_eq!(end.outcome, Outcome::Reached, "seed {seed}: {end:?}");
+    }
+}
+
+#[test]
 fn a_blind_scanner_is_the_reason_of_the_stop_and_does_not_last() {
     let blind = with_scanner("corridor", "ideal", 1, "dropout_steps = [[3, 1]]");
     assert_eq!(blind.outcome, Outcome::Stopped);
