@@ -153,7 +153,7 @@ fn rehearsals_change_no_bit_where_the_scanner_fails() {
     for keys in [
         "missing_every = 3",
         "period_s = [0.005, 0.255]\nstamp_jitter_s = 0.02",
-        "dead_rad = [[-0.3, 0.3]]\nfrom_s = 3.0\nmissing_every = 3",
+        "dead_rad = [[-0.3, 0.3]]\nfrom_s = 1.0\nmissing_every = 2",
         "stuck_s = 3.0\nto_s = 4.0",
     ] {
         for name in ["slalom", "crossing"] {
