@@ -24,7 +24,7 @@ const COLD_NS: u64 = 5_000_000;
 /// A polling process that yields and gets its processor back later than this shares it with others [ns].
 const AWAY_NS: u64 = 500_000;
 /// Periods without preparation after one that ended later than its input was expected.
-const UNPREPARED_PERIODS: u64 = 10;
+const UNPREPARED_PERIODS: u64 = 3;
 /// How long a process that shares its processor does not poll [ns].
 const CROWDED_NS: u64 = 10_000_000_000;
 /// How long no input must have come for a late heartbeat [ns].
@@ -62,7 +62,7 @@ impl Process {
     /// * in simulated time, and while scans are at most 5 ms apart;
     /// * when the input is there already, or the process was woken too late for it;
     /// * when the wheels have to be blocked, and when the process is to end;
-    /// * for ten periods after a preparation that ended later than the input was expected;
+    /// * for three periods after a preparation that ended later than the input was expected;
     /// * while a publisher that does not ring writes one of the topics, and with `realtime.rehearse = false`.
     ///
     /// An input that comes meanwhile waits until it ends. A preparation that never ends is a hang of the process.
