@@ -16,7 +16,6 @@ use console::note;
 use console::progress::Steps;
 use plan::Choice;
 
-use self::course::Course;
 use self::results::{Results, Row};
 use crate::cli::RobotPreset;
 use crate::cores::on_all_cores;

@@ -46,13 +46,14 @@ pub(super) fn all(arguments: &RideArguments) -> anyhow::Result<Vec<Course>> {
     names.iter().map(|name| Ok(Course { plan: Plan::read(Some(name), &choice)?, family: None })).collect()
 }
 
-/// The first courses of a campaign, from the seed on, that are passable and not blocked.
+/// The first `count` courses of a campaign, from the seed on, that are passable and not blocked.
 fn random(count: u64, choice: &Choice) -> anyhow::Result<Vec<Course>> {
     let first = choice.seed.unwrap_or(1);
     let choice = Choice { seed: None, ..choice.clone() };
-    let courses = (0..count).map(|index| of_campaign(first.wrapping_add(index)));
+    let courses = (0..).map(|index| of_campaign(first.wrapping_add(index)));
     courses
         .filter(|(family, scenario)| *family != Family::Blocked && feasible::passable(scenario))
+        .take(usize::try_from(count)?)
         .map(|(family, scenario)| Ok(Course { plan: Plan::of(&scenario, &choice)?, family: Some(family) }))
         .collect()
 }
@@ -80,8 +81,7 @@ impl Course {
         let Some(task) = self.task(&drive, &sightings) else { return Ok((row, None)) };
         match optimum(&task) {
             Ok(best) => {
-                row.optimum = self.figures(&best.drive);
-                row.regret = row.optimum.map(|optimum| driven.objective / optimum.objective);
+                row.compare(driven, self.figures(&best.drive));
                 Ok((row, Some(best)))
             }
             Err(missing) => {

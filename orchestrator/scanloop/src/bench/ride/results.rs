@@ -8,6 +8,8 @@ use serde::Serialize;
 /// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a drive
 /// gains between the nodes of the optimum, and from descriptions that changed.
 const SMALLEST_REGRET: f64 = 0.99;
+/// An optimum that costs less has nothing to steer past: J of the drive is then its noise, and a ratio has no meaning.
+const CLEAR_OBJECTIVE: f64 = 0.1;
 /// Number of courses with the largest regret that are listed.
 const WORST: usize = 5;
 
@@ -47,6 +49,8 @@ pub(super) struct Summary {
     pub(super) clearance_loss_m: Spread,
     /// Time of the drive minus that of the optimum.
     pub(super) time_loss_s: Spread,
+    /// Largest J of the drives whose line is clear; they have no regret.
+    pub(super) clear_objective_max: Option<f64>,
     /// Names of the courses with the largest regret, the worst first.
     pub(super) worst: Vec<String>,
 }
@@ -76,6 +80,17 @@ impl Results {
 }
 
 impl Row {
+    /// Compares a drive with the optimum, where there is something to steer past.
+    pub(super) fn compare(&mut self, driven: Figures, optimum: Option<Figures>) {
+        self.optimum = optimum;
+        match optimum {
+            Some(optimum) if optimum.objective >= CLEAR_OBJECTIVE => {
+                self.regret = Some(driven.objective / optimum.objective);
+            }
+            _ => self.note = "the line is clear".to_owned(),
+        }
+    }
+
     /// Sum of second differences as a multiple of the optimum's.
     fn second_difference_ratio(&self) -> Option<f64> {
         let (driven, optimum) = (self.driven?, self.optimum?);
@@ -98,6 +113,9 @@ impl Summary {
         let step = spread(&|row| Some(row.driven?.steering_step_max_rad))?;
         let (clearance, time) =
             (spread(&Row::clearance_loss_m)?, spread(&|row| Some(row.driven?.time_s - row.optimum?.time_s))?);
+        let is_clear = |row: &&Row| row.regret.is_none() && row.optimum.is_some();
+        let clear = rows.iter().filter(is_clear).filter_map(|row| row.driven).map(|driven| driven.objective);
+        let clear = clear.reduce(f64::max);
         with.sort_by(|one, other| other.regret.unwrap_or(0.0).total_cmp(&one.regret.unwrap_or(0.0)));
         Some(Self {
             courses: with.len(),
@@ -106,6 +124,7 @@ impl Summary {
             steering_step_max_rad: step,
             clearance_loss_m: clearance,
             time_loss_s: time,
+            clear_objective_max: clear,
             worst: with.iter().take(WORST).map(|row| row.name.clone()).collect(),
         })
     }
@@ -148,6 +167,19 @@ mod tests {
             (vec!["odd".to_owned()], Exit::NotReached)
         );
         assert_eq!(results(f64::NAN).exit(), Exit::NotReached);
+    }
+
+    #[test]
+    fn a_clear_line_has_no_regret() {
+        let compare = |objective| {
+            let mut row = Row::default();
+            let figures = |objective| Figures { objective, ..Figures::default() };
+            row.compare(figures(0.2), Some(figures(objective)));
+            row
+        };
+        assert_eq!((compare(0.1).regret, compare(0.09).regret), (Some(2.0), None));
+        let results = Results::new(vec![compare(0.1), compare(0.0)], true);
+        assert_eq!(results.summary.unwrap().clear_objective_max, Some(0.2));
     }
 
     #[test]

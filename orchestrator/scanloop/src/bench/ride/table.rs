@@ -16,8 +16,10 @@ pub(super) fn text(results: &Results) -> String {
         let _ = write!(text, "{}", table(&results.rows));
         text += "driven / optimum; lengths in cm, angles in rad, accelerations in m/s^2, jerk in m/s^3, times in s\n";
     }
-    for row in results.rows.iter().filter(|row| row.regret.is_none()) {
-        let _ = writeln!(text, "no regret       {}: {}, {}", row.name, row.outcome, row.note);
+    let listed = |row: &&Row| row.regret.is_none() && (row.optimum.is_none() || !results.is_random);
+    for row in results.rows.iter().filter(listed) {
+        let driven = row.driven.map_or(String::new(), |driven| format!(", J {:.3}", driven.objective));
+        let _ = writeln!(text, "no regret       {}: {}, {}{driven}", row.name, row.outcome, row.note);
     }
     if let Some(summary) = &results.summary {
         text += &summary_text(summary, results.is_random);
@@ -80,6 +82,9 @@ fn summary_text(summary: &Summary, is_random: bool) -> String {
     line("largest step", steering_step_max_rad, 4);
     line("clearance lost", &summary.clearance_loss_m, 4);
     line("time lost", &summary.time_loss_s, 2);
+    if let Some(objective) = summary.clear_objective_max {
+        let _ = writeln!(text, "clear lines     J {objective:.3} at most");
+    }
     if is_random {
         let _ = writeln!(text, "worst           {}", summary.worst.join(", "));
     }
