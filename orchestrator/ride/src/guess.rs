@@ -6,9 +6,9 @@
 use ocp::{Collocation, roll_out};
 use vehicle::{Control, Parameters, State};
 
+use crate::course::{Course, From};
 use crate::ellipse::Ellipse;
 use crate::objective::INTERVAL_S;
-use crate::optimum::{Course, From};
 use crate::sides::{Body, Combination};
 
 /// How far before a body the path leaves the line, and how far behind it returns [m].

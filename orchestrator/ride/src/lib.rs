@@ -7,12 +7,14 @@
 //!
 //! Everything here is a pure function: [`Recording`] and [`Sightings`] collect what it needs from samples.
 
+mod course;
 mod drive;
 mod ellipse;
 mod guess;
 mod measure;
 pub mod objective;
 pub mod optimum;
+mod plan;
 mod recording;
 mod sides;
 mod sightings;

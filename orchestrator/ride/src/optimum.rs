@@ -22,86 +22,19 @@
 //! never costs less. Horizons have 200 intervals at most. A plan over a longer way ends earlier, with the weights of the
 //! end there, and is renewed when the rest of the way fits: what is known lies a few metres ahead.
 
-use std::fmt;
-use std::sync::Arc;
+use ocp::Trajectory;
+use vehicle::State;
 
-use ocp::{Budget, EllipsePath, Problem, Solver, SolverSettings, Status, Trajectory};
-use vehicle::{Bounds, Control, Goal, Parameters, State};
-
+use crate::course::From;
 use crate::drive::{Drive, Issued, Moment};
 use crate::ellipse::Ellipse;
-use crate::guess::{Guess, guess};
-use crate::objective::{BEFORE_GOAL_M, CRUISE, INTERVAL_S, SPEED_MPS, weights};
-use crate::sides::{bodies, combinations};
+use crate::plan::{best_plan, solver};
 
-/// Maximum number of intervals of the solver.
-const MAX_INTERVALS: usize = 200;
-/// Largest slack of an ellipse in an accepted solution.
-const LARGEST_SLACK: f64 = 1e-6;
-/// Largest scaled KKT residual of an accepted solution. Over long horizons the merit has rounding errors that end a solve
-/// between this and the tolerance of the solver; the objective is exact to its sixth digit then.
-const LARGEST_RESIDUAL: f64 = 1e-3;
-/// Weights of the slack that are tried in turn: the first is enough where the penalty is exact with it.
-const SLACK_WEIGHTS: [f64; 2] = [500.0, 1e5];
-/// Limit of SQP iterations of one solve.
-const MAX_ITERATIONS: u32 = 60;
-/// Largest distance to the end [m].
-const END_M: f64 = 1e-6;
-/// Solves in which the end is found.
-const MAX_CORRECTIONS: usize = 6;
-/// Velocities of the guesses past moving bodies, as shares of the largest.
-const SLOWER: [f64; 3] = [1.0, 0.6, 0.3];
+pub use crate::course::Course;
+pub use crate::plan::{NoOptimum, Plan};
+
 /// Maximum number of plans, for a course that leads nowhere.
 const MAX_PLANS: usize = 100;
-
-/// What is driven.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Course {
-    /// The vehicle.
-    pub parameters: Parameters,
-    /// Hard bounds of the controls and soft bounds of the lateral state.
-    pub bounds: Bounds,
-    /// Bounds of the position along the track [m].
-    pub x_range: [f64; 2],
-    /// Bounds of the lateral position [m].
-    pub y_range: [f64; 2],
-    /// The goal; its lateral position is the line.
-    pub goal: Goal,
-    /// When the first drive command acts [s].
-    pub start_s: f64,
-    /// The state then.
-    pub start: State,
-    /// The ellipses, with their margin.
-    pub ellipses: Vec<Ellipse>,
-}
-
-impl Course {
-    /// Where the measured part of the drive ends [m].
-    pub fn end_x_m(&self) -> f64 {
-        self.goal.x_m - BEFORE_GOAL_M
-    }
-}
-
-/// Where a plan starts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct From {
-    pub(crate) time_s: f64,
-    pub(crate) state: State,
-    pub(crate) previous: Option<Control>,
-}
-
-/// A problem with its best solution.
-#[derive(Debug, Clone)]
-pub struct Plan {
-    /// The problem.
-    pub problem: Problem,
-    /// Its solution.
-    pub trajectory: Trajectory,
-    /// The objective of the solution.
-    pub objective: f64,
-    /// Whether it reaches the end.
-    is_whole: bool,
-}
 
 /// The optimum of a course.
 #[derive(Debug, Clone)]
@@ -112,26 +45,12 @@ pub struct Optimum {
     pub plans: Vec<Plan>,
 }
 
-/// Why there is no optimum.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NoOptimum {
-    /// How many combinations of sides were tried in the plan that failed.
-    pub combinations: usize,
-}
-
-impl fmt::Display for NoOptimum {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "no optimum: none of {} combinations of sides has a solution", self.combinations)
-    }
-}
-
 /// The optimum of a course.
 ///
 /// # Errors
 /// [`NoOptimum`] when there is no solution without slack from some state on.
 pub fn optimum(course: &Course) -> Result<Optimum, NoOptimum> {
-    let settings = SolverSettings { max_iterations: MAX_ITERATIONS, ..SolverSettings::default() };
-    let mut solver = Solver::new(settings);
+    let mut solver = solver();
     let mut from = From { time_s: course.start_s, state: course.start, previous: None };
     let mut optimum = Optimum { drive: Drive::default(), plans: Vec::new() };
     optimum.drive.moments.push(moment(from.time_s, from.state, 0.0));
@@ -184,106 +103,145 @@ fn moment(time_s: f64, state: State, speed_mps: f64) -> Moment {
     Moment { time_s, state, speed_mps, clearance_m: f64::INFINITY }
 }
 
-/// The best plan over all combinations of sides.
-fn best_plan(
-    solver: &mut Solver,
-    course: &Course,
-    from: &From,
-    known: &[&Ellipse],
-) -> Result<Plan, NoOptimum> {
-    let bodies = bodies(known, from.time_s, [from.state.x, from.state.y], course.goal.y_m);
-    let all = combinations(&bodies);
-    let speeds = if known.iter().any(|ellipse| ellipse.moves()) { &SLOWER[..] } else { &SLOWER[..1] };
-    let mut best: Option<Plan> = None;
-    for sides in &all {
-        for share in speeds {
-            let speed = (course.bounds.velocity_max_mps * share).max(course.bounds.velocity_min_mps);
-            let Some(guess) = guess(course, from, &bodies, sides, speed) else { continue };
-            let plan = solve(solver, course, from, known, &guess);
-            let better = |plan: &Plan| best.as_ref().is_none_or(|best| plan.objective < best.objective);
-            best = plan.filter(better).or(best);
+#[cfg(test)]
+mod tests {
+    use vehicle::{Bounds, Goal, Parameters};
+
+    use super::*;
+    use crate::ellipse::{Ellipse, Path};
+    use crate::measure::{Figures, measure};
+
+    fn course(goal_x_m: f64, ellipses: Vec<Ellipse>) -> Course {
+        Course {
+            parameters: Parameters::default(),
+            bounds: Bounds::default(),
+            x_range: [0.0, 1000.0],
+            y_range: [-1.5, 1.5],
+            goal: Goal { x_m: goal_x_m, ..Goal::default() },
+            start_s: 0.1,
+            start: State::default(),
+            ellipses,
         }
     }
-    best.ok_or(NoOptimum { combinations: all.len() })
-}
 
-/// The solution from a guess, with the duration that ends the course; `None` when it does not keep the ellipses.
-fn solve(
-    solver: &mut Solver,
-    course: &Course,
-    from: &From,
-    known: &[&Ellipse],
-    guess: &Guess,
-) -> Option<Plan> {
-    let mut trajectory = Trajectory { states: Vec::new(), controls: guess.controls.clone() };
-    let longest = (MAX_INTERVALS as f64 - 0.5) * INTERVAL_S;
-    let mut duration = guess.duration_s;
-    for &slack in &SLACK_WEIGHTS {
-        for _ in 0..MAX_CORRECTIONS {
-            let is_whole = duration < longest;
-            let problem = problem(course, from, known, duration.min(longest), slack);
-            trajectory.states.clear();
-            trajectory.controls.resize(problem.intervals.len(), CRUISE);
-            let solution = solver.solve(&problem, &trajectory, &Budget::Iterations(MAX_ITERATIONS));
-            if solution.status == Status::Failed {
-                return None;
+    fn ellipse(x: f64, y: f64, known_x_m: f64) -> Ellipse {
+        let known_s = 0.1 + known_x_m;
+        Ellipse { body: x as u32, a: 1.36, b: 0.66, path: Path::Fixed([x, y]), known_s, known_x_m }
+    }
+
+    fn solved(course: &Course) -> (Optimum, Figures) {
+        let optimum = optimum(course).unwrap();
+        let figures = measure(&optimum.drive, &course.goal).unwrap();
+        (optimum, figures)
+    }
+
+    /// Largest value by which a node is inside of the ellipses of a course.
+    fn entered(course: &Course, optimum: &Optimum) -> f64 {
+        let inside = |moment: &Moment, ellipse: &Ellipse| {
+            let [x, y] = ellipse.centre_at(moment.time_s);
+            1.0 - ((moment.state.x - x) / ellipse.a).powi(2) - ((moment.state.y - y) / ellipse.b).powi(2)
+        };
+        let values = optimum.drive.moments.iter();
+        values
+            .flat_map(|moment| course.ellipses.iter().map(move |ellipse| inside(moment, ellipse)))
+            .fold(-1.0, f64::max)
+    }
+
+    #[test]
+    fn an_empty_track_from_the_line_costs_nothing() {
+        let (optimum, figures) = solved(&course(10.0, Vec::new()));
+        assert!(figures.objective < 1e-12 && (figures.time_s - 8.25).abs() < 1e-5, "{figures:?}");
+        assert_eq!(optimum.plans.len(), 1);
+    }
+
+    #[test]
+    fn the_objective_of_a_plan_is_that_of_the_measure() {
+        let mut beside = course(10.0, Vec::new());
+        beside.start.y = 0.3;
+        let (optimum, figures) = solved(&beside);
+        // The measure counts half an interval at the start, which no plan can change.
+        let start = 8.0 * 0.09 * 0.05;
+        let objective = optimum.plans[0].objective + start;
+        assert!((figures.objective / objective - 1.0).abs() < 1e-4, "{} {objective}", figures.objective);
+        // About as much as the offset costs in a second.
+        assert!((figures.objective - 8.0 * 0.09).abs() < 0.1, "{figures:?}");
+    }
+
+    #[test]
+    fn no_other_controls_cost_less() {
+        let mut beside = course(4.0, Vec::new());
+        beside.start.y = 0.1;
+        let (optimum, figures) = solved(&beside);
+        let parameters = beside.parameters;
+        for (index, steering) in [(0, 1e-3), (5, 1e-3), (5, -1e-3), (12, 1e-3), (20, -1e-3)] {
+            let mut controls = optimum.plans[0].trajectory.controls.clone();
+            controls[index].steering += steering;
+            let mut drive =
+                Drive { moments: vec![optimum.drive.moments[0]], commands: optimum.drive.commands.clone() };
+            for (issued, (control, moment)) in
+                drive.commands.iter_mut().zip(controls.iter().zip(&optimum.drive.moments[1..]))
+            {
+                issued.control = *control;
+                let last = drive.moments[drive.moments.len() - 1];
+                let duration = moment.time_s - last.time_s;
+                let state = vehicle::integrate::integrate(&parameters, &last.state, control, duration + 1e-5);
+                drive.moments.push(Moment { state, ..*moment });
             }
-            trajectory = solution.trajectory;
-            let end = trajectory.states.last()?;
-            let missing = course.end_x_m() - end.x;
-            let kept = solution.slack <= LARGEST_SLACK && solution.kkt_residual <= LARGEST_RESIDUAL;
-            if !is_whole || missing.abs() <= END_M {
-                if kept {
-                    let objective = solution.objective;
-                    return Some(Plan { problem, trajectory, objective, is_whole });
-                }
-                break;
-            }
-            let speed = trajectory.controls.last()?.velocity * (end.yaw + end.sideslip).cos();
-            duration += missing / speed.max(0.1);
+            let other = measure(&drive, &beside.goal).unwrap();
+            assert!(other.objective > figures.objective, "{index} {steering} {other:?} {figures:?}");
         }
     }
-    None
-}
 
-/// Intervals of [`INTERVAL_S`], the last one between half and one and a half of it.
-fn intervals(duration: f64) -> Vec<f64> {
-    let count = ((duration / INTERVAL_S).round() as usize).clamp(1, MAX_INTERVALS);
-    let mut intervals = vec![INTERVAL_S; count];
-    intervals[count - 1] = (duration - (count - 1) as f64 * INTERVAL_S).max(0.05 * INTERVAL_S);
-    intervals
-}
+    #[test]
+    fn an_obstacle_is_passed_outside_of_its_ellipse_on_the_shorter_side() {
+        let left = course(10.0, vec![ellipse(5.0, -0.1, 0.0)]);
+        let (optimum, figures) = solved(&left);
+        assert!(entered(&left, &optimum) < 1e-6);
+        let highest = optimum.drive.moments.iter().map(|moment| moment.state.y).fold(0.0, f64::max);
+        assert!((highest - 0.56).abs() < 0.02, "{highest}");
+        let right = course(10.0, vec![ellipse(5.0, 0.1, 0.0)]);
+        let mirrored = solved(&right).1;
+        assert!((mirrored.objective / figures.objective - 1.0).abs() < 1e-4, "{mirrored:?} {figures:?}");
+    }
 
-/// The problem from a state over a duration.
-fn problem(course: &Course, from: &From, known: &[&Ellipse], duration: f64, slack: f64) -> Problem {
-    let intervals = intervals(duration);
-    let last_s = intervals[intervals.len() - 1];
-    let ends = intervals.iter().scan(from.time_s, |time_s, interval| {
-        *time_s += interval;
-        Some(*time_s)
-    });
-    let times: Vec<f64> = std::iter::once(from.time_s).chain(ends).collect();
-    let reference = |time_s: &f64| State {
-        x: course.start.x + SPEED_MPS * (time_s - course.start_s),
-        y: course.goal.y_m,
-        ..State::default()
-    };
-    let path = |ellipse: &&Ellipse| EllipsePath {
-        a: ellipse.a,
-        b: ellipse.b,
-        centres: times.iter().map(|time_s| ellipse.centre_at(*time_s)).collect(),
-    };
-    Problem {
-        model: Arc::new(course.parameters),
-        bounds: course.bounds,
-        x_range: course.x_range,
-        y_range: course.y_range,
-        initial: from.state,
-        previous: from.previous,
-        references: times[1..].iter().map(reference).collect(),
-        control_reference: CRUISE,
-        weights: weights(last_s, slack),
-        ellipses: known.iter().map(path).collect(),
-        intervals,
+    #[test]
+    fn an_obstacle_that_is_seen_late_costs_more() {
+        let early = solved(&course(12.0, vec![ellipse(6.0, 0.2, 0.0)])).1;
+        let (optimum, late) = solved(&course(12.0, vec![ellipse(6.0, 0.2, 2.5)]));
+        assert_eq!(optimum.plans.len(), 2);
+        assert!((optimum.plans[1].problem.initial.x - 2.5).abs() < 0.051);
+        assert!(late.objective > early.objective, "{late:?} {early:?}");
+        // At once beside it, there is no way round.
+        assert!(super::optimum(&course(12.0, vec![ellipse(6.0, 0.2, 4.4)])).is_err());
+    }
+
+    #[test]
+    fn a_body_that_crosses_is_met_where_it_is_then() {
+        let mut crossing = ellipse(5.0, 0.0, 0.0);
+        // It has left the line when the robot arrives, and stood on it before.
+        crossing.path =
+            Path::Recorded(vec![(0.0, [5.0, 0.0]), (3.0, [5.0, 0.0]), (4.0, [5.0, 1.2])], [0.0, 0.0]);
+        let (optimum, figures) = solved(&course(10.0, vec![crossing.clone()]));
+        assert!(figures.objective < 0.2, "{figures:?}");
+        assert!(entered(&course(10.0, vec![crossing]), &optimum) < 1e-6);
+    }
+
+    #[test]
+    fn a_course_beyond_the_longest_horizon_is_planned_again() {
+        let (optimum, figures) = solved(&course(30.0, vec![ellipse(5.0, 0.1, 0.0)]));
+        let short = solved(&course(12.0, vec![ellipse(5.0, 0.1, 0.0)])).1;
+        assert!(optimum.plans.len() > 1 && figures.time_s > 28.0);
+        // What is behind the obstacle costs the delay alone.
+        let delay = figures.time_s - 28.25;
+        let more = figures.objective - short.objective - delay * delay * 18.0;
+        assert!(more.abs() < 0.05 * short.objective, "{more} {figures:?} {short:?}");
+    }
+
+    #[test]
+    fn controls_reach_their_bounds_and_stay_within_them() {
+        let (optimum, _) = solved(&course(10.0, vec![ellipse(5.0, 0.0, 2.0)]));
+        let controls = || optimum.drive.commands.iter().map(|issued| issued.control);
+        assert!(controls().all(|control| Bounds::default().contains(control, 1e-9)));
+        assert!(controls().any(|control| control.steering > 0.06 - 1e-9), "the largest curvature is needed");
     }
 }

@@ -43,12 +43,12 @@ pub(super) struct Summary {
     pub(super) courses: usize,
     pub(super) regret: Spread,
     /// Sum of second differences, as a multiple of the optimum's.
-    pub(super) second_difference_ratio: Spread,
-    pub(super) steering_step_max_rad: Spread,
+    pub(super) second_difference_ratio: Option<Spread>,
+    pub(super) steering_step_max_rad: Option<Spread>,
     /// Clearance of the optimum minus that of the drive.
-    pub(super) clearance_loss_m: Spread,
+    pub(super) clearance_loss_m: Option<Spread>,
     /// Time of the drive minus that of the optimum.
-    pub(super) time_loss_s: Spread,
+    pub(super) time_loss_s: Option<Spread>,
     /// Largest J of the drives whose line is clear; they have no regret.
     pub(super) clear_objective_max: Option<f64>,
     /// Names of the courses with the largest regret, the worst first.

@@ -73,15 +73,15 @@ fn table(rows: &[Row]) -> Table {
 fn summary_text(summary: &Summary, is_random: bool) -> String {
     let Summary { courses, regret, second_difference_ratio, steering_step_max_rad, .. } = summary;
     let mut text = format!("courses         {courses}: mean, 95 %, largest\n");
-    let mut line = |name: &str, spread: &Spread, decimals: usize| {
-        let Spread { mean, p95, max } = spread;
+    let mut line = |name: &str, spread: Option<Spread>, decimals: usize| {
+        let Some(Spread { mean, p95, max }) = spread else { return };
         let _ = writeln!(text, "{name:<16}{mean:.decimals$}  {p95:.decimals$}  {max:.decimals$}");
     };
-    line("regret", regret, 3);
-    line("differences", second_difference_ratio, 2);
-    line("largest step", steering_step_max_rad, 4);
-    line("clearance lost", &summary.clearance_loss_m, 4);
-    line("time lost", &summary.time_loss_s, 2);
+    line("regret", Some(*regret), 3);
+    line("differences", *second_difference_ratio, 2);
+    line("largest step", *steering_step_max_rad, 4);
+    line("clearance lost", summary.clearance_loss_m, 4);
+    line("time lost", summary.time_loss_s, 2);
     if let Some(objective) = summary.clear_objective_max {
         let _ = writeln!(text, "clear lines     J {objective:.3} at most");
     }
