@@ -23,7 +23,7 @@ try:
     import casadi as ca
 except ImportError:
     sys.exit("CasADi is missing: run benches/peers/setup.sh, then use benches/peers/.venv/bin/python")
-from casadi_reference import MATRIX, slopes  # noqa: E402
+from casadi_reference import MATRIX, Program, slopes  # noqa: E402
 
 LARGEST_DIFFERENCE = 1e-4
 # Objectives below this are rounding errors of an empty track.
@@ -38,7 +38,7 @@ def solve(plan):
     """The least objective of a plan, and the message of IPOPT."""
     lengths, count = plan["intervals_s"], len(plan["intervals_s"])
     weights, ellipses = plan["weights"], plan["ellipses"]
-    problem = Program()
+    program = Program()
     state = [ca.DM(value) for value in plan["initial"]]
     bounds = [plan["sideslip_max_rad"], plan["yaw_max_rad"], plan["yaw_rate_max_radps"]]
     lower = [-bound for bound in bounds] + [plan["x_m"][0], plan["y_m"][0]]
@@ -46,8 +46,8 @@ def solve(plan):
     before, objective = plan["previous"], 0
     for index, length in enumerate(lengths):
         control = [
-            problem.variable(*plan["velocity_mps"], 1.0),
-            problem.variable(-plan["steering_max_rad"], plan["steering_max_rad"], 0.0),
+            program.variable("velocity", 1.0, *plan["velocity_mps"]),
+            program.variable("steering", 0.0, -plan["steering_max_rad"], plan["steering_max_rad"]),
         ]
         for component in range(2):
             about = control[component] - plan["control_reference"][component]
@@ -55,58 +55,37 @@ def solve(plan):
             if before is not None:
                 objective += weights["change"][component] * (control[component] - before[component]) ** 2
         before = control
-        state = interval(problem, state, control, length, plan, index, lower, upper)
+        state = interval(program, state, control, length, plan, index, lower, upper)
         node = weights["terminal"] if index + 1 == count else weights["node"]
         for component in range(5):
             objective += node[component] * (state[component] - plan["references"][index][component]) ** 2
         for ellipse in ellipses:
             x, y = ellipse["centres_m"][index + 1]
             value = ((state[3] - x) / ellipse["a_m"]) ** 2 + ((state[4] - y) / ellipse["b_m"]) ** 2
-            problem.constrain(value - 1, 0, math.inf)
-    return problem.minimise(objective)
+            program.constrain(value - 1, 0, math.inf)
+    return minimise(program, objective)
 
 
-def interval(problem, start, control, length, plan, index, lower, upper):
+def interval(program, start, control, length, plan, index, lower, upper):
     """The state at the end of an interval: Radau collocation with three stages, the last of which is the end."""
     guess = [0.0, 0.0, 0.0, *plan["states"][index + 1][3:]]
-    inner = [[problem.variable(-math.inf, math.inf, value) for value in guess] for _ in range(2)]
-    end = [problem.variable(*limits) for limits in zip(lower, upper, guess)]
+    inner = [[program.variable("stage", value) for value in guess] for _ in range(2)]
+    end = [program.variable("node", *limits) for limits in zip(guess, lower, upper)]
     stages = [*inner, end]
     rates = [slopes(stage, control) for stage in stages]
     for row, stage in zip(MATRIX, stages):
         for component in range(5):
             change = sum(factor * rate[component] for factor, rate in zip(row, rates))
-            problem.constrain(start[component] + length * change - stage[component], 0, 0)
+            program.constrain(start[component] + length * change - stage[component], 0, 0)
     return end
 
 
-class Program:
-    """Variables and constraints of a nonlinear program."""
-
-    def __init__(self):
-        self.variables, self.bounds, self.start = [], [[], []], []
-        self.constraints, self.limits = [], [[], []]
-
-    def variable(self, lower, upper, start):
-        symbol = ca.SX.sym(f"v{len(self.variables)}")
-        self.variables.append(symbol)
-        self.bounds[0].append(lower)
-        self.bounds[1].append(upper)
-        self.start.append(start)
-        return symbol
-
-    def constrain(self, expression, lower, upper):
-        self.constraints.append(expression)
-        self.limits[0].append(lower)
-        self.limits[1].append(upper)
-
-    def minimise(self, objective):
-        program = {"x": ca.vertcat(*self.variables), "f": objective, "g": ca.vertcat(*self.constraints)}
-        solver = ca.nlpsol("solver", "ipopt", program, OPTIONS)
-        solution = solver(
-            x0=self.start, lbx=self.bounds[0], ubx=self.bounds[1], lbg=self.limits[0], ubg=self.limits[1]
-        )
-        return float(solution["f"]), solver.stats()["return_status"]
+def minimise(program, objective):
+    """The least objective of a program, and the message of IPOPT."""
+    nlp = {"x": ca.vertcat(*program.variables), "f": objective, "g": ca.vertcat(*program.constraints)}
+    solver = ca.nlpsol("solver", "ipopt", nlp, OPTIONS)
+    solution = solver(x0=program.start, lbx=program.low, ubx=program.high, lbg=program.least, ubg=program.most)
+    return float(solution["f"]), solver.stats()["return_status"]
 
 
 def main(files):

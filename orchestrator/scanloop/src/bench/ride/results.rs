@@ -68,7 +68,7 @@ pub(super) struct Results {
 
 impl Results {
     pub(super) fn new(rows: Vec<Row>, is_random: bool) -> Self {
-        let faulty = |row: &&Row| row.regret.is_some_and(|regret| !(regret >= SMALLEST_REGRET));
+        let faulty = |row: &&Row| row.regret.is_some_and(|regret| regret.is_nan() || regret < SMALLEST_REGRET);
         let faults = rows.iter().filter(faulty).map(|row| row.name.clone()).collect();
         Self { summary: Summary::of(&rows), rows, faults, is_random }
     }
@@ -109,10 +109,10 @@ impl Summary {
         let spread = |figure: &dyn Fn(&Row) -> Option<f64>| {
             Spread::of(with.iter().filter_map(|row| figure(row)).collect())
         };
-        let (regret, ratio) = (spread(&|row| row.regret)?, spread(&Row::second_difference_ratio)?);
-        let step = spread(&|row| Some(row.driven?.steering_step_max_rad))?;
-        let (clearance, time) =
-            (spread(&Row::clearance_loss_m)?, spread(&|row| Some(row.driven?.time_s - row.optimum?.time_s))?);
+        let regret = spread(&|row| row.regret)?;
+        let step = spread(&|row| Some(row.driven?.steering_step_max_rad));
+        let time = spread(&|row| Some(row.driven?.time_s - row.optimum?.time_s));
+        let (ratio, clearance) = (spread(&Row::second_difference_ratio), spread(&Row::clearance_loss_m));
         let is_clear = |row: &&Row| row.regret.is_none() && row.optimum.is_some();
         let clear = rows.iter().filter(is_clear).filter_map(|row| row.driven).map(|driven| driven.objective);
         let clear = clear.reduce(f64::max);
@@ -172,8 +172,8 @@ mod tests {
     #[test]
     fn a_clear_line_has_no_regret() {
         let compare = |objective| {
-            let mut row = Row::default();
             let figures = |objective| Figures { objective, ..Figures::default() };
+            let mut row = Row { driven: Some(figures(0.2)), ..Row::default() };
             row.compare(figures(0.2), Some(figures(objective)));
             row
         };
