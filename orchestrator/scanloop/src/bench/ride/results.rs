@@ -1,5 +1,7 @@
 //! The figures of all courses.
 
+use std::collections::BTreeMap;
+
 use console::exit::Exit;
 use emulator::Outcome;
 use ride::Figures;
@@ -42,6 +44,8 @@ pub(super) struct Spread {
 pub(super) struct Summary {
     pub(super) courses: usize,
     pub(super) regret: Spread,
+    /// The regret of each family of random courses.
+    pub(super) families: BTreeMap<&'static str, Spread>,
     /// Sum of second differences, as a multiple of the optimum's.
     pub(super) second_difference_ratio: Option<Spread>,
     pub(super) steering_step_max_rad: Option<Spread>,
@@ -68,7 +72,8 @@ pub(super) struct Results {
 
 impl Results {
     pub(super) fn new(rows: Vec<Row>, is_random: bool) -> Self {
-        let faulty = |row: &&Row| row.regret.is_some_and(|regret| regret.is_nan() || regret < SMALLEST_REGRET);
+        let faulty =
+            |row: &&Row| row.regret.is_some_and(|regret| regret.is_nan() || regret < SMALLEST_REGRET);
         let faults = rows.iter().filter(faulty).map(|row| row.name.clone()).collect();
         Self { summary: Summary::of(&rows), rows, faults, is_random }
     }
@@ -120,6 +125,7 @@ impl Summary {
         Some(Self {
             courses: with.len(),
             regret,
+            families: families(&with),
             second_difference_ratio: ratio,
             steering_step_max_rad: step,
             clearance_loss_m: clearance,
@@ -128,6 +134,17 @@ impl Summary {
             worst: with.iter().take(WORST).map(|row| row.name.clone()).collect(),
         })
     }
+}
+
+/// The regret of each family.
+fn families(rows: &[&Row]) -> BTreeMap<&'static str, Spread> {
+    let mut regrets: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+    for row in rows {
+        if let (Some(family), Some(regret)) = (row.family, row.regret) {
+            regrets.entry(family).or_default().push(regret);
+        }
+    }
+    regrets.into_iter().filter_map(|(family, regrets)| Some((family, Spread::of(regrets)?))).collect()
 }
 
 impl Spread {
@@ -183,12 +200,22 @@ mod tests {
     }
 
     #[test]
+    fn families_of_random_courses_have_their_own_regret() {
+        let of = |family, driven| Row { family: Some(family), ..row(family, driven, 1.0) };
+        let rows = vec![of("plain", 1.0), of("plain", 3.0), of("moving", 5.0)];
+        let families = Results::new(rows, true).summary.unwrap().families;
+        assert_eq!(families["plain"], Spread { mean: 2.0, p95: 3.0, max: 3.0 });
+        assert_eq!(families["moving"].mean, 5.0);
+    }
+
+    #[test]
     fn the_summary_is_over_the_courses_that_have_a_regret() {
         let rows: Vec<Row> =
             (0..=20).map(|index| row(&index.to_string(), 1.0 + f64::from(index), 1.0)).collect();
         let rows = rows.into_iter().chain([Row::default()]).collect();
         let summary = Results::new(rows, true).summary.unwrap();
         assert_eq!((summary.courses, summary.regret), (21, Spread { mean: 11.0, p95: 20.0, max: 21.0 }));
+        assert!(summary.families.is_empty());
         assert_eq!(summary.worst, ["20", "19", "18", "17", "16"]);
         assert!(Results::new(vec![Row::default()], true).summary.is_none());
     }
