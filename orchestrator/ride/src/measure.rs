@@ -185,7 +185,7 @@ mod tests {
         drive.moments.iter_mut().for_each(|moment| moment.time_s += 0.5);
         drive.moments.insert(0, rest);
         assert!(measure(&drive, &GOAL).unwrap().objective.abs() < 1e-12);
-        // A stand of 1 s after the first command: 1 s behind over 10 s and at the end, and t^2 over the stand.
+        // At rest for 1 s after the first command: 1 s behind over 10 s and at the end, and t^2 before.
         drive.moments.iter_mut().skip(1).for_each(|moment| moment.time_s += 1.0);
         drive.moments.insert(1, Moment { time_s: 0.5, ..rest });
         drive.moments[2].speed_mps = 0.0;
