@@ -194,6 +194,18 @@ mod tests {
     }
 
     #[test]
+    fn a_drive_begins_with_its_first_command_that_drives_wherever_that_is() {
+        let mut drive = straight(0.5, &[0.0]);
+        drive.moments.iter_mut().for_each(|moment| moment.state.x += 3.0);
+        let expected = measure(&drive, &Goal { x_m: 14.75, ..GOAL }).unwrap();
+        assert!((expected.objective - 22.0).abs() < 1e-9, "{expected:?}");
+        let blocked = Control { velocity: 0.0, steering: 0.0 };
+        drive.commands.insert(0, Issued { time_s: -1.0, control: blocked });
+        drive.moments.insert(0, Moment { time_s: -1.0, speed_mps: 0.0, ..drive.moments[0] });
+        assert_eq!(measure(&drive, &Goal { x_m: 14.75, ..GOAL }), Some(expected));
+    }
+
+    #[test]
     fn a_turn_has_its_centripetal_acceleration() {
         let mut drive = straight(0.0, &[0.0]);
         for (index, moment) in drive.moments.iter_mut().enumerate() {

@@ -168,6 +168,17 @@ mod tests {
     }
 
     #[test]
+    fn a_plan_counts_its_end_as_the_measure_does() {
+        let mut short = course(2.75, Vec::new());
+        short.start.y = 0.3;
+        let (optimum, figures) = solved(&short);
+        assert!(optimum.drive.moments.last().unwrap().state.y > 0.1, "the end is beside the line");
+        let objective = optimum.plans[0].objective + 8.0 * 0.09 * 0.05;
+        // The last interval is shorter than the one that the weights of its first node are for.
+        assert!((figures.objective / objective - 1.0).abs() < 5e-3, "{} {objective}", figures.objective);
+    }
+
+    #[test]
     fn no_other_controls_cost_less() {
         let mut beside = course(4.0, Vec::new());
         beside.start.y = 0.1;

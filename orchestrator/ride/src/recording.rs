@@ -145,6 +145,16 @@ mod tests {
     }
 
     #[test]
+    fn a_command_that_acts_longer_counts_once() {
+        let mut recording = Recording::default();
+        (1..=4).for_each(|scan_id| recording.truth(&truth(scan_id)));
+        (1..=4).for_each(|scan_id| recording.actuation(&answer(scan_id, ActuationKind::Drive)));
+        let lost = Truth { actuation_scan: 3, actuation_age_s: 0.17, ..truth(5) };
+        recording.truth(&lost);
+        assert_eq!(recording.drive().commands.len(), 3);
+    }
+
+    #[test]
     fn a_drive_that_is_too_long_is_empty() {
         let mut recording = Recording::default();
         (1..=MAX_SCANS as u64 + 1).for_each(|scan_id| recording.truth(&truth(scan_id)));

@@ -84,15 +84,23 @@ mod tests {
     }
 
     #[test]
-    fn beside_a_body_the_side_is_taken_and_far_bodies_keep_that_of_the_line() {
-        let mut ellipses: Vec<Ellipse> =
-            (2..9).map(|body| ellipse(body, 3.0 * f64::from(body), 0.0)).collect();
-        ellipses.push(ellipse(9, 30.0, 1.0));
-        ellipses.insert(0, ellipse(1, 0.3, 0.4));
+    fn beside_a_body_its_side_is_taken_already() {
+        let sides = |x: f64| {
+            let beside = ellipse(1, x, 0.4);
+            combinations(&bodies(&[&beside], 0.0, [0.0, 0.0], 0.0))
+        };
+        assert_eq!(sides(0.3), [[false]], "right of it");
+        assert_eq!(sides(1.1), [[true], [false]], "not yet beside it");
+    }
+
+    #[test]
+    fn only_the_bodies_next_to_the_line_are_tried_on_both_sides() {
+        let far = [(1.0, 8), (-0.8, 9)].map(|(y, body)| ellipse(body, 3.0 * f64::from(body), y));
+        let near = (1..6).map(|body| ellipse(body, 3.0 * f64::from(body), 0.1));
+        let ellipses: Vec<Ellipse> = far.into_iter().chain(near).collect();
         let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
-        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0);
-        let combinations = combinations(&bodies);
+        let combinations = combinations(&bodies(&ellipses, 0.0, [0.0, 0.0], 0.0));
         assert_eq!(combinations.len(), 32);
-        assert!(combinations.iter().all(|sides| !sides[0] && !sides[8]));
+        assert!(combinations.iter().all(|sides| !sides[0] && sides[1]), "on the side of the line");
     }
 }
