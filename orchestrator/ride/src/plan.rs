@@ -10,7 +10,7 @@ use crate::course::{Course, From};
 use crate::ellipse::Ellipse;
 use crate::guess::{Guess, guess};
 use crate::objective::{CRUISE, INTERVAL_S, SPEED_MPS, weights};
-use crate::sides::{bodies, combinations};
+use crate::sides::{Sides, bodies, combinations};
 
 /// Maximum number of intervals of the solver.
 const MAX_INTERVALS: usize = 200;
@@ -66,8 +66,9 @@ pub(crate) fn best_plan(
     course: &Course,
     from: &From,
     known: &[&Ellipse],
+    tried: Sides,
 ) -> Result<Plan, NoOptimum> {
-    let bodies = bodies(known, from.time_s, [from.state.x, from.state.y], course.goal.y_m);
+    let bodies = bodies(known, from.time_s, [from.state.x, from.state.y], course.goal.y_m, tried);
     let all = combinations(&bodies);
     let speeds = if known.iter().any(|ellipse| ellipse.moves()) { &SLOWER[..] } else { &SLOWER[..1] };
     let mut best: Option<Plan> = None;

@@ -36,6 +36,7 @@ pub struct Sightings {
 struct Sighting {
     time_s: f64,
     x_m: f64,
+    y_m: f64,
     speed_mps: f64,
     growth_m: f64,
     items: Vec<Obstacle>,
@@ -50,6 +51,7 @@ impl Sightings {
         self.scans.push(Sighting {
             time_s: truth.time_s,
             x_m: truth.x_m,
+            y_m: truth.y_m,
             speed_mps: truth.speed_mps,
             growth_m: self.growth_m,
             items: obstacles.list().to_vec(),
@@ -89,7 +91,8 @@ impl Sightings {
             Path::Fixed([item.x_m, item.y_m])
         };
         let known_x_m = first.x_m + first.speed_mps * lead_s;
-        Some(Ellipse { body: item.body, a, b, path, known_s: first.time_s + lead_s, known_x_m })
+        let passed_left = scan.y_m >= item.y_m;
+        Some(Ellipse { body: item.body, a, b, passed_left, path, known_s: first.time_s + lead_s, known_x_m })
     }
 
     /// The first scan in which the centre of an ellipse was within this one.
