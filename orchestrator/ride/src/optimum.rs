@@ -20,8 +20,8 @@
 //!
 //! # The end
 //! The time that the optimum takes is a result. Each plan is solved for a duration; the last interval is then lengthened
-//! or shortened by the distance that is missing to the end, until none is. This is the least J because arriving later
-//! never costs less. Horizons have 200 intervals at most. A plan over a longer way ends earlier, with the weights of the
+//! or shortened by the distance that is missing to the end, until none is. This is the least J as far as arriving later
+//! costs more; with a free duration CasADi found 1.2e-4 less at most, where a body crosses. Horizons have 200 intervals at most. A plan over a longer way ends earlier, with the weights of the
 //! end there, and is renewed when the rest of the way fits: what is known lies a few metres ahead.
 
 use ocp::Trajectory;

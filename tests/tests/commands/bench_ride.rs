@@ -37,6 +37,23 @@ fn a_scenario_has_its_regret_and_a_run_reports_the_same_figures() {
 }
 
 #[test]
+fn random_courses_have_seeds_and_a_summary_of_their_families() {
+    let system = System::new(EXECUTABLE);
+    let output = system.run(&["bench", "ride", "--random", "2", "--seed", "134", "--json"]);
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    let results: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(results["rows"].as_array().unwrap().len(), 2);
+    assert_eq!((&results["rows"][0]["seed"], &results["rows"][0]["family"]), (&134.into(), &"plain".into()));
+    let [regret, families] = ["regret", "families"].map(|key| &results["summary"][key]);
+    assert!(
+        regret["mean"].as_f64() <= regret["max"].as_f64() && families["plain"]["p95"].is_number(),
+        "{results}"
+    );
+    assert!(text.contains("worst           course-"), "{text}");
+}
+
+#[test]
 fn a_drive_that_stops_before_its_goal_has_no_regret() {
     let system = System::new(EXECUTABLE);
     let output = system.run(&["bench", "ride", "blocked", "--json"]);
