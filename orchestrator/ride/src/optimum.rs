@@ -1,28 +1,29 @@
 //! The drive with the least J over the same course.
 //!
 //! # What it is compared with
-//! It starts from the state of the first drive command and ends at the same place as the measured part of the drive. It
-//! has the model, the bounds, the ellipses and the margin of the controller. Controls change every 0.1 s; nodes, and
-//! with them the ellipses, are as far apart.
+//! It starts from the state of the first drive command and ends at the same place as the measured part of the drive.
+//! It has the model, the bounds, the ellipses and the margin of the controller. Controls change every 0.1 s; nodes,
+//! and with them the ellipses, are as far apart.
 //!
 //! # What it knows
-//! What the robot knew: an ellipse counts from the node on at which it was first described in the drive. The optimum may
-//! be ahead of the drive or behind it, so that node is the first one that is as late, or as far along the track, as the
-//! drive was then. The optimum plans to the end with the ellipses known at the start, follows this plan to the next
-//! first sight, plans again from its own state there, and so on. So a body is passed on the side that is best by what is
-//! known, and its last description is known from the first sight on.
+//! What the robot knew: an ellipse counts from the node on at which it was first described in the drive. The optimum
+//! may be ahead of the drive or behind it, so that node is the first one that is as late, or as far along the track,
+//! as the drive was then. The optimum plans to the end with the ellipses known at the start, follows this plan to the
+//! next first sight, plans again from its own state there, and so on. So a body is passed on the side that is best by
+//! what is known, and its last description is known from the first sight on.
 //!
 //! # Sides
-//! Each plan is the best of the solutions for all combinations of passing sides, at most 2^5; a moving body is tried at
-//! several speeds as well. What is best by what is known may turn out bad behind the next obstacle, and a drive may have
-//! been lucky. So the sides of the drive are tried once more as a whole, and the better result counts.
-//! A solution counts when it has converged with a slack of 1e-6 at most.
+//! Each plan is the best of the solutions for all combinations of passing sides, at most 2^5; a moving body is tried
+//! at several speeds as well. What is best by what is known may turn out bad behind the next obstacle, and a drive
+//! may have been lucky. So the sides of the drive are tried once more as a whole, and the better result counts. A
+//! solution counts with a slack of 1e-6 and a scaled KKT residual of 1e-3 at most.
 //!
 //! # The end
-//! The time that the optimum takes is a result. Each plan is solved for a duration; the last interval is then lengthened
-//! or shortened by the distance that is missing to the end, until none is. This is the least J as far as arriving later
-//! costs more; with a free duration CasADi found 1.2e-4 less at most, where a body crosses. Horizons have 200 intervals at most. A plan over a longer way ends earlier, with the weights of the
-//! end there, and is renewed when the rest of the way fits: what is known lies a few metres ahead.
+//! The time that the optimum takes is a result. Each plan is solved for a duration; the last interval is then
+//! lengthened or shortened by the distance that is missing to the end, until none is. This is the least J as far as
+//! arriving later costs more; with a free duration CasADi found 1.2e-4 less at most, where a body crosses. Horizons
+//! have 200 intervals at most. A plan over a longer way ends earlier, with the weights of the end there, and is
+//! renewed after 5 s: what is known lies a few metres ahead.
 
 use ocp::Trajectory;
 use vehicle::State;
@@ -37,6 +38,8 @@ use crate::sides::Sides;
 pub use crate::course::Course;
 pub use crate::plan::{NoOptimum, Plan};
 
+/// Number of intervals after which a plan that ends before the course is renewed.
+const RENEWED_INTERVALS: usize = 50;
 /// Maximum number of plans, for a course that leads nowhere.
 const MAX_PLANS: usize = 100;
 
@@ -96,8 +99,8 @@ fn known<'a>(course: &'a Course, from: &From) -> Vec<&'a Ellipse> {
 fn follow(course: &Course, from: &From, known: &[&Ellipse], plan: &Plan, drive: &mut Drive) -> Option<From> {
     let Trajectory { states, controls } = &plan.trajectory;
     let intervals = &plan.problem.intervals;
-    // A plan that ends before the course is renewed after the time that it was too short, five seconds at most.
-    let renewed = if plan.is_whole { usize::MAX } else { 50 };
+    // A plan that ends before the course is renewed.
+    let renewed = if plan.is_whole { usize::MAX } else { RENEWED_INTERVALS };
     let mut time_s = from.time_s;
     for (index, (control, state)) in controls.iter().zip(&states[1..]).enumerate() {
         drive.commands.push(Issued { time_s, control: *control });
@@ -246,7 +249,8 @@ mod tests {
 
     #[test]
     fn a_lucky_side_of_the_drive_is_tried_too() {
-        // Left of the first is a little shorter; right of it leads better to the second, which is seen only beside the first.
+        // Left of the first is a little shorter; right of it leads better to the second, which is seen only beside
+        // the first.
         let lucky = |passed_left: bool| {
             let first = Ellipse { passed_left, ..ellipse(5.0, -0.02, 0.0) };
             solved(&course(16.0, vec![first, ellipse(8.0, 0.35, 4.0)])).1.objective

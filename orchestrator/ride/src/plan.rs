@@ -16,8 +16,8 @@ use crate::sides::{Sides, bodies, combinations};
 const MAX_INTERVALS: usize = 200;
 /// Largest slack of an ellipse in an accepted solution.
 const LARGEST_SLACK: f64 = 1e-6;
-/// Largest scaled KKT residual of an accepted solution. Over long horizons the merit has rounding errors that end a solve
-/// between this and the tolerance of the solver; the objective is exact to its sixth digit then.
+/// Largest scaled KKT residual of an accepted solution. Over long horizons the merit has rounding errors that end a
+/// solve between this and the tolerance of the solver; the objective is exact to its sixth digit then.
 const LARGEST_RESIDUAL: f64 = 1e-3;
 /// Weights of the slack that are tried in turn: the first is enough where the penalty is exact with it.
 const SLACK_WEIGHTS: [f64; 2] = [500.0, 1e5];

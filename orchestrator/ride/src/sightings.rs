@@ -4,8 +4,10 @@
 //!
 //! * the last description before the robot passed its centre: that is the one that the plans beside it had to keep;
 //! * with the margin of the command of that scan, as the controller adds it;
-//! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is known;
-//! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did not
+//! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is
+//!   known;
+//! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did
+//!   not
 //!   bind the robot where it counts.
 //!
 //! A moving body has the recorded centres of all scans, and keeps its last described velocity when it is seen no more.

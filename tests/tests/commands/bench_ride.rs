@@ -1,5 +1,4 @@
 //! `scanloop bench ride` on one scenario, and the same figures in the report of a run.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use scanloop_tests::System;
 use serde_json::Value;

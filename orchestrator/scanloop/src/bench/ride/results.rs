@@ -7,8 +7,8 @@ use emulator::Outcome;
 use ride::Figures;
 use serde::Serialize;
 
-/// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a drive
-/// gains between the nodes of the optimum, and from descriptions that changed.
+/// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a
+/// drive gains between the nodes of the optimum, and from descriptions that changed.
 const SMALLEST_REGRET: f64 = 0.99;
 /// An optimum that costs less has nothing to steer past: J of the drive is then its noise, and a ratio has no meaning.
 const CLEAR_OBJECTIVE: f64 = 0.1;
