@@ -66,7 +66,18 @@ impl Plan {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
-        let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
+        Self::of_table(read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?, choice)
+    }
+
+    /// The same for a scenario that is not read from a file.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn of(scenario: &Scenario, choice: &Choice) -> anyhow::Result<Self> {
+        Self::of_table(system::table_of(&scenario.to_toml(), scenario.name.clone())?, choice)
+    }
+
+    fn of_table((mut scenario, scenario_file): (Table, String), choice: &Choice) -> anyhow::Result<Self> {
         let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
         if choice.realtime {
             realtime::add_profile(&mut system);
@@ -179,6 +190,16 @@ mod tests {
         let worn = plan(&["robot.preset=worn"]);
         assert!(keys(&worn).len() > 10);
         assert_ne!(worn.scenario.robot, plan(&["robot.preset=worn", "seed=2"]).scenario.robot);
+    }
+
+    #[test]
+    fn a_scenario_that_is_no_file_is_planned_like_one_that_is() {
+        let overrides = vec!["robot.preset=summit".to_owned(), "controller.intervals=7".to_owned()];
+        let choice = Choice { overrides, ..Choice::default() };
+        let slalom = Scenario::parse(Scenario::shipped("slalom").unwrap(), "slalom").unwrap();
+        let (of, read) = (Plan::of(&slalom, &choice).unwrap(), Plan::read(Some("slalom"), &choice).unwrap());
+        assert_eq!((&of.scenario, of.system.tuning()), (&read.scenario, read.system.tuning()));
+        assert_eq!(of.system.controller.intervals, 7);
     }
 
     #[test]
