@@ -16,6 +16,8 @@ use vehicle::frame::to_track;
 const REACH_M: f64 = 5.4;
 /// A return nearer than predicted by more than this hides what was predicted [m].
 const HIDING_M: f64 = 0.2;
+/// Every other return is compared, so each counts for two.
+const EACH: f64 = 2.0;
 /// Time constant of the counts [s].
 const MEMORY_S: f64 = 0.15;
 /// With fewer predicted returns than this a sector is not judged.
@@ -70,8 +72,8 @@ pub(crate) fn compare<'a>(
             continue;
         }
         let [predicted, came] = &mut counts[expected.beam / SECTOR_BEAMS];
-        *predicted += 1.0;
-        *came += ranges().count() as f64 / 3.0;
+        *predicted += EACH;
+        *came += EACH * ranges().count() as f64 / 3.0;
     }
 }
 
