@@ -243,7 +243,7 @@ mod tests {
         assert_eq!(optimum.plans.len(), 2);
         assert!((optimum.plans[1].problem.initial.x - 2.5).abs() < 0.051);
         assert!(late.objective > early.objective, "{late:?} {early:?}");
-        // At once beside it, there is no way round.
+        // At once next to it, there is no way round.
         assert!(super::optimum(&course(12.0, vec![ellipse(6.0, 0.2, 4.4)])).is_err());
     }
 

@@ -112,7 +112,7 @@ mod tests {
             combinations(&bodies(&[&beside], 0.0, [0.0, 0.0], 0.0, Sides::Both))
         };
         assert_eq!(sides(0.3), [[false]], "right of it");
-        assert_eq!(sides(1.1), [[true], [false]], "not yet beside it");
+        assert_eq!(sides(1.1), [[true], [false]], "not yet next to it");
     }
 
     #[test]

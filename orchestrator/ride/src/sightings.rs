@@ -2,7 +2,7 @@
 //!
 //! A description changes from scan to scan. The optimum gets one ellipse per identity:
 //!
-//! * the last description before the robot passed its centre: that is the one that the plans beside it had to keep;
+//! * the last description before the robot passed its centre: that is the one that the plans past it had to keep;
 //! * with the margin of the command of that scan, as the controller adds it;
 //! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is
 //!   known;
