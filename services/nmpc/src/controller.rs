@@ -35,10 +35,10 @@ const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
 /// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
 const REST_MPS: f64 = 0.02;
 
+/// A moving obstacle is passed on the other side when that costs less than this share.
+const SWITCH_SHARE: f64 = 0.8;
 /// Blocked wheels that slide further than this are worth a slower plan [m].
 const SLIDE_M: f64 = 0.2;
-/// Distance in addition to the margin that a path at full speed keeps [m]: plans do not follow it exactly.
-const SPARE_M: f64 = 0.03;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -51,6 +51,10 @@ pub struct Controller {
     state: ControllerState,
     predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
+    /// A path past the nearest obstacle whose side is open, on the other side; used when `contested` is.
+    alternative: ReferencePath,
+    /// Share of the cost of `reference_path` below which the alternative is taken.
+    contested: Option<f64>,
 }
 
 impl Controller {
@@ -68,6 +72,8 @@ impl Controller {
             state: ControllerState::default(),
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
+            alternative: ReferencePath::default(),
+            contested: None,
             config,
         })
     }
@@ -151,6 +157,12 @@ impl Controller {
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
         self.find_reference_path(&start);
         command.side = self.nearest_side(&initial);
+        if (!self.reference_path.clear || !self.reference_path.limits.is_empty())
+            && let Some(choice) = self.continue_plan(&start, pose, budget, command)
+        {
+            command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
+            return Ok(choice);
+        }
         if !self.reference_path.clear {
             let scene = start.scene(&self.config, &self.predicted);
             let approach_mps = start.stopping.speed(scene.free_ahead() - start.margin.base() - STOP_MARGIN_M);
@@ -168,6 +180,33 @@ impl Controller {
         Ok(choice)
     }
 
+    /// The last plan, corrected, where it leads past the obstacles although the search found no path: the search is
+    /// coarser than a plan that drives along an ellipse.
+    fn continue_plan(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        let Self { config, predicted, alternative, state, planner, .. } = self;
+        alternative.set_line(start.initial.x, config.goal.y_m, config.cruise_mps.min(start.limit_mps));
+        let scene = start.scene(config, predicted);
+        let task = Task {
+            scene,
+            reference_path: alternative,
+            last: state,
+            start_ns: pose.predicted_ns,
+            fastest_mps: start.limit_mps,
+        };
+        let choice = planner.continue_plan(&task, budget, &mut 0, command)?;
+        let slack = command.slack - config.stop.slack;
+        let is_open = choice.level == Level::Converged
+            && planner.is_fast()
+            && blocked_by(&scene, &planner.rollout.samples, start.stop_m(), slack).is_none();
+        is_open.then_some(choice)
+    }
+
     /// A plan that may be driven, unless the path is blocked.
     fn plan(
         &mut self,
@@ -176,6 +215,12 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
+        let other_is_better = self.compare(start, pose, budget, command);
+        if other_is_better {
+            std::mem::swap(&mut self.reference_path, &mut self.alternative);
+            let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
+            side::renew(&mut self.state.sides, &self.predicted, choose);
+        }
         let Self { config, predicted, reference_path, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
         let mut task = Task {
@@ -210,6 +255,26 @@ impl Controller {
             command.blocking = refused_for.map(|index| blocking(&scene, index)).unwrap_or_default();
             StopReason::Unverified
         })
+    }
+
+    /// Whether the plan along the alternative costs clearly less than that along the reference path.
+    fn compare(&mut self, start: &Start, pose: &Pose, budget: &Budget, command: &mut Command) -> bool {
+        let Some(share) = self.contested else { return false };
+        let Self { config, predicted, reference_path, alternative, state, planner, .. } = self;
+        let mut cost = |reference_path: &ReferencePath| {
+            let task = Task {
+                scene: start.scene(config, predicted),
+                reference_path,
+                last: state,
+                start_ns: pose.predicted_ns,
+                fastest_mps: start.limit_mps,
+            };
+            let choice = planner.plan(&task, budget, command);
+            choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective)
+        };
+        let (other, this) = (cost(alternative), cost(reference_path));
+        if std::env::var("DBG").is_ok() { eprintln!("x {:.2} compare {this:?} other {other:?} share {share}", start.initial.x); }
+        other.is_some_and(|other| this.is_none_or(|this| other < share * this))
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
@@ -259,14 +324,14 @@ impl Controller {
         };
         if predicted.iter().any(in_the_way) {
             let scene = start.scene(config, predicted);
-            let mut find = |speed: f64, spare_m: f64| {
-                let query = Query { scene, speed, spare_m, sides: &self.state.sides };
+            let mut find = |speed: f64, narrow: bool| {
+                let query = Query { scene, speed, narrow, sides: &self.state.sides, forced: None };
                 self.search.find(&query, &mut self.reference_path);
                 self.reference_path.clear
             };
             if predicted.iter().any(PredictedObstacle::moves) {
-                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), 0.0));
-            } else if !find(cruise, SPARE_M) && find(slowest, 0.0) {
+                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), true));
+            } else if !find(cruise, false) && find(slowest, true) {
                 // Slow only where the margin of the full speed does not fit.
                 let deceleration = SLOWING_SHARE * config.vehicle.deceleration_max_mps2;
                 let allowed = |x: f64, y: f64, course: f64| scene.fastest_at(x, y, course, [slowest, cruise]);
@@ -279,8 +344,44 @@ impl Controller {
         } else {
             self.reference_path.set_line(initial.x, goal.y_m, cruise);
         }
+        self.find_alternative(start);
         let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
         side::renew(&mut self.state.sides, &self.predicted, choose);
+    }
+
+    /// Finds a path on the other side of the nearest obstacle whose side is not held, or that moves.
+    fn find_alternative(&mut self, start: &Start) {
+        self.contested = None;
+        let (config, predicted, path) = (&self.config, &self.predicted, &self.reference_path);
+        if !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
+            return;
+        }
+        let open = |obstacle: &&PredictedObstacle| {
+            obstacle.moves() || held(&self.state.sides, obstacle).is_none()
+        };
+        let ahead = |obstacle: &&PredictedObstacle| obstacle.centre[0] > start.initial.x;
+        let nearest = predicted
+            .iter()
+            .filter(ahead)
+            .filter(open)
+            .min_by(|one, other| one.centre[0].total_cmp(&other.centre[0]));
+        let Some((obstacle, side)) =
+            nearest.and_then(|obstacle| Some((obstacle, path.side_of(obstacle)?)))
+        else {
+            return;
+        };
+        let query = Query {
+            scene: start.scene(config, predicted),
+            speed: path.speed,
+            narrow: false,
+            sides: &self.state.sides,
+            forced: Some((obstacle.id, side.other())),
+        };
+        self.search.find(&query, &mut self.alternative);
+        if self.alternative.clear && self.alternative.side_of(obstacle) == Some(side.other()) {
+            let is_held = held(&self.state.sides, obstacle).is_some();
+            self.contested = Some(if is_held { SWITCH_SHARE } else { 1.0 });
+        }
     }
 
     /// Side on which the nearest obstacle that the line leads through is passed.
@@ -333,6 +434,9 @@ impl Controller {
         command.verified = 1;
         (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
 
+        for (index, obstacle) in self.predicted.iter().enumerate() {
+            side::grow(&mut self.state.sides, obstacle, self.planner.grown(index));
+        }
         let state = &mut self.state;
         (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);

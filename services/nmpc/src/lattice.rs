@@ -68,7 +68,7 @@ impl Search {
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
     pub(crate) fn find(&mut self, query: &Query, reference_path: &mut ReferencePath) {
         let start = query.scene.initial;
-        let grid = Grid::new(&query.scene, if query.spare_m > 0.0 { CELL_M } else { NARROW_CELL_M });
+        let grid = Grid::new(&query.scene, if query.narrow { NARROW_CELL_M } else { CELL_M });
         self.obstacle_cost.measure(query, grid.layers, grid.step);
         self.tabulate(&query.scene, &grid);
         self.reserve(&grid);
@@ -165,7 +165,7 @@ impl Search {
                 total += self.obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
                 total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
                 if crossed {
-                    total += settings.switch_cost * self.obstacle_cost.switches(layer, y, y_next);
+                    total += self.obstacle_cost.switches(layer, y, y_next, settings.switch_cost);
                 }
                 let outside = excess(y_next, y_range) - allowed;
                 if outside > 1e-9 {
@@ -236,7 +236,7 @@ mod tests {
 
     fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
         let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
-        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, spare_m: 0.0, sides };
+        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, narrow: true, sides, forced: None };
         let mut reference_path = ReferencePath::default();
         Search::default().find(&query, &mut reference_path);
         reference_path
@@ -283,7 +283,7 @@ mod tests {
             Some(Passing::Right)
         );
         let mut sides = Sides::default();
-        hold(&mut sides, &obstacle, Passing::Left);
+        hold(&mut sides, &obstacle, Passing::Left, 0.0);
         assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
     }
 

@@ -18,13 +18,23 @@ use crate::ellipses::fill_ellipses;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
 use crate::rollout::Rollout;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::scene::Scene;
+use crate::side::{MAX_GROWN_M, grown};
 use crate::state::ControllerState;
 use crate::verify::verify;
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
 const MAX_REST_S: f64 = 1.0;
+/// How often a problem is solved again with ellipses that are enlarged by what the body misses.
+const TIGHTENINGS: usize = 3;
+/// By how much more an ellipse is enlarged [m].
+const SPARE_M: f64 = 0.003;
+/// A plan that gets this share of the way of its reference does not slow down for anything.
+const FAST_SHARE: f64 = 0.95;
+/// Share of an enlargement that the next scan begins with.
+const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
 const LARGEST_DEFECT_M: f64 = 0.01;
 
@@ -80,6 +90,10 @@ pub(crate) struct Planner {
     problem: Problem,
     guess: Trajectory,
     solution: Solution,
+    /// Index of the obstacle that each ellipse of the problem belongs to.
+    owners: Vec<usize>,
+    /// By how much each ellipse is enlarged [m].
+    grown: Vec<f64>,
     /// The obstacle for which a plan was refused last.
     pub(crate) refused_for: Option<usize>,
     /// Controls of the plan.
@@ -109,6 +123,8 @@ impl Planner {
             problem,
             guess: Trajectory::default(),
             solution: Solution::default(),
+            owners: Vec::with_capacity(config.max_ellipses),
+            grown: Vec::with_capacity(config.max_ellipses),
             refused_for: None,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
@@ -117,13 +133,8 @@ impl Planner {
 
     /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
-        self.build_problem(task);
-        self.refused_for = None;
         let mut used = 0;
-        if let Some(elapsed_s) = task.elapsed()
-            && self.start_from_plan(task, elapsed_s)
-            && let Some(choice) = self.solve(task, budget, &mut used, command)
-        {
+        if let Some(choice) = self.continue_plan(task, budget, &mut used, command) {
             return Some(choice);
         }
         self.start_from_reference(task);
@@ -145,6 +156,23 @@ impl Planner {
         self.verify_guess(task).map(|intervals| Choice { level: Level::LastPlan, intervals })
     }
 
+    /// The solution from the last plan, when there is one that passes obstacles on the sides of the reference path.
+    pub(crate) fn continue_plan(
+        &mut self,
+        task: &Task,
+        budget: &Budget,
+        used: &mut u32,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        self.build_problem(task);
+        self.refused_for = None;
+        let elapsed_s = task.elapsed()?;
+        if !self.start_from_plan(task, elapsed_s) {
+            return None;
+        }
+        self.solve(task, budget, used, command)
+    }
+
     /// Fills the optimal control problem of this scan.
     fn build_problem(&mut self, task: &Task) {
         let Task { scene: Scene { config, predicted, initial, .. }, last, .. } = *task;
@@ -153,16 +181,26 @@ impl Planner {
         problem.bounds.velocity_max_mps = config.vehicle.bounds.velocity_max_mps.min(task.fastest_mps);
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
+        let is_wide = task.reference_path.limits.is_empty();
+        let line = (task.reference_path.clear && is_wide).then_some(config.goal.y_m);
         problem.control_reference = reference::fill(
             task.reference_path,
             &task.pace(),
+            line,
             initial.x,
             config.interval_s(),
             config.intervals,
             &mut problem.references,
         );
-        let margin = config.ellipse_margin_m + task.scene.margin.growth(0.0, task.reference_path.slowest());
-        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses);
+        let (speed, cruise) = (task.reference_path.slowest(), task.pace().cruise);
+        let margin = |obstacle: &PredictedObstacle, way_m: f64| {
+            config.ellipse_margin_m
+                + task.scene.margin.growth(if is_wide { way_m / cruise } else { 0.0 }, speed)
+                + GROWN_SHARE * grown(&last.sides, obstacle)
+        };
+        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses, &mut self.owners);
+        self.grown.clear();
+        self.grown.extend(self.owners.iter().map(|owner| GROWN_SHARE * grown(&last.sides, &predicted[*owner])));
     }
 
     /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
@@ -200,8 +238,64 @@ impl Planner {
         verdict.holds().then_some(verdict.intervals)
     }
 
-    /// Solves from the guess; returns the result when it may be driven.
+    /// Solves from the guess; where the body of the result comes too near to an obstacle, its ellipse is enlarged by what is
+    /// missing, and the problem is solved again.
     fn solve(
+        &mut self,
+        task: &Task,
+        budget: &Budget,
+        used: &mut u32,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        for _ in 0..=TIGHTENINGS {
+            let choice = self.solve_once(task, budget, used, command);
+            if choice.is_some() || !self.tighten(&task.scene) {
+                return choice;
+            }
+            self.guess.clone_from(&self.solution.trajectory);
+        }
+        None
+    }
+
+    /// Whether the plan gets about as far as its reference.
+    pub(crate) fn is_fast(&self) -> bool {
+        let (start, end) = (self.problem.initial.x, self.rollout.nodes.last().map_or(0.0, |state| state.x));
+        let wanted = self.problem.references.last().map_or(0.0, |state| state.x);
+        end - start > FAST_SHARE * (wanted - start)
+    }
+
+    /// By how much the ellipse of an obstacle was enlarged for this plan [m].
+    pub(crate) fn grown(&self, index: usize) -> f64 {
+        let ellipse = self.owners.iter().position(|owner| *owner == index);
+        ellipse.map_or(0.0, |ellipse| self.grown[ellipse])
+    }
+
+    /// Enlarges the ellipses that the rollout comes too near to; false when there is none.
+    fn tighten(&mut self, scene: &Scene) -> bool {
+        if self.refused_for.is_none() || self.solution.status == Status::Failed {
+            return false;
+        }
+        let baseline = scene.baseline();
+        let mut tightened = false;
+        for (ellipse, (&owner, grown)) in self.problem.ellipses.iter_mut().zip(self.owners.iter().zip(&mut self.grown)) {
+            let short = self
+                .rollout
+                .samples
+                .iter()
+                .map(|sample| scene.shortfall(&baseline, sample, owner))
+                .fold(0.0, f64::max);
+            let more = (short + SPARE_M).min(MAX_GROWN_M - *grown);
+            if short > 0.0 && more > 0.0 {
+                (ellipse.a, ellipse.b) = (ellipse.a + more, ellipse.b + more);
+                *grown += more;
+                tightened = true;
+            }
+        }
+        tightened
+    }
+
+    /// Solves once.
+    fn solve_once(
         &mut self,
         task: &Task,
         budget: &Budget,
@@ -236,6 +330,7 @@ impl Planner {
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
         if !verdict.holds() || !agrees {
+            if std::env::var("DBG").is_ok() { eprintln!("x {:.2} status {:?} it {} slack {:.4} verdict {:?} agrees {agrees} v {:?}", scene.initial.x, solution.status, solution.iterations, solution.slack, verdict, self.controls.iter().map(|c| ((c.velocity*100.0).round()/100.0, (c.steering*1000.0).round()/1000.0)).collect::<Vec<_>>()); }
             return None;
         }
         let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);

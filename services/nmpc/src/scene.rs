@@ -137,6 +137,20 @@ impl<'a> Scene<'a> {
             .map(Violation::Obstacle)
     }
 
+    /// How much nearer than allowed a sample comes to an obstacle [m]; zero or less when it keeps its distance.
+    pub(crate) fn shortfall(&self, baseline: &Baseline, sample: &Sampled, index: usize) -> f64 {
+        let Sampled { t, speed, ref state } = *sample;
+        let obstacle = &self.predicted[index];
+        let body = self.body_at(state);
+        let limit = baseline.gaps[index].min(self.margin.sum(t, speed)) - TOLERANCE_M;
+        let other = obstacle.body_at(t);
+        let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + limit;
+        let near = (other.centre - body.centre).norm() < reach;
+        let short = if near { limit - body.distance_to_rectangle(&other) } else { 0.0 };
+        let missing = baseline.values[index] - obstacle.value(t, state.x, state.y);
+        short.max(if missing > 0.0 { obstacle.b * missing / 2.0 } else { 0.0 })
+    }
+
     /// Distance from the body to the nearest obstacle that is not behind it [m]; infinite when there is none.
     pub(crate) fn free_ahead(&self) -> f64 {
         let body = self.body_at(&self.initial);

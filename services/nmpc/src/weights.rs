@@ -29,7 +29,7 @@ impl WeightSettings {
             node: self.state.map(|weight| weight * interval_s),
             terminal: self.terminal,
             control: self.control.map(|weight| weight * interval_s),
-            change: self.change,
+            change: self.change.map(|w| w * 0.1 / interval_s),
             slack_linear: self.slack_linear,
             slack_quadratic: self.slack_quadratic,
         }
