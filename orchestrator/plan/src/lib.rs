@@ -66,7 +66,18 @@ impl Plan {
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
     pub fn read(scenario: Option<&str>, choice: &Choice) -> anyhow::Result<Self> {
-        let (mut scenario, scenario_file) = read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?;
+        Self::of_table(read_scenario(scenario.unwrap_or(DEFAULT_SCENARIO))?, choice)
+    }
+
+    /// The same for a scenario that is not read from a file.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn of(scenario: &Scenario, choice: &Choice) -> anyhow::Result<Self> {
+        Self::of_table(system::table_of(&scenario.to_toml(), scenario.name.clone())?, choice)
+    }
+
+    fn of_table((mut scenario, scenario_file): (Table, String), choice: &Choice) -> anyhow::Result<Self> {
         let (mut system, system_file) = System::read_table(choice.system.as_deref())?;
         if choice.realtime {
             realtime::add_profile(&mut system);

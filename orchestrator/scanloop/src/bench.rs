@@ -5,6 +5,7 @@
 pub mod compare;
 mod instrument;
 pub mod latency;
+pub mod ride;
 pub mod scheduling;
 pub mod solver;
 
@@ -18,6 +19,7 @@ use figures::{MEASURED_PROFILE, PROFILE};
 
 use self::compare::CompareArguments;
 use self::latency::LatencyArguments;
+use self::ride::RideArguments;
 
 /// What to measure.
 #[derive(Debug, Subcommand)]
@@ -58,6 +60,15 @@ pub enum BenchCommand {
     /// `metric_to_settle` (for `no difference`: the rounds or the metric that would show one, or null), `text`,
     /// `others`.
     Compare(CompareArguments),
+    /// Measure how well courses are driven, compared with the optimum that sees what the robot saw.
+    ///
+    /// The drives run in one process, in simulated time, on all cores. The regret is the objective J of the drive over that
+    /// of the optimum; J has fixed weights (docs/ride.md). Exit code 1 if a regret is below 0.99: then the bench is wrong.
+    ///
+    /// JSON keys: `rows` with `name`, `seed`, `family`, `outcome`, `regret` (null if the goal was not reached), `driven` and
+    /// `optimum` (keys of `ride` in `report.json`), `note`; `summary` with `courses`, `regret`, `second_difference_ratio`,
+    /// `steering_step_max_rad`, `clearance_loss_m`, `time_loss_s` (each with `mean`, `p95`, `max`), `worst`; `faults`.
+    Ride(RideArguments),
     /// Measure four hops between five processes over other transports, as ratios to ours.
     ///
     /// The executable `scanloop-bench` runs this bench; `scanloop bench transport --help` shows its arguments once that
@@ -105,6 +116,7 @@ pub(crate) fn bench(system_id: &str, command: &BenchCommand) -> anyhow::Result<E
         },
         BenchCommand::Latency(arguments) => latency::latency(system_id, arguments),
         BenchCommand::Compare(arguments) => compare::compare(arguments),
+        BenchCommand::Ride(arguments) => ride::ride(arguments),
         BenchCommand::Transport { .. } => Err(instrument::hand_over()),
     }
 }

@@ -3,8 +3,6 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
 
 use anyhow::Context;
 use console::exit::Exit;
@@ -17,6 +15,7 @@ use report::NO_OBSTACLE_M;
 use serde::Serialize;
 
 use crate::cli::CampaignArguments;
+use crate::cores::on_all_cores;
 use crate::print_json;
 
 /// How one course ended.
@@ -78,26 +77,9 @@ pub(crate) fn campaign(arguments: &CampaignArguments) -> anyhow::Result<Exit> {
 
 fn drive_all(arguments: &CampaignArguments) -> anyhow::Result<Vec<CourseRun>> {
     let mut steps = Steps::new(arguments.runs, "courses");
-    let next = AtomicU64::new(0);
-    let (sender, receiver) = mpsc::channel();
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    let mut runs = std::thread::scope(|scope| {
-        for _ in 0..workers {
-            let (sender, next) = (sender.clone(), &next);
-            scope.spawn(move || {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= arguments.runs
-                        || sender.send(drive(arguments.seed.wrapping_add(index))).is_err()
-                    {
-                        return;
-                    }
-                }
-            });
-        }
-        drop(sender);
-        receiver.iter().inspect(|_| steps.step("")).collect::<anyhow::Result<Vec<CourseRun>>>()
-    })?;
+    let seed = |index: usize| arguments.seed.wrapping_add(index as u64);
+    let runs = on_all_cores(usize::try_from(arguments.runs)?, |index| drive(seed(index)), || steps.step(""));
+    let mut runs = runs.into_iter().collect::<anyhow::Result<Vec<CourseRun>>>()?;
     runs.sort_by_key(|run| run.seed);
     Ok(runs)
 }

@@ -6,6 +6,7 @@ pub mod calibrate;
 mod campaign;
 mod check;
 pub mod cli;
+mod cores;
 mod live_latency;
 mod price;
 mod reference;

@@ -1,8 +1,6 @@
 //! Drives the courses of a condition and reads the figures from the true robot.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
 
 use emulator::{Outcome, Scenario};
 use pipeline::{Pipeline, Settings, Step};
@@ -14,6 +12,7 @@ use super::condition::{self, Condition};
 use super::course;
 use super::search::smallest;
 use crate::cli::PriceArguments;
+use crate::cores;
 
 /// Widest gap that is tried, beyond the width of the body [cm].
 const WIDEST_CM: u32 = 160;
@@ -101,23 +100,8 @@ pub(super) fn on_all_cores(measurements: &[Measurement], mut done: impl FnMut())
     // The longest first, so that no core waits long for the last one.
     let mut order: Vec<usize> = (0..measurements.len()).collect();
     order.sort_by(|a, b| measurements[*b].rate_hz().total_cmp(&measurements[*a].rate_hz()));
-    let next = AtomicUsize::new(0);
-    let (sender, receiver) = mpsc::channel();
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    let mut figures: Vec<(usize, Figures)> = std::thread::scope(|scope| {
-        for _ in 0..workers {
-            let (sender, next, order) = (sender.clone(), &next, &order);
-            scope.spawn(move || {
-                while let Some(index) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    if sender.send((*index, measurements[*index].figures())).is_err() {
-                        return;
-                    }
-                }
-            });
-        }
-        drop(sender);
-        receiver.iter().inspect(|_| done()).collect()
-    });
+    let figures = cores::on_all_cores(order.len(), |place| measurements[order[place]].figures(), &mut done);
+    let mut figures: Vec<(usize, Figures)> = order.into_iter().zip(figures).collect();
     figures.sort_by_key(|(index, _)| *index);
     figures.into_iter().map(|(_, figures)| figures).collect()
 }

@@ -1,0 +1,53 @@
+//! A drive as the measure and the optimum see it.
+
+use vehicle::{Control, State};
+
+/// The true robot at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Moment {
+    /// Time since the start of the run [s].
+    pub time_s: f64,
+    /// Sideslip, yaw, yaw rate and position.
+    pub state: State,
+    /// Speed over ground [m/s].
+    pub speed_mps: f64,
+    /// Distance of the body to the nearest obstacle or wall [m].
+    pub clearance_m: f64,
+}
+
+/// A command, from the time at which it acts until the next one acts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Issued {
+    /// When it reaches the robot [s].
+    pub time_s: f64,
+    /// What is asked for; a blocked robot has the velocity zero and the last steering angle.
+    pub control: Control,
+}
+
+/// A drive: true moments and commands, each in the order of time.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Drive {
+    /// The true robot, at least at each scan.
+    pub moments: Vec<Moment>,
+    /// The commands.
+    pub commands: Vec<Issued>,
+}
+
+impl Drive {
+    /// When the first command that drives acts [s].
+    pub fn start_s(&self) -> Option<f64> {
+        self.commands.iter().find(|issued| issued.control.velocity > 0.0).map(|issued| issued.time_s)
+    }
+
+    /// The robot at `time_s`, from the last moment before: a robot at rest stays there, another one moves straight on.
+    pub fn advanced_to(&self, time_s: f64) -> Option<Moment> {
+        let before = self.moments.iter().take_while(|moment| moment.time_s <= time_s).last()?;
+        let (duration, mut moment) = (time_s - before.time_s, *before);
+        let (sin, cos) = (before.state.yaw + before.state.sideslip).sin_cos();
+        moment.time_s = time_s;
+        moment.state.x += before.speed_mps * cos * duration;
+        moment.state.y += before.speed_mps * sin * duration;
+        moment.state.yaw += before.state.yaw_rate * duration;
+        Some(moment)
+    }
+}

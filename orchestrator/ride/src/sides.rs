@@ -1,0 +1,98 @@
+//! The combinations of passing sides that are tried.
+
+use crate::ellipse::Ellipse;
+
+/// Maximum number of bodies that are tried on both sides: 2^5 combinations. Others are passed on the side of the line.
+const MAX_BODIES: usize = 5;
+
+/// The ellipses of one body, which are passed on one side.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Body<'a> {
+    pub(crate) ellipses: Vec<&'a Ellipse>,
+    /// Whether it may be passed on the left, and on the right.
+    sides: [bool; 2],
+}
+
+/// A side for each body: true is left.
+pub(crate) type Combination = Vec<bool>;
+
+/// The bodies ahead of a place at a time, each with its possible sides.
+pub(crate) fn bodies<'a>(
+    ellipses: &[&'a Ellipse],
+    time_s: f64,
+    place: [f64; 2],
+    line_y: f64,
+) -> Vec<Body<'a>> {
+    let mut bodies: Vec<Body> = Vec::new();
+    for &ellipse in ellipses {
+        let [x, y] = ellipse.centre_at(time_s);
+        let known = bodies.iter_mut().find(|body| body.ellipses[0].body == ellipse.body);
+        let beside = !ellipse.moves() && (place[0] - x).abs() < 0.8 * ellipse.a;
+        let sides = if beside { [place[1] >= y, place[1] < y] } else { [true; 2] };
+        match known {
+            Some(body) => {
+                body.ellipses.push(ellipse);
+                let both = [body.sides[0] && sides[0], body.sides[1] && sides[1]];
+                body.sides = if both == [false; 2] { sides } else { both };
+            }
+            None => bodies.push(Body { ellipses: vec![ellipse], sides }),
+        }
+    }
+    limit(&mut bodies, time_s, line_y);
+    bodies
+}
+
+/// All combinations of the possible sides.
+pub(crate) fn combinations(bodies: &[Body]) -> Vec<Combination> {
+    let mut all = vec![Vec::new()];
+    for body in bodies {
+        let with =
+            |left: bool| all.iter().map(move |sides: &Combination| [sides.as_slice(), &[left]].concat());
+        let left = with(true).filter(|_| body.sides[0]);
+        all = left.chain(with(false).filter(|_| body.sides[1])).collect();
+    }
+    all
+}
+
+/// Leaves both sides to the bodies that are nearest to the line, and its own side to the others.
+fn limit(bodies: &mut [Body], time_s: f64, line_y: f64) {
+    let offset = |body: &Body| body.ellipses[0].centre_at(time_s)[1] - line_y;
+    let mut order: Vec<usize> = (0..bodies.len()).filter(|&index| bodies[index].sides == [true; 2]).collect();
+    order.sort_by(|&one, &other| offset(&bodies[one]).abs().total_cmp(&offset(&bodies[other]).abs()));
+    for &index in order.iter().skip(MAX_BODIES) {
+        let is_left = offset(&bodies[index]) < 0.0;
+        bodies[index].sides = [is_left, !is_left];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ellipse::Path;
+
+    fn ellipse(body: u32, x: f64, y: f64) -> Ellipse {
+        Ellipse { body, a: 1.2, b: 0.5, path: Path::Fixed([x, y]), known_s: 0.0, known_x_m: 0.0 }
+    }
+
+    #[test]
+    fn each_body_has_two_sides_and_all_of_its_ellipses_share_them() {
+        let ellipses = [ellipse(1, 4.0, 0.0), ellipse(1, 4.5, 0.0), ellipse(2, 9.0, 0.0)];
+        let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
+        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0);
+        assert_eq!((bodies.len(), bodies[0].ellipses.len()), (2, 2));
+        assert_eq!(combinations(&bodies).len(), 4);
+    }
+
+    #[test]
+    fn beside_a_body_the_side_is_taken_and_far_bodies_keep_that_of_the_line() {
+        let mut ellipses: Vec<Ellipse> =
+            (2..9).map(|body| ellipse(body, 3.0 * f64::from(body), 0.0)).collect();
+        ellipses.push(ellipse(9, 30.0, 1.0));
+        ellipses.insert(0, ellipse(1, 0.3, 0.4));
+        let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
+        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0);
+        let combinations = combinations(&bodies);
+        assert_eq!(combinations.len(), 32);
+        assert!(combinations.iter().all(|sides| !sides[0] && !sides[8]));
+    }
+}

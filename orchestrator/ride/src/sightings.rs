@@ -1,0 +1,111 @@
+//! From the described obstacles of each scan to the ellipses of the optimum.
+//!
+//! A description changes from scan to scan. The optimum gets one ellipse per identity:
+//!
+//! * the last description before the robot passed its centre: that is the one that the plans beside it had to keep;
+//! * with the margin of the command of that scan, as the controller adds it;
+//! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is known;
+//! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did not
+//!   bind the robot where it counts.
+//!
+//! A moving body has the recorded centres of all scans, and keeps its last described velocity when it is seen no more.
+//! The optimum knows this path from the first scan on, so it is clairvoyant about the motion, and the regret is not
+//! smaller for that.
+
+use std::collections::BTreeMap;
+
+use shared_types::{Command, CommandKind, Obstacle, Obstacles, Truth};
+
+use crate::ellipse::{Ellipse, Path};
+
+/// Speed in standard deviations from which a body counts as moving, as in the controller.
+const SIGNIFICANCE: f64 = 2.0;
+/// Speed below which a body counts as standing, as in the controller [m/s].
+const STANDING_MPS: f64 = 0.08;
+
+/// The descriptions of all scans.
+#[derive(Debug, Clone, Default)]
+pub struct Sightings {
+    scans: Vec<Sighting>,
+    /// What the newest command that drives added to the ellipses, beside the fixed margin [m].
+    growth_m: f64,
+}
+
+/// The description of one scan.
+#[derive(Debug, Clone)]
+struct Sighting {
+    time_s: f64,
+    x_m: f64,
+    speed_mps: f64,
+    growth_m: f64,
+    items: Vec<Obstacle>,
+}
+
+impl Sightings {
+    /// Adds what was described for a scan. Scans come in their order.
+    pub fn add(&mut self, truth: &Truth, obstacles: &Obstacles, command: Option<&Command>) {
+        if let Some(command) = command.filter(|command| command.kind == CommandKind::Drive.wire()) {
+            self.growth_m = command.margin.sum() - command.margin.base_m;
+        }
+        self.scans.push(Sighting {
+            time_s: truth.time_s,
+            x_m: truth.x_m,
+            speed_mps: truth.speed_mps,
+            growth_m: self.growth_m,
+            items: obstacles.list().to_vec(),
+        });
+    }
+
+    /// The ellipses of the optimum, enlarged by `margin_m` and the growth of the margin, nearest first. A command acts
+    /// `lead_s` after the scan that it answers.
+    pub fn ellipses(&self, margin_m: f64, lead_s: f64) -> Vec<Ellipse> {
+        let mut by_id: BTreeMap<u32, Vec<(&Sighting, &Obstacle)>> = BTreeMap::new();
+        for scan in &self.scans {
+            for item in &scan.items {
+                by_id.entry(item.id).or_default().push((scan, item));
+            }
+        }
+        let mut ellipses: Vec<Ellipse> =
+            by_id.values().filter_map(|seen| self.ellipse(seen, margin_m, lead_s)).collect();
+        ellipses.sort_by(|one, other| one.centre_at(0.0)[0].total_cmp(&other.centre_at(0.0)[0]));
+        ellipses
+    }
+
+    fn ellipse(&self, seen: &[(&Sighting, &Obstacle)], margin_m: f64, lead_s: f64) -> Option<Ellipse> {
+        let (scan, item) = *seen.iter().rev().find(|(scan, item)| scan.x_m <= item.x_m)?;
+        let margin = margin_m + scan.growth_m;
+        let (a, b) = (item.a_m + margin, item.b_m + margin);
+        let moving = 2 * seen.iter().filter(|(_, item)| moves(item)).count() > seen.len();
+        let (end, last) = *seen.last()?;
+        let is_over = self.scans.last().is_some_and(|newest| newest.time_s <= end.time_s);
+        if !is_over && !moving && end.x_m < last.x_m - a {
+            return None;
+        }
+        let first = if moving { seen[0].0 } else { self.first_inside(item, [a, b]).unwrap_or(seen[0].0) };
+        let path = if moving {
+            let places = seen.iter().map(|(scan, item)| (scan.time_s, [item.x_m, item.y_m])).collect();
+            Path::Recorded(places, [last.velocity_x_mps, last.velocity_y_mps])
+        } else {
+            Path::Fixed([item.x_m, item.y_m])
+        };
+        let known_x_m = first.x_m + first.speed_mps * lead_s;
+        Some(Ellipse { body: item.body, a, b, path, known_s: first.time_s + lead_s, known_x_m })
+    }
+
+    /// The first scan in which the centre of an ellipse was within this one.
+    fn first_inside(&self, item: &Obstacle, [a, b]: [f64; 2]) -> Option<&Sighting> {
+        let inside = |other: &Obstacle| {
+            ((other.x_m - item.x_m) / a).powi(2) + ((other.y_m - item.y_m) / b).powi(2) < 1.0
+        };
+        self.scans.iter().find(|scan| scan.items.iter().any(inside))
+    }
+}
+
+/// Whether the described velocity is significant against its covariance.
+fn moves(item: &Obstacle) -> bool {
+    let (x, y) = (item.velocity_x_mps, item.velocity_y_mps);
+    let speed = x.hypot(y);
+    let [xx, xy, yy] = item.velocity_covariance;
+    let variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / (speed * speed);
+    speed > STANDING_MPS && speed * speed > SIGNIFICANCE * SIGNIFICANCE * variance
+}

@@ -1,0 +1,67 @@
+//! `scanloop bench ride`: how well scenarios and random courses are driven, compared with the optimum.
+//!
+//! Each course is driven through the pipeline in one process, in simulated time. The crate `ride` measures the drive and
+//! computes the optimum over the same course, with what the robot saw. Courses are driven on all cores.
+
+mod course;
+mod problems;
+mod results;
+mod table;
+
+use std::path::PathBuf;
+
+use clap::Args;
+use console::exit::Exit;
+use console::note;
+use console::progress::Steps;
+use plan::Choice;
+
+use self::results::{Results, Row};
+use crate::cli::RobotPreset;
+use crate::cores::on_all_cores;
+use crate::print_json;
+
+/// Arguments of `bench ride`.
+#[derive(Debug, Args)]
+pub struct RideArguments {
+    /// Scenario files or names of shipped scenarios; without any, all shipped ones that lead to their goal.
+    #[arg(value_name = "SCENARIO")]
+    pub scenarios: Vec<String>,
+    /// Drive this many random courses of `campaign` instead; those that can be passed count.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000), conflicts_with = "scenarios")]
+    pub random: Option<u64>,
+    /// Preset of the true robot.
+    #[arg(long, value_enum, value_name = "PRESET", default_value = "ideal")]
+    pub robot: RobotPreset,
+    /// Folder for the problems of the optimum, one file per course (benches/peers/ride_optimum.py solves them).
+    #[arg(long, value_name = "DIR", value_parser = console::output::folder())]
+    pub problems: Option<PathBuf>,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// The choice of system; `--seed` is also the seed of the first random course (default 1).
+    #[command(flatten)]
+    pub choice: Choice,
+}
+
+/// Drives the courses and prints their figures; exit code 1 when an optimum is worse than its drive.
+///
+/// # Errors
+/// Bad files and settings; exit code 2.
+pub(crate) fn ride(arguments: &RideArguments) -> anyhow::Result<Exit> {
+    let courses = course::all(arguments)?;
+    let mut steps = Steps::new(courses.len() as u64, "courses");
+    let measured = on_all_cores(courses.len(), |index| courses[index].measure(), || steps.step(""));
+    let mut rows: Vec<Row> = Vec::new();
+    for (course, measured) in courses.iter().zip(measured) {
+        let (row, optimum) = measured?;
+        if let (Some(folder), Some(optimum)) = (&arguments.problems, optimum) {
+            problems::write(folder, &row.name, &optimum)?;
+        }
+        rows.push(Row { seed: course.seed(), ..row });
+    }
+    let results = Results::new(rows, arguments.random.is_some());
+    note!("{}", table::text(&results));
+    print_json(arguments.json, &results)?;
+    Ok(results.exit())
+}

@@ -1,0 +1,60 @@
+//! The problems of an optimum as files, so that another solver can check them.
+
+use std::path::Path;
+
+use anyhow::Context;
+use ocp::{Problem, Trajectory};
+use ride::optimum::{Optimum, Plan};
+use serde_json::{Value, json};
+use vehicle::{Control, State};
+
+/// Writes the problems of an optimum with their solutions to `NAME.json`.
+///
+/// # Errors
+/// Errors of the file system.
+pub(super) fn write(folder: &Path, name: &str, optimum: &Optimum) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("--problems {}", folder.display()))?;
+    let path = folder.join(format!("{name}.json"));
+    let plans: Vec<Value> = optimum.plans.iter().map(plan).collect();
+    let text = serde_json::to_string_pretty(&json!({ "name": name, "plans": plans }))?;
+    std::fs::write(&path, text).with_context(|| format!("{}", path.display()))
+}
+
+fn plan(Plan { problem, trajectory, objective, .. }: &Plan) -> Value {
+    let Problem { bounds, weights, .. } = problem;
+    let ellipses = problem.ellipses.iter();
+    let ellipses: Vec<Value> = ellipses
+        .map(|ellipse| json!({ "a_m": ellipse.a, "b_m": ellipse.b, "centres_m": ellipse.centres }))
+        .collect();
+    let Trajectory { states, controls } = trajectory;
+    json!({
+        "intervals_s": problem.intervals,
+        "initial": of_state(&problem.initial),
+        "previous": problem.previous.as_ref().map(of_control),
+        "references": problem.references.iter().map(of_state).collect::<Vec<_>>(),
+        "control_reference": of_control(&problem.control_reference),
+        "weights": {
+            "node": weights.node, "terminal": weights.terminal,
+            "control": weights.control, "change": weights.change,
+        },
+        "velocity_mps": [bounds.velocity_min_mps, bounds.velocity_max_mps],
+        "steering_max_rad": bounds.steering_max_rad,
+        "sideslip_max_rad": bounds.sideslip_max_rad,
+        "yaw_max_rad": bounds.yaw_max_rad,
+        "yaw_rate_max_radps": bounds.yaw_rate_max_radps,
+        "x_m": problem.x_range,
+        "y_m": problem.y_range,
+        "ellipses": ellipses,
+        "states": states.iter().map(of_state).collect::<Vec<_>>(),
+        "controls": controls.iter().map(of_control).collect::<Vec<_>>(),
+        "objective": objective,
+    })
+}
+
+fn of_state(state: &State) -> [f64; 5] {
+    state.to_vector().into()
+}
+
+fn of_control(control: &Control) -> [f64; 2] {
+    [control.velocity, control.steering]
+}
