@@ -42,14 +42,16 @@ settings! {
         pub theta_m: f64 = 0.2, 0.0..=2.0;
         /// Distance by which the semi-axes of the ellipses are enlarged for planning [m].
         pub ellipse_margin_m: f64 = 0.02, 0.0..=0.5;
+        /// Time constant with which the ellipses follow their description [s].
+        pub smoothing_s: f64 = 0.28, 0.001..=10.0;
         /// Distance of the body to an obstacle that a verified plan keeps in any case [m].
         pub clearance_m: f64 = 0.05, 0.0..=1.0;
         /// What is kept in addition to `clearance_m`.
         pub margin: MarginSettings = MarginSettings::default();
         /// Length of the horizon, tf [s].
-        pub horizon_s: f64 = 2.72, 0.5..=10.0;
+        pub horizon_s: f64 = 5.44, 0.5..=10.0;
         /// Number of intervals of the horizon, N.
-        pub intervals: usize = 6, 2.0..=MAX_INTERVALS as f64;
+        pub intervals: usize = 12, 2.0..=MAX_INTERVALS as f64;
         /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].
         pub period_s: f64 = 0.1, 0.001..=2.0;
         /// Velocity on a free path [m/s].

@@ -25,6 +25,7 @@ use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
 use crate::side::{self, Passing, held};
+use crate::smoothing;
 use crate::start::{self, Start};
 use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::blocked_by;
@@ -85,7 +86,11 @@ impl Controller {
 
     /// Continues from the state of another controller; an invalid plan is dropped.
     pub fn resume(&mut self, state: &ControllerState) {
-        self.state = ControllerState { sides: side::valid(&state.sides), ..*state };
+        self.state = ControllerState {
+            sides: side::valid(&state.sides),
+            ellipses: smoothing::valid(&state.ellipses),
+            ..*state
+        };
         let length = state.plan_length as usize;
         let finite = |node: &PlanNode| node.velocity_mps.is_finite() && node.steering_rad.is_finite();
         let sound = (2..=PLAN_NODES).contains(&length)
@@ -148,6 +153,7 @@ impl Controller {
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
         let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)
             .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
+        self.smooth(pose.predicted_ns);
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
@@ -273,8 +279,15 @@ impl Controller {
             choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective)
         };
         let (other, this) = (cost(alternative), cost(reference_path));
-        if std::env::var("DBG").is_ok() { eprintln!("x {:.2} compare {this:?} other {other:?} share {share}", start.initial.x); }
         other.is_some_and(|other| this.is_none_or(|this| other < share * this))
+    }
+
+    /// Smooths the ellipses of this scan, whose plan starts at `start_ns`.
+    fn smooth(&mut self, start_ns: u64) {
+        let elapsed_s = start_ns.saturating_sub(self.state.started_ns) as f64 * 1e-9;
+        self.state.started_ns = start_ns;
+        let Self { state, predicted, config, .. } = self;
+        smoothing::smooth(&mut state.ellipses, predicted, elapsed_s, config.smoothing_s);
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
@@ -356,17 +369,15 @@ impl Controller {
         if !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
             return;
         }
-        let open = |obstacle: &&PredictedObstacle| {
-            obstacle.moves() || held(&self.state.sides, obstacle).is_none()
-        };
+        let open =
+            |obstacle: &&PredictedObstacle| obstacle.moves() || held(&self.state.sides, obstacle).is_none();
         let ahead = |obstacle: &&PredictedObstacle| obstacle.centre[0] > start.initial.x;
         let nearest = predicted
             .iter()
             .filter(ahead)
             .filter(open)
             .min_by(|one, other| one.centre[0].total_cmp(&other.centre[0]));
-        let Some((obstacle, side)) =
-            nearest.and_then(|obstacle| Some((obstacle, path.side_of(obstacle)?)))
+        let Some((obstacle, side)) = nearest.and_then(|obstacle| Some((obstacle, path.side_of(obstacle)?)))
         else {
             return;
         };
@@ -435,7 +446,7 @@ impl Controller {
         (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
 
         for (index, obstacle) in self.predicted.iter().enumerate() {
-            side::grow(&mut self.state.sides, obstacle, self.planner.grown(index));
+            smoothing::grow(&mut self.state.ellipses, obstacle.id, self.planner.grown(index));
         }
         let state = &mut self.state;
         (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);

@@ -236,7 +236,13 @@ mod tests {
 
     fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
         let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
-        let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, narrow: true, sides, forced: None };
+        let query = Query {
+            scene: Scene::new(&config, predicted, start),
+            speed: 1.0,
+            narrow: true,
+            sides,
+            forced: None,
+        };
         let mut reference_path = ReferencePath::default();
         Search::default().find(&query, &mut reference_path);
         reference_path
@@ -283,7 +289,7 @@ mod tests {
             Some(Passing::Right)
         );
         let mut sides = Sides::default();
-        hold(&mut sides, &obstacle, Passing::Left, 0.0);
+        hold(&mut sides, &obstacle, Passing::Left);
         assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
     }
 

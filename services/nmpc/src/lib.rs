@@ -23,6 +23,7 @@ mod sampled;
 mod scene;
 pub mod service;
 mod side;
+mod smoothing;
 mod start;
 mod state;
 mod stop_rule;

@@ -141,7 +141,11 @@ impl ObstacleCost {
             let y = from + crossing.share * (to - from);
             crossing.layer == layer && (y > crossing.centre) != (crossing.side == Passing::Left)
         };
-        self.crossings.iter().filter(switched).map(|crossing| if crossing.forced { HARD } else { switch_cost }).sum()
+        self.crossings
+            .iter()
+            .filter(switched)
+            .map(|crossing| if crossing.forced { HARD } else { switch_cost })
+            .sum()
     }
 }
 

@@ -15,12 +15,12 @@ use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::ellipses::fill_ellipses;
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
 use crate::rollout::Rollout;
-use crate::predicted_obstacle::PredictedObstacle;
 use crate::scene::Scene;
-use crate::side::{MAX_GROWN_M, grown};
+use crate::smoothing::{MAX_GROWN_M, grown};
 use crate::state::ControllerState;
 use crate::verify::verify;
 use crate::warm;
@@ -196,11 +196,13 @@ impl Planner {
         let margin = |obstacle: &PredictedObstacle, way_m: f64| {
             config.ellipse_margin_m
                 + task.scene.margin.growth(if is_wide { way_m / cruise } else { 0.0 }, speed)
-                + GROWN_SHARE * grown(&last.sides, obstacle)
+                + GROWN_SHARE * grown(&last.ellipses, obstacle.id)
         };
         fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses, &mut self.owners);
         self.grown.clear();
-        self.grown.extend(self.owners.iter().map(|owner| GROWN_SHARE * grown(&last.sides, &predicted[*owner])));
+        self.grown.extend(
+            self.owners.iter().map(|owner| GROWN_SHARE * grown(&last.ellipses, predicted[*owner].id)),
+        );
     }
 
     /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
@@ -277,7 +279,9 @@ impl Planner {
         }
         let baseline = scene.baseline();
         let mut tightened = false;
-        for (ellipse, (&owner, grown)) in self.problem.ellipses.iter_mut().zip(self.owners.iter().zip(&mut self.grown)) {
+        for (ellipse, (&owner, grown)) in
+            self.problem.ellipses.iter_mut().zip(self.owners.iter().zip(&mut self.grown))
+        {
             let short = self
                 .rollout
                 .samples
@@ -330,7 +334,6 @@ impl Planner {
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
         if !verdict.holds() || !agrees {
-            if std::env::var("DBG").is_ok() { eprintln!("x {:.2} status {:?} it {} slack {:.4} verdict {:?} agrees {agrees} v {:?}", scene.initial.x, solution.status, solution.iterations, solution.slack, verdict, self.controls.iter().map(|c| ((c.velocity*100.0).round()/100.0, (c.steering*1000.0).round()/1000.0)).collect::<Vec<_>>()); }
             return None;
         }
         let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);

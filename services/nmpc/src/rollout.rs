@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn nodes_are_the_ends_of_the_intervals() {
-        let config = Config { horizon_s: 2.4, ..Config::default() };
+        let config = Config { horizon_s: 2.4, intervals: 6, ..Config::default() };
         let mut rollout = Rollout::default();
         let controls = [Control { velocity: 0.5, steering: 0.0 }; 3];
         rollout.drive(&Scene::new(&config, &[], State::default()), &controls);

@@ -11,8 +11,6 @@ use crate::predicted_obstacle::PredictedObstacle;
 
 /// How many choices are remembered.
 pub(crate) const MAX_SIDES: usize = 16;
-/// An ellipse is enlarged by at most this [m].
-pub(crate) const MAX_GROWN_M: f64 = 0.3;
 /// Distance within which an ellipse with a new identity counts as a known one [m].
 const SAME_PLACE_M: f64 = 0.5;
 
@@ -60,8 +58,6 @@ plain_state! {
         pub x_m: f64,
         /// Centre across the track [m]
         pub y_m: f64,
-        /// By how much the ellipse was enlarged, because the body came too near to the obstacle outside of it [m]
-        pub grown_m: f64,
     }
 }
 
@@ -71,45 +67,29 @@ pub(crate) type Sides = [Side; MAX_SIDES];
 /// The choices of a checkpoint without invalid entries.
 pub(crate) fn valid(sides: &Sides) -> Sides {
     let is_valid = |entry: &Side| {
-        Passing::from_wire(entry.side).is_some() && entry.x_m.is_finite() && entry.y_m.is_finite() && (0.0..=MAX_GROWN_M).contains(&entry.grown_m)
+        Passing::from_wire(entry.side).is_some() && entry.x_m.is_finite() && entry.y_m.is_finite()
     };
     sides.map(|entry| if is_valid(&entry) { entry } else { Side::default() })
 }
 
 /// The side held for the ellipse.
 pub(crate) fn held(sides: &Sides, obstacle: &PredictedObstacle) -> Option<Passing> {
-    known(sides, obstacle).and_then(|entry| Passing::from_wire(entry.side))
-}
-
-/// By how much the ellipse was enlarged in the last scan [m].
-pub(crate) fn grown(sides: &Sides, obstacle: &PredictedObstacle) -> f64 {
-    known(sides, obstacle).map_or(0.0, |entry| entry.grown_m)
-}
-
-/// The entry of the ellipse.
-fn known<'a>(sides: &'a Sides, obstacle: &PredictedObstacle) -> Option<&'a Side> {
     let used = || sides.iter().filter(|entry| entry.id != 0);
-    used().find(|entry| entry.id == obstacle.id).or_else(|| {
+    let known = used().find(|entry| entry.id == obstacle.id).or_else(|| {
         let distance = |entry: &Side| (entry.x_m - obstacle.centre[0]).hypot(entry.y_m - obstacle.centre[1]);
         used()
             .filter(|entry| distance(entry) < SAME_PLACE_M)
             .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-    })
+    });
+    Passing::from_wire(known?.side)
 }
 
 /// Holds a side for the ellipse, replacing the one held before.
-pub(crate) fn hold(sides: &mut Sides, obstacle: &PredictedObstacle, side: Passing, grown_m: f64) {
+pub(crate) fn hold(sides: &mut Sides, obstacle: &PredictedObstacle, side: Passing) {
     let old = sides.iter().position(|entry| entry.id == obstacle.id);
     let Some(index) = old.or_else(|| sides.iter().position(|entry| entry.id == 0)) else { return };
     let [x_m, y_m] = obstacle.centre;
-    sides[index] = Side { id: obstacle.id, side: side.wire(), x_m, y_m, grown_m };
-}
-
-/// Notes by how much the ellipse is enlarged.
-pub(crate) fn grow(sides: &mut Sides, obstacle: &PredictedObstacle, grown_m: f64) {
-    if let Some(entry) = sides.iter_mut().find(|entry| entry.id != 0 && entry.id == obstacle.id) {
-        entry.grown_m = grown_m;
-    }
+    sides[index] = Side { id: obstacle.id, side: side.wire(), x_m, y_m };
 }
 
 /// Replaces all choices by those that `choose` makes; where it makes none, the side held before stays.
@@ -121,7 +101,7 @@ pub(crate) fn renew(
     let mut renewed = Sides::default();
     for obstacle in predicted.iter().filter(|obstacle| obstacle.id != 0) {
         if let Some(side) = choose(obstacle).or_else(|| held(sides, obstacle)) {
-            hold(&mut renewed, obstacle, side, grown(sides, obstacle));
+            hold(&mut renewed, obstacle, side);
         }
     }
     *sides = renewed;
@@ -141,7 +121,7 @@ mod tests {
     #[test]
     fn a_choice_is_recognised_by_identity_or_by_place() {
         let mut sides = Sides::default();
-        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right, 0.0);
+        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right);
         assert_eq!(held(&sides, &obstacle(7, 5.9, 0.3)), Some(Passing::Right));
         assert_eq!(held(&sides, &obstacle(8, 5.2, 0.1)), Some(Passing::Right));
         assert_eq!(held(&sides, &obstacle(8, 6.0, 0.0)), None);
@@ -150,7 +130,7 @@ mod tests {
     #[test]
     fn choices_of_ellipses_that_are_gone_are_forgotten() {
         let mut sides = Sides::default();
-        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right, 0.0);
+        hold(&mut sides, &obstacle(7, 5.0, 0.0), Passing::Right);
         renew(&mut sides, &[obstacle(9, 9.0, 0.0)], |_| Some(Passing::Left));
         assert_eq!(held(&sides, &obstacle(7, 5.0, 0.0)), None);
         assert_eq!(held(&sides, &obstacle(9, 9.0, 0.0)), Some(Passing::Left));
@@ -161,8 +141,8 @@ mod tests {
     #[test]
     fn nonsense_in_a_checkpoint_is_left_out() {
         let mut entries = Sides::default();
-        entries[0] = Side { id: 3, side: 40, x_m: 1.0, y_m: 0.0, grown_m: 0.0 };
-        entries[1] = Side { id: 4, side: 1, x_m: f64::NAN, y_m: 0.0, grown_m: 0.0 };
+        entries[0] = Side { id: 3, side: 40, x_m: 1.0, y_m: 0.0 };
+        entries[1] = Side { id: 4, side: 1, x_m: f64::NAN, y_m: 0.0 };
         assert_eq!(valid(&entries), Sides::default());
     }
 }

@@ -57,7 +57,7 @@ fn a_free_way_is_driven_with_a_converged_and_verified_plan() {
     assert_eq!((command.level, command.verified), (Level::Converged.wire(), 1));
     assert_eq!(command.status, SolveStatus::Converged.wire());
     assert!(command.velocity_mps > 0.8 && command.steering_rad.abs() < 1e-3);
-    assert_eq!((command.plan_length, command.header.scan_id), (7, 1));
+    assert_eq!((command.plan_length, command.header.scan_id), (13, 1));
     assert_eq!(command.plan_start_ns, 133_000_000);
 }
 

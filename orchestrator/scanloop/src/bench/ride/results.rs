@@ -68,7 +68,8 @@ pub(super) struct Results {
 
 impl Results {
     pub(super) fn new(rows: Vec<Row>, is_random: bool) -> Self {
-        let faulty = |row: &&Row| row.regret.is_some_and(|regret| regret.is_nan() || regret < SMALLEST_REGRET);
+        let faulty =
+            |row: &&Row| row.regret.is_some_and(|regret| regret.is_nan() || regret < SMALLEST_REGRET);
         let faults = rows.iter().filter(faulty).map(|row| row.name.clone()).collect();
         Self { summary: Summary::of(&rows), rows, faults, is_random }
     }
