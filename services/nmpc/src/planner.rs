@@ -33,6 +33,10 @@ const TIGHTENINGS: usize = 3;
 const SPARE_M: f64 = 0.003;
 /// A plan that gets this share of the way of its reference does not slow down for anything.
 const FAST_SHARE: f64 = 0.95;
+/// Share of the largest steering angle that plans use at first: the rest is for corrections.
+const STEERING_SHARE: f64 = 0.95;
+/// Distance in addition to the margin that plans should keep [m].
+const RESERVE_M: f64 = 0.02;
 /// Share of an enlargement that the next scan begins with.
 const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
@@ -137,6 +141,14 @@ impl Planner {
         if let Some(choice) = self.continue_plan(task, budget, &mut used, command) {
             return Some(choice);
         }
+        // The reserve of the steering is for this.
+        self.problem.bounds.steering_max_rad = task.scene.config.vehicle.bounds.steering_max_rad;
+        if let Some(elapsed_s) = task.elapsed()
+            && self.start_from_plan(task, elapsed_s)
+            && let Some(choice) = self.solve(task, budget, &mut used, command)
+        {
+            return Some(choice);
+        }
         self.start_from_reference(task);
         if let Some(choice) = self.solve(task, budget, &mut used, command) {
             return Some(choice);
@@ -179,6 +191,7 @@ impl Planner {
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.vehicle.bounds.velocity_max_mps.min(task.fastest_mps);
+        problem.bounds.steering_max_rad = STEERING_SHARE * config.vehicle.bounds.steering_max_rad;
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
         let is_wide = task.reference_path.limits.is_empty();
@@ -251,8 +264,16 @@ impl Planner {
     ) -> Option<Choice> {
         for _ in 0..=TIGHTENINGS {
             let choice = self.solve_once(task, budget, used, command);
-            if choice.is_some() || !self.tighten(&task.scene) {
+            if choice.is_some() {
+                // The next plan keeps a little more than it must, so that noise does not refuse it.
+                self.tighten(&task.scene, RESERVE_M);
                 return choice;
+            }
+            if self.refused_for.is_none()
+                || self.solution.status == Status::Failed
+                || !self.tighten(&task.scene, 0.0)
+            {
+                return None;
             }
             self.guess.clone_from(&self.solution.trajectory);
         }
@@ -272,11 +293,9 @@ impl Planner {
         ellipse.map_or(0.0, |ellipse| self.grown[ellipse])
     }
 
-    /// Enlarges the ellipses that the rollout comes too near to; false when there is none.
-    fn tighten(&mut self, scene: &Scene) -> bool {
-        if self.refused_for.is_none() || self.solution.status == Status::Failed {
-            return false;
-        }
+    /// Enlarges the ellipses of the bodies that the rollout comes too near to, with `reserve_m` in addition to the margin;
+    /// false when there is none.
+    fn tighten(&mut self, scene: &Scene, reserve_m: f64) -> bool {
         let baseline = scene.baseline();
         let mut tightened = false;
         for (ellipse, (&owner, grown)) in
@@ -286,7 +305,7 @@ impl Planner {
                 .rollout
                 .samples
                 .iter()
-                .map(|sample| scene.shortfall(&baseline, sample, owner))
+                .map(|sample| scene.shortfall(&baseline, sample, owner, reserve_m))
                 .fold(0.0, f64::max);
             let more = (short + SPARE_M).min(MAX_GROWN_M - *grown);
             if short > 0.0 && more > 0.0 {

@@ -137,12 +137,19 @@ impl<'a> Scene<'a> {
             .map(Violation::Obstacle)
     }
 
-    /// How much nearer than allowed a sample comes to an obstacle [m]; zero or less when it keeps its distance.
-    pub(crate) fn shortfall(&self, baseline: &Baseline, sample: &Sampled, index: usize) -> f64 {
+    /// How much nearer than the margin with a reserve a sample comes to an obstacle [m]; zero or less when it keeps its
+    /// distance.
+    pub(crate) fn shortfall(
+        &self,
+        baseline: &Baseline,
+        sample: &Sampled,
+        index: usize,
+        reserve_m: f64,
+    ) -> f64 {
         let Sampled { t, speed, ref state } = *sample;
         let obstacle = &self.predicted[index];
         let body = self.body_at(state);
-        let limit = baseline.gaps[index].min(self.margin.sum(t, speed)) - TOLERANCE_M;
+        let limit = baseline.gaps[index].min(self.margin.sum(t, speed) + reserve_m) - TOLERANCE_M;
         let other = obstacle.body_at(t);
         let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + limit;
         let near = (other.centre - body.centre).norm() < reach;

@@ -41,7 +41,7 @@ const ROOM: f64 = 1.05;
 /// The same for tight ellipses, at least and at most.
 const ROOMS: [f64; 2] = [1.01, 1.2];
 /// What a metre of the semi-axis along the track costs in metres of that across it.
-const LENGTH_COST: f64 = 0.3;
+const LENGTH_COST: f64 = 0.05;
 /// Share of the interval that a step of the golden section keeps, and the number of steps.
 const GOLDEN: f64 = 0.618_033_988_749_895;
 const NARROWINGS: usize = 7;
