@@ -39,7 +39,7 @@ const TIGHT_YAW: f64 = 0.12;
 /// Semi-axis across the track per reach of a piece: 1 would need an endless a.
 const ROOM: f64 = 1.05;
 /// The same for tight ellipses, at least and at most.
-const ROOMS: [f64; 2] = [1.01, 1.2];
+const ROOMS: [f64; 2] = [1.015, 1.2];
 /// What a metre of the semi-axis along the track costs in metres of that across it.
 const LENGTH_COST: f64 = 0.05;
 /// Share of the interval that a step of the golden section keeps, and the number of steps.
