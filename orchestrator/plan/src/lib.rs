@@ -193,6 +193,16 @@ mod tests {
     }
 
     #[test]
+    fn a_scenario_that_is_no_file_is_planned_like_one_that_is() {
+        let overrides = vec!["robot.preset=summit".to_owned(), "controller.intervals=7".to_owned()];
+        let choice = Choice { overrides, ..Choice::default() };
+        let slalom = Scenario::parse(Scenario::shipped("slalom").unwrap(), "slalom").unwrap();
+        let (of, read) = (Plan::of(&slalom, &choice).unwrap(), Plan::read(Some("slalom"), &choice).unwrap());
+        assert_eq!((&of.scenario, of.system.tuning()), (&read.scenario, read.system.tuning()));
+        assert_eq!(of.system.controller.intervals, 7);
+    }
+
+    #[test]
     fn an_explicit_key_of_the_robot_is_no_difference_unless_the_description_says_otherwise() {
         let adopted = plan(&["robot.preset=summit", "robot.width_m=0.5"]);
         assert_eq!((adopted.system.vehicle.width_m, adopted.differences()), (0.5, Vec::new()));

@@ -16,10 +16,11 @@ use std::collections::{BTreeMap, VecDeque};
 use audit::ledger::{Ledger, ScanReport};
 use console::progress::View;
 use handover::swap::Certificate;
+use ride::{Recording, measure};
 use shared_types::{
     Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, ScannerHealth, StopReason, Truth,
 };
-use vehicle::Surroundings;
+use vehicle::{Goal, Surroundings};
 
 use self::margins::Margins;
 use self::rows::{Estimate, Rows};
@@ -82,6 +83,7 @@ pub struct Recorder {
     missing: u64,
     latencies: Latencies,
     rows: Rows,
+    ride: Recording,
     tally: Tally,
     margins: Margins,
     scanner: Scanner,
@@ -106,6 +108,7 @@ impl Recorder {
             tally: Tally::new(info.lockstep),
             info,
             rows: Rows::default(),
+            ride: Recording::default(),
             margins: Margins::default(),
             scanner: Scanner::default(),
             blocking: None,
@@ -146,6 +149,7 @@ impl Recorder {
             steering_rad: truth.steering_rad,
         };
         self.rows.put_moment(scan_id, moment);
+        self.ride.truth(truth);
         if self.truth.is_none_or(|newest| newest.header.scan_id <= scan_id) {
             self.truth = Some(*truth);
         }
@@ -215,6 +219,7 @@ impl Recorder {
             self.ledger.refused(header.scan_id, reason.name());
         }
         self.tally.actuation(actuation);
+        self.ride.actuation(actuation);
         self.actuation = Some(*actuation);
     }
 
@@ -295,6 +300,7 @@ impl Recorder {
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
             margin_m: self.margins.means(),
+            ride: measure(&self.ride.drive(), &self.goal()),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),
@@ -333,6 +339,11 @@ impl Recorder {
             struck: truth.struck == 1,
             ..report
         }
+    }
+
+    fn goal(&self) -> Goal {
+        let [x_m, y_m] = self.info.goal_m;
+        Goal { x_m, y_m, ..Goal::default() }
     }
 
     fn duration_s(&self) -> f64 {

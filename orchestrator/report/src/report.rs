@@ -16,6 +16,7 @@ pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
 pub use emulator::Outcome;
 use figures::Figures;
 use handover::swap::Certificate;
+use ride::Figures as RideReport;
 use serde::{Deserialize, Serialize};
 use vehicle::Surroundings;
 
@@ -64,6 +65,8 @@ pub struct Report {
     pub drive: DriveReport,
     /// The clearance that the driven plans kept, by its parts [m].
     pub margin_m: MarginReport,
+    /// How it was driven, from the first drive command to 1.75 m before the goal; `None` when it did not get there.
+    pub ride: Option<RideReport>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.
@@ -283,6 +286,7 @@ mod tests {
                 truth: 1.4.into(),
                 believed: 0.4.into(),
             }],
+            ride: Some(RideReport::default()),
             trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
             processes: vec![ProcessReport {
                 role: "controller".to_owned(),
@@ -354,6 +358,14 @@ mod tests {
             "/margin_m/latency",
             "/margin_m/model",
             "/margin_m/perception",
+            "/ride/objective",
+            "/ride/steering_total_variation_rad",
+            "/ride/steering_second_difference_rad",
+            "/ride/steering_step_max_rad",
+            "/ride/lateral_acceleration_max_mps2",
+            "/ride/lateral_jerk_max_mps3",
+            "/ride/min_clearance_m",
+            "/ride/time_s",
             "/scanner/valid_share",
             "/scanner/stuck_scans",
             "/scanner/degraded_scans",

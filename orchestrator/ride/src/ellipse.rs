@@ -18,6 +18,8 @@ pub struct Ellipse {
     pub a: f64,
     /// Semi-axis across the track [m].
     pub b: f64,
+    /// Whether the robot of the drive passed it on the left.
+    pub passed_left: bool,
     /// Its centre.
     pub path: Path,
     /// When the command for the scan that first described it acts [s].

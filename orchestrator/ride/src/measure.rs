@@ -185,12 +185,24 @@ mod tests {
         drive.moments.iter_mut().for_each(|moment| moment.time_s += 0.5);
         drive.moments.insert(0, rest);
         assert!(measure(&drive, &GOAL).unwrap().objective.abs() < 1e-12);
-        // A stand of 1 s after the first command: 1 s behind over 10 s and at the end, and t^2 over the stand.
+        // At rest for 1 s after the first command: 1 s behind over 10 s and at the end, and t^2 before.
         drive.moments.iter_mut().skip(1).for_each(|moment| moment.time_s += 1.0);
         drive.moments.insert(1, Moment { time_s: 0.5, ..rest });
         drive.moments[2].speed_mps = 0.0;
         let objective = measure(&drive, &GOAL).unwrap().objective;
         assert!((objective - (0.5 + 10.0 + 5.0)).abs() < 1e-6, "{objective}");
+    }
+
+    #[test]
+    fn a_drive_begins_with_its_first_command_that_drives_wherever_that_is() {
+        let mut drive = straight(0.5, &[0.0]);
+        drive.moments.iter_mut().for_each(|moment| moment.state.x += 3.0);
+        let expected = measure(&drive, &Goal { x_m: 14.75, ..GOAL }).unwrap();
+        assert!((expected.objective - 22.0).abs() < 1e-9, "{expected:?}");
+        let blocked = Control { velocity: 0.0, steering: 0.0 };
+        drive.commands.insert(0, Issued { time_s: -1.0, control: blocked });
+        drive.moments.insert(0, Moment { time_s: -1.0, speed_mps: 0.0, ..drive.moments[0] });
+        assert_eq!(measure(&drive, &Goal { x_m: 14.75, ..GOAL }), Some(expected));
     }
 
     #[test]

@@ -10,14 +10,14 @@ use crate::course::{Course, From};
 use crate::ellipse::Ellipse;
 use crate::guess::{Guess, guess};
 use crate::objective::{CRUISE, INTERVAL_S, SPEED_MPS, weights};
-use crate::sides::{bodies, combinations};
+use crate::sides::{Sides, bodies, combinations};
 
 /// Maximum number of intervals of the solver.
 const MAX_INTERVALS: usize = 200;
 /// Largest slack of an ellipse in an accepted solution.
 const LARGEST_SLACK: f64 = 1e-6;
-/// Largest scaled KKT residual of an accepted solution. Over long horizons the merit has rounding errors that end a solve
-/// between this and the tolerance of the solver; the objective is exact to its sixth digit then.
+/// Largest scaled KKT residual of an accepted solution. Over long horizons the merit has rounding errors that end a
+/// solve between this and the tolerance of the solver; the objective is exact to its sixth digit then.
 const LARGEST_RESIDUAL: f64 = 1e-3;
 /// Weights of the slack that are tried in turn: the first is enough where the penalty is exact with it.
 const SLACK_WEIGHTS: [f64; 2] = [500.0, 1e5];
@@ -66,8 +66,9 @@ pub(crate) fn best_plan(
     course: &Course,
     from: &From,
     known: &[&Ellipse],
+    tried: Sides,
 ) -> Result<Plan, NoOptimum> {
-    let bodies = bodies(known, from.time_s, [from.state.x, from.state.y], course.goal.y_m);
+    let bodies = bodies(known, from.time_s, [from.state.x, from.state.y], course.goal.y_m, tried);
     let all = combinations(&bodies);
     let speeds = if known.iter().any(|ellipse| ellipse.moves()) { &SLOWER[..] } else { &SLOWER[..1] };
     let mut best: Option<Plan> = None;

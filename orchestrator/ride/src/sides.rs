@@ -13,6 +13,15 @@ pub(crate) struct Body<'a> {
     sides: [bool; 2],
 }
 
+/// Which sides are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sides {
+    /// Both of each body.
+    Both,
+    /// Those on which the robot of the drive passed.
+    Taken,
+}
+
 /// A side for each body: true is left.
 pub(crate) type Combination = Vec<bool>;
 
@@ -22,13 +31,18 @@ pub(crate) fn bodies<'a>(
     time_s: f64,
     place: [f64; 2],
     line_y: f64,
+    tried: Sides,
 ) -> Vec<Body<'a>> {
     let mut bodies: Vec<Body> = Vec::new();
     for &ellipse in ellipses {
         let [x, y] = ellipse.centre_at(time_s);
         let known = bodies.iter_mut().find(|body| body.ellipses[0].body == ellipse.body);
         let beside = !ellipse.moves() && (place[0] - x).abs() < 0.8 * ellipse.a;
-        let sides = if beside { [place[1] >= y, place[1] < y] } else { [true; 2] };
+        let sides = match tried {
+            Sides::Taken => [ellipse.passed_left, !ellipse.passed_left],
+            Sides::Both if beside => [place[1] >= y, place[1] < y],
+            Sides::Both => [true; 2],
+        };
         match known {
             Some(body) => {
                 body.ellipses.push(ellipse);
@@ -71,28 +85,52 @@ mod tests {
     use crate::ellipse::Path;
 
     fn ellipse(body: u32, x: f64, y: f64) -> Ellipse {
-        Ellipse { body, a: 1.2, b: 0.5, path: Path::Fixed([x, y]), known_s: 0.0, known_x_m: 0.0 }
+        Ellipse {
+            body,
+            a: 1.2,
+            b: 0.5,
+            passed_left: false,
+            path: Path::Fixed([x, y]),
+            known_s: 0.0,
+            known_x_m: 0.0,
+        }
     }
 
     #[test]
     fn each_body_has_two_sides_and_all_of_its_ellipses_share_them() {
         let ellipses = [ellipse(1, 4.0, 0.0), ellipse(1, 4.5, 0.0), ellipse(2, 9.0, 0.0)];
         let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
-        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0);
+        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0, Sides::Both);
         assert_eq!((bodies.len(), bodies[0].ellipses.len()), (2, 2));
         assert_eq!(combinations(&bodies).len(), 4);
     }
 
     #[test]
-    fn beside_a_body_the_side_is_taken_and_far_bodies_keep_that_of_the_line() {
-        let mut ellipses: Vec<Ellipse> =
-            (2..9).map(|body| ellipse(body, 3.0 * f64::from(body), 0.0)).collect();
-        ellipses.push(ellipse(9, 30.0, 1.0));
-        ellipses.insert(0, ellipse(1, 0.3, 0.4));
+    fn beside_a_body_its_side_is_taken_already() {
+        let sides = |x: f64| {
+            let beside = ellipse(1, x, 0.4);
+            combinations(&bodies(&[&beside], 0.0, [0.0, 0.0], 0.0, Sides::Both))
+        };
+        assert_eq!(sides(0.3), [[false]], "right of it");
+        assert_eq!(sides(1.1), [[true], [false]], "not yet beside it");
+    }
+
+    #[test]
+    fn the_sides_of_the_drive_are_one_combination() {
+        let ellipses = [ellipse(1, 4.0, 0.0), Ellipse { passed_left: true, ..ellipse(2, 9.0, 0.0) }];
         let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
-        let bodies = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0);
-        let combinations = combinations(&bodies);
+        let taken = bodies(&ellipses, 0.0, [0.0, 0.0], 0.0, Sides::Taken);
+        assert_eq!(combinations(&taken), [[false, true]]);
+    }
+
+    #[test]
+    fn only_the_bodies_next_to_the_line_are_tried_on_both_sides() {
+        let far = [(1.0, 8), (-0.8, 9)].map(|(y, body)| ellipse(body, 3.0 * f64::from(body), y));
+        let near = (1..6).map(|body| ellipse(body, 3.0 * f64::from(body), 0.1));
+        let ellipses: Vec<Ellipse> = far.into_iter().chain(near).collect();
+        let ellipses: Vec<&Ellipse> = ellipses.iter().collect();
+        let combinations = combinations(&bodies(&ellipses, 0.0, [0.0, 0.0], 0.0, Sides::Both));
         assert_eq!(combinations.len(), 32);
-        assert!(combinations.iter().all(|sides| !sides[0] && !sides[8]));
+        assert!(combinations.iter().all(|sides| !sides[0] && sides[1]), "on the side of the line");
     }
 }

@@ -4,8 +4,10 @@
 //!
 //! * the last description before the robot passed its centre: that is the one that the plans beside it had to keep;
 //! * with the margin of the command of that scan, as the controller adds it;
-//! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is known;
-//! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did not
+//! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is
+//!   known;
+//! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did
+//!   not
 //!   bind the robot where it counts.
 //!
 //! A moving body has the recorded centres of all scans, and keeps its last described velocity when it is seen no more.
@@ -36,6 +38,7 @@ pub struct Sightings {
 struct Sighting {
     time_s: f64,
     x_m: f64,
+    y_m: f64,
     speed_mps: f64,
     growth_m: f64,
     items: Vec<Obstacle>,
@@ -50,6 +53,7 @@ impl Sightings {
         self.scans.push(Sighting {
             time_s: truth.time_s,
             x_m: truth.x_m,
+            y_m: truth.y_m,
             speed_mps: truth.speed_mps,
             growth_m: self.growth_m,
             items: obstacles.list().to_vec(),
@@ -89,7 +93,8 @@ impl Sightings {
             Path::Fixed([item.x_m, item.y_m])
         };
         let known_x_m = first.x_m + first.speed_mps * lead_s;
-        Some(Ellipse { body: item.body, a, b, path, known_s: first.time_s + lead_s, known_x_m })
+        let passed_left = scan.y_m >= item.y_m;
+        Some(Ellipse { body: item.body, a, b, passed_left, path, known_s: first.time_s + lead_s, known_x_m })
     }
 
     /// The first scan in which the centre of an ellipse was within this one.
@@ -108,4 +113,78 @@ fn moves(item: &Obstacle) -> bool {
     let [xx, xy, yy] = item.velocity_covariance;
     let variance = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / (speed * speed);
     speed > STANDING_MPS && speed * speed > SIGNIFICANCE * SIGNIFICANCE * variance
+}
+
+#[cfg(test)]
+mod tests {
+    use shared_types::Margin;
+
+    use super::*;
+
+    /// Obstacles that are described at each scan, 0.1 s and 0.1 m apart from x = 0.
+    fn sightings(scans: &[Vec<Obstacle>]) -> Sightings {
+        let mut sightings = Sightings::default();
+        for (index, items) in scans.iter().enumerate() {
+            let at = 0.1 * index as f64;
+            let truth = Truth { time_s: at, x_m: at, speed_mps: 1.0, ..Truth::default() };
+            let mut obstacles = Obstacles { count: items.len() as u32, ..Obstacles::default() };
+            obstacles.items[..items.len()].copy_from_slice(items);
+            let margin = Margin { base_m: 0.05, pose_m: 0.01 * index as f64, ..Margin::default() };
+            let command = Command { kind: CommandKind::Drive.wire(), margin, ..Command::default() };
+            sightings.add(&truth, &obstacles, Some(&command));
+        }
+        sightings
+    }
+
+    fn obstacle(id: u32, x_m: f64, y_m: f64) -> Obstacle {
+        Obstacle { id, body: id, x_m, y_m, a_m: 1.2, b_m: 0.5, ..Obstacle::default() }
+    }
+
+    #[test]
+    fn the_last_description_before_the_centre_counts_from_the_first_sight_on() {
+        let at = |index: usize| obstacle(7, 1.0, 0.01 * index as f64);
+        let scans: Vec<Vec<Obstacle>> =
+            (0..30).map(|index| if index < 3 { vec![] } else { vec![at(index)] }).collect();
+        let ellipses = sightings(&scans).ellipses(0.02, 0.03);
+        let [ellipse] = &ellipses[..] else { panic!("{ellipses:?}") };
+        // At scan 10 the robot is at x = 1; the margin has grown by 0.1 m.
+        assert_eq!(ellipse.path, Path::Fixed([1.0, 0.1]));
+        assert!((ellipse.a - 1.32).abs() < 1e-12 && (ellipse.b - 0.62).abs() < 1e-12);
+        assert!((ellipse.known_s - 0.33).abs() < 1e-12 && (ellipse.known_x_m - 0.33).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_obstacle_that_changes_its_identity_is_known_from_its_first_one_on() {
+        let scans: Vec<Vec<Obstacle>> = (0..80)
+            .map(|index| vec![if index < 20 { obstacle(1, 5.0, 0.0) } else { obstacle(2, 5.1, 0.1) }])
+            .collect();
+        let ellipses = sightings(&scans).ellipses(0.02, 0.0);
+        let [ellipse] = &ellipses[..] else { panic!("the first identity was forgotten: {ellipses:?}") };
+        assert_eq!((ellipse.body, ellipse.known_s), (2, 0.0));
+    }
+
+    #[test]
+    fn what_is_first_described_behind_the_robot_does_not_count() {
+        let scans: Vec<Vec<Obstacle>> =
+            (0..80).map(|index| if index < 60 { vec![] } else { vec![obstacle(1, 5.0, 0.9)] }).collect();
+        assert!(sightings(&scans).ellipses(0.02, 0.0).is_empty());
+    }
+
+    #[test]
+    fn a_moving_body_has_its_recorded_path_and_its_velocity_behind_it() {
+        let moving = |index: usize| Obstacle {
+            velocity_y_mps: 0.2,
+            velocity_covariance: [1e-4, 0.0, 1e-4],
+            ..obstacle(3, 5.0, 0.02 * index as f64 - 1.0)
+        };
+        let scans: Vec<Vec<Obstacle>> = (0..40).map(|index| vec![moving(index)]).collect();
+        let ellipses = sightings(&scans).ellipses(0.0, 0.0);
+        let [ellipse] = &ellipses[..] else { panic!("{ellipses:?}") };
+        for (time_s, y_m) in [(0.0, -1.0), (1.05, -0.79), (3.9, -0.22), (5.0, 0.0)] {
+            assert!((ellipse.centre_at(time_s)[1] - y_m).abs() < 1e-9, "{time_s}");
+        }
+        let noisy = |index: usize| Obstacle { velocity_covariance: [0.04, 0.0, 0.04], ..moving(index) };
+        let scans: Vec<Vec<Obstacle>> = (0..40).map(|index| vec![noisy(index)]).collect();
+        assert!(!sightings(&scans).ellipses(0.0, 0.0)[0].moves());
+    }
 }

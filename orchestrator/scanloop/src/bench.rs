@@ -66,8 +66,8 @@ pub enum BenchCommand {
     /// of the optimum; J has fixed weights (docs/ride.md). Exit code 1 if a regret is below 0.99: then the bench is wrong.
     ///
     /// JSON keys: `rows` with `name`, `seed`, `family`, `outcome`, `regret` (null if the goal was not reached), `driven` and
-    /// `optimum` (keys of `ride` in `report.json`), `note`; `summary` with `courses`, `regret`, `second_difference_ratio`,
-    /// `steering_step_max_rad`, `clearance_loss_m`, `time_loss_s` (each with `mean`, `p95`, `max`), `worst`; `faults`.
+    /// `optimum` (keys of `ride` in `report.json`), `note`; `summary` with `courses`, `regret`, `families`, `second_difference_ratio`,
+    /// `steering_step_max_rad`, `clearance_loss_m`, `time_loss_s` (each with `mean`, `p95`, `max`), `clear_objective_max`, `worst`; `faults`.
     Ride(RideArguments),
     /// Measure four hops between five processes over other transports, as ratios to ours.
     ///

@@ -3,6 +3,7 @@
 mod analyse;
 mod bad_input;
 mod bench_latency;
+mod bench_ride;
 mod bench_solver;
 mod bench_transport;
 mod calibrate;

@@ -13,7 +13,7 @@ const LAYERS: &[&[&str]] = &[
     &["shared-types", "figures", "key-table"],
     &["runtime", "vehicle"],
     &["emulator", "estimator", "obstacles", "ocp", "console"],
-    &["nmpc", "actuation", "supervision", "handover", "audit"],
+    &["nmpc", "actuation", "supervision", "handover", "audit", "ride"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report"],
     &["session", "conformance"],

@@ -1,12 +1,14 @@
 //! The figures of all courses.
 
+use std::collections::BTreeMap;
+
 use console::exit::Exit;
 use emulator::Outcome;
 use ride::Figures;
 use serde::Serialize;
 
-/// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a drive
-/// gains between the nodes of the optimum, and from descriptions that changed.
+/// A drive can't be better than its optimum: a smaller regret is a fault of the bench. The hundredth is for what a
+/// drive gains between the nodes of the optimum, and from descriptions that changed.
 const SMALLEST_REGRET: f64 = 0.99;
 /// An optimum that costs less has nothing to steer past: J of the drive is then its noise, and a ratio has no meaning.
 const CLEAR_OBJECTIVE: f64 = 0.1;
@@ -42,6 +44,8 @@ pub(super) struct Spread {
 pub(super) struct Summary {
     pub(super) courses: usize,
     pub(super) regret: Spread,
+    /// The regret of each family of random courses.
+    pub(super) families: BTreeMap<&'static str, Spread>,
     /// Sum of second differences, as a multiple of the optimum's.
     pub(super) second_difference_ratio: Option<Spread>,
     pub(super) steering_step_max_rad: Option<Spread>,
@@ -121,6 +125,7 @@ impl Summary {
         Some(Self {
             courses: with.len(),
             regret,
+            families: families(&with),
             second_difference_ratio: ratio,
             steering_step_max_rad: step,
             clearance_loss_m: clearance,
@@ -129,6 +134,17 @@ impl Summary {
             worst: with.iter().take(WORST).map(|row| row.name.clone()).collect(),
         })
     }
+}
+
+/// The regret of each family.
+fn families(rows: &[&Row]) -> BTreeMap<&'static str, Spread> {
+    let mut regrets: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+    for row in rows {
+        if let (Some(family), Some(regret)) = (row.family, row.regret) {
+            regrets.entry(family).or_default().push(regret);
+        }
+    }
+    regrets.into_iter().filter_map(|(family, regrets)| Some((family, Spread::of(regrets)?))).collect()
 }
 
 impl Spread {
@@ -184,12 +200,22 @@ mod tests {
     }
 
     #[test]
+    fn families_of_random_courses_have_their_own_regret() {
+        let of = |family, driven| Row { family: Some(family), ..row(family, driven, 1.0) };
+        let rows = vec![of("plain", 1.0), of("plain", 3.0), of("moving", 5.0)];
+        let families = Results::new(rows, true).summary.unwrap().families;
+        assert_eq!(families["plain"], Spread { mean: 2.0, p95: 3.0, max: 3.0 });
+        assert_eq!(families["moving"].mean, 5.0);
+    }
+
+    #[test]
     fn the_summary_is_over_the_courses_that_have_a_regret() {
         let rows: Vec<Row> =
             (0..=20).map(|index| row(&index.to_string(), 1.0 + f64::from(index), 1.0)).collect();
         let rows = rows.into_iter().chain([Row::default()]).collect();
         let summary = Results::new(rows, true).summary.unwrap();
         assert_eq!((summary.courses, summary.regret), (21, Spread { mean: 11.0, p95: 20.0, max: 21.0 }));
+        assert!(summary.families.is_empty());
         assert_eq!(summary.worst, ["20", "19", "18", "17", "16"]);
         assert!(Results::new(vec![Row::default()], true).summary.is_none());
     }

@@ -78,6 +78,7 @@ fn summary_text(summary: &Summary, is_random: bool) -> String {
         let _ = writeln!(text, "{name:<16}{mean:.decimals$}  {p95:.decimals$}  {max:.decimals$}");
     };
     line("regret", Some(*regret), 3);
+    summary.families.iter().for_each(|(family, regret)| line(&format!("  {family}"), Some(*regret), 3));
     line("differences", *second_difference_ratio, 2);
     line("largest step", *steering_step_max_rad, 4);
     line("clearance lost", summary.clearance_loss_m, 4);
@@ -86,7 +87,8 @@ fn summary_text(summary: &Summary, is_random: bool) -> String {
         let _ = writeln!(text, "clear lines     J {objective:.3} at most");
     }
     if is_random {
-        let _ = writeln!(text, "worst           {}", summary.worst.join(", "));
+        let worst = summary.worst.join(", ");
+        let _ = writeln!(text, "worst           {worst}; alone: `--random 1 --seed NUMBER`");
     }
     text
 }
