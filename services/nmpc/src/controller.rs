@@ -38,6 +38,8 @@ const REST_MPS: f64 = 0.02;
 
 /// A moving obstacle is passed on the other side when that costs less than this share.
 const SWITCH_SHARE: f64 = 0.8;
+/// A plan that the search does not agree with may have this slack.
+const CONTINUED_SLACK: f64 = 0.01;
 /// Blocked wheels that slide further than this are worth a slower plan [m].
 const SLIDE_M: f64 = 0.2;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
@@ -206,10 +208,10 @@ impl Controller {
             fastest_mps: start.limit_mps,
         };
         let choice = planner.continue_plan(&task, budget, &mut 0, command)?;
-        let slack = command.slack - config.stop.slack;
         let is_open = choice.level == Level::Converged
+            && command.slack < CONTINUED_SLACK
             && planner.is_fast()
-            && blocked_by(&scene, &planner.rollout.samples, start.stop_m(), slack).is_none();
+            && blocked_by(&scene, &planner.rollout.samples, start.stop_m(), f64::NEG_INFINITY).is_none();
         is_open.then_some(choice)
     }
 

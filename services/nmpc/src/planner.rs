@@ -37,6 +37,8 @@ const FAST_SHARE: f64 = 0.95;
 const STEERING_SHARE: f64 = 0.95;
 /// Distance in addition to the margin that plans should keep [m].
 const RESERVE_M: f64 = 0.02;
+/// Weights of x along a path that is followed: in the integral and at the end.
+const FOLLOWING: [f64; 2] = [1.0, 5.0];
 /// Share of an enlargement that the next scan begins with.
 const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
@@ -196,6 +198,12 @@ impl Planner {
         problem.previous = (previous.velocity > 0.0).then_some(previous);
         let is_wide = task.reference_path.limits.is_empty();
         let line = (task.reference_path.clear && is_wide).then_some(config.goal.y_m);
+        problem.weights = config.weights.over(config.interval_s());
+        if line.is_none() {
+            // The pace of a path past narrow places need not be kept.
+            problem.weights.node[3] = FOLLOWING[0] * config.interval_s();
+            problem.weights.terminal[3] = FOLLOWING[1];
+        }
         problem.control_reference = reference::fill(
             task.reference_path,
             &task.pace(),

@@ -18,6 +18,9 @@ use crate::scene::{Baseline, Scene, Violation};
 /// How far behind the goal the plan is still checked [m].
 const BEHIND_GOAL_M: f64 = 0.03;
 
+/// The part of a plan that must be clear [s]: about 20 scans, and four times as long as a stop from full speed.
+const VERIFIED_S: f64 = 2.72;
+
 /// When the wheels may be blocked instead of the next command, in scan periods after the start of the plan: when the next
 /// scan gives no plan, or after the actuator's timeout.
 const BLOCKED_AFTER: [f64; 2] = [1.0, 1.5];
@@ -34,9 +37,9 @@ pub(crate) struct Verdict {
 }
 
 impl Verdict {
-    /// Whether the whole plan may be driven.
+    /// Whether the plan may be driven. What comes later than [`VERIFIED_S`] is planned again before the robot gets there.
     pub(crate) fn holds(&self) -> bool {
-        self.violation.is_none() && self.intervals > 0
+        self.intervals > 0 && self.violation.is_none_or(|(_, t)| t > VERIFIED_S)
     }
 
     /// The obstacle that the plan comes too near to.
@@ -66,7 +69,8 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
         if let Some(violation) = scene.check(&baseline, sample) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
-            return Verdict { intervals, violation };
+            let slid = slide(scene, &baseline, controls, &rollout.samples[..index]);
+            return Verdict { intervals, violation: slid.or(violation) };
         }
     }
     Verdict { intervals: controls.len(), violation: slide(scene, &baseline, controls, &rollout.samples) }
@@ -100,7 +104,7 @@ fn slide(
             let t = start.t + (start.speed - left) / deceleration;
             let state = along_arc(&start.state, curvature, way);
             if let Some(violation) = scene.touched(baseline, scene.margin.base(), t, &state) {
-                return Some((violation, t));
+                return Some((violation, start.t));
             }
         }
     }
