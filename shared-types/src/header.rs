@@ -62,6 +62,17 @@ impl Header {
         header
     }
 
+    /// The header that the next sample of this publisher will have, except for its stamps.
+    #[must_use]
+    pub fn next(&self, period_ns: u64) -> Self {
+        Self {
+            scan_id: self.scan_id.saturating_add(1),
+            sequence: self.sequence.saturating_add(1),
+            acquired_ns: self.acquired_ns.saturating_add(period_ns),
+            ..*self
+        }
+    }
+
     /// Stamps of one stage.
     pub fn stage(&self, role: Role) -> &StageStamps {
         &self.chain[role.index()]

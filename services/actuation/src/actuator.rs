@@ -15,6 +15,8 @@
 //! brakes. Assumption: `now_ns` and the stamps of commands are of one clock. If the clock jumps ahead, the wheels are
 //! blocked for silence; if it jumps back, commands seem to come from the future and are refused.
 
+use std::hint::black_box;
+
 use shared_types::{Actuation, ActuationKind, BlockReason, Command, Fault, Header, StopReason, YOUNG_NS};
 use vehicle::correction::{CommandCorrection, Correction, Linkage};
 use vehicle::{Control, Invalid};
@@ -105,6 +107,14 @@ impl Actuator {
                 }
             }
         }
+    }
+
+    /// Makes the next answer faster: answers the command that is expected `period_ns` after `last`, and puts the state
+    /// back. What follows gives the same bits as without.
+    pub fn rehearse(&mut self, last: &Command, period_ns: u64, now_ns: u64) {
+        let before = (self.state, self.refusal, self.dropped);
+        black_box(self.answer(&Command { header: last.header.next(period_ns), ..*last }, now_ns));
+        (self.state, self.refusal, self.dropped) = before;
     }
 
     /// The rule that the last command failed, if it was refused.

@@ -30,7 +30,12 @@ pub fn run() -> anyhow::Result<()> {
     // The timeout is checked ten times a period, so the block is late by a tenth at most.
     let poll_ns = process.period_ns() / 10;
     let mut dropped = 0;
-    while process.wait(Some(process.clock().now_ns() + poll_ns))? {
+    let (mut last, period_ns) = (None, process.period_ns());
+    while process.wait_preparing(Some(process.clock().now_ns() + poll_ns), &mut |due_ns| {
+        if let Some(last) = &last {
+            actuator.rehearse(last, period_ns, due_ns);
+        }
+    })? {
         let stop = process.directive().stop == 1;
         if stop && !actuator.is_stopped() {
             actuations.publish(&mut actuator.stop(process.clock().now_ns()))?;
@@ -48,6 +53,7 @@ pub fn run() -> anyhow::Result<()> {
             }
             actuations.publish(&mut actuation)?;
             process.save(&actuation.header, &actuator.state())?;
+            last = Some(*command);
         }
         if !process.clock().is_simulated()
             && let Some(mut block) = actuator.tick(process.clock().now_ns())

@@ -13,6 +13,8 @@
 //! * after a short gap with a sample that does not fit, if the robot can have driven there: the controls sent during
 //!   the gap may be unknown.
 
+use std::hint::black_box;
+
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use shared_types::{Actuation, Fault, Header, Odometry, Pose, Role};
 use vehicle::Invalid;
@@ -127,6 +129,21 @@ impl Estimator {
         self.state.sequence = odometry.header.sequence;
         self.state.acquired_ns = acquired_ns;
         Some(self.pose(odometry, &update, now_ns))
+    }
+
+    /// Makes the next step faster: does it on the sample that is expected `period_ns` after `last`, and puts the state
+    /// back. What follows gives the same bits as without.
+    pub fn rehearse(&mut self, last: &Odometry, period_ns: u64, now_ns: u64) {
+        let before = self.state;
+        let expected = Odometry {
+            header: last.header.next(period_ns),
+            x_m: last.x_m + last.dx_m,
+            y_m: last.y_m + last.dy_m,
+            yaw_rad: last.yaw_rad + last.dyaw_rad,
+            ..*last
+        };
+        black_box(self.step(&expected, None, now_ns));
+        self.state = before;
     }
 
     /// Remembers an actuation for later steps; several may be noted between two steps, in order.

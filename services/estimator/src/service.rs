@@ -35,7 +35,12 @@ pub fn run() -> anyhow::Result<()> {
         odometry.skip(|measured| !estimator.is_newer(measured));
     }
     let mut actuated = process.handed_scan();
-    while process.wait(None)? {
+    let (mut last, period_ns) = (None, process.period_ns());
+    while process.wait_preparing(None, &mut |due_ns| {
+        if let Some(last) = &last {
+            estimator.rehearse(last, period_ns, due_ns);
+        }
+    })? {
         loop {
             while let Some(newer) = actuation.take() {
                 actuated = newer.header.scan_id;
@@ -57,6 +62,7 @@ pub fn run() -> anyhow::Result<()> {
             if let Some(mut pose) = estimator.step(&measured, None, process.clock().now_ns()) {
                 poses.publish(&mut pose)?;
                 process.save(&pose.header, &estimator.state())?;
+                last = Some(*measured);
             }
         }
     }

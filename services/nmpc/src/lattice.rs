@@ -9,6 +9,9 @@
 //! driven at a constant velocity, which matters for moving bodies only. Courses beyond 53 degrees are not
 //! represented; a robot that stands across the track gets no clear path. Obstacles are checked twice per arc,
 //! every 0.2 m, so a corner of an ellipse may be cut by millimetres, which the margin covers.
+//!
+//! A sketch with few curvatures and wide cells comes first. Its cost bounds that of the cheapest path, so paths that
+//! must cost more are left out: half of them. The result is that of a search of all paths.
 
 mod grid;
 
@@ -25,17 +28,20 @@ const MIN_COSINE: f64 = 0.55;
 const CELL_M: f64 = 0.1;
 /// The same where every centimetre counts [m].
 const NARROW_CELL_M: f64 = 0.04;
+/// The same in a sketch [m].
+const SKETCH_CELL_M: f64 = 0.5;
+/// Paths that cost more than this share of a sketched one are not searched. It is above 1, because the cheapest path to a
+/// cell need not be the start of the cheapest path to the end.
+const SKETCH_SHARE: f64 = 1.02;
+/// Arcs ahead for which the lateral cost that a path can't avoid is counted.
+const AHEAD: usize = 5;
 
-/// The cheapest path that ends in one cell of a layer.
-#[derive(Debug, Clone, Copy)]
-struct Cell {
-    cost: f64,
+/// The end of the cheapest path to one cell of a layer.
+#[derive(Debug, Clone, Copy, Default)]
+struct End {
     y: f64,
     parent: u32,
-}
-
-impl Cell {
-    const UNREACHED: Self = Self { cost: f64::INFINITY, y: 0.0, parent: 0 };
+    course: u32,
 }
 
 /// An arc from one course to another.
@@ -47,18 +53,35 @@ struct Arc {
     cost: f64,
     /// Half extent of the body across the track at its end, and the larger one of both ends [m].
     extents: [f64; 2],
-    /// First cell of the course at its end.
-    row: usize,
+    /// The course at its end.
+    course: u32,
+    /// Whether it belongs to a sketch: it is straight or has the largest curvature.
+    is_sketched: bool,
+}
+
+/// Which paths a pass of the search extends.
+#[derive(Debug, Clone, Copy)]
+struct Pass {
+    /// Paths through obstacles too.
+    hard: bool,
+    /// Straight arcs and those with the largest curvature only.
+    sketch: bool,
+    /// Paths that must cost more are left out.
+    limit: f64,
 }
 
 /// The search with its buffers.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Search {
-    cells: Vec<Cell>,
+    /// By cell: the cost of the cheapest path, infinite where none ends. Apart from the rest, as it is read most.
+    costs: Vec<f64>,
+    ends: Vec<End>,
     active: Vec<Vec<u32>>,
     arcs: Vec<Arc>,
     /// Where the arcs of each course begin.
     arc_offsets: Vec<usize>,
+    /// For each course the rises of the next arcs when the path turns right, or left, as fast as it can [m].
+    swerves: Vec<[[f64; AHEAD]; 2]>,
     obstacle_cost: ObstacleCost,
 }
 
@@ -67,33 +90,63 @@ impl Search {
     ///
     /// Where every path enters an ellipse or leaves the bounds, the one that does so least is not `clear`.
     pub(crate) fn find(&mut self, query: &Query, reference_path: &mut ReferencePath) {
-        let start = query.scene.initial;
+        let grid = self.prepare(query);
+        let sketched = self.sketch(query, &grid);
+        self.search(query, &grid, SKETCH_SHARE * sketched, reference_path);
+    }
+
+    /// Tabulates arcs and obstacles.
+    fn prepare(&mut self, query: &Query) -> Grid {
         let grid = Grid::new(&query.scene, if query.narrow { NARROW_CELL_M } else { CELL_M });
         self.obstacle_cost.measure(query, grid.layers, grid.step);
         self.tabulate(&query.scene, &grid);
-        self.reserve(&grid);
+        grid
+    }
+
+    /// The cheapest path; first only paths that cost at most `limit` are extended.
+    fn search(&mut self, query: &Query, grid: &Grid, limit: f64, reference_path: &mut ReferencePath) {
         // Most searches find a clear path; only the others consider paths through obstacles.
-        for hard in [false, true] {
-            let origin = grid.start_cell(start.y);
-            self.cells[origin] = Cell { cost: 0.0, y: start.y, parent: 0 };
-            self.active[0].push(origin as u32);
-            for layer in 0..grid.layers {
-                self.expand(layer, query, &grid, hard);
-            }
-            let found = self.read(query, &grid, reference_path);
+        let clear = Pass { hard: false, sketch: false, limit: f64::INFINITY };
+        let passes = [Pass { limit, ..clear }, clear, Pass { hard: true, ..clear }];
+        for pass in &passes[usize::from(limit == f64::INFINITY)..] {
+            self.reach(query, grid, pass);
+            let found = self.read(query, grid, pass.limit, reference_path);
             self.forget();
             if found {
                 return;
             }
         }
-        reference_path.set_line(start.x, query.scene.config.goal.y_m, query.speed);
+        reference_path.set_line(query.scene.initial.x, query.scene.config.goal.y_m, query.speed);
         reference_path.clear = false;
+    }
+
+    /// Cost of a clear path that is found fast, with few curvatures and wide cells; infinite when there is none.
+    fn sketch(&mut self, query: &Query, grid: &Grid) -> f64 {
+        let grid = grid.with_cells(SKETCH_CELL_M);
+        self.reach(query, &grid, &Pass { hard: false, sketch: true, limit: f64::INFINITY });
+        let (cost, _) = self.cheapest(query, &grid);
+        self.forget();
+        cost
+    }
+
+    /// Extends paths from the start to the last layer.
+    fn reach(&mut self, query: &Query, grid: &Grid, pass: &Pass) {
+        self.reserve(grid);
+        let y = query.scene.initial.y;
+        let origin = grid.start_cell(y);
+        self.costs[origin] = 0.0;
+        self.ends[origin] = End { y, parent: 0, course: grid.start_course as u32 };
+        self.active[0].push(origin as u32);
+        for layer in 0..grid.layers {
+            self.expand(layer, query, grid, pass);
+        }
     }
 
     fn reserve(&mut self, grid: &Grid) {
         let cells = (grid.layers + 1) * grid.layer_cells();
-        if self.cells.len() < cells {
-            self.cells.resize(cells, Cell::UNREACHED);
+        if self.costs.len() < cells {
+            self.costs.resize(cells, f64::INFINITY);
+            self.ends.resize(cells, End::default());
         }
         if self.active.len() <= grid.layers {
             self.active.resize_with(grid.layers + 1, Vec::new);
@@ -104,7 +157,7 @@ impl Search {
     fn forget(&mut self) {
         for layer in &mut self.active {
             for &cell in layer.iter() {
-                self.cells[cell as usize] = Cell::UNREACHED;
+                self.costs[cell as usize] = f64::INFINITY;
             }
             layer.clear();
         }
@@ -130,42 +183,77 @@ impl Search {
                     rise: rise(from, to, grid.step),
                     cost: grid.step * cost,
                     extents: [extent, extent.max(half_extent(scene, from))],
-                    row: next as usize * grid.cells,
+                    course: next as u32,
+                    is_sketched: turn % BENDS == 0,
                 });
             }
         }
         self.arc_offsets.push(self.arcs.len());
+        self.swerve();
     }
 
-    /// Extends every path of one layer by all arcs; with `hard` also by those through obstacles.
-    fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, hard: bool) {
+    /// Tabulates the fastest turns to both sides.
+    fn swerve(&mut self) {
+        let Self { arcs, arc_offsets, swerves, .. } = self;
+        swerves.clear();
+        for course in 0..arc_offsets.len() - 1 {
+            let mut rises = [[0.0; AHEAD]; 2];
+            for (side, rises) in rises.iter_mut().enumerate() {
+                let (mut course, mut sum) = (course, 0.0);
+                for rise in rises {
+                    let from = &arcs[arc_offsets[course]..arc_offsets[course + 1]];
+                    if let Some(arc) = if side == 0 { from.first() } else { from.last() } {
+                        (course, sum) = (arc.course as usize, sum + arc.rise);
+                    }
+                    *rise = sum;
+                }
+            }
+            swerves.push(rises);
+        }
+    }
+
+    /// Extends the paths of one layer by an arc.
+    fn expand(&mut self, layer: usize, query: &Query, grid: &Grid, pass: &Pass) {
         let Scene { config, initial, y_range, .. } = query.scene;
         let (settings, step) = (config.guide, grid.step);
         // How far the robot is outside of its bounds already.
         let allowed = excess(initial.y, y_range);
-        let sources = std::mem::take(&mut self.active[layer]);
-        let base = (layer + 1) * grid.layer_cells();
-        let crossed = self.obstacle_cost.has_crossing(layer);
-        for &source in &sources {
-            let Cell { cost, y, .. } = self.cells[source as usize];
-            let course = grid.course(source as usize) as usize;
-            for arc in &self.arcs[self.arc_offsets[course]..self.arc_offsets[course + 1]] {
+        let Self { costs, ends, active, arcs, arc_offsets, swerves, obstacle_cost } = self;
+        let Pass { hard, sketch, limit } = *pass;
+        let ahead = AHEAD.min(grid.layers - layer);
+        let [.., sources, reached] = &mut active[..layer + 2] else { return };
+        // Paths to this layer are read, those to the next are written.
+        let split = (layer + 1) * grid.layer_cells();
+        let (costs, next_costs) = costs.split_at_mut(split);
+        let (ends, next_ends) = ends.split_at_mut(split);
+        let crossed = obstacle_cost.has_crossing(layer);
+        let lateral = step * settings.lateral_weight;
+        for &source in sources.iter() {
+            let (cost, End { y, course, .. }) = (costs[source as usize], ends[source as usize]);
+            let course = course as usize;
+            if cost + lateral * squares(y - config.goal.y_m, &swerves[course], ahead) > limit {
+                continue;
+            }
+            for arc in &arcs[arc_offsets[course]..arc_offsets[course + 1]] {
+                if sketch && !arc.is_sketched {
+                    continue;
+                }
                 let y_next = y + arc.rise;
                 let Some(cell) = grid.cell(y_next) else { continue };
-                let target = base + arc.row + cell;
-                let known = self.cells[target].cost;
+                let target = arc.course as usize * grid.cells + cell;
+                let known = next_costs[target].min(limit);
                 let offset = y_next - config.goal.y_m;
-                let mut total = cost + arc.cost + step * settings.lateral_weight * offset * offset;
+                let mut total = cost + arc.cost + lateral * offset * offset;
                 // All further costs are positive: most arcs end here.
                 if total >= known {
                     continue;
                 }
                 let [extent, larger] = arc.extents;
                 let middle = y + arc.rise / 2.0;
-                total += self.obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
-                total += self.obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
+                total += obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
+                total += obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
                 if crossed {
-                    total += self.obstacle_cost.switches(layer, y, y_next, settings.switch_cost);
+                    total += obstacle_cost.switches(layer, y, y_next, settings.switch_cost);
                 }
                 let outside = excess(y_next, y_range) - allowed;
                 if outside > 1e-9 {
@@ -174,31 +262,38 @@ impl Search {
                 if (total >= HARD && !hard) || total >= known {
                     continue;
                 }
-                if known == f64::INFINITY {
-                    self.active[layer + 1].push(target as u32);
+                if next_costs[target] == f64::INFINITY {
+                    reached.push((split + target) as u32);
                 }
-                self.cells[target] = Cell { cost: total, y: y_next, parent: source };
+                next_costs[target] = total;
+                next_ends[target] = End { y: y_next, parent: source, course: arc.course };
             }
         }
-        self.active[layer] = sources;
     }
 
-    /// Follows the cheapest path back from its end; false when no path reaches the end.
-    fn read(&self, query: &Query, grid: &Grid, reference_path: &mut ReferencePath) -> bool {
+    /// Cost and last cell of the cheapest path; infinite when no path reaches the end.
+    fn cheapest(&self, query: &Query, grid: &Grid) -> (f64, usize) {
         let Scene { config, initial: start, .. } = query.scene;
         let at_goal = start.x + grid.step * grid.layers as f64 >= config.goal.x_m - 1e-6;
         let weight = if at_goal { config.guide.goal_weight } else { config.guide.lateral_weight };
-        let mut best = (f64::INFINITY, 0usize);
+        let mut best = (f64::INFINITY, 0);
         for &cell in &self.active[grid.layers] {
             let cell = cell as usize;
-            let sine = grid.sine(grid.course(cell));
-            let offset = self.cells[cell].y - config.goal.y_m;
-            let total = self.cells[cell].cost + weight * offset * offset + sine * sine;
+            let End { y, course, .. } = self.ends[cell];
+            let (sine, offset) = (grid.sine(course as i32), y - config.goal.y_m);
+            let total = self.costs[cell] + weight * offset * offset + sine * sine;
             if total < best.0 {
                 best = (total, cell);
             }
         }
-        if best.0 == f64::INFINITY {
+        best
+    }
+
+    /// Follows the cheapest path back from its end; false when no path reaches the end within `limit`.
+    fn read(&self, query: &Query, grid: &Grid, limit: f64, reference_path: &mut ReferencePath) -> bool {
+        let start = query.scene.initial;
+        let best = self.cheapest(query, grid);
+        if best.0 == f64::INFINITY || best.0 > limit {
             return false;
         }
         (reference_path.start_x, reference_path.step, reference_path.speed) =
@@ -209,9 +304,10 @@ impl Search {
         reference_path.sine.clear();
         let mut cell = best.1;
         for _ in 0..=grid.layers {
-            reference_path.y.push(self.cells[cell].y);
-            reference_path.sine.push(grid.sine(grid.course(cell)));
-            cell = self.cells[cell].parent as usize;
+            let End { y, parent, course } = self.ends[cell];
+            reference_path.y.push(y);
+            reference_path.sine.push(grid.sine(course as i32));
+            cell = parent as usize;
         }
         reference_path.y.reverse();
         reference_path.sine.reverse();
@@ -219,82 +315,11 @@ impl Search {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Config;
-    use crate::predicted_obstacle::PredictedObstacle;
-    use crate::side::{Passing, Sides, hold};
-    use nalgebra::Vector2;
-    use vehicle::geometry::Rectangle;
-    use vehicle::{Goal, State};
-
-    fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
-        let body = Rectangle { centre: Vector2::new(x, y), yaw: 0.0, length: 0.1, width: 0.1 };
-        PredictedObstacle { id, centre: [x, y], velocity: [0.0, 0.0], a: 1.2, b, body }
-    }
-
-    fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
-        let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
-        let query = Query {
-            scene: Scene::new(&config, predicted, start),
-            speed: 1.0,
-            narrow: true,
-            sides,
-            forced: None,
-        };
-        let mut reference_path = ReferencePath::default();
-        Search::default().find(&query, &mut reference_path);
-        reference_path
-    }
-
-    #[test]
-    fn a_centred_obstacle_is_passed_outside_of_its_ellipse() {
-        let obstacle = obstacle_at(1, 4.5, 0.0, 0.9);
-        let reference_path = find(State::default(), &[obstacle], &Sides::default());
-        assert!(reference_path.clear);
-        for step in 0..60 {
-            let x = f64::from(step) * 0.1;
-            let (y, _, curvature) = reference_path.at(x);
-            assert!(obstacle.value(0.0, x, y) > 0.99, "{x} {y}");
-            assert!(y.abs() <= 1.5 && curvature.abs() <= 0.3241);
-        }
-        assert_ne!(reference_path.side_of(&obstacle), None);
-    }
-
-    #[test]
-    fn a_closed_side_is_not_taken() {
-        let obstacle = obstacle_at(1, 4.5, 0.7, 0.9);
-        assert_eq!(
-            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
-            Some(Passing::Right)
-        );
-        let wide = obstacle_at(1, 4.5, 0.0, 1.6);
-        assert!(!find(State::default(), &[wide], &Sides::default()).clear);
-    }
-
-    #[test]
-    fn the_gap_between_two_ellipses_is_used_only_when_it_is_open() {
-        let pair = [obstacle_at(1, 4.5, 0.75, 0.7), obstacle_at(2, 4.5, -0.75, 0.7)];
-        assert!(find(State::default(), &pair, &Sides::default()).clear);
-        let closed = [obstacle_at(1, 4.5, 0.7, 0.85), obstacle_at(2, 4.5, -0.7, 0.85)];
-        assert!(!find(State::default(), &closed, &Sides::default()).clear);
-    }
-
-    #[test]
-    fn the_held_side_is_kept_although_the_other_is_a_little_cheaper() {
-        let obstacle = obstacle_at(1, 4.5, 0.03, 0.8);
-        assert_eq!(
-            find(State::default(), &[obstacle], &Sides::default()).side_of(&obstacle),
-            Some(Passing::Right)
-        );
-        let mut sides = Sides::default();
-        hold(&mut sides, &obstacle, Passing::Left);
-        assert_eq!(find(State::default(), &[obstacle], &sides).side_of(&obstacle), Some(Passing::Left));
-    }
-
-    #[test]
-    fn an_obstacle_too_near_has_no_clear_path() {
-        assert!(!find(State::default(), &[obstacle_at(1, 2.0, 0.0, 0.9)], &Sides::default()).clear);
-    }
+/// Sum of the squares of the offsets after the next arcs, at least: for a path that turns to the line as fast as it can.
+fn squares(offset: f64, [right, left]: &[[f64; AHEAD]; 2], arcs: usize) -> f64 {
+    let (side, rises) = if offset > 0.0 { (1.0, right) } else { (-1.0, left) };
+    rises[..arcs].iter().map(|rise| (side * (offset + rise)).max(0.0).powi(2)).sum()
 }
+
+#[cfg(test)]
+mod tests;

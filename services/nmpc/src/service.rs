@@ -6,6 +6,7 @@ use shared_types::{Blocking, Command, Obstacles, Pose, Role, ScannerHealth, Stop
 
 use crate::config::Config;
 use crate::controller::Controller;
+use crate::rehearsal::Rehearsal;
 
 /// Runs until asked to end.
 ///
@@ -38,7 +39,11 @@ pub fn run() -> anyhow::Result<()> {
     }
     let mut stop = StopLog::default();
     let budget_ns = (config.budget_ms * 1e6).min(config.budget_share * process.period_ns() as f64) as u64;
-    while process.wait_joined()? {
+    let mut rehearsal = Rehearsal::new(process.period_ns());
+    while process.wait_joined_preparing(&mut |due_ns| {
+        let deadline_ns = due_ns.min(monotonic_ns() + budget_ns);
+        rehearsal.run(&mut controller, &Budget::Deadline { deadline_ns, now_ns: &monotonic_ns });
+    })? {
         while let Some((pose, obstacles)) = join(&poses, &obstacles) {
             let simulated = process.clock().is_simulated();
             let started_ns = monotonic_ns();
@@ -52,6 +57,7 @@ pub fn run() -> anyhow::Result<()> {
             commands.publish(&mut command)?;
             stop.follow(&command, &obstacles.scanner);
             process.save(&command.header, &controller.state())?;
+            rehearsal.keep(&pose, &obstacles);
         }
     }
     Ok(())

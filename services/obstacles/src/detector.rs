@@ -1,7 +1,11 @@
 //! The steps of one scan: place returns, segment them into bodies, track the bodies, cover them by ellipses.
 
+use std::hint::black_box;
+
 use nalgebra::Vector2;
-use shared_types::{BEAMS, Fault, Header, MAX_OBSTACLES, Obstacle, Obstacles, Pose, Scan, ScannerHealth};
+use shared_types::{
+    BEAMS, Fault, Header, MAX_OBSTACLES, MIN_RANGE_MM, Obstacle, Obstacles, Pose, Scan, ScannerHealth,
+};
 use vehicle::Invalid;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
@@ -132,6 +136,19 @@ impl ObstacleDetector {
         self.expire();
         let health = self.evidence.health(if pose.speed_mps.is_finite() { pose.speed_mps } else { 0.0 });
         self.describe(scan.header.answer_both(&pose.header), overflow, health)
+    }
+
+    /// Makes the next step faster: does it on the last scan as if it came again, a millimetre off, and puts the state
+    /// back. What follows gives the same bits as without.
+    pub fn rehearse(&mut self, scan: &Scan, pose: &Pose, period_ns: u64) {
+        let (before, silent) = (self.state(), self.evidence.silent());
+        let mut scan = Scan { header: scan.header.next(period_ns), ..*scan };
+        // The step does less for a scan that repeats the one before.
+        scan.ranges_mm.iter_mut().filter(|range| **range >= MIN_RANGE_MM).for_each(|range| *range ^= 1);
+        black_box(self.step(&scan, pose));
+        let restored = self.resume(&before);
+        debug_assert!(restored.is_ok(), "tracks that are not sound have expired");
+        self.evidence.set_silent(silent);
     }
 
     /// All that the next step depends on.

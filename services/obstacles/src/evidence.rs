@@ -251,6 +251,16 @@ impl Evidence {
         (first..=last.min(SECTORS - 1)).for_each(|sector| self.silent |= 1 << sector);
     }
 
+    /// Sectors without evidence of this scan. A scan without ranges keeps those of the scan before.
+    pub(crate) fn silent(&self) -> u64 {
+        self.silent
+    }
+
+    /// Puts back [`Evidence::silent`].
+    pub(crate) fn set_silent(&mut self, silent: u64) {
+        self.silent = silent;
+    }
+
     /// The health of the scanner after this scan; `speed` is the robot's [m/s].
     pub(crate) fn health(&mut self, speed: f64) -> ScannerHealth {
         let agreed = self.returns.agreed_share(PREDICTED);

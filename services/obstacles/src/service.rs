@@ -31,7 +31,12 @@ pub fn run() -> anyhow::Result<()> {
         lost = detector.resume(&state).is_err();
         scans.skip_to(scan_id);
     }
-    while process.wait_joined()? {
+    let (mut last, period_ns) = (None, process.period_ns());
+    while process.wait_joined_preparing(&mut |_| {
+        if let Some((scan, pose)) = &last {
+            detector.rehearse(scan, pose, period_ns);
+        }
+    })? {
         while let Some((scan, pose)) = join(&scans, &poses) {
             if lost {
                 continue;
@@ -39,6 +44,7 @@ pub fn run() -> anyhow::Result<()> {
             let mut described = detector.step(&scan, &pose);
             obstacles.publish(&mut described)?;
             process.save(&described.header, &detector.state())?;
+            last = Some((*scan, *pose));
         }
     }
     Ok(())

@@ -50,6 +50,8 @@ pub struct Process {
     realtime: Realtime,
     /// Until when this process does not poll, because it shares its processor [ns].
     crowded_until_ns: Cell<u64>,
+    /// Until when the stage does not prepare, because it took too long [ns].
+    unprepared_until_ns: u64,
     bus: Bus,
     bells: Arc<Bells>,
     shared: Rc<Shared>,
@@ -116,7 +118,8 @@ impl Process {
             period_ns: run.period_ns,
             produced: Cell::new(false),
             worked: Cell::new(false),
-            taken_ns: Cell::new(0),
+            expected_ns: Cell::new(0),
+            acquired_ns: Cell::new(0),
             answered_in_ns: Cell::new([0; 2]),
         });
         let directive = Input::new(&bus, Rc::clone(&shared))?;
@@ -142,6 +145,7 @@ impl Process {
             listens: false,
             realtime,
             crowded_until_ns: Cell::new(0),
+            unprepared_until_ns: 0,
             bells,
             cleanup: OrphanCleanup::new(&domain, shared.guard.word()),
             domain,
@@ -265,7 +269,7 @@ impl Process {
         self.bus.allocate()?;
         self.beat()?;
         loop {
-            if !self.sleep(MAX_WAIT_NS, Need::Any)? {
+            if !self.sleep(MAX_WAIT_NS, Need::Any, &mut |_| {})? {
                 return Ok(false);
             }
             let phase = Phase::try_from(self.directive().phase).unwrap_or(Phase::Starting);

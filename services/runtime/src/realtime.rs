@@ -36,6 +36,9 @@ settings! {
         /// A process wakes once this long before its next input is due, so that code and data are in the caches; 0 for
         /// never [us]. It has no effect when scans are at most 5 ms apart.
         pub warm_up_us: u64 = 800, 0.0..=2000.0;
+        /// Whether built-in stages rehearse their step when they warm up, on the input that is expected. The result of
+        /// the step is the same with and without.
+        pub rehearse: bool = true;
         /// Processors that the processes of the loop may run on; empty for all.
         pub cpu: Vec<usize> = Vec::new(), 0.0..=1023.0;
         /// Scheduling policy: the usual one of Linux, SCHED_OTHER, or SCHED_FIFO.

@@ -25,7 +25,10 @@ pub(crate) struct Shared {
     pub(crate) produced: Cell<bool>,
     /// An output was published since the last sleep.
     pub(crate) worked: Cell<bool>,
-    pub(crate) taken_ns: Cell<u64>,
+    /// When the next input that the role answers is expected [ns].
+    pub(crate) expected_ns: Cell<u64>,
+    /// When the front beam of the last input that the role answers was taken [ns].
+    pub(crate) acquired_ns: Cell<u64>,
     /// How long the last two answers took, from their inputs to their publication; 0 before the first [ns].
     pub(crate) answered_in_ns: Cell<[u64; 2]>,
 }
@@ -41,12 +44,19 @@ impl Shared {
         self.clock.advance_to(header.scan_published_ns());
         let now = self.clock.now_ns();
         // Directives are not periodic.
-        if topic.writer().is_some() {
-            self.taken_ns.set(now);
+        if topic.writer().is_some() && self.role.answers().is_none_or(|answered| answered == topic) {
+            self.expected_ns.set(now + self.interval_after(header.acquired_ns));
         }
         let woken_ns = if self.clock.is_simulated() { now } else { self.stamps.get().woken_ns };
         self.stamps.set(StageStamps { woken_ns, taken_ns: now, ..StageStamps::default() });
         self.counters.take(self.role, topic, header);
+    }
+
+    /// Time from an input to the next [ns]: as long as the last one when scans are regular, else the scan period.
+    fn interval_after(&self, acquired_ns: u64) -> u64 {
+        let interval_ns = acquired_ns.saturating_sub(self.acquired_ns.replace(acquired_ns));
+        let is_regular = interval_ns.abs_diff(self.period_ns) < self.period_ns / 8;
+        if is_regular { interval_ns } else { self.period_ns }
     }
 
     /// Notes that the process publishes its answer, and returns the time.

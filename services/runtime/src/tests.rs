@@ -1,5 +1,6 @@
 //! Samples through real shared memory: what comes out of an input, and what never does.
 
+mod preparing;
 mod reserve;
 mod typed;
 mod waking;
@@ -9,7 +10,7 @@ use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Obstacles, Pose, Role, Sample, Topic,
+    Actuation, Authority, Checkpoint, Command, Directive, Header, Obstacles, Pose, Role, Sample, Topic,
 };
 
 use crate::counters::Counters;
@@ -63,7 +64,8 @@ impl Lab {
             period_ns: 100_000_000,
             produced: Cell::new(false),
             worked: Cell::new(false),
-            taken_ns: Cell::new(0),
+            expected_ns: Cell::new(0),
+            acquired_ns: Cell::new(0),
             answered_in_ns: Cell::new([0; 2]),
         })
     }
@@ -116,10 +118,25 @@ fn a_directive_does_not_move_the_time_at_which_the_next_input_is_expected() {
     let lab = Lab::new();
     let controller = lab.shared(Role::Controller, 9);
     controller.clock.advance_to(42);
-    controller.taken(Topic::Pose, &pose(3, 0.0).header);
+    controller.taken(Topic::Obstacles, &pose(3, 0.0).header);
     controller.clock.advance_to(44);
     controller.taken(Topic::Directive, &Directive::default().header);
-    assert_eq!(controller.taken_ns.get(), 42);
+    assert_eq!(controller.expected_ns.get(), 100_000_042);
+}
+
+#[test]
+fn the_next_input_is_expected_as_far_from_the_last_one_as_that_was_from_the_one_before() {
+    let lab = Lab::new();
+    let estimator = lab.shared(Role::Estimator, 7);
+    let take = |topic, acquired_ns| {
+        estimator.taken(topic, &Header { acquired_ns, ..Header::default() });
+        estimator.expected_ns.get()
+    };
+    assert_eq!(take(Topic::Odometry, 1_000_000_000), 100_000_000, "the period of the settings");
+    assert_eq!(take(Topic::Actuation, 1_050_000_000), 100_000_000, "it answers odometry");
+    assert_eq!(take(Topic::Odometry, 1_098_000_000), 98_000_000);
+    assert_eq!(take(Topic::Odometry, 1_350_000_000), 100_000_000, "a gap is no period");
+    assert_eq!(take(Topic::Odometry, 1_300_000_000), 100_000_000, "a stamp that jumped back");
 }
 
 #[test]

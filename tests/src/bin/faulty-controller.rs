@@ -1,6 +1,6 @@
 //! The controller with a fault, for tests of swaps.
 //!
-//! `faulty-controller none | nan | steer | late | mute | flood | hang-after N | exit-after N`
+//! `faulty-controller none | nan | steer | late | mute | flood | hang-after N | hang-preparing-after N | exit-after N`
 
 use runtime::{Handover, Process, RuntimeError, join, wait_for};
 use shared_types::{Command, Obstacles, Pose, Role};
@@ -21,13 +21,14 @@ enum Fault {
     Mute,
     Floods,
     HangsAfter(u64),
+    HangsPreparingAfter(u64),
     ExitsAfter(u64),
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let fault = fault(&arguments)
-        .ok_or("usage: faulty-controller none|nan|steer|late|mute|flood|hang-after N|exit-after N")?;
+        .ok_or("usage: faulty-controller none|nan|steer|late|mute|flood|hang-after N|hang-preparing-after N|exit-after N")?;
     run(fault)
 }
 
@@ -41,6 +42,7 @@ fn fault(arguments: &[String]) -> Option<Fault> {
         "mute" => Fault::Mute,
         "flood" => Fault::Floods,
         "hang-after" => Fault::HangsAfter(number()?),
+        "hang-preparing-after" => Fault::HangsPreparingAfter(number()?),
         "exit-after" => Fault::ExitsAfter(number()?),
         _ => return None,
     })
@@ -61,7 +63,17 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     }
     let (mut count, mut last) = (0, None::<Command>);
-    while process.wait((fault == Fault::Floods).then(|| process.clock().now_ns() + FLOOD_NS))? {
+    loop {
+        let deadline_ns = (fault == Fault::Floods).then(|| process.clock().now_ns() + FLOOD_NS);
+        let hangs = matches!(fault, Fault::HangsPreparingAfter(limit) if count > limit);
+        let mut prepare = |_| {
+            if hangs {
+                hang()
+            }
+        };
+        if !process.wait_preparing(deadline_ns, &mut prepare)? {
+            return Ok(());
+        }
         // A timer may be late by half of that, so each is published twice.
         for command in last.iter_mut().filter(|_| fault == Fault::Floods) {
             commands.publish(command)?;
@@ -79,13 +91,12 @@ fn run(fault: Fault) -> Result<(), Box<dyn std::error::Error>> {
                 Fault::Mute => continue,
                 Fault::HangsAfter(limit) if count > limit => hang(),
                 Fault::ExitsAfter(limit) if count > limit => return Err(gone().into()),
-                Fault::None | Fault::Floods | Fault::HangsAfter(_) | Fault::ExitsAfter(_) => {}
+                _ => {}
             }
             commands.publish(&mut command)?;
             last = Some(command);
         }
     }
-    Ok(())
 }
 
 /// Ignores everything but a kill.

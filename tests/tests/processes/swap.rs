@@ -66,6 +66,7 @@ fn a_bad_process_is_refused_with_the_reason_and_the_robot_does_not_notice() {
         (vec![FAULTY, "flood"], "not the first for that scan"),
         (vec![FAULTY, "exit-after", "3"], "the new process ended: exit code 1"),
         (vec![FAULTY, "hang-after", "3"], "late: no output for scan"),
+        (vec![FAULTY, "hang-preparing-after", "3"], "late: no output for scan"),
     ] {
         let arguments = [vec!["controller", "--"], command].concat();
         certificates.push(swap_in_vain(&system, &arguments, SwapOutcome::Refused, reason));

@@ -107,7 +107,10 @@ impl Process {
         let begun_ns = monotonic_ns();
         let until_ns = begun_ns + JOIN_NS + self.run.period_ns / 2 * 5;
         let mut is_accepted = false;
-        while !is_accepted && monotonic_ns() < until_ns && self.sleep(self.run.period_ns / 20, Need::Any)? {
+        while !is_accepted
+            && monotonic_ns() < until_ns
+            && self.sleep(self.run.period_ns / 20, Need::Any, &mut |_| {})?
+        {
             states.poll(|checkpoint| {
                 let is_fresh = checkpoint.header.incarnation == incumbent && checkpoint.issued_ns >= begun_ns;
                 if is_fresh && checkpoint.role == self.shared.role.wire() {

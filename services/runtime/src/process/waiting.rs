@@ -2,6 +2,9 @@
 //!
 //! It sleeps on the doorbell, or on the events of the bus while a publisher that does not ring writes one of its
 //! topics, never without a time-out. When it wakes it reads the bell, takes the directive, then all inputs.
+//!
+//! A long sleep has a break shortly before the next input is expected, to warm up the caches. Then the stage may
+//! prepare ([`Process::wait_preparing`]).
 
 use std::os::fd::BorrowedFd;
 
@@ -20,6 +23,8 @@ const HEARTBEAT_TIMEOUT_NS: u64 = 30_000_000;
 const COLD_NS: u64 = 5_000_000;
 /// A polling process that yields and gets its processor back later than this shares it with others [ns].
 const AWAY_NS: u64 = 500_000;
+/// Periods without preparation after one that ended later than its input was expected.
+const UNPREPARED_PERIODS: u64 = 3;
 /// How long a process that shares its processor does not poll [ns].
 const CROWDED_NS: u64 = 10_000_000_000;
 /// How long no input must have come for a late heartbeat [ns].
@@ -45,7 +50,31 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn wait(&mut self, deadline_ns: Option<u64>) -> Result<bool, RuntimeError> {
-        self.wait_until(deadline_ns, Need::Any)
+        self.wait_until(deadline_ns, Need::Any, &mut |_| {})
+    }
+
+    /// [`Process::wait`] for a stage that prepares: `prepare` is called once per scan, `realtime.warm_up_us` before the
+    /// next input is expected, with the time at which it is expected [ns].
+    ///
+    /// It is for whatever makes the next step faster, such as doing it on an expected input: after some milliseconds of
+    /// sleep, code and data are no longer in the caches. It must not change what the step gives, because it is left out
+    ///
+    /// * in simulated time, and while scans are at most 5 ms apart;
+    /// * when the input is there already, or the process was woken too late for it;
+    /// * when the wheels have to be blocked, and when the process is to end;
+    /// * for three periods after a preparation that ended later than the input was expected;
+    /// * while a publisher that does not ring writes one of the topics, and with `realtime.rehearse = false`.
+    ///
+    /// An input that comes meanwhile waits until it ends. A preparation that never ends is a hang of the process.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn wait_preparing(
+        &mut self,
+        deadline_ns: Option<u64>,
+        prepare: &mut dyn FnMut(u64),
+    ) -> Result<bool, RuntimeError> {
+        self.wait_until(deadline_ns, Need::Any, prepare)
     }
 
     /// [`Process::wait`] for a process that [`crate::join`]s its inputs: while several are missing, only the one
@@ -54,7 +83,15 @@ impl Process {
     /// # Errors
     /// Errors of the bus.
     pub fn wait_joined(&mut self) -> Result<bool, RuntimeError> {
-        self.wait_until(None, Need::All)
+        self.wait_joined_preparing(&mut |_| {})
+    }
+
+    /// [`Process::wait_joined`] with the preparation of [`Process::wait_preparing`].
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub fn wait_joined_preparing(&mut self, prepare: &mut dyn FnMut(u64)) -> Result<bool, RuntimeError> {
+        self.wait_until(None, Need::All, prepare)
     }
 
     /// [`Process::wait`] for a process whose work begins at a time, not with an input. With `realtime.poll_us` it is
@@ -64,10 +101,15 @@ impl Process {
     /// Errors of the bus.
     pub fn wait_for_time(&mut self, due_ns: u64) -> Result<bool, RuntimeError> {
         self.due_ns = due_ns;
-        self.wait_until(Some(due_ns), Need::Time)
+        self.wait_until(Some(due_ns), Need::Time, &mut |_| {})
     }
 
-    fn wait_until(&mut self, deadline_ns: Option<u64>, need: Need) -> Result<bool, RuntimeError> {
+    fn wait_until(
+        &mut self,
+        deadline_ns: Option<u64>,
+        need: Need,
+        prepare: &mut dyn FnMut(u64),
+    ) -> Result<bool, RuntimeError> {
         if self.shared.produced.get() && self.state == ProcessState::Connected {
             self.enter(ProcessState::Ready)?;
         }
@@ -79,10 +121,15 @@ impl Process {
         };
         // Only the deadline itself is met exactly, not the end of an earlier sleep.
         let need = if need == Need::Time && remaining == MAX_WAIT_NS { Need::Any } else { need };
-        self.sleep(remaining, need)
+        self.sleep(remaining, need, prepare)
     }
 
-    pub(super) fn sleep(&mut self, timeout_ns: u64, need: Need) -> Result<bool, RuntimeError> {
+    pub(super) fn sleep(
+        &mut self,
+        timeout_ns: u64,
+        need: Need,
+        prepare: &mut dyn FnMut(u64),
+    ) -> Result<bool, RuntimeError> {
         let now = monotonic_ns();
         let is_due = self.shared.counters.is_urgent.get() || now >= self.next_heartbeat_ns;
         // A reader of the last output may be waiting for this processor: the heartbeat can wait.
@@ -109,6 +156,7 @@ impl Process {
                 if monotonic_ns() >= self.next_heartbeat_ns {
                     self.beat()?;
                 }
+                self.prepare(early_ns, prepare);
                 self.outputs.iter().for_each(|output| output.warm_up());
             }
             !self.sleep_on_bell(now, until_ns, need)
@@ -125,10 +173,31 @@ impl Process {
         let due_ns = match need {
             _ if self.shared.clock.is_simulated() => return None,
             Need::Time => until_ns,
-            Need::Any | Need::All => self.shared.taken_ns.get() + self.run.period_ns,
+            Need::Any | Need::All => self.shared.expected_ns.get(),
         };
         let early_ns = due_ns.saturating_sub(1000 * self.realtime.warm_up_us);
         (early_ns < due_ns && early_ns > now + COLD_NS && early_ns < until_ns).then_some(early_ns)
+    }
+
+    /// Lets the stage prepare for its next input, after a wake-up that was due at `early_ns`, unless that could delay
+    /// the input.
+    fn prepare(&mut self, early_ns: u64, prepare: &mut dyn FnMut(u64)) {
+        let (now, lead_ns) = (monotonic_ns(), 1000 * self.realtime.warm_up_us);
+        let due_ns = early_ns + lead_ns;
+        let is_in_time = now < early_ns + lead_ns / 2 && now >= self.unprepared_until_ns;
+        let is_rung = self.bells.role(self.shared.role).poll() != self.rung;
+        if !self.realtime.rehearse || !is_in_time || is_rung || self.directive().stop == 1 {
+            return;
+        }
+        prepare(due_ns);
+        let end_ns = monotonic_ns();
+        if end_ns > due_ns {
+            self.unprepared_until_ns = end_ns + UNPREPARED_PERIODS * self.run.period_ns;
+            tracing::debug!(
+                late_ns = end_ns - due_ns,
+                "the preparation took too long: the next ones are left out"
+            );
+        }
     }
 
     /// Sets the alarm for the end of the next sleep, when the work begins that [`Process::wait_for_time`] waited for.
@@ -206,7 +275,7 @@ impl Process {
             Need::All if self.inputs.iter().any(|input| !input.is_empty()) => (now, now + poll_ns),
             Need::All => (until_ns, until_ns),
             Need::Any => {
-                let expected_ns = self.shared.taken_ns.get() + self.run.period_ns;
+                let expected_ns = self.shared.expected_ns.get();
                 (expected_ns.saturating_sub(poll_ns), expected_ns + poll_ns)
             }
         };
