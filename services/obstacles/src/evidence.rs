@@ -68,6 +68,8 @@ plain_state! {
         pub returns: Returns,
         /// Per sector: returns of what does not move that were predicted, and those that came
         pub sectors: [[f64; 2]; SECTORS],
+        /// Sectors in which a remembered body should be seen and is not, one bit each
+        pub silent: u64,
         /// Time since the last comparison per sector [s]
         pub waited_s: f64,
         /// Whether the ranges fit the motion
@@ -318,6 +320,7 @@ impl Evidence {
             proven: self.proven,
             shown: self.shown,
             shown_s: self.shown_s,
+            silent: self.silent,
             waited_s: self.waited_s,
             calibration: self.calibration,
             verdict: self.verdict,
@@ -342,6 +345,7 @@ impl Evidence {
         self.sectors = state.sectors;
         self.proven = state.proven;
         (self.shown, self.shown_s) = (state.shown, state.shown_s);
+        self.silent = state.silent;
         self.waited_s = state.waited_s;
         self.calibration = state.calibration;
         self.errors = self.calibration.errors();
