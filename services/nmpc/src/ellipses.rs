@@ -45,6 +45,10 @@ pub(crate) fn fill_ellipses(
         // The margin grows until the robot gets there.
         let margin = margin(obstacle, (obstacle.centre[0] - obstacle.a - initial.x).max(0.0));
         (ellipse.a, ellipse.b) = (obstacle.a + margin, obstacle.b + margin);
+        // The ellipse holds at the nodes. A straight piece between two of them cuts it, in the mean by two thirds of its
+        // sagitta, and the nodes move with every scan.
+        let piece = config.cruise_mps * config.interval_s();
+        ellipse.b += piece * piece * ellipse.b / (12.0 * ellipse.a * ellipse.a);
         ellipse.centres.clear();
         let interval_s = config.interval_s();
         ellipse
@@ -78,6 +82,8 @@ mod tests {
         fill_ellipses(&config, &predicted, &State::default(), |_, _| 0.02, &mut ellipses, &mut Vec::new());
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
-        assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);
+        // Two thirds of the sagitta of 0.4533 m, where the radius is a^2 / b.
+        let cut = 0.453_333_f64.powi(2) * 0.52 / (12.0 * 1.22 * 1.22);
+        assert!((ellipses[0].b - 0.52 - cut).abs() < 1e-6 && ellipses[0].centres.len() == 7);
     }
 }

@@ -1,7 +1,8 @@
 //! The controller of the robot: from pose and obstacles to one verified command per scan.
 //!
-//! A lattice search chooses on which side each obstacle is passed, the crate `ocp` solves the optimal control problem
-//! along that path, and every plan is verified before it is driven. [`Controller`] holds the order of these decisions;
+//! A lattice search proposes on which side each obstacle is passed. The crate `ocp` solves the optimal control problem,
+//! which keeps the plan outside of the ellipses, (7.34), and near the line to the goal. Every plan is verified before it
+//! is driven. [`Controller`] holds the order of these decisions;
 //! [`service`] is the process around it.
 
 mod blocking;

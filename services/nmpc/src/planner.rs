@@ -1,11 +1,17 @@
-//! From the reference path to a plan that may be driven. These are tried in turn:
+//! From the proposed path to a plan that may be driven. These are tried in turn:
 //!
-//! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides;
-//! 2. the optimal control problem, solved from the reference path;
-//! 3. the reference path itself, followed by simple steering;
+//! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides, with a
+//!    reserve of steering, then without;
+//! 2. the optimal control problem, solved from the path;
+//! 3. the path itself, followed by simple steering;
 //! 4. the rest of the last plan.
 //!
-//! A plan counts only when it is verified against the obstacles of this scan.
+//! The reference of the problem is the line to the goal; the path gives the sides and the first guess. Only where a narrow
+//! place has to be passed slowly, or nothing is clear, the path itself is the reference.
+//!
+//! A plan counts only when it is verified against the obstacles of this scan. An ellipse does not contain everything that
+//! the body must keep clear of. Where a plan is refused for that, its ellipse is enlarged by what is missing, the problem
+//! is solved again, and the next scans begin with most of the enlargement.
 
 use std::sync::Arc;
 
