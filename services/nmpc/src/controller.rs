@@ -200,13 +200,7 @@ impl Controller {
         let Self { config, predicted, alternative, state, planner, .. } = self;
         alternative.set_line(start.initial.x, config.goal.y_m, config.cruise_mps.min(start.limit_mps));
         let scene = start.scene(config, predicted);
-        let task = Task {
-            scene,
-            reference_path: alternative,
-            last: state,
-            start_ns: pose.predicted_ns,
-            fastest_mps: start.limit_mps,
-        };
+        let task = Task::new(scene, alternative, state, pose, start);
         let choice = planner.continue_plan(&task, budget, &mut 0, command)?;
         let is_open = choice.level == Level::Converged
             && command.slack < CONTINUED_SLACK
@@ -223,22 +217,20 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        let other_is_better = self.compare(start, pose, budget, command);
-        if other_is_better {
-            std::mem::swap(&mut self.reference_path, &mut self.alternative);
-            let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
-            side::renew(&mut self.state.sides, &self.predicted, choose);
-        }
-        let Self { config, predicted, reference_path, state, planner, .. } = self;
+        let most = self.cost_of_alternative(start, pose, budget, command);
+        let Self { config, predicted, reference_path, alternative, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
-        let mut task = Task {
-            scene,
-            reference_path,
-            last: state,
-            start_ns: pose.predicted_ns,
-            fastest_mps: start.limit_mps,
-        };
+        let task = Task::new(scene, reference_path, state, pose, start);
         let mut choice = planner.plan(&task, budget, command);
+        if let Some(most) = most
+            && !(choice.is_some_and(|choice| choice.level == Level::Converged) && command.objective <= most)
+        {
+            std::mem::swap(reference_path, alternative);
+            side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
+            let task = Task::new(scene, reference_path, state, pose, start);
+            choice = planner.plan(&task, budget, command);
+        }
+        let mut task = Task::new(scene, reference_path, state, pose, start);
         // Where blocked wheels slide far, a slower plan may keep clear although the fast one does not.
         let slowest = config.vehicle.bounds.velocity_min_mps;
         while choice.is_none()
@@ -265,23 +257,20 @@ impl Controller {
         })
     }
 
-    /// Whether the plan along the alternative costs clearly less than that along the reference path.
-    fn compare(&mut self, start: &Start, pose: &Pose, budget: &Budget, command: &mut Command) -> bool {
-        let Some(share) = self.contested else { return false };
-        let Self { config, predicted, reference_path, alternative, state, planner, .. } = self;
-        let mut cost = |reference_path: &ReferencePath| {
-            let task = Task {
-                scene: start.scene(config, predicted),
-                reference_path,
-                last: state,
-                start_ns: pose.predicted_ns,
-                fastest_mps: start.limit_mps,
-            };
-            let choice = planner.plan(&task, budget, command);
-            choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective)
-        };
-        let (other, this) = (cost(alternative), cost(reference_path));
-        other.is_some_and(|other| this.is_none_or(|this| other < share * this))
+    /// What a plan along the reference path may cost at most; above that the alternative is better. `None` without one that
+    /// can be driven.
+    fn cost_of_alternative(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Option<f64> {
+        let share = self.contested?;
+        let Self { config, predicted, alternative, state, planner, .. } = self;
+        let task = Task::new(start.scene(config, predicted), alternative, state, pose, start);
+        let choice = planner.plan(&task, budget, command)?;
+        (choice.level == Level::Converged).then(|| command.objective / share)
     }
 
     /// Smooths the ellipses of this scan, whose plan starts at `start_ns`.

@@ -3,8 +3,9 @@
 //! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides, with a
 //!    reserve of steering, then without;
 //! 2. the optimal control problem, solved from the path;
-//! 3. the path itself, followed by simple steering;
-//! 4. the rest of the last plan.
+//! 3. the optimal control problem from the last plan, with the part of the margin used up that is for noise;
+//! 4. the path itself, followed by simple steering;
+//! 5. the rest of the last plan.
 //!
 //! The reference of the problem is the line to the goal; the path gives the sides and the first guess. Only where a narrow
 //! place has to be passed slowly, or nothing is clear, the path itself is the reference.
@@ -16,7 +17,7 @@
 use std::sync::Arc;
 
 use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
-use shared_types::{Command, Level, PlanNode, SolveStatus};
+use shared_types::{Command, Level, PlanNode, Pose, SolveStatus};
 use vehicle::{Control, State};
 
 use crate::config::Config;
@@ -27,6 +28,7 @@ use crate::reference_path::ReferencePath;
 use crate::rollout::Rollout;
 use crate::scene::Scene;
 use crate::smoothing::{MAX_GROWN_M, grown};
+use crate::start::Start;
 use crate::state::ControllerState;
 use crate::verify::verify;
 use crate::warm;
@@ -65,7 +67,18 @@ pub(crate) struct Task<'a> {
     pub(crate) fastest_mps: f64,
 }
 
-impl Task<'_> {
+impl<'a> Task<'a> {
+    /// The task of a scan, at the largest velocity of its start.
+    pub(crate) fn new(
+        scene: Scene<'a>,
+        reference_path: &'a ReferencePath,
+        last: &'a ControllerState,
+        pose: &Pose,
+        start: &Start,
+    ) -> Self {
+        Self { scene, reference_path, last, start_ns: pose.predicted_ns, fastest_mps: start.limit_mps }
+    }
+
     fn pace(&self) -> Pace {
         let config = self.scene.config;
         Pace {
@@ -161,6 +174,12 @@ impl Planner {
         if let Some(choice) = self.solve(task, budget, &mut used, command) {
             return Some(choice);
         }
+        let tight =
+            Task { scene: task.scene.keeping(task.scene.margin.used_up(), task.scene.speed), ..*task };
+        if let Some(choice) = self.continue_plan(&tight, budget, &mut used, command) {
+            return Some(Choice { level: Level::BestIterate, ..choice });
+        }
+        self.start_from_reference(task);
         if task.reference_path.clear
             && let Some(intervals) = self.verify_guess(task)
         {
