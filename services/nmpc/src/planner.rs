@@ -30,7 +30,7 @@ use crate::scene::Scene;
 use crate::smoothing::{MAX_GROWN_M, grown};
 use crate::start::Start;
 use crate::state::ControllerState;
-use crate::verify::verify;
+use crate::verify::{VERIFIED_S, verify};
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
@@ -338,6 +338,7 @@ impl Planner {
                 .rollout
                 .samples
                 .iter()
+                .take_while(|sample| sample.t <= VERIFIED_S)
                 .map(|sample| scene.shortfall(&baseline, sample, owner, reserve_m))
                 .fold(0.0, f64::max);
             let more = (short + SPARE_M).min(MAX_GROWN_M - *grown);

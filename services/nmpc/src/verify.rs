@@ -19,7 +19,7 @@ use crate::scene::{Baseline, Scene, Violation};
 const BEHIND_GOAL_M: f64 = 0.03;
 
 /// The part of a plan that must be clear [s]: about 20 scans, and four times as long as a stop from full speed.
-const VERIFIED_S: f64 = 2.72;
+pub(crate) const VERIFIED_S: f64 = 2.72;
 
 /// When the wheels may be blocked instead of the next command, in scan periods after the start of the plan: when the next
 /// scan gives no plan, or after the actuator's timeout.
