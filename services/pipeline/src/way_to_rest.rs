@@ -2,7 +2,7 @@
 //!
 //! The robot rolls at its true speed along its present arc until the end of the sweep and for the described delay of a
 //! command, then it slides with the described deceleration. What stands or moves on that way is the truth of the
-//! scenario, as far as it has appeared. Bodies that move into a robot at rest do not count: no stop helps against them.
+//! scenario, as far as it has appeared. A body that moves into a robot at rest does not count: the robot has stopped.
 
 use emulator::scene::Scene;
 use nalgebra::Vector2;
@@ -36,11 +36,14 @@ impl WayToRest {
         Self { scene, vehicle, delay_s }
     }
 
-    /// The smallest clearance to bodies and walls from the scan of `truth` until rest [m], at most 1 m.
+    /// The smallest clearance to bodies and walls from the scan of `truth` until rest [m], at most 1 m; 1 m at rest.
     ///
     /// Zero or less: the robot can't come to rest without contact.
     pub fn clearance(&mut self, truth: &Truth) -> f64 {
         self.scene.trigger(&self.body(truth, 0.0), truth.time_s);
+        if truth.speed_mps == 0.0 && truth.collided == 0 {
+            return FAR_M;
+        }
         let (speed, deceleration) = (truth.speed_mps.abs(), self.vehicle.blocked_deceleration_mps2);
         let rolled = if truth.blocked == 0 { speed * self.delay_s } else { 0.0 };
         let length = rolled + speed * speed / (2.0 * deceleration);

@@ -29,11 +29,12 @@ fn driven(settings: &Settings) -> (f64, BTreeMap<u32, usize>) {
 
 #[test]
 fn every_command_of_random_courses_leaves_a_way_to_rest() {
-    for family in Family::ALL {
-        for seed in (0..400).filter(|seed| of_campaign(*seed).0 == *family).take(6) {
-            let (smallest_m, _) = driven(&Settings::of(of_campaign(seed).1));
-            assert!(smallest_m > 0.0, "{} seed {seed}: {smallest_m} m", family.name());
-        }
+    // In the last three a body moves into the robot, which rests.
+    let first = |family: &Family| (0..400).filter(|seed| of_campaign(*seed).0 == *family).take(6).collect();
+    for seed in Family::ALL.iter().flat_map::<Vec<u64>, _>(first).chain([260, 262, 452]) {
+        let (family, scenario) = of_campaign(seed);
+        let (smallest_m, _) = driven(&Settings::of(scenario));
+        assert!(smallest_m > 0.0, "{} seed {seed}: {smallest_m} m", family.name());
     }
 }
 
