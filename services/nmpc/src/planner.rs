@@ -33,7 +33,7 @@ const MAX_REST_S: f64 = 1.0;
 const TIGHTENINGS: usize = 3;
 /// By how much more an ellipse is enlarged [m].
 const SPARE_M: f64 = 0.003;
-/// A plan that gets this share of the way of its reference does not slow down for anything.
+/// A plan that covers this fraction of the distance of its reference does not slow down for anything.
 const FAST_SHARE: f64 = 0.95;
 /// Share of the largest steering angle that plans use at first: the rest is for corrections.
 const STEERING_SHARE: f64 = 0.95;

@@ -129,7 +129,7 @@ impl Judge {
         for (node, control) in nodes[1..].iter().zip(controls) {
             state = integrate(&parameters, &state, control, interval_s);
             let defect = (node.x_m - state.x).hypot(node.y_m - state.y);
-            if !(defect < TOLERANCE_M) {
+            if defect.is_nan() || defect >= TOLERANCE_M {
                 return Some(format!("a node is {defect} m from where its controls lead"));
             }
         }
