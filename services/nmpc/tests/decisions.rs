@@ -1,8 +1,9 @@
 //! Single decisions of the controller, seen from outside: inputs that mean nothing, landing, stops, resuming.
 
-mod common;
+#[path = "common/independent.rs"]
+mod independent;
 
-use common::judge;
+use independent::Judge;
 use nmpc::{Budget, Config, Controller, ControllerState};
 use proptest::prelude::*;
 use shared_types::{
@@ -14,6 +15,12 @@ const BUDGET: Budget = Budget::Iterations(60);
 
 fn controller() -> Controller {
     Controller::new(Config::default()).expect("the defaults are allowed")
+}
+
+fn judge() -> Judge {
+    let config = Config::default();
+    let (y_range, Config { vehicle, track, goal, clearance_m, period_s, .. }) = (config.y_range(), config);
+    Judge { vehicle, track, goal, y_range, clearance_m, period_s, ellipses: false }
 }
 
 /// A robot at (x, y) that faces along the track, at scan `scan`.
@@ -203,7 +210,7 @@ proptest! {
             (pose.header.scan_id, pose.predicted_ns) = (scan, pose.predicted_ns + 100_000_000);
             pose.header.acquired_ns += 100_000_000;
             let command = controller.step(&pose, &obstacles(scan, &items), &Budget::Iterations(20));
-            let objection = judge(&Config::default()).objection(&command, &pose, &obstacles(scan, &items));
+            let objection = judge().objection(&command, &pose, &obstacles(scan, &items));
             prop_assert_eq!(objection, None);
             prop_assert!(command.kkt_residual.is_finite() && command.objective.is_finite());
         }
@@ -233,7 +240,7 @@ fn without_the_state_of_the_one_before_it_stops_until_the_robot_rests() {
 /// The command of one step, which is a stop or a drive that the judge has no objection to.
 fn judged(controller: &mut Controller, pose: &Pose, obstacles: &Obstacles) -> Command {
     let command = controller.step(pose, obstacles, &BUDGET);
-    assert_eq!(judge(&Config::default()).objection(&command, pose, obstacles), None);
+    assert_eq!(judge().objection(&command, pose, obstacles), None);
     command
 }
 
@@ -302,7 +309,7 @@ fn resumed(state: &ControllerState, budget: &Budget) -> Result<(), String> {
         let x = 0.1 * (scan - 1) as f64;
         let (pose, obstacles) = (pose(scan, x, 0.0), obstacles(scan, &[obstacle(3.0, 0.1, 0.4)]));
         let command = controller.step(&pose, &obstacles, budget);
-        if let Some(objection) = judge(&Config::default()).objection(&command, &pose, &obstacles) {
+        if let Some(objection) = judge().objection(&command, &pose, &obstacles) {
             return Err(format!("scan {scan}: {objection}"));
         }
         if !(command.objective.is_finite() && command.slack.is_finite()) {
