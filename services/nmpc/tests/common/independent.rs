@@ -71,18 +71,21 @@ impl Judge {
         }
         let surroundings = Surroundings::new(self, pose, obstacles);
         let (parameters, mut state) = (self.vehicle.parameters(), start(pose));
-        let (mut speed, end_s) = (pose.predicted_speed_mps.abs(), interval_s * controls.len() as f64);
-        let mut t = 0.0;
-        while t < end_s.min(CLEAR_S) - 1e-9 && state.x < self.goal.x_m {
-            let control = controls[((t + 1e-9) / interval_s) as usize];
-            speed = control.velocity.max(speed - self.vehicle.deceleration_max_mps2 * STEP_S);
-            (t, state) = (t + STEP_S, integrate(&parameters, &state, &control, STEP_S));
-            let objection = surroundings.at(t, &state, true);
-            let blocks = BLOCKED_AFTER.iter().any(|after| (t - after * self.period_s).abs() < STEP_S / 2.0);
+        let parts = (interval_s / STEP_S).ceil();
+        let (mut t, step_s, mut speed) = (0.0, interval_s / parts, pose.predicted_speed_mps.abs());
+        for control in controls.iter().flat_map(|control| std::iter::repeat_n(control, parts as usize)) {
+            if t > CLEAR_S - step_s || state.x > self.goal.x_m {
+                break;
+            }
+            speed = control.velocity.max(speed - self.vehicle.deceleration_max_mps2 * step_s);
+            state = integrate(&parameters, &state, control, step_s);
+            let blocks = BLOCKED_AFTER.map(|periods| periods * self.period_s);
+            let blocks = blocks.iter().any(|after| (t..t + step_s).contains(after));
+            t += step_s;
             let slid = || {
-                if blocks { self.slide(&surroundings, &parameters, t, &state, &control, speed) } else { None }
+                if blocks { self.slide(&surroundings, &parameters, t, &state, control, speed) } else { None }
             };
-            if let Some(objection) = objection.or_else(slid) {
+            if let Some(objection) = surroundings.at(t, &state, true).or_else(slid) {
                 return Some(format!("after {t:.2} s: {objection}"));
             }
         }
@@ -126,7 +129,7 @@ impl Judge {
         pose: &Pose,
     ) -> Option<String> {
         let (parameters, mut state) = (self.vehicle.parameters(), start(pose));
-        for (node, control) in nodes[1..].iter().zip(controls) {
+        for (node, control) in nodes[1..].iter().zip(controls).take((CLEAR_S / interval_s).ceil() as usize) {
             state = integrate(&parameters, &state, control, interval_s);
             let defect = (node.x_m - state.x).hypot(node.y_m - state.y);
             if defect.is_nan() || defect >= TOLERANCE_M {
