@@ -263,4 +263,18 @@ mod tests {
         let initial = State { y: 1.0, yaw: 0.3, ..State::default() };
         assert!(!verdict(&fixture.from(initial), &straight(1.0)).holds());
     }
+
+    #[test]
+    fn a_plan_from_which_blocked_wheels_slide_into_a_body_does_not_hold() {
+        // The plan ends 0.27 m further on, 0.18 m before the box; from 0.7 m/s the slide takes 0.05 or 0.49 m.
+        let mut fixture = Fixture::new(vec![obstacle(0.78, 0.0, 0.05, 0.05)]);
+        let fast = |fixture: &Fixture| {
+            let scene = fixture.scene();
+            verdict(&scene.keeping(scene.margin, 1.0), &straight(0.1))
+        };
+        assert!(fast(&fixture).holds());
+        fixture.config.vehicle.blocked_deceleration_mps2 = 0.5;
+        assert_eq!(fast(&fixture).violation.unwrap().0, Violation::Obstacle(0));
+        assert!(verdict(&fixture.scene(), &straight(0.1)).holds(), "a slow robot slides less");
+    }
 }
