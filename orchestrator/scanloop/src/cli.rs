@@ -111,8 +111,9 @@ pub enum Command {
     /// Drive random courses through the in-process pipeline on all cores and count how they end.
     ///
     /// Six of ten courses have obstacles at rest. The others are symmetric, blocked, have an obstacle that appears close
-    /// ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`,
-    /// `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
+    /// ahead, or one that moves. A course is bad as well if in any scan the robot could not come to rest without contact.
+    /// JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`, `passable_reached`, `blocked`,
+    /// `blocked_stopped`, `min_clearance_m`, `min_rest_clearance_m`, `without_rest` (scans), `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     ///

@@ -415,7 +415,8 @@ impl Controller {
 
     fn drive(&mut self, choice: Choice, command: &mut Command) {
         let Planner { controls, rollout, .. } = &self.planner;
-        let intervals = choice.intervals.min(controls.len());
+        let Choice { level, verified } = choice;
+        let intervals = verified.intervals().min(controls.len());
         for (index, state) in rollout.nodes.iter().enumerate().take(intervals + 1) {
             // The last node repeats the control before it: nothing is planned behind it.
             let control = controls[index.min(intervals.max(1) - 1)];
@@ -431,10 +432,11 @@ impl Controller {
         }
         command.plan_length = intervals as u32 + 1;
         command.kind = CommandKind::Drive.wire();
-        command.level = choice.level.wire();
+        command.level = level.wire();
         command.reason = StopReason::None.wire();
-        command.verified = 1;
-        (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
+        // The wheels get the control that was verified: there is no `Choice` without the evidence.
+        let Control { velocity, steering } = verified.first();
+        (command.velocity_mps, command.steering_rad, command.verified) = (velocity, steering, 1);
 
         for (index, obstacle) in self.predicted.iter().enumerate() {
             smoothing::grow(&mut self.state.ellipses, obstacle.id, self.planner.grown(index));
@@ -465,3 +467,6 @@ impl Controller {
         state.plan_length = 0;
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,6 +10,11 @@ mod braking;
 mod config;
 mod controller;
 mod ellipses;
+#[cfg(test)]
+#[path = "../tests/common/independent.rs"]
+mod independent;
+#[cfg(test)]
+mod injection;
 mod landing;
 mod lattice;
 mod margin;

@@ -22,6 +22,8 @@ use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::ellipses::fill_ellipses;
+#[cfg(test)]
+use crate::injection::{Injection, Place};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
@@ -30,7 +32,7 @@ use crate::scene::Scene;
 use crate::smoothing::{MAX_GROWN_M, grown};
 use crate::start::Start;
 use crate::state::ControllerState;
-use crate::verify::{VERIFIED_S, verify};
+use crate::verify::{VERIFIED_S, Verified, verify};
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
@@ -39,7 +41,7 @@ const MAX_REST_S: f64 = 1.0;
 const TIGHTENINGS: usize = 3;
 /// By how much more an ellipse is enlarged [m].
 const SPARE_M: f64 = 0.003;
-/// A plan that gets this fraction of the distance of its reference does not slow down for anything.
+/// A plan that covers this fraction of the distance of its reference does not slow down for anything.
 const FAST_SHARE: f64 = 0.95;
 /// Share of the largest steering angle that plans use at first: the rest is for corrections.
 const STEERING_SHARE: f64 = 0.95;
@@ -104,8 +106,8 @@ impl<'a> Task<'a> {
 pub(crate) struct Choice {
     /// How it was found.
     pub(crate) level: Level,
-    /// How many of its intervals were verified.
-    pub(crate) intervals: usize,
+    /// The evidence that it may be driven.
+    pub(crate) verified: Verified,
 }
 
 /// The solver with its problem, and the plan of this scan.
@@ -125,6 +127,9 @@ pub(crate) struct Planner {
     pub(crate) controls: Vec<Control>,
     /// The trajectory of `controls`.
     pub(crate) rollout: Rollout,
+    /// Bad plans of a test.
+    #[cfg(test)]
+    pub(crate) injection: Injection,
 }
 
 impl Planner {
@@ -153,6 +158,8 @@ impl Planner {
             refused_for: None,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
+            #[cfg(test)]
+            injection: Injection::default(),
         }
     }
 
@@ -181,9 +188,9 @@ impl Planner {
         }
         self.start_from_reference(task);
         if task.reference_path.clear
-            && let Some(intervals) = self.verify_guess(task)
+            && let Some(choice) = self.verify_guess(task, Level::BestIterate)
         {
-            return Some(Choice { level: Level::BestIterate, intervals });
+            return Some(choice);
         }
         let elapsed_s = task.elapsed()?;
         let interval_s = task.scene.config.interval_s();
@@ -192,7 +199,7 @@ impl Planner {
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
         self.guess.controls.truncate(left);
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
-        self.verify_guess(task).map(|intervals| Choice { level: Level::LastPlan, intervals })
+        self.verify_guess(task, Level::LastPlan)
     }
 
     /// The solution from the last plan, when there is one that passes obstacles on the sides of the reference path.
@@ -254,6 +261,8 @@ impl Planner {
     /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
     /// reference path.
     fn start_from_plan(&mut self, task: &Task, elapsed_s: f64) -> bool {
+        #[cfg(test)]
+        self.injection.guess_is(Place::SolutionFromPlan);
         read_plan(task.last, &mut self.controls);
         if self.controls.is_empty() {
             return false;
@@ -266,6 +275,8 @@ impl Planner {
     }
 
     fn start_from_reference(&mut self, task: &Task) {
+        #[cfg(test)]
+        self.injection.guess_is(Place::SolutionFromReference);
         let intervals = task.scene.config.intervals;
         warm::follow(&task.scene, task.reference_path, &task.pace(), intervals, &mut self.guess.controls);
         self.drive_guess(task);
@@ -278,12 +289,14 @@ impl Planner {
         self.guess.states.clone_from(&self.rollout.nodes);
     }
 
-    /// Makes the guess the plan when it may be driven; returns how many of its intervals were verified.
-    fn verify_guess(&mut self, task: &Task) -> Option<usize> {
+    /// Makes the guess the plan when it may be driven.
+    fn verify_guess(&mut self, task: &Task, level: Level) -> Option<Choice> {
+        #[cfg(test)]
+        self.injection.replace_guess(level, &mut self.guess.controls);
         let verdict = verify(&task.scene, &self.guess.controls, &mut self.rollout);
         self.controls.clone_from(&self.guess.controls);
         self.refused_for = self.refused_for.or(verdict.obstacle());
-        verdict.holds().then_some(verdict.intervals)
+        verdict.verified().map(|verified| Choice { level, verified })
     }
 
     /// Solves from the guess; where the body of the result comes too near to an obstacle, its ellipse is enlarged by what is
@@ -369,6 +382,8 @@ impl Planner {
             }
         };
         self.solver.solve_into(&self.problem, &self.guess, &rest, &mut self.solution);
+        #[cfg(test)]
+        self.injection.replace_solution(&mut self.solution);
         let solution = &self.solution;
         *used = used.saturating_add(solution.iterations.max(1));
         report(solution, *used, command);
@@ -379,21 +394,19 @@ impl Planner {
         if !usable {
             return None;
         }
-        warm::clamp(&task.scene.config.vehicle.bounds, &mut self.controls);
+        warm::clamp(&task.scene.bounds(), &mut self.controls);
         slow_down(task, &mut self.controls);
         let scene = &task.scene;
         let verdict = verify(scene, &self.controls, &mut self.rollout);
         let agrees =
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
-        if !verdict.holds() || !agrees {
-            return None;
-        }
+        let verified = verdict.verified().filter(|_| agrees)?;
         let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);
         command.largest_violation = command.largest_violation.max(defect);
         let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
-        Some(Choice { level, intervals: verdict.intervals })
+        Some(Choice { level, verified })
     }
 }
 

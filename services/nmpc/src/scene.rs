@@ -6,7 +6,7 @@
 use nalgebra::Vector2;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
-use vehicle::{Control, State};
+use vehicle::{Bounds, Control, State};
 
 use crate::config::Config;
 use crate::margin::MarginModel;
@@ -38,6 +38,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) margin: MarginModel,
     /// Speed at the start of the plan [m/s].
     pub(crate) speed: f64,
+    /// Largest velocity from which the robot stops in time [m/s].
+    pub(crate) limit_mps: f64,
 }
 
 /// The limit that a plan violates.
@@ -67,6 +69,7 @@ impl<'a> Scene<'a> {
             y_range: config.y_range(),
             margin: MarginModel::certain(config),
             speed: 0.0,
+            limit_mps: f64::INFINITY,
         }
     }
 
@@ -74,6 +77,12 @@ impl<'a> Scene<'a> {
     #[must_use]
     pub(crate) fn keeping(self, margin: MarginModel, speed: f64) -> Self {
         Self { margin, speed, ..self }
+    }
+
+    /// The hard bounds of the controls, with the limit of the velocity.
+    pub(crate) fn bounds(&self) -> Bounds {
+        let bounds = self.config.vehicle.bounds;
+        Bounds { velocity_max_mps: bounds.velocity_max_mps.min(self.limit_mps), ..bounds }
     }
 
     /// Limits as they are at the start of the plan.
