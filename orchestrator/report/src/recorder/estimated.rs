@@ -18,9 +18,10 @@ pub(super) struct Estimated {
 }
 
 impl Estimated {
-    /// A scan was published. Scans are numbered from the start of the run, so an adopted run keeps its time.
+    /// A scan was published. Scans are numbered from the start of the run, and the first one takes a period, so an adopted
+    /// run keeps its time.
     pub(super) fn scan(&mut self, header: &Header, period_ns: u64) {
-        let before_ns = header.scan_id.saturating_sub(1).saturating_mul(period_ns);
+        let before_ns = header.scan_id.saturating_mul(period_ns);
         self.start_ns.get_or_insert_with(|| header.acquired_ns.saturating_sub(before_ns));
         self.newest_ns = self.newest_ns.max(header.acquired_ns);
     }

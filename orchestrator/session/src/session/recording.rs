@@ -152,6 +152,6 @@ mod tests {
             recording.add(scan);
             recording.judge(scan) == expected
         });
-        assert_eq!(ended.map(|scan| scan.header.scan_id), Some(21), "2 s after the first scan");
+        assert_eq!(ended.map(|scan| scan.header.scan_id), Some(20), "2 s after the start");
     }
 }
