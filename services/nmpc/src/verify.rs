@@ -11,7 +11,9 @@
 use vehicle::bounds::ROUNDING;
 use vehicle::{Control, State};
 
-use crate::rollout::{PIECES, Rollout};
+use crate::braking::Stopping;
+use crate::config::Config;
+use crate::rollout::{PIECES, Rollout, advance};
 use crate::sampled::Sampled;
 use crate::scene::{Baseline, Scene, Violation};
 
@@ -22,8 +24,8 @@ const BEHIND_GOAL_M: f64 = 0.03;
 pub(crate) const VERIFIED_S: f64 = 2.72;
 
 /// When the wheels may be blocked instead of the next command, in scan periods after the start of the plan: when the next
-/// scan gives no plan, or after the actuator's timeout.
-const BLOCKED_AFTER: [f64; 2] = [1.0, 1.5];
+/// scan gives no plan, after the actuator's timeout, and by the dead man of the robot when the actuator is lost.
+const BLOCKED_AFTER: [f64; 3] = [1.0, 1.5, 2.0];
 /// Largest step along a slide [m].
 const SLIDE_STEP_M: f64 = 0.08;
 
@@ -94,53 +96,82 @@ pub(crate) fn verify(scene: &Scene, controls: &[Control], rollout: &mut Rollout)
     }
     rollout.drive(scene, controls);
     let baseline = scene.baseline();
+    if let Some(index) = scene.too_near_to_start(&baseline) {
+        return Verdict::refused(Violation::Obstacle(index));
+    }
     let mut behind_goal = false;
     for (index, sample) in rollout.samples.iter().enumerate() {
         behind_goal |= sample.state.x > scene.config.goal.x_m + BEHIND_GOAL_M;
         if let Some(violation) = scene.check(&baseline, sample) {
             let intervals = index.saturating_sub(1) / PIECES;
             let violation = (!behind_goal || intervals == 0).then_some((violation, sample.t));
-            let slid = slide(scene, &baseline, controls, &rollout.samples[..index]);
+            let slid = slide(scene, &baseline, &first, &rollout.samples[..index]);
             return Verdict { first, intervals, violation: slid.or(violation) };
         }
     }
-    let violation = slide(scene, &baseline, controls, &rollout.samples);
+    let violation = slide(scene, &baseline, &first, &rollout.samples);
     Verdict { first, intervals: controls.len(), violation }
 }
 
 /// The first contact of a robot that blocks its wheels instead of following the plan's next command.
 ///
-/// The wheels keep their angle, so it slides along the arc that it drives then. The block acts one scan period after the
-/// start of the plan, or when the actuator's timeout has passed.
+/// Until the block it holds the first control of the plan, because only a command brings another one.
 fn slide(
     scene: &Scene,
     baseline: &Baseline,
-    controls: &[Control],
+    first: &Control,
     samples: &[Sampled],
 ) -> Option<(Violation, f64)> {
-    let deceleration = scene.config.vehicle.blocked_deceleration_mps2;
-    let interval_s = scene.config.interval_s();
-    for periods in BLOCKED_AFTER {
-        let after_s = periods * scene.config.period_s;
-        let start = samples.iter().find(|sample| sample.t >= after_s).or(samples.last())?;
-        if start.state.x > scene.config.goal.x_m + BEHIND_GOAL_M {
-            continue;
+    let goal_x = scene.config.goal.x_m + BEHIND_GOAL_M;
+    let mut blocks = BLOCKED_AFTER.map(|periods| periods * scene.config.period_s).into_iter().peekable();
+    // The plan is checked up to the end of its first interval; what is held longer is checked here.
+    let planned = samples.iter().take(PIECES + 1).copied();
+    let later = std::iter::successors(samples.get(PIECES).copied(), |last| Some(hold(scene, first, last)));
+    for (index, held) in planned.chain(later.skip(1)).enumerate() {
+        if held.state.x > goal_x {
+            return None;
         }
-        let control = controls[((start.t / interval_s) as usize).min(controls.len() - 1)];
-        let curvature = scene.curvature(&control);
-        let length = start.speed * start.speed / (2.0 * deceleration);
-        let steps = (length / SLIDE_STEP_M).ceil().max(1.0);
-        for step in 1..=steps as usize {
-            let way = length * step as f64 / steps;
-            let left = (start.speed * start.speed - 2.0 * deceleration * way).max(0.0).sqrt();
-            let t = start.t + (start.speed - left) / deceleration;
-            let state = along_arc(&start.state, curvature, way);
-            if let Some(violation) = scene.touched(baseline, scene.margin.base(), t, &state) {
-                return Some((violation, start.t));
-            }
+        let longer = index > PIECES;
+        let touched =
+            if longer { scene.touched(baseline, scene.margin.base(), held.t, &held.state) } else { None };
+        let mut is_blocked = false;
+        while blocks.next_if(|after_s| held.t >= *after_s).is_some() {
+            is_blocked = true;
         }
+        let slid = || if is_blocked { slide_from(scene, baseline, first, &held) } else { None };
+        if let Some(violation) = touched.or_else(slid) {
+            // Nothing plans again before it, however late it is.
+            return Some((violation, held.t.min(VERIFIED_S)));
+        }
+        blocks.peek()?;
     }
     None
+}
+
+/// The first contact of blocked wheels: they keep their angle, so the robot slides along the arc that it drives. It may be
+/// faster and brake less than described.
+fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sampled) -> Option<Violation> {
+    let stopping = Stopping::new(scene.config, scene.config.period_s, scene.margin.age_s());
+    let (deceleration, speed) = (stopping.deceleration_mps2, start.speed * stopping.speed_ratio);
+    let (length, curvature) = (stopping.slide(start.speed), scene.curvature(control));
+    let steps = (length / SLIDE_STEP_M).ceil().max(1.0);
+    (1..=steps as usize).find_map(|step| {
+        let way = length * step as f64 / steps;
+        let left = (speed * speed - 2.0 * deceleration * way).max(0.0).sqrt();
+        let t = start.t + (speed - left) / deceleration;
+        scene.touched(baseline, scene.margin.base(), t, &along_arc(&start.state, curvature, way))
+    })
+}
+
+/// The next sample of a robot that holds a control.
+fn hold(scene: &Scene, control: &Control, last: &Sampled) -> Sampled {
+    let Config { vehicle, .. } = scene.config;
+    let piece_s = scene.config.interval_s() / PIECES as f64;
+    Sampled {
+        t: last.t + piece_s,
+        speed: control.velocity.max(last.speed - vehicle.deceleration_max_mps2 * piece_s),
+        state: advance(&vehicle.parameters(), &last.state, control, piece_s),
+    }
 }
 
 /// The state after `way` metres along an arc.
@@ -158,7 +189,6 @@ fn along_arc(state: &State, curvature: f64, way: f64) -> State {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
     use crate::predicted_obstacle::PredictedObstacle;
     use nalgebra::Vector2;
     use vehicle::State;
@@ -219,6 +249,20 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_at_rest_does_not_start_beside_a_body_that_is_too_near_but_a_moving_one_may_leave_it() {
+        // Half of the body and half of the box are 0.2 m wide.
+        let beside = |gap_m: f64| Fixture::new(vec![obstacle(0.0, -0.4 - gap_m, 0.05, 0.05)]);
+        let near = beside(0.035);
+        let verdict_at = |fixture: &Fixture, speed: f64| {
+            let scene = fixture.scene();
+            verdict(&scene.keeping(scene.margin, speed), &straight(0.5))
+        };
+        assert_eq!(verdict_at(&near, 0.0).violation, Some((Violation::Obstacle(0), 0.0)));
+        assert!(verdict_at(&near, 0.1).holds());
+        assert!(verdict_at(&beside(0.045), 0.0).holds());
+    }
+
+    #[test]
     fn an_ellipse_is_not_entered_but_may_be_left() {
         let ahead = Fixture::new(vec![obstacle(2.5, 0.0, 1.2, 0.8)]);
         let (violation, t) = verdict(&ahead.scene(), &straight(1.0)).violation.unwrap();
@@ -265,6 +309,53 @@ mod tests {
     }
 
     #[test]
+    fn each_control_is_within_the_bounds_and_the_speed_limit() {
+        let fixture = Fixture::new(Vec::new());
+        let mut controls = straight(0.5);
+        controls[5].steering = 0.07;
+        assert_eq!(verdict(&fixture.scene(), &controls).violation, Some((Violation::Control, 0.0)));
+        let limited = Scene { limit_mps: 0.6, ..fixture.scene() };
+        assert!(verdict(&limited, &straight(0.6)).holds());
+        assert_eq!(verdict(&limited, &straight(0.62)).violation, Some((Violation::Control, 0.0)));
+    }
+
+    #[test]
+    fn a_state_that_grows_beyond_all_numbers_is_refused() {
+        let fixture = Fixture::new(Vec::new());
+        let spinning = fixture.from(State { yaw_rate: 1e308, ..State::default() });
+        assert_eq!(verdict(&spinning, &straight(1.0)).violation.unwrap().0, Violation::NotFinite);
+    }
+
+    #[test]
+    fn the_track_ends_along_its_direction_too() {
+        let mut fixture = Fixture::new(Vec::new());
+        fixture.config.track.x_m = [-1.0, 2.5];
+        assert_eq!(verdict(&fixture.scene(), &straight(1.0)).violation.unwrap().0, Violation::Outside);
+        assert!(verdict(&fixture.scene(), &straight(0.9)).holds());
+    }
+
+    #[test]
+    fn the_ellipse_of_a_moving_body_is_where_it_will_be() {
+        // It passes with 0.3 m between the bodies, and with the centre of the robot inside of its ellipse.
+        let mut oncoming = obstacle(5.0, 0.7, 1.2, 0.8);
+        assert!(verdict(&Fixture::new(vec![oncoming]).scene(), &straight(1.0)).holds());
+        oncoming.velocity = [-1.0, 0.0];
+        let fixture = Fixture::new(vec![oncoming]);
+        assert_eq!(verdict(&fixture.scene(), &straight(1.0)).violation.unwrap().0, Violation::Ellipse(0));
+    }
+
+    #[test]
+    fn the_body_keeps_its_clearance_to_a_wall() {
+        let mut fixture = Fixture::new(Vec::new());
+        fixture.config.track = Track { y_m: [-1.9, 1.9], walls: true, ..Track::default() };
+        fixture.config.theta_m = 0.0;
+        // From 0.15 m to 0.06 m with the front corner, and to 0.04 m: 0.05 m are kept.
+        let towards = |yaw| fixture.from(State { y: 1.55, yaw, ..State::default() });
+        assert!(verdict(&towards(0.03), &straight(1.0)).holds());
+        assert_eq!(verdict(&towards(0.036), &straight(1.0)).violation.unwrap().0, Violation::Wall);
+    }
+
+    #[test]
     fn a_plan_from_which_blocked_wheels_slide_into_a_body_does_not_hold() {
         // The plan ends 0.27 m further on, 0.18 m before the box; from 0.7 m/s the slide takes 0.05 or 0.49 m.
         let mut fixture = Fixture::new(vec![obstacle(0.78, 0.0, 0.05, 0.05)]);
@@ -276,5 +367,78 @@ mod tests {
         fixture.config.vehicle.blocked_deceleration_mps2 = 0.5;
         assert_eq!(fast(&fixture).violation.unwrap().0, Violation::Obstacle(0));
         assert!(verdict(&fixture.scene(), &straight(0.1)).holds(), "a slow robot slides less");
+    }
+
+    /// Controls that drive one interval at 1 m/s with a steering angle, then creep straight.
+    fn creeping(steering: f64) -> [Control; 12] {
+        let mut controls = [Control { velocity: 0.1, steering: 0.0 }; 12];
+        controls[0] = Control { velocity: 1.0, steering };
+        controls
+    }
+
+    /// Brakes with which a robot at 1.05 m/s slides 0.69 m: 1 m/s^2 with a fifth less, the worst case of 1 m/s.
+    fn weakly_braking(predicted: Vec<PredictedObstacle>) -> Fixture {
+        let mut fixture = Fixture::new(predicted);
+        fixture.config.vehicle.blocked_deceleration_mps2 = 1.0;
+        fixture
+    }
+
+    #[test]
+    fn the_wheels_may_be_blocked_after_one_period_or_by_the_actuator_or_by_the_dead_man() {
+        // From 0.10, 0.15 and 0.20 m, the ends of the plan's samples, the robot slides to 0.79, 0.84 and 0.89 m, and
+        // 0.05 m are kept. Half of the body is 0.28 m long, half of the box 0.05 m.
+        let slid = |front_m: f64| {
+            let fixture = weakly_braking(vec![obstacle(0.28 + front_m + 0.05, 0.0, 0.05, 0.05)]);
+            let (_, t) =
+                verdict(&fixture.scene(), &creeping(0.0)).violation.filter(|(_, t)| *t <= VERIFIED_S)?;
+            Some((t * 20.0).round() / 20.0)
+        };
+        assert_eq!([0.82, 0.86, 0.91, 0.96].map(slid), [Some(0.1), Some(0.15), Some(0.2), None]);
+    }
+
+    #[test]
+    fn blocked_wheels_keep_their_angle() {
+        // Straight on the robot passes the box with 0.1 m.
+        let beside = weakly_braking(vec![obstacle(1.2, 0.5, 0.05, 0.05)]);
+        assert!(verdict(&beside.scene(), &creeping(0.0)).holds());
+        let (violation, t) = verdict(&beside.scene(), &creeping(0.06)).violation.unwrap();
+        assert!(violation == Violation::Obstacle(0) && t < 0.3, "{t}");
+    }
+
+    #[test]
+    fn a_body_is_where_it_will_be_when_blocked_wheels_slide_there() {
+        // It crosses the line after 1.25 s, 0.3 m in front of the plan, where the slide is by then.
+        let mut crossing = obstacle(1.35, -2.0, 0.05, 0.05);
+        crossing.velocity = [0.0, 1.6];
+        let mut fixture = weakly_braking(vec![crossing]);
+        assert!(verdict(&fixture.scene(), &creeping(0.0)).holds());
+        fixture.config.vehicle.blocked_deceleration_mps2 = 0.5;
+        assert_eq!(verdict(&fixture.scene(), &creeping(0.0)).violation.unwrap().0, Violation::Obstacle(0));
+    }
+
+    #[test]
+    fn a_slide_into_a_body_refuses_a_plan_that_comes_too_near_to_it_only_later() {
+        let fixture = weakly_braking(vec![obstacle(0.28 + 0.91 + 0.05, 0.0, 0.05, 0.05)]);
+        let mut stops = creeping(0.0);
+        assert!(verdict(&fixture.scene(), &stops).violation.is_some_and(|(_, t)| t < 0.3));
+        stops[0].velocity = 0.1;
+        stops[11].velocity = 1.0;
+        let later = verdict(&fixture.scene(), &stops);
+        assert!(later.holds() && later.violation.is_some_and(|(_, t)| t > VERIFIED_S), "{later:?}");
+    }
+
+    /// At 1 Hz a command is held for longer than an interval of its plan.
+    #[test]
+    fn a_command_that_is_held_for_longer_than_its_interval_is_verified_for_as_long() {
+        let mut fixture = Fixture::new(vec![obstacle(0.28 + 1.2 + 0.05, 0.0, 0.05, 0.05)]);
+        assert!(verdict(&fixture.scene(), &creeping(0.0)).holds());
+        fixture.config.period_s = 1.0;
+        assert_eq!(verdict(&fixture.scene(), &creeping(0.0)).violation.unwrap().0, Violation::Obstacle(0));
+        assert!(!verdict(&fixture.scene(), &creeping(0.0)[..1]).holds(), "the rest of a plan may be short");
+        // The slide begins so late that a plan would be accepted for it.
+        fixture.config.period_s = 2.0;
+        fixture.predicted[0].body.centre.x = 0.28 + 3.5 + 0.05;
+        fixture.predicted[0].centre[0] = fixture.predicted[0].body.centre.x;
+        assert!(!verdict(&fixture.scene(), &creeping(0.0)).holds());
     }
 }
