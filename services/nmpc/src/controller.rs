@@ -24,6 +24,7 @@ use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
+use crate::scene::REST_MPS;
 use crate::side::{self, Passing, held};
 use crate::smoothing;
 use crate::start::{self, Start};
@@ -33,9 +34,6 @@ use crate::warm;
 
 /// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
-/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
-const REST_MPS: f64 = 0.02;
-
 /// A moving obstacle is passed on the other side when that costs less than this share.
 const SWITCH_SHARE: f64 = 0.8;
 /// A plan that the search does not agree with may have this slack.

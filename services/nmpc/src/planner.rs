@@ -186,6 +186,7 @@ impl Planner {
         if let Some(choice) = self.continue_plan(&tight, budget, &mut used, command) {
             return Some(Choice { level: Level::BestIterate, ..choice });
         }
+        self.problem.bounds.steering_max_rad = task.scene.config.vehicle.bounds.steering_max_rad;
         self.start_from_reference(task);
         if task.reference_path.clear
             && let Some(choice) = self.verify_guess(task, Level::BestIterate)

@@ -174,6 +174,23 @@ fn bad_steering_and_a_bad_rest_never_reach_the_wheels() {
 }
 
 #[test]
+fn a_plan_above_the_speed_limit_never_reaches_the_wheels() {
+    let case = cases().swap_remove(0);
+    let (pose, mut obstacles) = case.inputs(2);
+    obstacles.scanner = ScannerHealth::healthy(0.5);
+    for (places, budget) in [(&Place::ALL[..], BUDGET), (&Place::ALL[2..3], NONE), (&Place::ALL[2..], NONE)] {
+        let mut controller = case.driving();
+        controller.planner.injection = Injection {
+            controls: vec![Control { velocity: 0.9, steering: 0.0 }; 12],
+            ..case.injection(places, true)
+        };
+        let command = controller.step(&pose, &obstacles, &budget);
+        assert_eq!(case.judge().objection(&command, &pose, &obstacles), None, "{}", summary(&command));
+        assert!(command.speed_limit_mps < 0.8 && command.velocity_mps <= command.speed_limit_mps);
+    }
+}
+
+#[test]
 fn bad_plans_everywhere_stop_the_robot() {
     for case in cases().iter().filter(|case| !case.is_clamped) {
         for fits in [true, false] {
