@@ -11,7 +11,7 @@ use crate::{End, end, seeds, shipped};
 fn tuning(keys: &str) -> Tuning {
     let mut system = format!("[controller]\nprofile = \"source\"\n{keys}").parse().unwrap();
     profile::add(&mut system);
-    toml::Value::Table(system).try_into().unwrap()
+    system.try_into().unwrap()
 }
 
 fn settings(name: &str, preset: Preset, seed: u64, keys: &str) -> Settings {
