@@ -49,11 +49,11 @@ settings! {
 settings! {
     /// Settings of the controller.
     pub struct Config {
-        /// Set of default values for this table, the tables below it and `obstacles.cover`: `source` has the methods of the
-        /// source. A key that is set holds with each profile.
+        /// Set of default values for this table, the tables below it and `obstacles.cover`: `source` has the methods of
+        /// the source. A key that is set holds with each profile.
         pub profile: Profile = Profile::Scanloop;
-        /// What chooses the passing sides: `search` is the path search. The others do without a search and pass obstacles on
-        /// the line on their left, on their right, or on the side with the shorter detour.
+        /// What chooses the passing sides: `search` is the path search. The others do without a search and pass obstacles
+        /// on the line on their left, on their right, or on the side with the shorter detour.
         pub side: SideRule = SideRule::Search;
         /// Where to land; `run` takes it from the scenario.
         pub goal: Goal = Goal::default();

@@ -19,7 +19,9 @@ const OFFSET_GAIN: f64 = 0.6;
 /// Steering correction per difference of course to the reference path, as curvature [1/m].
 const COURSE_GAIN: f64 = 1.4;
 
-/// Distance in front of an ellipse at which a plan must lead to the side of the reference path; it exceeds the margins [m].
+/// Distance in front of an ellipse at which a plan must lead to the side of the reference path [m].
+///
+/// It exceeds the margins.
 const IN_FRONT_M: f64 = 0.3;
 
 /// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
@@ -81,8 +83,10 @@ pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, plan: &[Samp
     })
 }
 
-/// Whether a plan that ends in front of an obstacle ends on the side of the reference path. A short horizon shows the solver
-/// the front of an ellipse first: its guess decides the side then, before the plan passes anything.
+/// Whether a plan that ends in front of an obstacle ends on the side of the reference path.
+///
+/// A short horizon shows the solver the front of an ellipse first: its guess decides the side then, before the plan
+/// passes anything.
 pub(crate) fn leads(scene: &Scene, reference_path: &ReferencePath, plan: &[Sampled]) -> bool {
     let Some(end) = plan.last() else { return true };
     scene.predicted.iter().all(|obstacle| {
