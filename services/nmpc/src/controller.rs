@@ -3,7 +3,8 @@
 //! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
 //! 3. The speed is limited to what can be stopped for something that appears unseen, and within what the scanner shows.
-//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly.
+//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly; or an
+//!    explicit rule does.
 //! 5. The optimal control problem is solved from the best guess, then from others.
 //! 6. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
 //! 7. The stop rule checks what comes behind the end of the plan.
@@ -18,6 +19,7 @@ use vehicle::{Control, Invalid, State};
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
+use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::planner::{Choice, Planner, Task};
@@ -324,7 +326,10 @@ impl Controller {
                     && y - obstacle.b - margin < high
                     && y + obstacle.b + margin > low)
         };
-        if predicted.iter().any(in_the_way) {
+        if config.side != SideRule::Search {
+            let scene = start.scene(config, predicted);
+            explicit_side::find(&scene, &self.state.sides, cruise, &mut self.reference_path);
+        } else if predicted.iter().any(in_the_way) {
             let scene = start.scene(config, predicted);
             let mut find = |speed: f64, narrow: bool| {
                 let query = Query { scene, speed, narrow, sides: &self.state.sides, forced: None };
@@ -355,7 +360,8 @@ impl Controller {
     fn find_alternative(&mut self, start: &Start) {
         self.contested = None;
         let (config, predicted, path) = (&self.config, &self.predicted, &self.reference_path);
-        if !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
+        let is_searched = config.side == SideRule::Search;
+        if !is_searched || !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
             return;
         }
         let open =

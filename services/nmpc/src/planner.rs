@@ -272,7 +272,8 @@ impl Planner {
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene, task.reference_path, &self.rollout.samples)
+        let (scene, path, guess) = (&task.scene, task.reference_path, &self.rollout.samples);
+        warm::agrees(scene, path, guess) && warm::leads(scene, path, guess)
     }
 
     fn start_from_reference(&mut self, task: &Task) {

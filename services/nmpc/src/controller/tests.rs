@@ -48,6 +48,7 @@ fn summary(command: &Command) -> String {
     )
 }
 
+/// The cases with the path search, then with an explicit side.
 fn cases() -> Vec<Case> {
     let (straight, left) =
         (Control { velocity: 0.9, steering: 0.0 }, Control { velocity: 0.9, steering: 0.06 });
@@ -60,7 +61,7 @@ fn cases() -> Vec<Case> {
     // A corner of the body gets to the wall before its centre leaves the bounds, which have no distance to walls here.
     (wall.config.theta_m, wall.config.track) =
         (0.0, Track { walls: true, y_m: [-1.9, 1.9], ..Track::default() });
-    vec![
+    let searched = vec![
         clamped("velocity", Control { velocity: 1.5, ..straight }),
         clamped("steering", Control { steering: 0.1, velocity: 0.2 }),
         case("not finite", 0.0, Vec::new(), Control { steering: f64::NAN, ..straight }),
@@ -68,7 +69,9 @@ fn cases() -> Vec<Case> {
         case("body", 0.0, vec![obstacle(2.4, 0.4, [0.8, 0.35], [0.1, 0.4])], straight),
         case("position", 1.0, Vec::new(), left),
         wall,
-    ]
+    ];
+    let explicit = |case: Case| Case { config: Config { side: SideRule::Nearest, ..case.config }, ..case };
+    [searched.clone(), searched.into_iter().map(explicit).collect()].concat()
 }
 
 impl Case {
