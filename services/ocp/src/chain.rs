@@ -97,8 +97,10 @@ pub(crate) struct Chain {
     schur_factor: Vec<f64>,
     multipliers: Vec<f64>,
     sides: Vec<interior::Side>,
-    /// The search's solution from the interior point's answer.
+    /// The solution of the search, until it is known to be one.
     exact: QpSolution,
+    /// Whether the recursion is factorised for the last set that was solved.
+    is_factorised: bool,
 }
 
 impl Chain {
@@ -117,6 +119,7 @@ impl Chain {
         self.change = weights.change.map(|change| 2.0 * change);
         self.tied = problem.previous.is_some();
         self.damping = control_damping(problem, damping);
+        self.is_factorised = false;
         self.slack_linear = weights.slack_linear;
         self.slack_quadratic = weights.slack_quadratic;
 
@@ -157,24 +160,55 @@ impl Chain {
         }
     }
 
-    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where no method does.
+    /// Solves the program with the convex `blocks`, from the active set in `solution`.
+    ///
+    /// False where the search does not end; then `solution` is as before.
     pub(crate) fn solve(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
-        /// One to four are usual; more indicate a cycle.
-        const ROUNDS: u32 = 16;
-        if self.search(shooting, blocks, solution, ROUNDS) {
-            return true;
+        self.is_factorised = false;
+        self.try_search(shooting, blocks, solution)
+    }
+
+    /// As [`Chain::solve`] after it, for other gaps: where the active set is the same, nothing is factorised.
+    pub(crate) fn solve_again(
+        &mut self,
+        shooting: &Shooting,
+        blocks: &[Block],
+        solution: &mut QpSolution,
+    ) -> bool {
+        self.try_search(shooting, blocks, solution)
+    }
+
+    /// Solves with the interior-point method, then exactly where its active set is right; false where it does not end.
+    pub(crate) fn solve_from_inside(
+        &mut self,
+        shooting: &Shooting,
+        blocks: &[Block],
+        solution: &mut QpSolution,
+    ) -> bool {
+        /// Complementarity at which the active set is known mostly, and at which the solution is good enough.
+        const TOLERANCES: [f64; 2] = [1e-5, 1e-10];
+        TOLERANCES.iter().any(|&tolerance| {
+            self.is_factorised = false;
+            let solved = self.solve_interior(shooting, blocks, tolerance, solution);
+            self.is_factorised = false;
+            solved && (self.try_search(shooting, blocks, solution) || tolerance == TOLERANCES[1])
+        })
+    }
+
+    /// Searches on a copy of `solution`, which stays as it is where that fails.
+    fn try_search(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
+        /// One or two are usual; where three are not enough, more seldom are.
+        const ROUNDS: u32 = 3;
+        let mut exact = std::mem::take(&mut self.exact);
+        exact.copy_from(solution);
+        let found = self.search(shooting, blocks, &mut exact, ROUNDS);
+        if found {
+            std::mem::swap(&mut exact, solution);
+        } else {
+            self.equations.clear();
         }
-        self.solve_interior(shooting, blocks, solution) && {
-            // The interior point is exact up to its tolerance; where its active set is right, so is the search's
-            // answer.
-            let mut exact = std::mem::take(&mut self.exact);
-            exact.copy_from(solution);
-            if self.search(shooting, blocks, &mut exact, ROUNDS) {
-                solution.copy_from(&exact);
-            }
-            self.exact = exact;
-            true
-        }
+        self.exact = exact;
+        found
     }
 
     /// Fills the blocks with `blocks` and the damping of the controls.
@@ -225,11 +259,11 @@ mod tests {
             let (mut iterate, mut shooting) = (Iterate::default(), Shooting::default());
             iterate.start(&problem, &guess);
             let collocation = Collocation::new(Scheme::Radau3);
-            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Close));
+            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Close, true));
             // With gaps.
             iterate.states[3][4] += 0.02;
             iterate.states[4][1] -= 0.01;
-            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep));
+            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep, true));
             let (mut qp, mut chain, mut blocks) = (Qp::default(), Chain::default(), Vec::new());
             condense(&problem, &iterate, &shooting, 0.2, &mut qp);
             chain.build(&problem, &iterate, 0.2, &mut Vec::new());
@@ -245,7 +279,10 @@ mod tests {
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
             assert!(ActiveSet::default().solve(&qp, &mut expected));
-            assert!(chain.solve(&shooting, &blocks, &mut found));
+            assert!(
+                chain.solve(&shooting, &blocks, &mut found)
+                    || chain.solve_from_inside(&shooting, &blocks, &mut found)
+            );
             for (a, b) in found.step.iter().zip(&expected.step) {
                 assert!((a - b).abs() < 1e-9, "{a} {b}");
             }
@@ -262,7 +299,7 @@ mod tests {
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
             assert!(ActiveSet::default().solve(&qp, &mut expected));
-            assert!(chain.solve_interior(&shooting, &blocks, &mut found));
+            assert!(chain.solve_interior(&shooting, &blocks, 1e-10, &mut found));
             for (a, b) in found.step.iter().zip(&expected.step) {
                 // It may end at complementarity 1e-7, and where that is degenerate the distance is the root of it.
                 assert!((a - b).abs() < 1e-3, "{a} {b}");

@@ -84,7 +84,6 @@ mod interval;
 mod kkt;
 mod lateral;
 mod model;
-mod newton;
 mod objective;
 mod problem;
 mod propagate;
@@ -95,6 +94,7 @@ mod shooting;
 mod sqp;
 #[cfg(test)]
 mod testing;
+mod trig;
 mod usable;
 mod walk;
 

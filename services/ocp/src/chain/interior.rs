@@ -98,17 +98,19 @@ impl Side {
 }
 
 impl Chain {
-    /// Solves with convex `blocks`; false where the iterations do not end.
+    /// Solves with convex `blocks` to `tolerance`; false where the iterations do not end.
     pub(super) fn solve_interior(
         &mut self,
         shooting: &Shooting,
         blocks: &[Block],
+        tolerance: f64,
         solution: &mut QpSolution,
     ) -> bool {
         /// Bounds of the state this far away, in m and rad, are left out at first: hardly a step reaches them.
         const FAR: f64 = 2.0;
-        self.approach(shooting, blocks, FAR, solution)
-            && (self.keeps_all(solution) || self.approach(shooting, blocks, f64::INFINITY, solution))
+        self.approach(shooting, blocks, [FAR, tolerance], solution)
+            && (self.keeps_all(solution)
+                || self.approach(shooting, blocks, [f64::INFINITY, tolerance], solution))
     }
 
     /// Whether all rows with state `Inside` are within their limits.
@@ -121,19 +123,18 @@ impl Chain {
         })
     }
 
-    /// Solves without the bounds of the state that are farther away than `far`.
+    /// Solves without the bounds of the state that are farther away than `far`, until complementarity and the share of the
+    /// first residual that is left are below `tolerance`.
     fn approach(
         &mut self,
         shooting: &Shooting,
         blocks: &[Block],
-        far: f64,
+        [far, tolerance]: [f64; 2],
         solution: &mut QpSolution,
     ) -> bool {
         /// Ten to fifteen are usual.
         const ITERATIONS: u32 = 60;
-        /// Complementarity and share of the first residual that are left at the end.
-        const TOLERANCE: f64 = 1e-10;
-        /// The same where steps have become short because of rounding errors, and what is short.
+        /// The tolerance where steps have become short because of rounding errors, and what is short.
         const COARSE: f64 = 1e-6;
         const SHORT: f64 = 0.1;
         /// Fraction of the distance to the nearest end of a range.
@@ -143,7 +144,7 @@ impl Chain {
         let mut left = 1.0;
         for _ in 0..ITERATIONS {
             let centre = self.centre(0.0);
-            if centre <= TOLERANCE && left <= TOLERANCE {
+            if centre <= tolerance && left <= tolerance {
                 break;
             }
             self.weigh(blocks);
@@ -190,7 +191,8 @@ impl Chain {
         }
         self.finish_interior(solution);
         let finite = solution.step.iter().chain(&solution.row_multipliers).all(|value| value.is_finite());
-        finite && self.centre(0.0) <= COARSE && left <= COARSE
+        let largest = COARSE.max(tolerance);
+        finite && self.centre(0.0) <= largest && left <= largest
     }
 
     /// Fills the sides; controls without room are held.
