@@ -198,8 +198,7 @@ impl Planner {
         warm::shift(&self.controls, interval_s, elapsed_s, &mut self.guess.controls);
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
         self.guess.controls.truncate(left);
-        // The steering of the last plan may be in the reserve of this one.
-        warm::clamp(&task.scene.bounds(), &mut self.guess.controls);
+        warm::clamp(&self.problem.bounds, &mut self.guess.controls);
         self.verify_guess(task, Level::LastPlan)
     }
 

@@ -1,8 +1,8 @@
 //! The quadratic program of one iteration and Newton's step on its active set.
 //!
 //! The program is solved stage by stage, by the search for its active set, which ends after a few rounds where little has
-//! changed. Where it fails, a short horizon is condensed for the dual active set, and a long one is solved by the interior
-//! point of the chain. Clarabel is the last resort.
+//! changed. Where it fails, a short horizon is condensed for the dual active set; the interior point of the chain comes next,
+//! and Clarabel last.
 
 use super::Solver;
 use crate::condense::{condense, condense_blocks};
@@ -46,12 +46,12 @@ impl Solver {
             if self.chain.solve(&self.shooting, blocks, &mut self.answer) {
                 return true;
             }
-            let solved = if problem.intervals.len() > self.settings.condense_up_to {
-                self.chain.solve_from_inside(&self.shooting, blocks, &mut self.answer)
-            } else {
-                self.solve_condensed(problem, damping)
-            };
-            if solved {
+            let is_short = problem.intervals.len() <= self.settings.condense_up_to;
+            if is_short && self.solve_condensed(problem, damping) {
+                return true;
+            }
+            let blocks = if self.settings.hessian == Hessian::Exact { &self.exact } else { &self.blocks };
+            if self.chain.solve_from_inside(&self.shooting, blocks, &mut self.answer) {
                 return true;
             }
         }
