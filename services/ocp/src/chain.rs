@@ -7,8 +7,7 @@
 //! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
 //! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
-//! which, [`interior`] is called where that cycles, and [`newton`] makes the step with the exact
-//! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
+//! which, [`interior`] is another method for where that fails, and [`newton`] makes the step with the exact Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
 mod interior;
@@ -185,14 +184,13 @@ impl Chain {
         blocks: &[Block],
         solution: &mut QpSolution,
     ) -> bool {
-        /// Complementarity at which the active set is known mostly, and at which the solution is good enough.
-        const TOLERANCES: [f64; 2] = [1e-5, 1e-10];
-        TOLERANCES.iter().any(|&tolerance| {
+        self.is_factorised = false;
+        self.solve_interior(shooting, blocks, solution) && {
+            // The interior point is exact up to its tolerance; where its active set is right, the search is exact.
             self.is_factorised = false;
-            let solved = self.solve_interior(shooting, blocks, tolerance, solution);
-            self.is_factorised = false;
-            solved && (self.try_search(shooting, blocks, solution) || tolerance == TOLERANCES[1])
-        })
+            self.try_search(shooting, blocks, solution);
+            true
+        }
     }
 
     /// Searches on a copy of `solution`, which stays as it is where that fails.
@@ -299,7 +297,7 @@ mod tests {
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
             assert!(ActiveSet::default().solve(&qp, &mut expected));
-            assert!(chain.solve_interior(&shooting, &blocks, 1e-10, &mut found));
+            assert!(chain.solve_interior(&shooting, &blocks, &mut found));
             for (a, b) in found.step.iter().zip(&expected.step) {
                 // It may end at complementarity 1e-7, and where that is degenerate the distance is the root of it.
                 assert!((a - b).abs() < 1e-3, "{a} {b}");

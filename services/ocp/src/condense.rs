@@ -6,7 +6,7 @@
 //! `sum of G' 2 W G` plus that of the controls lacks only the curvature of the model and of the ellipses. The rows of
 //! G at a node serve three times: in the Hessian, as rows of the state bounds, and for the rows of the ellipses.
 //!
-//! Work grows with N^3; that is as fast as a Riccati recursion ([`crate::chain`]) at N = 6 and half as fast at N = 24.
+//! Work grows with N^3, so it serves short horizons, and only where the search by stages ([`crate::chain`]) fails.
 
 use crate::dense::refill;
 use crate::hessian::Block;

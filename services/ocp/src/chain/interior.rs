@@ -98,19 +98,17 @@ impl Side {
 }
 
 impl Chain {
-    /// Solves with convex `blocks` to `tolerance`; false where the iterations do not end.
+    /// Solves with convex `blocks`; false where the iterations do not end.
     pub(super) fn solve_interior(
         &mut self,
         shooting: &Shooting,
         blocks: &[Block],
-        tolerance: f64,
         solution: &mut QpSolution,
     ) -> bool {
         /// Bounds of the state this far away, in m and rad, are left out at first: hardly a step reaches them.
         const FAR: f64 = 2.0;
-        self.approach(shooting, blocks, [FAR, tolerance], solution)
-            && (self.keeps_all(solution)
-                || self.approach(shooting, blocks, [f64::INFINITY, tolerance], solution))
+        self.approach(shooting, blocks, FAR, solution)
+            && (self.keeps_all(solution) || self.approach(shooting, blocks, f64::INFINITY, solution))
     }
 
     /// Whether all rows with state `Inside` are within their limits.
@@ -123,18 +121,19 @@ impl Chain {
         })
     }
 
-    /// Solves without the bounds of the state that are farther away than `far`, until complementarity and the share of the
-    /// first residual that is left are below `tolerance`.
+    /// Solves without the bounds of the state that are farther away than `far`.
     fn approach(
         &mut self,
         shooting: &Shooting,
         blocks: &[Block],
-        [far, tolerance]: [f64; 2],
+        far: f64,
         solution: &mut QpSolution,
     ) -> bool {
         /// Ten to fifteen are usual.
         const ITERATIONS: u32 = 60;
-        /// The tolerance where steps have become short because of rounding errors, and what is short.
+        /// Complementarity and share of the first residual that are left at the end.
+        const TOLERANCE: f64 = 1e-10;
+        /// The same where steps have become short because of rounding errors, and what is short.
         const COARSE: f64 = 1e-6;
         const SHORT: f64 = 0.1;
         /// Fraction of the distance to the nearest end of a range.
@@ -144,7 +143,7 @@ impl Chain {
         let mut left = 1.0;
         for _ in 0..ITERATIONS {
             let centre = self.centre(0.0);
-            if centre <= tolerance && left <= tolerance {
+            if centre <= TOLERANCE && left <= TOLERANCE {
                 break;
             }
             self.weigh(blocks);
@@ -191,8 +190,7 @@ impl Chain {
         }
         self.finish_interior(solution);
         let finite = solution.step.iter().chain(&solution.row_multipliers).all(|value| value.is_finite());
-        let largest = COARSE.max(tolerance);
-        finite && self.centre(0.0) <= largest && left <= largest
+        finite && self.centre(0.0) <= COARSE && left <= COARSE
     }
 
     /// Fills the sides; controls without room are held.
