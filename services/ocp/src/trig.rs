@@ -26,7 +26,7 @@ pub(crate) fn sin_cos(angle: f64) -> (f64, f64) {
 #[inline]
 fn near_zero(angle: f64) -> (f64, f64) {
     let square = angle * angle;
-    let sin = 8.333_333_333_322_489e-3
+    let sin = 8.333_333_333_322_49e-3
         + square
             * (-1.984_126_982_985_795e-4
                 + square

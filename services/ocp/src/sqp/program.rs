@@ -81,6 +81,18 @@ impl Solver {
             && self.qp.residual(&self.answer, &mut self.buffer) <= QP_TOLERANCE * size
     }
 
+    /// Makes room for the condensed program, so that later solves of this size allocate nothing.
+    pub(super) fn reserve_condensed(&mut self, problem: &Problem) {
+        let count = problem.intervals.len();
+        let is_used = count <= self.settings.condense_up_to && self.settings.qp == QpChoice::ActiveSet;
+        if is_used && self.qp.row_lower.capacity() < self.answer.row_states.len() {
+            condense(problem, &self.iterate, &self.shooting, 0.0, &mut self.qp);
+            self.newton.copy_from(&self.answer);
+            self.active_set.solve(&self.qp, &mut self.newton);
+            self.qp.residual(&self.newton, &mut self.buffer);
+        }
+    }
+
     /// Condenses the program.
     fn condense(&mut self, problem: &Problem, damping: f64) {
         condense(problem, &self.iterate, &self.shooting, damping, &mut self.qp);
