@@ -14,7 +14,7 @@ use crate::scene::Scene;
 pub(crate) const PIECES: usize = 9;
 
 /// Longest step [s]: within it the course at three points is enough for the position.
-const LONGEST_STEP_S: f64 = 0.06;
+const MAX_STEP_S: f64 = 0.06;
 
 /// The state after `duration` seconds under a constant control.
 #[must_use]
@@ -42,7 +42,7 @@ struct Motion {
 impl Motion {
     /// The motion over pieces of `duration` seconds.
     fn new(parameters: &Parameters, control: &Control, duration: f64) -> Self {
-        let steps = (duration / LONGEST_STEP_S).ceil().clamp(1.0, 1e5);
+        let steps = (duration / MAX_STEP_S).ceil().clamp(1.0, 1e5);
         let half = duration / steps / 2.0;
         // The sideslip of the equilibrium for a cosine of 1 is exact enough for its cosine.
         let (first, _) = lateral(parameters, control, 1.0);
@@ -116,7 +116,7 @@ fn determinant(matrix: &[[f64; 2]; 2]) -> f64 {
 fn exponential(matrix: &[[f64; 2]; 2], t: f64) -> [[f64; 2]; 2] {
     let mean = f64::midpoint(matrix[0][0], matrix[1][1]);
     let square = mean * mean - determinant(matrix);
-    let (even, odd) = if square > 1e-12 * mean * mean {
+    let (common, skew) = if square > 1e-12 * mean * mean {
         let root = square.sqrt();
         let (slow, fast) = (((mean + root) * t).exp(), ((mean - root) * t).exp());
         ((slow + fast) / 2.0, (slow - fast) / (2.0 * root))
@@ -129,8 +129,8 @@ fn exponential(matrix: &[[f64; 2]; 2], t: f64) -> [[f64; 2]; 2] {
         (decay, decay * t)
     };
     [
-        [even + odd * (matrix[0][0] - mean), odd * matrix[0][1]],
-        [odd * matrix[1][0], even + odd * (matrix[1][1] - mean)],
+        [common + skew * (matrix[0][0] - mean), skew * matrix[0][1]],
+        [skew * matrix[1][0], common + skew * (matrix[1][1] - mean)],
     ]
 }
 
