@@ -19,6 +19,7 @@ use vehicle::{Control, Invalid, State};
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
+use crate::contest::Contest;
 use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
@@ -54,10 +55,10 @@ pub struct Controller {
     state: ControllerState,
     predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
-    /// A path past the nearest obstacle whose side is open, on the other side; used when `contested` is.
+    /// A path past the nearest obstacle whose side is open, on the other side; used when there is a `contest`.
     alternative: ReferencePath,
-    /// Share of the cost of `reference_path` below which the alternative is taken.
-    contested: Option<f64>,
+    /// What the alternative is for, when there is one.
+    contest: Option<Contest>,
 }
 
 impl Controller {
@@ -76,7 +77,7 @@ impl Controller {
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
             alternative: ReferencePath::default(),
-            contested: None,
+            contest: None,
             config,
         })
     }
@@ -217,13 +218,17 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        let most = self.cost_of_alternative(start, pose, budget, command);
-        let Self { config, predicted, reference_path, alternative, state, planner, .. } = self;
+        let other = self.cost_of_alternative(start, pose, budget, command);
+        let Self { config, predicted, reference_path, alternative, contest, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
         let task = Task::new(scene, reference_path, state, pose, start);
         let mut choice = planner.plan(&task, budget, command);
-        if let Some(most) = most
-            && !(choice.is_some_and(|choice| choice.level == Level::Converged) && command.objective <= most)
+        let own = choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective);
+        if let Some(contest) = contest {
+            command.sides = contest.compare(own, other);
+        }
+        if let (Some(contest), Some(other)) = (contest, other)
+            && own.is_none_or(|own| contest.share * own > other)
         {
             std::mem::swap(reference_path, alternative);
             side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
@@ -257,8 +262,7 @@ impl Controller {
         })
     }
 
-    /// What a plan along the reference path may cost at most; above that the alternative is better. `None` without one that
-    /// can be driven.
+    /// Objective of a plan along the alternative; `None` without one that can be driven.
     fn cost_of_alternative(
         &mut self,
         start: &Start,
@@ -266,11 +270,11 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Option<f64> {
-        let share = self.contested?;
+        self.contest?;
         let Self { config, predicted, alternative, state, planner, .. } = self;
         let task = Task::new(start.scene(config, predicted), alternative, state, pose, start);
         let choice = planner.plan(&task, budget, command)?;
-        (choice.level == Level::Converged).then(|| command.objective / share)
+        (choice.level == Level::Converged).then_some(command.objective)
     }
 
     /// Smooths the ellipses of this scan, whose plan starts at `start_ns`.
@@ -358,7 +362,7 @@ impl Controller {
 
     /// Finds a path on the other side of the nearest obstacle whose side is not held, or that moves.
     fn find_alternative(&mut self, start: &Start) {
-        self.contested = None;
+        self.contest = None;
         let (config, predicted, path) = (&self.config, &self.predicted, &self.reference_path);
         let is_searched = config.side == SideRule::Search;
         if !is_searched || !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
@@ -386,7 +390,8 @@ impl Controller {
         self.search.find(&query, &mut self.alternative);
         if self.alternative.clear && self.alternative.side_of(obstacle) == Some(side.other()) {
             let is_held = held(&self.state.sides, obstacle).is_some();
-            self.contested = Some(if is_held { SWITCH_SHARE } else { 1.0 });
+            let share = if is_held { SWITCH_SHARE } else { 1.0 };
+            self.contest = Some(Contest { id: obstacle.id, side, share });
         }
     }
 

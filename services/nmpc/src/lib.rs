@@ -8,6 +8,7 @@
 mod blocking;
 mod braking;
 mod config;
+mod contest;
 mod controller;
 mod ellipses;
 mod explicit_side;

@@ -132,6 +132,27 @@ fn the_speed_is_limited_by_what_the_scanner_can_be_relied_on_for_and_by_alarms()
 }
 
 #[test]
+fn a_new_obstacle_is_passed_on_the_cheaper_side_and_both_costs_are_published() {
+    for (y, cheaper) in [(0.25, -1), (-0.25, 1)] {
+        let mut controller = controller();
+        controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+        let command = controller.step(&pose(2, 0.1, 0.0), &obstacles(2, &[obstacle(4.0, y, 0.2)]), &BUDGET);
+        let sides = command.sides;
+        assert_eq!((sides.id, command.side), (1, cheaper), "{sides:?}");
+        let (low, high) = if cheaper == 1 {
+            (sides.left_objective, sides.right_objective)
+        } else {
+            (sides.right_objective, sides.left_objective)
+        };
+        assert!(0.0 < low && low < high, "{sides:?}");
+        assert!((command.objective - low).abs() < 1e-9, "{} {sides:?}", command.objective);
+        // The side is held and not compared again.
+        let next = controller.step(&pose(3, 0.2, 0.0), &obstacles(3, &[obstacle(4.0, y, 0.2)]), &BUDGET);
+        assert_eq!((next.sides.id, next.side), (0, cheaper));
+    }
+}
+
+#[test]
 fn a_robot_that_can_not_stop_in_time_at_any_speed_does_not_drive() {
     let mut config = Config::default();
     config.vehicle.sudden_m = 0.1;
