@@ -4,7 +4,7 @@ use std::path::Path;
 
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
-use pipeline::Tuning;
+use pipeline::{Tuning, profile};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
@@ -49,7 +49,8 @@ impl System {
     ///
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
-    pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
+    pub fn from_table(mut table: Table, file: &str) -> anyhow::Result<Self> {
+        profile::add(&mut table);
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{file}: {invalid}"));
         let system: Self = read(table).map_err(refuse)?;
         system.validate().map_err(refuse)?;

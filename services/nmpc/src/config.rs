@@ -1,14 +1,31 @@
 //! Settings of the controller, checked once when it is made.
 
 use ocp::SolverSettings;
-use vehicle::{Description, Goal, Invalid, Track, require, settings};
+use serde::{Deserialize, Serialize};
+use vehicle::{Description, Goal, Invalid, Setting, Track, require, settings};
 
+use crate::explicit_side::SideRule;
 use crate::margin::MarginSettings;
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
+
+/// A set of default values that go together.
+///
+/// The reader of the system file puts the values of a profile where the file has none. The controller does not use it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Profile {
+    /// The controller of this project.
+    #[default]
+    Scanloop,
+    /// The controller of the source.
+    Source,
+}
+
+impl Setting for Profile {}
 
 settings! {
     /// Settings of the rule that stops in front of a blocked path.
@@ -32,6 +49,12 @@ settings! {
 settings! {
     /// Settings of the controller.
     pub struct Config {
+        /// Set of default values for this table, the tables below it and `obstacles.cover`: `source` has the methods of
+        /// the source. A key that is set holds with each profile.
+        pub profile: Profile = Profile::Scanloop;
+        /// What chooses the passing sides: `search` is the path search. The others do without a search and pass obstacles
+        /// on the line on their left, on their right, or on the side with the shorter detour.
+        pub side: SideRule = SideRule::Search;
         /// Where to land; `run` takes it from the scenario.
         pub goal: Goal = Goal::default();
         /// The track; `run` takes it from the scenario.

@@ -3,7 +3,8 @@
 //! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
 //! 3. The speed is limited to what can be stopped for something that appears unseen, and within what the scanner shows.
-//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly.
+//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly; or an
+//!    explicit rule does.
 //! 5. The optimal control problem is solved from the best guess, then from others.
 //! 6. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
 //! 7. The stop rule checks what comes behind the end of the plan.
@@ -18,12 +19,15 @@ use vehicle::{Control, Invalid, State};
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
+use crate::contest::Contest;
+use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
+use crate::scene::REST_MPS;
 use crate::side::{self, Passing, held};
 use crate::smoothing;
 use crate::start::{self, Start};
@@ -33,9 +37,6 @@ use crate::warm;
 
 /// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
-/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
-const REST_MPS: f64 = 0.02;
-
 /// A moving obstacle is passed on the other side when that costs less than this share.
 const SWITCH_SHARE: f64 = 0.8;
 /// A plan that the search does not agree with may have this slack.
@@ -54,10 +55,10 @@ pub struct Controller {
     state: ControllerState,
     predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
-    /// A path past the nearest obstacle whose side is open, on the other side; used when `contested` is.
+    /// A path past the nearest obstacle whose side is open, on the other side; used when there is a `contest`.
     alternative: ReferencePath,
-    /// Share of the cost of `reference_path` below which the alternative is taken.
-    contested: Option<f64>,
+    /// What the alternative is for, when there is one.
+    contest: Option<Contest>,
 }
 
 impl Controller {
@@ -76,7 +77,7 @@ impl Controller {
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
             alternative: ReferencePath::default(),
-            contested: None,
+            contest: None,
             config,
         })
     }
@@ -217,13 +218,17 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        let most = self.cost_of_alternative(start, pose, budget, command);
-        let Self { config, predicted, reference_path, alternative, state, planner, .. } = self;
+        let other = self.cost_of_alternative(start, pose, budget, command);
+        let Self { config, predicted, reference_path, alternative, contest, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
         let task = Task::new(scene, reference_path, state, pose, start);
         let mut choice = planner.plan(&task, budget, command);
-        if let Some(most) = most
-            && !(choice.is_some_and(|choice| choice.level == Level::Converged) && command.objective <= most)
+        let own = choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective);
+        if let Some(contest) = contest {
+            command.sides = contest.compare(own, other);
+        }
+        if let (Some(contest), Some(other)) = (contest, other)
+            && own.is_none_or(|own| contest.share * own > other)
         {
             std::mem::swap(reference_path, alternative);
             side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
@@ -257,8 +262,7 @@ impl Controller {
         })
     }
 
-    /// What a plan along the reference path may cost at most; above that the alternative is better. `None` without one that
-    /// can be driven.
+    /// Objective of a plan along the alternative; `None` without one that can be driven.
     fn cost_of_alternative(
         &mut self,
         start: &Start,
@@ -266,11 +270,11 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Option<f64> {
-        let share = self.contested?;
+        self.contest?;
         let Self { config, predicted, alternative, state, planner, .. } = self;
         let task = Task::new(start.scene(config, predicted), alternative, state, pose, start);
         let choice = planner.plan(&task, budget, command)?;
-        (choice.level == Level::Converged).then(|| command.objective / share)
+        (choice.level == Level::Converged).then_some(command.objective)
     }
 
     /// Smooths the ellipses of this scan, whose plan starts at `start_ns`.
@@ -326,7 +330,10 @@ impl Controller {
                     && y - obstacle.b - margin < high
                     && y + obstacle.b + margin > low)
         };
-        if predicted.iter().any(in_the_way) {
+        if config.side != SideRule::Search {
+            let scene = start.scene(config, predicted);
+            explicit_side::find(&scene, &self.state.sides, cruise, &mut self.reference_path);
+        } else if predicted.iter().any(in_the_way) {
             let scene = start.scene(config, predicted);
             let mut find = |speed: f64, narrow: bool| {
                 let query = Query { scene, speed, narrow, sides: &self.state.sides, forced: None };
@@ -355,9 +362,10 @@ impl Controller {
 
     /// Finds a path on the other side of the nearest obstacle whose side is not held, or that moves.
     fn find_alternative(&mut self, start: &Start) {
-        self.contested = None;
+        self.contest = None;
         let (config, predicted, path) = (&self.config, &self.predicted, &self.reference_path);
-        if !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
+        let is_searched = config.side == SideRule::Search;
+        if !is_searched || !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
             return;
         }
         let open =
@@ -382,7 +390,8 @@ impl Controller {
         self.search.find(&query, &mut self.alternative);
         if self.alternative.clear && self.alternative.side_of(obstacle) == Some(side.other()) {
             let is_held = held(&self.state.sides, obstacle).is_some();
-            self.contested = Some(if is_held { SWITCH_SHARE } else { 1.0 });
+            let share = if is_held { SWITCH_SHARE } else { 1.0 };
+            self.contest = Some(Contest { id: obstacle.id, side, share });
         }
     }
 

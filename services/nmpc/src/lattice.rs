@@ -226,7 +226,7 @@ impl Search {
         let split = (layer + 1) * grid.layer_cells();
         let (costs, next_costs) = costs.split_at_mut(split);
         let (ends, next_ends) = ends.split_at_mut(split);
-        let crossed = obstacle_cost.has_crossing(layer);
+        let (crossed, near) = (obstacle_cost.has_crossing(layer), obstacle_cost.reaches(layer));
         let lateral = step * settings.lateral_weight;
         for &source in sources.iter() {
             let (cost, End { y, course, .. }) = (costs[source as usize], ends[source as usize]);
@@ -248,10 +248,12 @@ impl Search {
                 if total >= known {
                     continue;
                 }
-                let [extent, larger] = arc.extents;
-                let middle = y + arc.rise / 2.0;
-                total += obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
-                total += obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
+                if near {
+                    let [extent, larger] = arc.extents;
+                    let middle = y + arc.rise / 2.0;
+                    total += obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
+                    total += obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
+                }
                 if crossed {
                     total += obstacle_cost.switches(layer, y, y_next, settings.switch_cost);
                 }

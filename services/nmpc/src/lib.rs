@@ -8,8 +8,10 @@
 mod blocking;
 mod braking;
 mod config;
+mod contest;
 mod controller;
 mod ellipses;
+mod explicit_side;
 #[cfg(test)]
 #[path = "../tests/common/independent.rs"]
 mod independent;
@@ -39,8 +41,9 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{Config, StopSettings};
+pub use config::{Config, Profile, StopSettings};
 pub use controller::Controller;
+pub use explicit_side::SideRule;
 pub use margin::MarginSettings;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;

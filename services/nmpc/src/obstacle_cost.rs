@@ -130,6 +130,11 @@ impl ObstacleCost {
         cost
     }
 
+    /// Whether an ellipse reaches the arcs from this layer to the next.
+    pub(crate) fn reaches(&self, layer: usize) -> bool {
+        self.offsets[2 * layer + 1] < self.offsets[2 * layer + 3]
+    }
+
     /// Whether the centre of an obstacle with a held side is crossed from this layer to the next.
     pub(crate) fn has_crossing(&self, layer: usize) -> bool {
         self.crossings.iter().any(|crossing| crossing.layer == layer)

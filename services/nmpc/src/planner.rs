@@ -49,6 +49,8 @@ const STEERING_SHARE: f64 = 0.95;
 const RESERVE_M: f64 = 0.02;
 /// Weights of x along a path that is followed: in the integral and at the end.
 const FOLLOWING: [f64; 2] = [1.0, 5.0];
+/// Weights of x while a body moves: in the integral and at the end.
+const HASTE: [f64; 2] = [20.0, 100.0];
 /// Share of an enlargement that the next scan begins with.
 const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
@@ -186,6 +188,7 @@ impl Planner {
         if let Some(choice) = self.continue_plan(&tight, budget, &mut used, command) {
             return Some(Choice { level: Level::BestIterate, ..choice });
         }
+        self.problem.bounds.steering_max_rad = task.scene.config.vehicle.bounds.steering_max_rad;
         self.start_from_reference(task);
         if task.reference_path.clear
             && let Some(choice) = self.verify_guess(task, Level::BestIterate)
@@ -231,10 +234,11 @@ impl Planner {
         let is_wide = task.reference_path.limits.is_empty();
         let line = (task.reference_path.clear && is_wide).then_some(config.goal.y_m);
         problem.weights = config.weights.over(config.interval_s());
-        if line.is_none() {
-            // The pace of a path past narrow places need not be kept.
-            problem.weights.node[3] = FOLLOWING[0] * config.interval_s();
-            problem.weights.terminal[3] = FOLLOWING[1];
+        // The pace of a path past narrow places need not be kept. Waiting for a body that moves seldom pays.
+        let moving = predicted.iter().any(PredictedObstacle::moves).then_some(HASTE);
+        if let Some([along, last]) = if line.is_none() { Some(FOLLOWING) } else { moving } {
+            problem.weights.node[3] = along * config.interval_s();
+            problem.weights.terminal[3] = last;
         }
         problem.control_reference = reference::fill(
             task.reference_path,
@@ -271,7 +275,8 @@ impl Planner {
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene, task.reference_path, &self.rollout.samples)
+        let (scene, path, guess) = (&task.scene, task.reference_path, &self.rollout.samples);
+        warm::agrees(scene, path, guess) && warm::leads(scene, path, guess)
     }
 
     fn start_from_reference(&mut self, task: &Task) {

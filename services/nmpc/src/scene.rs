@@ -20,6 +20,12 @@ const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
 
+/// A robot at rest does not start when it is nearer to an obstacle than this share of the base clearance: the obstacle may
+/// be coming nearer, too slowly for its velocity to be told from noise. A robot stops further away by itself.
+const START_SHARE: f64 = 0.8;
+/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
+pub(crate) const REST_MPS: f64 = 0.02;
+
 /// How much further than the margin a robot is from an obstacle when it need not slow down for it [m].
 const SLOW_BEFORE_M: f64 = 0.05;
 
@@ -102,6 +108,14 @@ impl<'a> Scene<'a> {
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
             .map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
         baseline
+    }
+
+    /// The obstacle that a robot at rest is too near to for a start.
+    pub(crate) fn too_near_to_start(&self, baseline: &Baseline) -> Option<usize> {
+        let near = |index: &usize| baseline.gaps[*index] < START_SHARE * self.config.clearance_m;
+        (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
+            .find(near)
+            .filter(|_| self.speed < REST_MPS)
     }
 
     /// The first limit that the robot violates at a sample of the plan.

@@ -11,9 +11,9 @@ settings! {
     #[derive(Copy)]
     pub struct WeightSettings {
         /// Integral weights of the state: sideslip angle, yaw, yaw rate, x, y.
-        pub state: [f64; 5] = [0.1, 0.5, 0.1, 20.0, 8.0], 0.0..=1e6;
+        pub state: [f64; 5] = [0.1, 0.5, 0.1, 6.0, 8.0], 0.0..=1e6;
         /// Weights of the state at the end of the horizon: sideslip angle, yaw, yaw rate, x, y.
-        pub terminal: [f64; 5] = [0.1, 0.5, 0.1, 100.0, 8.0], 0.0..=1e6;
+        pub terminal: [f64; 5] = [0.1, 0.5, 0.1, 30.0, 8.0], 0.0..=1e6;
         /// Integral weights of velocity and steering angle about their reference.
         pub control: [f64; 2] = [0.1, 10.0], 0.0..=1e6;
         /// Weights of the changes of velocity and steering angle in each tenth of a second of a steady change.

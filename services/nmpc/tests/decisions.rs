@@ -7,8 +7,8 @@ use independent::Judge;
 use nmpc::{Budget, Config, Controller, ControllerState};
 use proptest::prelude::*;
 use shared_types::{
-    Command, CommandKind, Level, MAX_OBSTACLES, Obstacle, Obstacles, Pose, ScannerHealth, SolveStatus,
-    StopReason,
+    Alarm, Command, CommandKind, Level, MAX_OBSTACLES, Obstacle, Obstacles, Pose, ScannerHealth,
+    ScannerState, SolveStatus, StopReason,
 };
 
 const BUDGET: Budget = Budget::Iterations(60);
@@ -73,19 +73,92 @@ fn a_free_way_is_driven_with_a_converged_and_verified_plan() {
 
 #[test]
 fn inputs_without_meaning_stop_the_robot() {
-    let free = obstacles(1, &[]);
-    let nan = Pose { predicted_y_m: f64::NAN, ..pose(1, 0.0, 0.0) };
-    assert!(is_stop(&controller().step(&nan, &free, &BUDGET), StopReason::BadInput));
-    let fast = Pose { predicted_speed_mps: f64::INFINITY, ..pose(1, 0.0, 0.0) };
-    assert!(is_stop(&controller().step(&fast, &free, &BUDGET), StopReason::BadInput));
-    let outside = pose(1, 0.0, 4.0);
-    assert!(is_stop(&controller().step(&outside, &free, &BUDGET), StopReason::BadInput));
-    let other_scan = obstacles(2, &[]);
-    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &other_scan, &BUDGET), StopReason::BadInput));
-    let lost = obstacles(1, &[Obstacle { b_m: f64::NAN, ..obstacle(5.0, 0.0, 0.4) }]);
-    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &lost, &BUDGET), StopReason::BadInput));
-    let inside = obstacles(1, &[obstacle(0.0, 0.0, 0.4)]);
-    assert!(is_stop(&controller().step(&pose(1, 0.0, 0.0), &inside, &BUDGET), StopReason::BadInput));
+    type Spoil = fn(&mut Pose, &mut Obstacles);
+    let spoiled: [(&str, Spoil); 17] = [
+        ("position", |pose, _| pose.predicted_y_m = f64::NAN),
+        ("outside", |pose, _| pose.predicted_y_m = 4.0),
+        ("sideslip", |pose, _| pose.predicted_sideslip_rad = 1.5),
+        ("yaw", |pose, _| pose.predicted_yaw_rad = 11.0),
+        ("yaw rate", |pose, _| pose.predicted_yaw_rate_radps = -11.0),
+        ("endless speed", |pose, _| pose.predicted_speed_mps = f64::INFINITY),
+        ("speed", |pose, _| pose.predicted_speed_mps = -11.0),
+        ("old pose", |pose, _| pose.predicted_ns += 1_000_000_000),
+        ("pose from the past", |pose, _| pose.predicted_ns = 0),
+        ("covariance", |pose, _| pose.local_covariance[4] = f64::NAN),
+        ("other scan", |_, obstacles| obstacles.header.scan_id = 2),
+        ("ellipse", |_, obstacles| obstacles.items[0].b_m = f64::NAN),
+        ("large ellipse", |_, obstacles| obstacles.items[0].a_m = 101.0),
+        ("box", |_, obstacles| obstacles.items[0].box_width_m = -0.1),
+        ("place of the box", |_, obstacles| obstacles.items[0].box_yaw_rad = f64::INFINITY),
+        ("covariance of a velocity", |_, obstacles| obstacles.items[0].velocity_covariance[1] = f64::NAN),
+        ("robot in a body", |_, obstacles| obstacles.items[0] = obstacle(0.0, 0.0, 0.4)),
+    ];
+    let sound = (pose(1, 0.0, 0.0), obstacles(1, &[obstacle(5.0, 0.0, 0.4)]));
+    assert_eq!(controller().step(&sound.0, &sound.1, &BUDGET).kind, CommandKind::Drive.wire());
+    for (name, spoil) in spoiled {
+        let (mut pose, mut obstacles) = sound;
+        spoil(&mut pose, &mut obstacles);
+        let command = controller().step(&pose, &obstacles, &BUDGET);
+        assert!(is_stop(&command, StopReason::BadInput), "{name}: {}", command.reason);
+    }
+}
+
+#[test]
+fn the_speed_is_limited_by_what_the_scanner_can_be_relied_on_for_and_by_alarms() {
+    let step = |alarm: Alarm, state: ScannerState, seen_ahead_m: f64| {
+        let pose = Pose { alarm: alarm.wire(), ..pose(1, 0.0, 0.0) };
+        let mut obstacles = obstacles(1, &[]);
+        obstacles.scanner = ScannerHealth { state: state.wire(), ..ScannerHealth::healthy(seen_ahead_m) };
+        controller().step(&pose, &obstacles, &BUDGET)
+    };
+    let config = Config::default();
+    let driven = [
+        (Alarm::None, ScannerState::Healthy, 5.0, config.cruise_mps),
+        (Alarm::None, ScannerState::Degraded, 5.0, config.vehicle.careful_mps),
+        (Alarm::Slow, ScannerState::Healthy, 5.0, config.careful_mps),
+    ];
+    for (alarm, state, seen_m, limit_mps) in driven {
+        let velocity_mps = step(alarm, state, seen_m).velocity_mps;
+        assert!((0.9 * limit_mps..=limit_mps + 1e-9).contains(&velocity_mps), "{state:?}: {velocity_mps}");
+    }
+    // Rolling 0.153 s at 1.05 v, then braking with 4 m/s^2, takes 0.17 m of the 0.5 m: half of the body and 0.05 m are left.
+    let velocity_mps = step(Alarm::None, ScannerState::Healthy, 0.5).velocity_mps;
+    assert!((0.5..0.75).contains(&velocity_mps), "{velocity_mps}");
+    for state in [ScannerState::Blind, ScannerState::Stuck, ScannerState::Contradictory] {
+        assert!(is_stop(&step(Alarm::None, state, 5.0), StopReason::Scanner), "{state:?}");
+    }
+    assert!(is_stop(&step(Alarm::None, ScannerState::Healthy, 0.34), StopReason::Scanner));
+    assert!(is_stop(&step(Alarm::Stop, ScannerState::Healthy, 5.0), StopReason::SelfCheck));
+}
+
+#[test]
+fn a_new_obstacle_is_passed_on_the_cheaper_side_and_both_costs_are_published() {
+    for (y, cheaper) in [(0.25, -1), (-0.25, 1)] {
+        let mut controller = controller();
+        controller.step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+        let command = controller.step(&pose(2, 0.1, 0.0), &obstacles(2, &[obstacle(4.0, y, 0.2)]), &BUDGET);
+        let sides = command.sides;
+        assert_eq!((sides.id, command.side), (1, cheaper), "{sides:?}");
+        let (low, high) = if cheaper == 1 {
+            (sides.left_objective, sides.right_objective)
+        } else {
+            (sides.right_objective, sides.left_objective)
+        };
+        assert!(0.0 < low && low < high, "{sides:?}");
+        assert!((command.objective - low).abs() < 1e-9, "{} {sides:?}", command.objective);
+        // The side is held and not compared again.
+        let next = controller.step(&pose(3, 0.2, 0.0), &obstacles(3, &[obstacle(4.0, y, 0.2)]), &BUDGET);
+        assert_eq!((next.sides.id, next.side), (0, cheaper));
+    }
+}
+
+#[test]
+fn a_robot_that_can_not_stop_in_time_at_any_speed_does_not_drive() {
+    let mut config = Config::default();
+    config.vehicle.sudden_m = 0.1;
+    config.vehicle.blocked_deceleration_mps2 = 0.1;
+    let command = Controller::new(config).unwrap().step(&pose(1, 0.0, 0.0), &obstacles(1, &[]), &BUDGET);
+    assert!(is_stop(&command, StopReason::NoSafeSpeed), "{}", command.reason);
 }
 
 #[test]

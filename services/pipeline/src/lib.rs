@@ -11,6 +11,7 @@
 //! processes.
 
 mod drive;
+pub mod profile;
 mod settings;
 mod way_to_rest;
 

@@ -80,6 +80,12 @@ fn systems_and_options_are_checked() {
         &["rate_hz = 0.5", "at least ", "vehicle.sudden_m = 0.2", "vehicle.blocked_deceleration_mps2 = 5"],
     );
     refused(&system, &["run", "--set", "controller.horizon=1"], &["controller.horizon", "unknown"]);
+    let sides = ["controller.side = \"up\"", "search", "left", "right", "nearest"];
+    refused(&system, &["check", "--set", "controller.side=up"], &sides);
+    let profiles = ["controller.profile = \"thesis\"", "scanloop", "source"];
+    refused(&system, &["run", "--set", "controller.profile=thesis"], &profiles);
+    let source = ["check", "--set", "controller.profile=source", "--set", "controller.intervals=1"];
+    refused(&system, &source, &["controller.intervals = 1", "2 to "]);
     refused(&system, &["run", "--set", "robot.width_m=wide"], &["robot.width_m", "wide"]);
     refused(&system, &["run", "--set", "actuator.calibration=best"], &["actuator.calibration", "best"]);
     refused(&system, &["check", "--set", "goal.tolerance_m=0.001"], &["goal.tolerance_m", "0.001"]);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use pipeline::{Drive, Settings};
+use pipeline::{Drive, Settings, Tuning, profile};
 use report::Report;
 use scanloop_tests::System;
 use vehicle::Surroundings;
@@ -258,10 +258,30 @@ fn processes_and_pipeline_give_the_same_bits() {
     }
 }
 
+#[test]
+fn the_controller_of_the_source_gives_the_same_bits_in_processes_and_in_the_pipeline() {
+    let system = System::new(EXECUTABLE);
+    for (name, outcome) in [("two-obstacles", Outcome::Reached), ("sudden", Outcome::Stopped)] {
+        let report = system.lockstep(&[name, "--set", "controller.profile=source"]);
+        assert_eq!(report.outcome, outcome, "{name}: {}", report.reason);
+        let mut table = "[controller]\nprofile = \"source\"".parse().unwrap();
+        profile::add(&mut table);
+        let tuning: Tuning = table.try_into().unwrap();
+        let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+        let (drive, digests) = with_settings(&Settings { tuning, ..Settings::of(scenario) });
+        assert_eq!((drive.outcome, digests), (outcome, report.digests), "{name}");
+    }
+}
+
 /// The drive of a scenario in the pipeline, with its digests.
 fn in_one_process(scenario: Scenario) -> (Drive, BTreeMap<String, String>) {
+    with_settings(&Settings::of(scenario))
+}
+
+/// The same with other settings of the stages.
+fn with_settings(settings: &Settings) -> (Drive, BTreeMap<String, String>) {
     let mut digests = Digests::default();
-    let drive = pipeline::drive(&Settings::of(scenario), |step| {
+    let drive = pipeline::drive(settings, |step| {
         digests.add(&step.truth);
         step.pose.iter().for_each(|sample| digests.add(sample));
         step.obstacles.iter().for_each(|sample| digests.add(sample));

@@ -7,6 +7,7 @@ mod adoption;
 mod blame;
 mod control_socket;
 mod hang;
+mod ladder;
 mod languages;
 mod ledger;
 mod live;

@@ -48,6 +48,7 @@ fn summary(command: &Command) -> String {
     )
 }
 
+/// The cases with the path search, then with an explicit side.
 fn cases() -> Vec<Case> {
     let (straight, left) =
         (Control { velocity: 0.9, steering: 0.0 }, Control { velocity: 0.9, steering: 0.06 });
@@ -60,7 +61,7 @@ fn cases() -> Vec<Case> {
     // A corner of the body gets to the wall before its centre leaves the bounds, which have no distance to walls here.
     (wall.config.theta_m, wall.config.track) =
         (0.0, Track { walls: true, y_m: [-1.9, 1.9], ..Track::default() });
-    vec![
+    let searched = vec![
         clamped("velocity", Control { velocity: 1.5, ..straight }),
         clamped("steering", Control { steering: 0.1, velocity: 0.2 }),
         case("not finite", 0.0, Vec::new(), Control { steering: f64::NAN, ..straight }),
@@ -68,7 +69,9 @@ fn cases() -> Vec<Case> {
         case("body", 0.0, vec![obstacle(2.4, 0.4, [0.8, 0.35], [0.1, 0.4])], straight),
         case("position", 1.0, Vec::new(), left),
         wall,
-    ]
+    ];
+    let explicit = |case: Case| Case { config: Config { side: SideRule::Nearest, ..case.config }, ..case };
+    [searched.clone(), searched.into_iter().map(explicit).collect()].concat()
 }
 
 impl Case {
@@ -174,6 +177,23 @@ fn bad_steering_and_a_bad_rest_never_reach_the_wheels() {
 }
 
 #[test]
+fn a_plan_above_the_speed_limit_never_reaches_the_wheels() {
+    let case = cases().swap_remove(0);
+    let (pose, mut obstacles) = case.inputs(2);
+    obstacles.scanner = ScannerHealth::healthy(0.5);
+    for (places, budget) in [(&Place::ALL[..], BUDGET), (&Place::ALL[2..3], NONE), (&Place::ALL[2..], NONE)] {
+        let mut controller = case.driving();
+        controller.planner.injection = Injection {
+            controls: vec![Control { velocity: 0.9, steering: 0.0 }; 12],
+            ..case.injection(places, true)
+        };
+        let command = controller.step(&pose, &obstacles, &budget);
+        assert_eq!(case.judge().objection(&command, &pose, &obstacles), None, "{}", summary(&command));
+        assert!(command.speed_limit_mps < 0.8 && command.velocity_mps <= command.speed_limit_mps);
+    }
+}
+
+#[test]
 fn bad_plans_everywhere_stop_the_robot() {
     for case in cases().iter().filter(|case| !case.is_clamped) {
         for fits in [true, false] {
@@ -242,7 +262,9 @@ fn the_third_rung_is_the_rest_of_the_last_plan() {
         );
         let [old, next] = [0, 1].map(|node| last.plan[node].steering_rad);
         let share = 0.1 / case.config.interval_s();
-        let shifted = old + share * (next - old);
+        // It may use the whole steering angle.
+        let most = case.config.vehicle.bounds.steering_max_rad;
+        let shifted = (old + share * (next - old)).clamp(-most, most);
         assert!((command.steering_rad - shifted).abs() < 1e-9, "{}: {}", case.name, command.steering_rad);
     }
 }

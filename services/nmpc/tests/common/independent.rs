@@ -11,8 +11,11 @@ use vehicle::{Control, Description, Goal, Parameters, State, Track};
 const CLEAR_S: f64 = 2.72;
 /// Time between two places that are checked [s].
 const STEP_S: f64 = 0.02;
-/// Scan periods after which the wheels may be blocked instead of the next command.
-const BLOCKED_AFTER: [f64; 2] = [1.0, 1.5];
+/// Scan periods after which the wheels may be blocked instead of the next command: by the next scan, by the actuator, by
+/// the dead man of the robot.
+const BLOCKED_AFTER: [f64; 3] = [1.0, 1.5, 2.0];
+/// True speed per described speed, and true deceleration per described one, at worst.
+const WORST: [f64; 2] = [1.05, 0.8];
 /// The judge and the controller check different samples of the same way [m].
 const TOLERANCE_M: f64 = 0.005;
 /// Velocities below it are noise [m/s].
@@ -72,21 +75,42 @@ impl Judge {
         let surroundings = Surroundings::new(self, pose, obstacles);
         let (parameters, mut state) = (self.vehicle.parameters(), start(pose));
         let parts = (interval_s / STEP_S).ceil();
-        let (mut t, step_s, mut speed) = (0.0, interval_s / parts, pose.predicted_speed_mps.abs());
+        let (mut t, step_s) = (0.0, interval_s / parts);
         for control in controls.iter().flat_map(|control| std::iter::repeat_n(control, parts as usize)) {
             if t > CLEAR_S - step_s || state.x > self.goal.x_m {
                 break;
             }
-            speed = control.velocity.max(speed - self.vehicle.deceleration_max_mps2 * step_s);
             state = integrate(&parameters, &state, control, step_s);
-            let blocks = BLOCKED_AFTER.map(|periods| periods * self.period_s);
-            let blocks = blocks.iter().any(|after| (t..t + step_s).contains(after));
             t += step_s;
-            let slid = || {
-                if blocks { self.slide(&surroundings, &parameters, t, &state, control, speed) } else { None }
-            };
-            if let Some(objection) = surroundings.at(t, &state, true).or_else(slid) {
+            if let Some(objection) = surroundings.at(t, &state, true) {
                 return Some(format!("after {t:.2} s: {objection}"));
+            }
+        }
+        self.held(&surroundings, &parameters, pose, &controls[0])
+    }
+
+    /// What a robot touches that gets no other command: it holds the first control until its wheels are blocked.
+    fn held(
+        &self,
+        surroundings: &Surroundings,
+        parameters: &Parameters,
+        pose: &Pose,
+        control: &Control,
+    ) -> Option<String> {
+        let (mut t, mut state, mut speed) = (0.0, start(pose), pose.predicted_speed_mps.abs());
+        for after_s in BLOCKED_AFTER.map(|periods| periods * self.period_s) {
+            while t < after_s {
+                speed = control.velocity.max(speed - self.vehicle.deceleration_max_mps2 * STEP_S);
+                (t, state) = (t + STEP_S, integrate(parameters, &state, control, STEP_S));
+                if state.x > self.goal.x_m {
+                    return None;
+                }
+                if let Some(objection) = surroundings.at(t, &state, false) {
+                    return Some(format!("without another command: {objection}"));
+                }
+            }
+            if let Some(objection) = self.slide(surroundings, parameters, t, &state, control, speed) {
+                return Some(format!("blocked after {t:.2} s: {objection}"));
             }
         }
         None
@@ -103,8 +127,8 @@ impl Judge {
         speed: f64,
     ) -> Option<String> {
         let curvature = vehicle::model::steady_turn(parameters, control).1 / control.velocity;
-        let deceleration = self.vehicle.blocked_deceleration_mps2;
-        let (mut state, mut left, mut elapsed) = (*from, speed, 0.0);
+        let deceleration = WORST[1] * self.vehicle.blocked_deceleration_mps2;
+        let (mut state, mut left, mut elapsed) = (*from, WORST[0] * speed, 0.0);
         while left > 0.0 {
             let way = left * STEP_S / 2.0;
             state.yaw += curvature * way;

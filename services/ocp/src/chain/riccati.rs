@@ -192,6 +192,7 @@ impl Riccati {
         let count = intervals.len();
         path.resize(count);
         path.open[node..].fill([0.0; 2]);
+        path.linear[node..].fill([0.0; 2]);
         let mut next = *slope;
         for index in (0..node).rev() {
             next = self.retreat(index, &intervals[index], &next, &[0.0; 7], [0.0; 2], path);
@@ -295,6 +296,19 @@ impl Path {
                 *value += gap + by_control[0] * control[0] + by_control[1] * control[1];
             }
             self.states.push(state);
+        }
+    }
+
+    /// Adds `factor` times another solution of the same factors.
+    pub(crate) fn add(&mut self, factor: f64, other: &Self) {
+        for (value, change) in self.states.iter_mut().flatten().zip(other.states.iter().flatten()) {
+            *value += factor * change;
+        }
+        for (value, change) in self.controls.iter_mut().flatten().zip(other.controls.iter().flatten()) {
+            *value += factor * change;
+        }
+        for (value, change) in self.linear.iter_mut().flatten().zip(other.linear.iter().flatten()) {
+            *value += factor * change;
         }
     }
 
