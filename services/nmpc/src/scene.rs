@@ -232,7 +232,7 @@ impl<'a> Scene<'a> {
     }
 
     /// Curvature of a steady turn [1/m].
-    pub(crate) fn curvature(&self, control: &Control) -> f64 {
+    fn curvature(&self, control: &Control) -> f64 {
         vehicle::model::steady_turn(&self.config.vehicle.parameters(), control).1 / control.velocity
     }
 

@@ -8,8 +8,8 @@
 //! Assumed: the obstacles are described correctly. Obstacles out of sight are not known here; they are seen before
 //! the plan gets to them, because the scanner reaches 2 m further than the horizon.
 
+use vehicle::Control;
 use vehicle::bounds::ROUNDING;
-use vehicle::{Control, State};
 
 use crate::braking::Stopping;
 use crate::config::Config;
@@ -26,6 +26,8 @@ pub(crate) const VERIFIED_S: f64 = 2.72;
 /// When the wheels may be blocked instead of the next command, in scan periods after the start of the plan: when the next
 /// scan gives no plan, after the actuator's timeout, and by the dead man of the robot when the actuator is lost.
 const BLOCKED_AFTER: [f64; 3] = [1.0, 1.5, 2.0];
+/// Smallest velocity of the model [m/s].
+const SLOWEST_MPS: f64 = 0.01;
 /// Largest step along a slide [m].
 const SLIDE_STEP_M: f64 = 0.08;
 
@@ -148,18 +150,24 @@ fn slide(
     None
 }
 
-/// The first contact of blocked wheels: they keep their angle, so the robot slides along the arc that it drives. It may be
-/// faster and brake less than described.
+/// The first contact of blocked wheels: they keep their angle, so the robot slides along the arc that the model drives then.
+/// It may be faster and brake less than described.
 fn slide_from(scene: &Scene, baseline: &Baseline, control: &Control, start: &Sampled) -> Option<Violation> {
     let stopping = Stopping::new(scene.config, scene.config.period_s, scene.margin.age_s());
     let (deceleration, speed) = (stopping.deceleration_mps2, start.speed * stopping.speed_ratio);
-    let (length, curvature) = (stopping.slide(start.speed), scene.curvature(control));
+    let length = stopping.slide(start.speed);
     let steps = (length / SLIDE_STEP_M).ceil().max(1.0);
+    let parameters = scene.config.vehicle.parameters();
+    let (mut state, mut before) = (start.state, speed);
     (1..=steps as usize).find_map(|step| {
         let way = length * step as f64 / steps;
         let left = (speed * speed - 2.0 * deceleration * way).max(0.0).sqrt();
+        // The model has no lateral motion at standstill.
+        let control = Control { velocity: f64::midpoint(before, left).max(SLOWEST_MPS), ..*control };
+        state = advance(&parameters, &state, &control, (before - left) / deceleration);
+        before = left;
         let t = start.t + (speed - left) / deceleration;
-        scene.touched(baseline, scene.margin.base(), t, &along_arc(&start.state, curvature, way))
+        scene.touched(baseline, scene.margin.base(), t, &state)
     })
 }
 
@@ -171,18 +179,6 @@ fn hold(scene: &Scene, control: &Control, last: &Sampled) -> Sampled {
         t: last.t + piece_s,
         speed: control.velocity.max(last.speed - vehicle.deceleration_max_mps2 * piece_s),
         state: advance(&vehicle.parameters(), &last.state, control, piece_s),
-    }
-}
-
-/// The state after `way` metres along an arc.
-fn along_arc(state: &State, curvature: f64, way: f64) -> State {
-    let course = state.yaw + state.sideslip;
-    let middle = course + curvature * way / 2.0;
-    State {
-        yaw: state.yaw + curvature * way,
-        x: state.x + way * middle.cos(),
-        y: state.y + way * middle.sin(),
-        ..*state
     }
 }
 
