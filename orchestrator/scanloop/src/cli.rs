@@ -105,7 +105,7 @@ pub enum Command {
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
-        /// Name of the implementation: emulator, ekf, ellipses, nmpc or actuation.
+        /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and count how they end.

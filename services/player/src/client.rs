@@ -6,13 +6,13 @@
 mod connection;
 mod guarded;
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use runtime::Waker;
 use shared_types::BEAMS;
 
 use crate::Config;
@@ -64,14 +64,22 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects, in a thread of its own; the guard stops the wheels after `timeout_ns` without an order.
+    /// Connects, in a thread of its own; `wake` is called there when there is an event. The guard is `scanloop`, or another
+    /// program with its services; it stops the wheels after `timeout_ns` without an order.
     ///
     /// # Errors
     /// A thread that cannot be started.
-    pub fn start(config: &Config, timeout_ns: u64, waker: Waker) -> std::io::Result<Self> {
+    pub fn start(
+        config: &Config,
+        timeout_ns: u64,
+        scanloop: &Path,
+        wake: impl Fn() + Send + 'static,
+    ) -> std::io::Result<Self> {
         let (sender, events) = sync_channel(QUEUED);
         let is_ended = Arc::new(AtomicBool::new(false));
-        let outlet = Outlet { events: sender, waker, is_ended: Arc::clone(&is_ended) };
+        let scanloop = scanloop.to_owned();
+        let outlet =
+            Outlet { events: sender, wake: Box::new(wake), scanloop, is_ended: Arc::clone(&is_ended) };
         let config = config.clone();
         let connect = move || keep_connected(&config, timeout_ns, &outlet);
         let thread = Some(std::thread::Builder::new().name("player".to_owned()).spawn(connect)?);
@@ -115,7 +123,9 @@ impl Drop for Client {
 /// Where the thread puts its events.
 struct Outlet {
     events: SyncSender<Event>,
-    waker: Waker,
+    wake: Box<dyn Fn() + Send>,
+    /// The program of the guard.
+    scanloop: PathBuf,
     is_ended: Arc<AtomicBool>,
 }
 
@@ -123,13 +133,13 @@ impl Outlet {
     /// Hands data over; they are dropped when the process does not take them.
     fn offer(&self, event: Event) {
         let _ = self.events.try_send(event);
-        self.waker.wake();
+        (self.wake)();
     }
 
     /// Hands over what must not be lost; false when the process has ended.
     fn put(&self, event: Event) -> bool {
         let is_there = self.events.send(event).is_ok();
-        self.waker.wake();
+        (self.wake)();
         is_there
     }
 

@@ -1,29 +1,35 @@
 //! The clock of the server, mapped to CLOCK_MONOTONIC.
+//!
+//! Drivers stamp with the time of day, Stage with its simulated time. Both are seconds as a number of 64 bits.
 
-/// Stand-in until the crate of device clocks is there.
-#[derive(Debug, Default)]
-pub struct ServerClock {
-    offset_ns: Option<i64>,
-}
+use device_clock::{DeviceClock, Settings};
+
+/// Largest stamp that is used [s]: a hundred years.
+const MAX_S: f64 = 3.2e9;
+
+/// The clock of one server.
+#[derive(Debug)]
+pub struct ServerClock(DeviceClock);
 
 impl ServerClock {
-    /// Maps a stamp whose message has arrived.
-    pub fn arrival(&mut self, time_s: f64, arrived_ns: u64) -> u64 {
-        let stamp_ns = ticks(time_s);
-        let offset_ns = arrived_ns as i64 - stamp_ns;
-        let offset_ns = self.offset_ns.map_or(offset_ns, |known| {
-            if (offset_ns - known).abs() > 500_000_000 { offset_ns } else { known.min(offset_ns) }
-        });
-        self.offset_ns = Some(offset_ns);
-        (stamp_ns + offset_ns) as u64
+    /// A clock of which nothing is known but the smallest time from a stamp to the arrival of its message [s].
+    pub fn new(delay_s: f64) -> Self {
+        let delay_ns = (delay_s * 1e9) as u64;
+        Self(DeviceClock::new(Settings { delay_ns, ..Settings::nanoseconds() }))
     }
 
-    /// Maps a stamp.
+    /// Maps the stamp of a message that arrived at `arrived_ns` [ns].
+    pub fn arrival(&mut self, time_s: f64, arrived_ns: u64) -> u64 {
+        self.0.arrival(ticks(time_s), arrived_ns).time_ns.min(arrived_ns)
+    }
+
+    /// Maps the stamp of another message of the same server; `None` before the first [`Self::arrival`].
     pub fn map(&self, time_s: f64, arrived_ns: u64) -> Option<u64> {
-        Some((ticks(time_s).saturating_add(self.offset_ns?)).clamp(0, arrived_ns as i64) as u64)
+        self.0.map(ticks(time_s), arrived_ns).map(|mapped| mapped.time_ns.min(arrived_ns))
     }
 }
 
-fn ticks(time_s: f64) -> i64 {
-    (time_s.clamp(0.0, 4e9) * 1e9) as i64
+/// A stamp in nanoseconds; 0 for one that is no time.
+fn ticks(time_s: f64) -> u64 {
+    if (0.0..=MAX_S).contains(&time_s) { (time_s * 1e9) as u64 } else { 0 }
 }

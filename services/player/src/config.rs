@@ -87,8 +87,10 @@ settings! {
         pub scan_sign: f64 = 1.0, SIGN;
         /// Duration of a sweep over all beams: 0 in Stage, 0.0667 for a Hokuyo URG-04LX [s].
         pub sweep_s: f64 = 0.0, 0.0..=1.0;
-        /// Time stamp of a scan minus the time of its front beam [s].
+        /// Time stamp of a scan minus the time of its front beam, on the server [s].
         pub stamp_offset_s: f64 = 0.0, -1.0..=1.0;
+        /// Smallest time from the stamp of a state of the base to its arrival here [s].
+        pub delay_s: f64 = 0.0, 0.0..=0.1;
         /// At the start, the driver tries to connect for this long [s].
         pub connect_timeout_s: f64 = 5.0, 0.1..=8.0;
         /// The connection is renewed when no data have come for this long [s].

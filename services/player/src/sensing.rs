@@ -55,7 +55,7 @@ impl Sensing {
         Self {
             config: config.clone(),
             period_ns,
-            clock: ServerClock::default(),
+            clock: ServerClock::new(config.delay_s),
             motions: Motions::default(),
             waiting: None,
             front_ns: 0,
@@ -65,7 +65,7 @@ impl Sensing {
 
     /// Forgets what a server reported: the connection is new.
     pub fn restart(&mut self) {
-        self.clock = ServerClock::default();
+        self.clock = ServerClock::new(self.config.delay_s);
         self.motions.clear();
         self.waiting = None;
     }

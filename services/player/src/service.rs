@@ -3,6 +3,7 @@
 //! It orders its guard to drive or to stop; the guard sends the commands. It blocks the wheels itself when no actuation
 //! has come for two scan periods, when the run is stopped, and before it ends.
 
+use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -14,10 +15,13 @@ use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use crate::client::{Client, Event, Lost, Orders};
 use crate::config::{Config, ScanSource};
+use crate::handshake::Session;
 use crate::motion::{Anchor, Motion, sent, wrapped};
 use crate::order::Order;
 use crate::sensing::{Measured, Sensing};
 
+/// The guard is a service of this program, also when an update has replaced its file.
+const THIS_PROGRAM: &str = "/proc/self/exe";
 /// The dead man acts after this many periods without an actuation.
 const TIMEOUT_PERIODS: u64 = 2;
 /// Longest sleep of the process [ns]. A publisher in another language may not ring, so that the connection can't wake it.
@@ -26,6 +30,8 @@ const SLEEP_NS: u64 = 20_000_000;
 const REST_NS: u64 = 700_000_000;
 /// A slower robot rests [m/s]: real odometry has noise.
 const RESTING_MPS: f64 = 0.01;
+/// Mounting of the scanner that is reported and described may differ by this [m, rad].
+const MOUNTING: f64 = 0.01;
 /// Limits of sent values are kept up to rounding.
 const SLACK: f64 = 1e-9;
 /// Scans whose mean period is compared with the rate of the system.
@@ -58,6 +64,7 @@ pub fn run() -> anyhow::Result<()> {
     if !process.start()? {
         return Ok(());
     }
+    anyhow::ensure!(!process.clock().is_simulated(), "a Player server does not wait: there is no lock-step");
     while process.wait(Some(driver.due_ns()))? {
         driver.turn(&mut process, false)?;
     }
@@ -67,7 +74,7 @@ pub fn run() -> anyhow::Result<()> {
 /// The driver with its ports.
 struct Driver {
     config: Config,
-    axle_distance_m: f64,
+    vehicle: Description,
     start: [f64; 3],
     period_ns: u64,
     actuations: Input<Actuation>,
@@ -92,25 +99,26 @@ impl Driver {
     fn new(process: &mut Process) -> anyhow::Result<Self> {
         let config = process.settings::<Config>("player")?;
         config.validate().map_err(|invalid| anyhow::anyhow!("{}", invalid.within("player")))?;
-        anyhow::ensure!(
-            !process.clock().is_simulated(),
-            "a Player server does not wait: there is no lock-step"
-        );
         anyhow::ensure!(config.scan == ScanSource::Player, "player.scan = \"urg\" is not built in yet");
-        let Description { front_m, rear_m, .. } = process.settings("vehicle")?;
+        let vehicle: Description = process.settings("vehicle")?;
         let Start { x_m, y_m, yaw_rad } = process.settings::<Course>("scenario")?.start;
         let period_ns = process.period_ns();
         let (actuations, scans, odometries) = (process.input()?, process.output()?, process.output()?);
-        let client = Client::start(&config, TIMEOUT_PERIODS * period_ns, process.waker())?;
+        let client = {
+            let waker = process.waker();
+            let this = Path::new(THIS_PROGRAM);
+            Client::start(&config, TIMEOUT_PERIODS * period_ns, this, move || waker.wake())?
+        };
         let limit = Duration::from_secs_f64(config.connect_timeout_s);
-        let (orders, _) = client.connected(limit).map_err(|lost| {
+        let (orders, session) = client.connected(limit).map_err(|lost| {
             let reason = lost.map_or("no answer yet".to_owned(), |lost| lost.to_string());
             anyhow::anyhow!("no connection to {} within {limit:?}: {reason}", config.server())
         })?;
+        log_devices(&config, &vehicle, &session);
         process.report_wheels(Wheels::Blocked);
         let sweep_ns = (config.sweep_s * 1e9) as u64;
         Ok(Self {
-            axle_distance_m: front_m + rear_m,
+            vehicle,
             start: [x_m, y_m, yaw_rad],
             period_ns,
             actuations,
@@ -151,7 +159,7 @@ impl Driver {
     fn take(&mut self, event: Event) {
         match event {
             Event::Connected(orders, session) => {
-                tracing::info!(server = self.config.server(), ?session, "connected");
+                log_devices(&self.config, &self.vehicle, &session);
                 self.orders = Some(orders);
                 self.sensing.restart();
                 self.anchor = None;
@@ -204,7 +212,8 @@ impl Driver {
     fn drive(&mut self, actuation: &Actuation) {
         let (velocity_mps, steering_rad) =
             (actuation.sent_velocity_mps.max(0.0), actuation.sent_steering_rad);
-        let numbers = sent(&self.config, self.axle_distance_m, velocity_mps, steering_rad);
+        let axle_distance_m = self.vehicle.front_m + self.vehicle.rear_m;
+        let numbers = sent(&self.config, axle_distance_m, velocity_mps, steering_rad);
         if self.give(Order::Drive(numbers)) {
             self.drives_until_ns = Some(monotonic_ns() + TIMEOUT_PERIODS * self.period_ns);
         }
@@ -301,6 +310,22 @@ impl Driver {
                 );
             }
         }
+    }
+}
+
+/// Logs what the server reports about its devices, and warns when the description has the scanner elsewhere.
+fn log_devices(config: &Config, vehicle: &Description, session: &Session) {
+    let server = config.server();
+    let scanner = session.scanner.map_or("none".to_owned(), |scanner| scanner.to_string());
+    tracing::info!(server, base = %config.base(), scanner, body_m = ?session.body_m, "connected");
+    let described = [vehicle.scanner_x_m, vehicle.scanner_y_m, vehicle.scanner_yaw_rad];
+    let Some(reported) = session.mounting else { return };
+    if reported.iter().zip(described).any(|(reported, described)| (reported - described).abs() > MOUNTING) {
+        tracing::warn!(
+            ?reported,
+            ?described,
+            "the scanner is elsewhere: compare `vehicle.scanner_x_m` and its like"
+        );
     }
 }
 

@@ -120,7 +120,7 @@ pub(super) fn serve(config: &Config, timeout_ns: u64, outlet: &Outlet) -> Result
     let mut connection = Connection::new(config, &server);
     let Some(session) = connection.open(outlet)? else { return Ok(()) };
     let base = Base { index: config.position2d, command: config.command };
-    let mut guard = Guarded::start(&server, base, timeout_ns)?;
+    let mut guard = Guarded::start(&outlet.scanloop, &server, base, timeout_ns)?;
     if !outlet.put(Event::Connected(guard.orders()?, session.clone())) {
         return Ok(());
     }

@@ -5,6 +5,7 @@ use std::net::TcpStream;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,12 +17,14 @@ use rustix::net::RecvFlags;
 use super::Lost;
 use crate::order::{ANSWER, Answer, Base, FRAME, Frame, Order};
 
-/// The arguments with which this program is a guard.
+/// The arguments with which `scanloop` is a guard.
 const ARGUMENTS: [&str; 2] = ["service", "player-guard"];
 /// Variables of a process of the system. The guard is none: it ends with the driver.
 const PREFIX: &str = "SCANLOOP_";
 /// The variable that chooses what is logged.
 const LOG_VARIABLE: &str = "SCANLOOP_LOG";
+/// A guard answers its first order within this time [ns]: a busy machine loads its program slowly.
+const START_NS: u64 = 2_000_000_000;
 /// A guard whose driver has closed its socket ends within this time, or is killed.
 const END: Duration = Duration::from_millis(300);
 
@@ -60,16 +63,21 @@ pub(super) struct Guarded {
     base: Base,
     timeout_ns: u64,
     answer: Answer,
-    /// When all orders were last seen answered [ns].
-    answered_ns: u64,
+    /// Since when an order is known that is not answered [ns].
+    waits_since_ns: Option<u64>,
 }
 
 impl Guarded {
     /// Starts the guard of a connection.
-    pub(super) fn start(server: &TcpStream, base: Base, timeout_ns: u64) -> Result<Self, Lost> {
+    pub(super) fn start(
+        scanloop: &Path,
+        server: &TcpStream,
+        base: Base,
+        timeout_ns: u64,
+    ) -> Result<Self, Lost> {
         let (mine, its) = UnixStream::pair().map_err(Lost::GuardNotStarted)?;
         let output = OwnedFd::from(server.try_clone().map_err(Lost::GuardNotStarted)?);
-        let mut command = Command::new("/proc/self/exe");
+        let mut command = Command::new(scanloop);
         command.args(ARGUMENTS).stdin(OwnedFd::from(its)).stdout(output).stderr(Stdio::inherit());
         // It survives signals to the group of the driver.
         command.process_group(0);
@@ -80,7 +88,7 @@ impl Guarded {
         let child = command.spawn().map_err(Lost::GuardNotStarted)?;
         let orders = Orders { socket: mine, number: Arc::default() };
         let guarded =
-            Self { child, orders, base, timeout_ns, answer: Answer::default(), answered_ns: monotonic_ns() };
+            Self { child, orders, base, timeout_ns, answer: Answer::default(), waits_since_ns: None };
         guarded.orders.give(Order::Guard(base, timeout_ns)).map_err(Lost::GuardNotStarted)?;
         tracing::info!(pid = guarded.child.id(), "the guard of the wheels runs");
         Ok(guarded)
@@ -114,10 +122,13 @@ impl Guarded {
             }
         }
         if self.answer.number >= self.orders.number.load(Ordering::SeqCst) {
-            self.answered_ns = now_ns;
+            self.waits_since_ns = None;
+            return Ok(());
         }
-        let silent_ns = now_ns.saturating_sub(self.answered_ns);
-        if silent_ns > self.timeout_ns { Err(Lost::GuardSilent(silent_ns / 1_000_000)) } else { Ok(()) }
+        // Counted from the first check that finds it: this process may have been suspended itself.
+        let silent_ns = now_ns.saturating_sub(*self.waits_since_ns.get_or_insert(now_ns));
+        let limit_ns = if self.answer.number == 0 { START_NS } else { self.timeout_ns };
+        if silent_ns > limit_ns { Err(Lost::GuardSilent(silent_ns / 1_000_000)) } else { Ok(()) }
     }
 
     fn note(&mut self, answer: Answer) {

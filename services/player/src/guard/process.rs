@@ -10,7 +10,7 @@ use anyhow::Context;
 use runtime::monotonic_ns;
 
 use super::Guard;
-use crate::order::{FRAME, Frame, Order};
+use crate::order::{Answer, FRAME, Frame, Order};
 
 /// Longest time between two checks [ns].
 const MAX_WAIT_NS: u64 = 100_000_000;
@@ -28,7 +28,9 @@ pub fn run() -> anyhow::Result<()> {
     let Some(Frame { order: Order::Guard(base, timeout_ns), .. }) = first(&driver).context(by_hand)? else {
         anyhow::bail!("{by_hand}: the first order is another");
     };
-    let ended = follow(&mut Guard::new(base, timeout_ns), &driver, &server);
+    let mut guard = Guard::new(base, timeout_ns);
+    let ended = send(&mut Vec::new(), &server, Some((Answer { number: 1, stops: 0 }, &driver)))
+        .and_then(|()| follow(&mut guard, &driver, &server));
     if ended.is_err() {
         // The driver and the server see it.
         let _ = server.shutdown(Shutdown::Both);
@@ -79,7 +81,7 @@ fn follow(guard: &mut Guard, mut driver: &UnixStream, mut server: &TcpStream) ->
 fn send(
     messages: &mut Vec<u8>,
     mut server: &TcpStream,
-    answer: Option<(crate::order::Answer, &UnixStream)>,
+    answer: Option<(Answer, &UnixStream)>,
 ) -> std::io::Result<()> {
     server.write_all(messages)?;
     messages.clear();
