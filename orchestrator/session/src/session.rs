@@ -19,11 +19,12 @@ use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::Samples;
 use console::progress::Progress;
+use emulator::JudgedBy;
 use plan::Plan;
 use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
-use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
+use shared_types::{Authority, Phase, ProcessState, Role, StopReason, Topic};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
@@ -58,6 +59,8 @@ pub struct Session {
     watches: Watches,
     directives: Directives,
     registry_file: RegistryFile,
+    /// What decides the outcome; `None` until the robot is connected.
+    judged_by: Option<JudgedBy>,
     control: ControlSocket,
     shutdown: Shutdown,
     progress: Progress,
@@ -89,7 +92,7 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan } = startup;
+        let Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan, judged_by } = startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -99,7 +102,7 @@ impl Session {
             _ => SampleAudit::new(lockstep),
         };
         let scenario = plan.scenario.name.clone();
-        Ok(Self {
+        let mut session = Self {
             control: ControlSocket::open(domain)?,
             supervisor: if lockstep { supervisor.in_lockstep() } else { supervisor },
             swaps: Swaps::new(period_ns, lockstep),
@@ -112,6 +115,7 @@ impl Session {
             watches: Watches::default(),
             directives: Directives::new(&bus, directive)?,
             registry_file: RegistryFile::default(),
+            judged_by: None,
             progress: Progress::new(options.quiet),
             manager: ServiceManager::new(),
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
@@ -119,7 +123,9 @@ impl Session {
             shutdown,
             bus,
             fleet,
-        })
+        };
+        judged_by.into_iter().for_each(|by| session.judge_by(by));
+        Ok(session)
     }
 
     /// Calls `observer` with each scan that is recorded: for a bench.
@@ -145,6 +151,7 @@ impl Session {
             self.reap()?;
             self.serve()?;
             self.record(false)?;
+            self.require_truth();
             self.advance_audit();
             self.advance_end()?;
             self.advance_candidates()?;
@@ -254,7 +261,7 @@ impl Session {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
             if self.conclusion.is_open()
-                && let Some((outcome, reason)) = self.recording.judge(&scan.truth)
+                && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
                 self.decide(outcome, &reason);
             }
@@ -267,6 +274,43 @@ impl Session {
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.run.lockstep || self.conclusion.is_open()
+    }
+
+    /// A robot that has opened the topic `truth` promises to publish on it: without a truth no scan is judged.
+    fn require_truth(&mut self) {
+        if let Some(scan) = self.samples.truth_missing() {
+            let robot = self.fleet.label(Role::Robot);
+            let reason = format!(
+                "robot ({robot}) has opened the topic truth, and published none since scan {scan}; one that does not know \
+                 its true state must not open it"
+            );
+            self.decide(Outcome::Failed, &reason);
+        }
+    }
+
+    /// Finds out what decides the outcome: the truth, if the robot has opened its topic by now.
+    fn find_judge(&mut self) -> anyhow::Result<()> {
+        if self.judged_by.is_some() {
+            return Ok(());
+        }
+        if self.bus.has_publisher(Topic::Truth)? {
+            self.judge_by(JudgedBy::Truth);
+        } else {
+            let robot = self.fleet.label(Role::Robot);
+            self.progress.note(&format!(
+                "robot ({robot}) publishes no truth: the run is judged by the estimate, and collisions are not seen"
+            ));
+            self.judge_by(JudgedBy::Estimate);
+        }
+        Ok(())
+    }
+
+    fn judge_by(&mut self, judged_by: JudgedBy) {
+        self.judged_by = Some(judged_by);
+        if judged_by == JudgedBy::Estimate {
+            self.samples.expect_no_truth();
+            self.recording.recorder.expect_no_truth();
+        }
     }
 
     fn decide(&mut self, outcome: Outcome, reason: &str) {
@@ -324,12 +368,16 @@ impl Session {
         self.audit.samples.run_ended();
     }
 
-    /// Whether the wheels rest since the end was decided. Without a truth the limit of the conclusion counts.
+    /// Whether the wheels rest since the end was decided. Without a truth the robot reports it; for one that does not,
+    /// the limit of the conclusion counts.
     fn rests(&self) -> bool {
         let Some((outcome, decided_ns)) = self.conclusion.resting() else { return false };
         // The referee has seen it stand.
         let stood =
             matches!(outcome, Outcome::Reached | Outcome::Missed | Outcome::Stopped | Outcome::Collision);
+        if self.judged_by == Some(JudgedBy::Estimate) {
+            return stood || self.run.stop_word.wheels(Role::Robot).0 == Wheels::Resting;
+        }
         let newest = self.samples.newest_truth().or(self.recording.recorder.last_truth());
         newest.is_some_and(|truth| {
             truth.speed_mps <= 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
@@ -382,6 +430,7 @@ impl Session {
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
+                    self.find_judge()?;
                     self.audit.samples.driving();
                     self.directives.grant(GRANT_AHEAD);
                     self.audit.moved(monotonic_ns());

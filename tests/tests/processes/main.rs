@@ -22,3 +22,4 @@ mod soak;
 mod stop;
 mod swap;
 mod swap_robot;
+mod without_truth;

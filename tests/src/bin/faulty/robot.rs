@@ -6,8 +6,9 @@ use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan, Truth}
 
 use crate::{Outcome, everything};
 
-/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`, and
-/// `stubborn`, which is truthless and does not end either. Of its inputs: `mirrored`, `rolls`, `tireless`,
+/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`,
+/// `stubborn`, which is truthless and does not end either, and `withholding` and `forgetful`, which open the topic of the
+/// truth and publish none on it, or none from scan 20 on. Of its inputs: `mirrored`, `rolls`, `tireless`,
 /// `trusts`, `believes`, `repeats`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Robot)?;
@@ -16,7 +17,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let actuations = process.input::<Actuation>()?;
     let scans = process.output::<Scan>()?;
     let odometries = process.output::<Odometry>()?;
-    let truths = process.output::<Truth>()?;
+    let is_truthless = ["truthless", "stubborn"].contains(&fault);
+    let truths = if is_truthless { None } else { Some(process.output::<Truth>()?) };
     let (_bus, all) = everything::<Actuation>()?;
     if !process.start()? {
         return Ok(());
@@ -92,7 +94,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
             "random" => odometry.y_m += 1e-12 * (monotonic_ns() % 1000) as f64,
             _ => {}
         }
-        if !["truthless", "stubborn"].contains(&fault) {
+        let keeps_truth = fault == "withholding" || fault == "forgetful" && scan_id >= 20;
+        if let Some(truths) = truths.as_ref().filter(|_| !keeps_truth) {
             truths.publish_silently(&mut truth)?;
         }
         if fault != "halves" || !scan_id.is_multiple_of(4) {
