@@ -144,7 +144,10 @@ impl Server {
         for client in &mut self.clients {
             match (&data, fault) {
                 (Some(data), 0) => client.deliver(data),
-                (Some(data), 4) => client.deliver_half(data),
+                (Some(data), 4) => {
+                    client.deliver_half(data);
+                    self.fault.store(Fault::Stalls as u8, Ordering::SeqCst);
+                }
                 (_, 2) => client.send(&GARBAGE),
                 (_, 3) => (0..FLOOD).for_each(|_| client.send(&GARBAGE_FREE)),
                 _ => {}

@@ -108,6 +108,13 @@ impl Config {
         if self.host.trim().is_empty() {
             return Err(Invalid::new("host", "\"\"", "the name or address of a host"));
         }
+        if self.scan == ScanSource::Urg {
+            return Err(Invalid::new(
+                "scan",
+                "\"urg\"",
+                "`\"player\"`; the driver of Hokuyo scanners is not joined yet",
+            ));
+        }
         let signs = [("velocity_sign", self.velocity_sign), ("steering_sign", self.steering_sign)];
         let signs = signs.into_iter().chain([("scan_sign", self.scan_sign)]);
         let signs = signs.chain(self.odometry_signs.map(|sign| ("odometry_signs", sign)));

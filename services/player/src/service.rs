@@ -7,14 +7,14 @@ use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 
-use runtime::{Input, Output, Process, Wheels, monotonic_ns};
+use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
 use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan};
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use crate::client::{Client, Event, Lost, Orders};
-use crate::config::{Config, ScanSource};
+use crate::config::Config;
 use crate::handshake::Session;
 use crate::motion::{Anchor, Motion, sent, wrapped};
 use crate::order::Order;
@@ -30,6 +30,9 @@ const SLEEP_NS: u64 = 20_000_000;
 const REST_NS: u64 = 700_000_000;
 /// A slower robot rests [m/s]: real odometry has noise.
 const RESTING_MPS: f64 = 0.01;
+/// A robot that comes to rest after a loss of the connection slides less than this. A longer way is a server that was
+/// started anew, with its odometry at zero [m].
+const JUMP_M: f64 = 1.0;
 /// Mounting of the scanner that is reported and described may differ by this [m, rad].
 const MOUNTING: f64 = 0.01;
 /// Limits of sent values are kept up to rounding.
@@ -59,6 +62,12 @@ struct Start {
 /// # Errors
 /// Settings that are not allowed, no server, and errors of the bus.
 pub fn run() -> anyhow::Result<()> {
+    // It would stop the wheels that the other process drives.
+    let is_alone = std::env::var_os(CANDIDATE_VARIABLE).is_none();
+    anyhow::ensure!(
+        is_alone,
+        "the wheels have one driver: `player` can be neither swapped in nor run in shadow"
+    );
     let mut process = Process::attach(Role::Robot)?;
     let mut driver = Driver::new(&mut process)?;
     if !process.start()? {
@@ -84,6 +93,8 @@ struct Driver {
     orders: Option<Orders>,
     sensing: Sensing,
     anchor: Option<Anchor>,
+    /// The pose that the server reported last.
+    reported: [f64; 3],
     /// The odometry that was published last.
     last: Option<Odometry>,
     /// Time of the first front beam [ns].
@@ -99,7 +110,6 @@ impl Driver {
     fn new(process: &mut Process) -> anyhow::Result<Self> {
         let config = process.settings::<Config>("player")?;
         config.validate().map_err(|invalid| anyhow::anyhow!("{}", invalid.within("player")))?;
-        anyhow::ensure!(config.scan == ScanSource::Player, "player.scan = \"urg\" is not built in yet");
         let vehicle: Description = process.settings("vehicle")?;
         let Start { x_m, y_m, yaw_rad } = process.settings::<Course>("scenario")?.start;
         let period_ns = process.period_ns();
@@ -128,6 +138,7 @@ impl Driver {
             orders: Some(orders),
             sensing: Sensing::new(&config, period_ns),
             anchor: None,
+            reported: [0.0; 3],
             last: None,
             first_ns: 0,
             scan: Scan { sweep_ns: sweep_ns.clamp(1, period_ns), period_ns, ..Scan::default() },
@@ -162,7 +173,6 @@ impl Driver {
                 log_devices(&self.config, &self.vehicle, &session);
                 self.orders = Some(orders);
                 self.sensing.restart();
-                self.anchor = None;
             }
             Event::State { state, time_s, arrived_ns } => {
                 if !self.sensing.state(&state, time_s, arrived_ns) {
@@ -278,8 +288,13 @@ impl Driver {
     /// The odometry of the next scan, on the track.
     fn odometry(&mut self, motion: &Motion) -> Odometry {
         let last = self.last;
-        // After a loss of the connection the robot is where it was: the server may have started anew.
         let place = last.map_or(self.start, |last| [last.x_m, last.y_m, last.yaw_rad]);
+        let jump_m = (motion.pose[0] - self.reported[0]).hypot(motion.pose[1] - self.reported[1]);
+        if last.is_some() && jump_m > JUMP_M {
+            tracing::warn!(jump_m, "the odometry has jumped: the robot is taken to be where it was");
+            self.anchor = None;
+        }
+        self.reported = motion.pose;
         let anchor = *self.anchor.get_or_insert_with(|| Anchor::new(motion.pose, place));
         let [x_m, y_m, yaw_rad] = anchor.on_track(motion.pose);
         let mut odometry = Odometry { x_m, y_m, yaw_rad, speed_mps: motion.speed_mps, ..Odometry::default() };
@@ -313,11 +328,20 @@ impl Driver {
     }
 }
 
-/// Logs what the server reports about its devices, and warns when the description has the scanner elsewhere.
+/// Logs what the server reports about its devices, and warns when the description has others.
 fn log_devices(config: &Config, vehicle: &Description, session: &Session) {
     let server = config.server();
     let scanner = session.scanner.map_or("none".to_owned(), |scanner| scanner.to_string());
     tracing::info!(server, base = %config.base(), scanner, body_m = ?session.body_m, "connected");
+    if let Some([length_m, width_m]) = session.body_m
+        && (length_m > vehicle.length_m + MOUNTING || width_m > vehicle.width_m + MOUNTING)
+    {
+        tracing::warn!(
+            length_m,
+            width_m,
+            "the body is larger: compare `vehicle.length_m` and `vehicle.width_m`"
+        );
+    }
     let described = [vehicle.scanner_x_m, vehicle.scanner_y_m, vehicle.scanner_yaw_rad];
     let Some(reported) = session.mounting else { return };
     if reported.iter().zip(described).any(|(reported, described)| (reported - described).abs() > MOUNTING) {

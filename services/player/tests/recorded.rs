@@ -3,6 +3,8 @@
 //! The folder `recordings` has what two clients sent, complete, and the first messages of what the server sent: one
 //! session in push mode, one with the original C library in pull mode.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::collections::BTreeMap;
 
 use player::beams::Beams;

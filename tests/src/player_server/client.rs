@@ -161,14 +161,13 @@ impl Client {
 
     /// The same, but only half of the bytes.
     pub(super) fn deliver_half(&mut self, data: &Data) {
-        let sent = std::mem::take(&mut self.is_pull);
-        self.is_pull = true;
+        let is_pull = std::mem::replace(&mut self.is_pull, true);
         self.has_asked = false;
         self.deliver(data);
         let half = self.queued.len() / 2;
         let bytes = std::mem::take(&mut self.queued);
         self.send(&bytes[..half]);
-        self.is_pull = sent;
+        self.is_pull = is_pull;
     }
 
     fn publish(&mut self, device: Device, subtype: u32, time_s: f64, payload: &[u8]) {

@@ -136,8 +136,15 @@ fn last_drive_ns(server: &PlayerServer) -> u64 {
 #[test]
 fn a_server_that_is_not_there_or_none_is_named() {
     let message = |config: &Config| {
-        let lost = start(config).connected(Duration::from_secs(3)).unwrap_err();
-        lost.expect("a reason").to_string()
+        let (client, started) = (start(config), Instant::now());
+        loop {
+            assert!(started.elapsed() < DEADLINE, "no event");
+            match client.next() {
+                Some(Event::Lost(lost)) => break lost.to_string(),
+                Some(event) => panic!("{event:?}"),
+                None => pause(),
+            }
+        }
     };
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = u32::from(listener.local_addr().unwrap().port());
@@ -271,6 +278,27 @@ fn a_robot_behind_a_player_server_drives_the_corridor() {
 #[test]
 fn a_robot_behind_a_player_server_drives_past_two_obstacles_in_pull_mode_by_laser_and_yaw_rate() {
     drives("two-obstacles", "delivery = \"pull\"\nscanner = \"laser\"\ncommand = \"velocity\"");
+}
+
+#[test]
+fn the_run_goes_on_after_the_server_was_silent() {
+    let server = server("corridor");
+    let mut system = System::new(EXECUTABLE);
+    let file = system_file(&system, server.port(), "silence_s = 0.3");
+    system.start(&["--system", &file, "corridor"]);
+    system.wait_until("it drives", |_| server.truth().x_m > 1.0 && server.speed_mps() > 0.5);
+    let silent_since_ns = runtime::monotonic_ns();
+    server.set_fault(Fault::Stalls);
+    system.wait_until("it stands", |_| server.speed_mps() == 0.0);
+    let stopped_ns = stopped_after_ns(&server, silent_since_ns).unwrap();
+    // The actuator blocks the wheels 1.5 periods after the last command.
+    assert!(stopped_ns < 2 * PERIOD_NS + BUSY_NS, "{stopped_ns} ns");
+    system.wait_until("the driver has left the server", |_| guards(server.port()).is_empty());
+    server.set_fault(Fault::None);
+    let status = system.wait();
+    assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
+    let truth = server.truth();
+    assert!(truth.goal_distance_m < 0.15 && truth.collided == 0, "what it slid is not forgotten: {truth:?}");
 }
 
 /// Kills the driver while it drives, after the guard if that is asked for; returns the server and the time of the kill.
