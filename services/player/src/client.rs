@@ -5,6 +5,7 @@
 
 mod connection;
 mod guarded;
+mod lost;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,8 +20,8 @@ use crate::Config;
 use crate::handshake::Session;
 use crate::message::State;
 
-pub use connection::Lost;
 pub use guarded::Orders;
+pub use lost::Lost;
 
 /// Events that wait for the process: more than a second of data.
 const QUEUED: usize = 32;
@@ -91,12 +92,12 @@ impl Client {
         self.events.try_recv().ok()
     }
 
-    /// Waits for the first connection.
+    /// Waits for the first connection, but not longer than `limit_s` [s].
     ///
     /// # Errors
-    /// Why there is none after `limit`.
-    pub fn connected(&self, limit: Duration) -> Result<(Orders, Session), Option<Lost>> {
-        let (end, mut reason) = (Instant::now() + limit, None);
+    /// Why there is none after that time.
+    pub fn connected(&self, limit_s: f64) -> Result<(Orders, Session), Option<Lost>> {
+        let (end, mut reason) = (Instant::now() + Duration::from_secs_f64(limit_s), None);
         loop {
             match self.events.recv_timeout(end.saturating_duration_since(Instant::now())) {
                 Ok(Event::Connected(orders, session)) => return Ok((orders, session)),

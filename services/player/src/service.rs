@@ -5,7 +5,6 @@
 
 use std::path::Path;
 use std::rc::Rc;
-use std::time::Duration;
 
 use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
@@ -119,10 +118,10 @@ impl Driver {
             let this = Path::new(THIS_PROGRAM);
             Client::start(&config, TIMEOUT_PERIODS * period_ns, this, move || waker.wake())?
         };
-        let limit = Duration::from_secs_f64(config.connect_timeout_s);
-        let (orders, session) = client.connected(limit).map_err(|lost| {
+        let limit_s = config.connect_timeout_s;
+        let (orders, session) = client.connected(limit_s).map_err(|lost| {
             let reason = lost.map_or("no answer yet".to_owned(), |lost| lost.to_string());
-            anyhow::anyhow!("no connection to {} within {limit:?}: {reason}", config.server())
+            anyhow::anyhow!("no connection to {} within {limit_s} s: {reason}", config.server())
         })?;
         log_devices(&config, &vehicle, &session);
         process.report_wheels(Wheels::Blocked);

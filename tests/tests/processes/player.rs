@@ -51,7 +51,7 @@ impl Link {
         let server = server("free");
         let config = Config { port: server.port().into(), ..config };
         let client = start(&config);
-        let (orders, _) = client.connected(DEADLINE).unwrap();
+        let (orders, _) = client.connected(DEADLINE.as_secs_f64()).unwrap();
         Self { client, orders: Some(orders), lost: Vec::new(), sweeps: 0, server }
     }
 

@@ -12,7 +12,7 @@ use crate::root;
 const LAYERS: &[&[&str]] = &[
     &["shared-types", "figures", "key-table", "device-clock"],
     &["runtime", "vehicle"],
-    &["emulator", "estimator", "obstacles", "ocp", "console"],
+    &["emulator", "estimator", "obstacles", "ocp", "player", "console"],
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report"],
