@@ -77,12 +77,17 @@ impl Sensing {
         motion.inspect(|motion| self.motions.add(*motion)).is_some()
     }
 
-    /// Takes a sweep.
+    /// Takes a sweep of the server.
     pub fn sweep(&mut self, ranges_mm: [u16; BEAMS], time_s: f64, arrived_ns: u64) {
         let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
         let offset_ns = (self.config.stamp_offset_s * 1e9) as i64;
+        self.sweep_at(ranges_mm, stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
+    }
+
+    /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC.
+    pub fn sweep_at(&mut self, ranges_mm: [u16; BEAMS], front_ns: u64, arrived_ns: u64) {
         let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
-        let front_ns = stamped_ns.saturating_add_signed(-offset_ns).clamp(oldest_ns, arrived_ns);
+        let front_ns = front_ns.clamp(oldest_ns, arrived_ns);
         if front_ns < self.front_ns + self.period_ns / MIN_SPACING_SHARE || self.waiting.is_some() {
             self.dropped += 1;
         }

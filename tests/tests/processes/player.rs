@@ -191,6 +191,11 @@ fn disturb_guard(signal: Signal) -> (Link, u64) {
     link.drive_until("the driver notices", |link| !link.lost.is_empty());
     link.wait("the wheels are stopped", None, |link| stopped_after_ns(&link.server, since_ns).is_some());
     let blind_ns = stopped_after_ns(&link.server, since_ns).unwrap();
+    let received: Vec<_> =
+        link.server.received().into_iter().filter(|(at_ns, _)| *at_ns >= since_ns).collect();
+    let stops = received.iter().filter(|(_, what)| !matches!(what, Received::Drive(..))).take(2);
+    let stops: Vec<Received> = stops.map(|(_, what)| *what).collect();
+    assert_eq!(stops, [Received::Stop; 2], "both forms, before the connection is closed: {received:?}");
     // With another guard it drives again.
     link.drive_until("it drives again", |link| link.orders.is_some() && link.server.speed_mps() > 0.3);
     assert_ne!(link.guard(), guard);
@@ -331,7 +336,7 @@ fn the_guard_stops_the_wheels_when_the_driver_is_killed() {
     let received = server.received();
     let after: Vec<_> =
         received.iter().filter(|(at_ns, _)| *at_ns >= since_ns).map(|(_, what)| *what).collect();
-    assert_eq!(after[0], Received::Stop, "before the connection is closed: {after:?}");
+    assert_eq!(after[..2], [Received::Stop; 2], "both forms, before the connection is closed: {after:?}");
 }
 
 #[test]

@@ -51,10 +51,10 @@ fn follow(guard: &mut Guard, mut driver: &UnixStream, mut server: &TcpStream) ->
     loop {
         let now_ns = monotonic_ns();
         let answer = guard.check(now_ns, &mut messages);
+        send(&mut messages, server, answer.map(|answer| (answer, driver)))?;
         if let Some(answer) = answer {
             tracing::warn!(stops = answer.stops, "the driver is silent: the wheels are stopped");
         }
-        send(&mut messages, server, answer.map(|answer| (answer, driver)))?;
         let wait_ns = guard.rest_ns(now_ns).unwrap_or(MAX_WAIT_NS).clamp(MIN_WAIT_NS, MAX_WAIT_NS);
         driver.set_read_timeout(Some(Duration::from_nanos(wait_ns)))?;
         match driver.read(&mut frame[filled..]) {
@@ -72,9 +72,10 @@ fn follow(guard: &mut Guard, mut driver: &UnixStream, mut server: &TcpStream) ->
             }
         }
     }
-    tracing::info!("the driver has ended: the wheels are stopped");
     guard.stop(&mut messages);
-    server.write_all(&messages)
+    let stopped = server.write_all(&messages);
+    tracing::info!("the driver has ended: the wheels are stopped");
+    stopped
 }
 
 /// Sends the messages, then the answer. A driver that does not read its answers is not waited for.
