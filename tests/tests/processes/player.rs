@@ -306,6 +306,22 @@ fn the_run_goes_on_after_the_server_was_silent() {
     assert!(truth.goal_distance_m < 0.15 && truth.collided == 0, "what it slid is not forgotten: {truth:?}");
 }
 
+#[test]
+fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
+    let server = server("free");
+    let mut system = System::new(EXECUTABLE);
+    let file = system_file(&system, server.port(), "");
+    system.start(&["--system", &file, "free"]);
+    system.wait_until("it drives", |_| server.speed_mps() > 0.5);
+    let output = system.run(&["swap", "robot", "--to", "player"]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_ne!(output.status.code(), Some(0), "{message}");
+    assert!(message.contains("the wheels have one driver"), "{message}");
+    assert!(server.received().iter().all(|(_, what)| *what != Received::Closed));
+    let x_m = server.truth().x_m;
+    system.wait_until("it drives on", |_| server.truth().x_m > x_m + 0.5);
+}
+
 /// Kills the driver while it drives, after the guard if that is asked for; returns the server and the time of the kill.
 fn kill_driver(with_guard: bool) -> (PlayerServer, u64) {
     let server = server("free");
