@@ -59,10 +59,13 @@ impl Client {
         let mut bytes = [0; 4096];
         loop {
             match rustix::net::recv(&self.stream, &mut bytes[..], RecvFlags::DONTWAIT) {
-                Ok((_, 0)) => return Err(ErrorKind::ConnectionReset.into()),
-                Ok((_, count)) => self.received.extend_from_slice(&bytes[..count]),
                 Err(rustix::io::Errno::AGAIN) => break,
-                Err(error) => return Err(error.into()),
+                // What came before the end is still obeyed.
+                Ok((_, 0)) | Err(_) => {
+                    self.is_lost = true;
+                    break;
+                }
+                Ok((_, count)) => self.received.extend_from_slice(&bytes[..count]),
             }
         }
         let mut read = 0;
