@@ -6,6 +6,8 @@ use device_clock::{DeviceClock, Settings};
 
 /// Largest stamp that is used [s]: a hundred years.
 const MAX_S: f64 = 3.2e9;
+/// Times of day have microseconds. State and sweep of one stamp must not be told apart by a coarser tick.
+const RESOLUTION_NS: u64 = 1_000;
 
 /// The clock of one server.
 #[derive(Debug)]
@@ -15,7 +17,7 @@ impl ServerClock {
     /// A clock of which nothing is known but the smallest time from a stamp to the arrival of its message [s].
     pub fn new(delay_s: f64) -> Self {
         let delay_ns = (delay_s * 1e9) as u64;
-        Self(DeviceClock::new(Settings { delay_ns, ..Settings::nanoseconds() }))
+        Self(DeviceClock::new(Settings { delay_ns, resolution_ns: RESOLUTION_NS, ..Settings::nanoseconds() }))
     }
 
     /// Maps the stamp of a message that arrived at `arrived_ns` [ns].
