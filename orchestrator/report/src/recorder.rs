@@ -560,13 +560,14 @@ mod tests {
         assert_eq!((report.scans.published, report.scans.commanded, report.scans.unaccounted), (5, 5, 0));
         let DriveReport { final_distance_m, final_speed_mps, path_length_m, max_abs_lateral_m, .. } =
             report.drive;
+        // The front beam is a microsecond before the time of the scan.
         let figures = [report.duration_s, final_distance_m, path_length_m, max_abs_lateral_m];
         for (figure, expected) in figures.into_iter().zip([2.5, 8.002_499, 0.32, 0.032]) {
-            assert!((figure - expected).abs() < 1e-6, "{figures:?}");
+            assert!((figure - expected).abs() < 2e-6, "{figures:?}");
         }
         assert_eq!((final_speed_mps, recorder.view().speed_mps), (0.8, 0.8));
         let [time_s, x_m, y_m, _] = report.trajectory[0];
-        assert!((time_s - 2.1).abs() < 1e-9 && (x_m, y_m) == (1.68, 0.168), "{:?}", report.trajectory);
+        assert!((time_s - 2.1).abs() < 2e-6 && (x_m, y_m) == (1.68, 0.168), "{:?}", report.trajectory);
     }
 
     #[test]

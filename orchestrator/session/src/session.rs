@@ -7,6 +7,7 @@
 
 mod candidates;
 mod conclusion;
+mod judge;
 mod reconciliation;
 mod recording;
 mod registry_file;
@@ -24,7 +25,7 @@ use plan::Plan;
 use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
 use runtime::{Bus, Domain, Shutdown, StopWord, Wheels, monotonic_ns, wait_for};
-use shared_types::{Authority, Phase, ProcessState, Role, StopReason, Topic};
+use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
@@ -276,43 +277,6 @@ impl Session {
         !self.run.lockstep || self.conclusion.is_open()
     }
 
-    /// A robot that has opened the topic `truth` promises to publish on it: without a truth no scan is judged.
-    fn require_truth(&mut self) {
-        if let Some(scan) = self.samples.truth_missing() {
-            let robot = self.fleet.label(Role::Robot);
-            let reason = format!(
-                "robot ({robot}) has opened the topic truth, and published none since scan {scan}; one that does not know \
-                 its true state must not open it"
-            );
-            self.decide(Outcome::Failed, &reason);
-        }
-    }
-
-    /// Finds out what decides the outcome: the truth, if the robot has opened its topic by now.
-    fn find_judge(&mut self) -> anyhow::Result<()> {
-        if self.judged_by.is_some() {
-            return Ok(());
-        }
-        if self.bus.has_publisher(Topic::Truth)? {
-            self.judge_by(JudgedBy::Truth);
-        } else {
-            let robot = self.fleet.label(Role::Robot);
-            self.progress.note(&format!(
-                "robot ({robot}) publishes no truth: the run is judged by the estimate, and collisions are not seen"
-            ));
-            self.judge_by(JudgedBy::Estimate);
-        }
-        Ok(())
-    }
-
-    fn judge_by(&mut self, judged_by: JudgedBy) {
-        self.judged_by = Some(judged_by);
-        if judged_by == JudgedBy::Estimate {
-            self.samples.expect_no_truth();
-            self.recording.recorder.expect_no_truth();
-        }
-    }
-
     fn decide(&mut self, outcome: Outcome, reason: &str) {
         if self.conclusion.is_open() {
             let is_explained = !matches!(outcome, Outcome::Stopped | Outcome::Timeout);
@@ -366,22 +330,6 @@ impl Session {
     fn end_counting(&mut self) {
         self.recording.recorder.run_ended();
         self.audit.samples.run_ended();
-    }
-
-    /// Whether the wheels rest since the end was decided. Without a truth the robot reports it; for one that does not,
-    /// the limit of the conclusion counts.
-    fn rests(&self) -> bool {
-        let Some((outcome, decided_ns)) = self.conclusion.resting() else { return false };
-        // The referee has seen it stand.
-        let stood =
-            matches!(outcome, Outcome::Reached | Outcome::Missed | Outcome::Stopped | Outcome::Collision);
-        if self.judged_by == Some(JudgedBy::Estimate) {
-            return stood || self.run.stop_word.wheels(Role::Robot).0 == Wheels::Resting;
-        }
-        let newest = self.samples.newest_truth().or(self.recording.recorder.last_truth());
-        newest.is_some_and(|truth| {
-            truth.speed_mps <= 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
-        })
     }
 
     fn handle(&mut self, event: Event) -> anyhow::Result<()> {

@@ -42,13 +42,16 @@ fn each_process_is_swapped_and_every_scan_answered() {
 }
 
 #[test]
-fn a_shadow_of_the_robot_agrees_with_it() {
+fn a_shadow_of_the_robot_agrees_with_it_and_a_restart_loses_no_scan() {
     let system = driving(&SHORT_CORRIDOR);
     let report = shadow(&system, &["robot", "--to", "emulator", "--for", "2s"]);
     assert_eq!((report.outcome, report.invalid), (ShadowOutcome::Completed, 0), "{report}");
     assert!(report.scans >= 10 && report.answered_share > 0.9, "{report}");
+    let restarted = system.run(&["restart", "estimator"]);
+    assert_eq!(restarted.status.code(), Some(0), "{}", String::from_utf8_lossy(&restarted.stderr));
     let report = reached(system);
     assert_eq!((report.scans.lost, report.scans.duplicates, report.ledger.residual), (0, 0, 0), "{report:?}");
+    assert_eq!(report.processes.iter().map(|process| process.restarts).sum::<u32>(), 1);
 }
 
 #[test]
