@@ -1,0 +1,70 @@
+//! Hokuyo laser scanners: the protocol SCIP 2.0, and a source of scans for drivers.
+//!
+//! [`Parser`] reads replies, [`Command`] writes commands, and [`Resampling`] turns the ranges of any model into beams.
+//!
+//! Source: Hokuyo, "URG series communication protocol specification SCIP 2.0", C-42-03320B.
+
+mod coding;
+mod command;
+mod model;
+mod parser;
+mod resampling;
+mod status;
+
+pub use coding::{checksum, decode, encode, verified};
+pub use command::{Coding, Command, Measurement};
+pub use model::{Parameters, fields};
+pub use parser::{Completed, MAX_RANGES, Parser, ReplyFault};
+pub use resampling::{NOT_MEASURED, Resampling};
+pub use status::Status;
+
+/// Why a scanner can't be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum UrgError {
+    /// A parameter of the model is missing or impossible.
+    #[error("PP of the scanner: {key} = {value} is not allowed: {allowed}")]
+    Parameter {
+        /// Its name in the reply.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// The scanner does not see all that the stages analyse.
+    #[error(
+        "{model} measures from {right_deg:.1} to {left_deg:.1} deg; at least {allowed_right_deg:.1} to \
+         {allowed_left_deg:.1} deg are allowed"
+    )]
+    Coverage {
+        /// Name of the model.
+        model: String,
+        /// Its first beam [deg].
+        right_deg: f64,
+        /// Its last beam [deg].
+        left_deg: f64,
+        /// Largest first beam [deg].
+        allowed_right_deg: f64,
+        /// Smallest last beam [deg].
+        allowed_left_deg: f64,
+    },
+    /// The scanner is too fast or too slow.
+    #[error(
+        "{model} measures {scanner_hz:.2} scans a second; rate_hz = {rate_hz} allows {low_hz:.2} to {high_hz:.2}"
+    )]
+    Rate {
+        /// Name of the model.
+        model: String,
+        /// Its rate [Hz].
+        scanner_hz: f64,
+        /// Smallest rate [Hz].
+        low_hz: f64,
+        /// Largest rate [Hz].
+        high_hz: f64,
+        /// Rate of the system [Hz].
+        rate_hz: f64,
+    },
+    /// The place of the scanner is neither a device nor an address.
+    #[error("scanner {0:?} is not allowed: a device as /dev/ttyACM0, or HOST:PORT as 192.168.0.10:10940")]
+    Place(String),
+}
