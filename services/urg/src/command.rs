@@ -77,9 +77,8 @@ impl Measurement {
     }
 
     fn append_to(&self, output: &mut Vec<u8>) {
-        let Self { coding, first, last, cluster, skip, count, single } = *self;
-        output.push(if single { b'G' } else { b'M' });
-        output.push(if coding == Coding::Three { b'D' } else { b'S' });
+        let Self { first, last, cluster, skip, count, single, .. } = *self;
+        output.extend(Command::Measure(*self).name().as_bytes());
         let ranges = [(first, 4), (last, 4), (u16::from(cluster), 2)];
         let repetition = [(u16::from(skip), 1), (u16::from(count), 2)];
         let repetition = if single { &repetition[..0] } else { &repetition[..] };
@@ -122,23 +121,34 @@ impl Command {
     /// Appends the command with its line feed.
     pub fn append_to(&self, output: &mut Vec<u8>) {
         match self {
-            Self::SelectScip2 => output.extend(b"SCIP2.0"),
-            Self::Version => output.extend(b"VV"),
-            Self::Parameters => output.extend(b"PP"),
-            Self::State => output.extend(b"II"),
-            Self::LaserOn => output.extend(b"BM"),
-            Self::Quit => output.extend(b"QT"),
-            Self::Reset => output.extend(b"RS"),
-            Self::TimeModeOn => output.extend(b"TM0"),
-            Self::Time => output.extend(b"TM1"),
-            Self::TimeModeOff => output.extend(b"TM2"),
-            Self::BitRate(rate) => {
-                output.extend(b"SS");
-                append_decimal(output, *rate, 6);
-            }
             Self::Measure(measurement) => measurement.append_to(output),
+            command => output.extend(command.name().as_bytes()),
+        }
+        if let Self::BitRate(rate) = self {
+            append_decimal(output, *rate, 6);
         }
         output.push(b'\n');
+    }
+
+    /// Its two letters, and what follows them in the names of the specification.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::SelectScip2 => "SCIP2.0",
+            Self::Version => "VV",
+            Self::Parameters => "PP",
+            Self::State => "II",
+            Self::LaserOn => "BM",
+            Self::Quit => "QT",
+            Self::Reset => "RS",
+            Self::TimeModeOn => "TM0",
+            Self::Time => "TM1",
+            Self::TimeModeOff => "TM2",
+            Self::BitRate(_) => "SS",
+            Self::Measure(Measurement { coding: Coding::Three, single: false, .. }) => "MD",
+            Self::Measure(Measurement { coding: Coding::Two, single: false, .. }) => "MS",
+            Self::Measure(Measurement { coding: Coding::Three, .. }) => "GD",
+            Self::Measure(Measurement { coding: Coding::Two, .. }) => "GS",
+        }
     }
 
     /// Whether a reply with this echo answers the command.

@@ -1,21 +1,51 @@
 //! Hokuyo laser scanners: the protocol SCIP 2.0, and a source of scans for drivers.
 //!
-//! [`Parser`] reads replies, [`Command`] writes commands, and [`Resampling`] turns the ranges of any model into beams.
+//! [`Source`] connects to a scanner, starts it, and returns [`Scan`](shared_types::Scan)s whose stamps are on
+//! CLOCK_MONOTONIC. It restarts a scanner that is silent, and connects again when the connection is lost:
+//!
+//! ```no_run
+//! # fn now_ns() -> u64 { 0 }
+//! # fn main() -> Result<(), urg::UrgError> {
+//! let mut source = urg::Source::open(urg::Config::new(urg::Place::parse("/dev/ttyACM0")?), now_ns);
+//! let mut scan = shared_types::Scan::default();
+//! loop {
+//!     match source.next(50_000_000, &mut scan)? {
+//!         Some(reading) => println!("{} mm ahead, +-{} ns", scan.ranges_mm[340], reading.error_ns),
+//!         None => println!("{}: {}", source.state().name(), source.message()),
+//!     }
+//! }
+//! # }
+//! ```
+//!
+//! Below it, each part can be used alone: [`Parser`] reads replies, [`Command`] writes commands, [`Resampling`] turns
+//! the ranges of any model into beams, and [`Session`] is the conversation with a scanner, without input, output or
+//! clock.
 //!
 //! Source: Hokuyo, "URG series communication protocol specification SCIP 2.0", C-42-03320B.
 
 mod coding;
 mod command;
+mod identity;
+mod link;
 mod model;
 mod parser;
+mod place;
 mod resampling;
+mod session;
+mod source;
+mod start;
 mod status;
 
 pub use coding::{checksum, decode, encode, verified};
 pub use command::{Coding, Command, Measurement};
+pub use device_clock::Event;
+pub use identity::Identity;
 pub use model::{Parameters, fields};
 pub use parser::{Completed, MAX_RANGES, Parser, ReplyFault};
+pub use place::{Config, Place};
 pub use resampling::{NOT_MEASURED, Resampling};
+pub use session::{Counters, Reading, Session, SourceState};
+pub use source::Source;
 pub use status::Status;
 
 /// Why a scanner can't be used.

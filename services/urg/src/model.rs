@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use shared_types::{Scan, WINDOW};
+use shared_types::{BEAMS, Scan, WINDOW};
 
 use crate::UrgError;
 
@@ -81,11 +81,19 @@ impl Parameters {
         f64::from(self.rpm) / 60.0 / f64::from(skip + 1)
     }
 
+    /// First and last step that the beams of a scan need and the scanner measures.
+    pub fn steps_of_beams(&self) -> (u16, u16) {
+        let step =
+            |beam: usize| f64::from(self.front) + Scan::beam_yaw_rad(beam) * f64::from(self.steps) / TAU;
+        let first = step(0).round().max(f64::from(self.first));
+        (first as u16, step(BEAMS - 1).round().min(f64::from(self.last)) as u16)
+    }
+
     /// Passes when the scanner sees all that the stages analyse, as often as they expect it.
     ///
     /// # Errors
     /// The value that does not fit, and what is allowed.
-    pub fn require_fit(&self, rate_hz: f64, skip: u8) -> Result<(), UrgError> {
+    pub fn require_fit(&self, rate_hz: Option<f64>, skip: u8) -> Result<(), UrgError> {
         let half_step = std::f64::consts::PI / f64::from(self.steps);
         let [right, left] = [self.first, self.last].map(|step| self.yaw_rad(f64::from(step)));
         let [window_right, window_left] = [*WINDOW.start(), *WINDOW.end()].map(Scan::beam_yaw_rad);
@@ -98,6 +106,7 @@ impl Parameters {
                 allowed_left_deg: window_left.to_degrees(),
             });
         }
+        let Some(rate_hz) = rate_hz else { return Ok(()) };
         let (low_hz, high_hz) = (rate_hz * (1.0 - RATE_TOLERANCE), rate_hz * (1.0 + RATE_TOLERANCE));
         let scanner_hz = self.rate_hz(skip);
         if !(low_hz..=high_hz).contains(&scanner_hz) {
@@ -131,15 +140,15 @@ mod tests {
         let parameters = Parameters::of_text(URG_04LX).unwrap();
         assert_eq!((parameters.first, parameters.last, parameters.front), (44, 725, 384));
         assert_eq!((parameters.turn_ns(), parameters.step_ns(384)), (100_000_000, 37_500_000));
-        parameters.require_fit(10.0, 0).unwrap();
-        parameters.require_fit(10.5, 0).unwrap();
+        parameters.require_fit(Some(10.0), 0).unwrap();
+        parameters.require_fit(Some(10.5), 0).unwrap();
     }
 
     #[test]
     fn a_model_that_does_not_fit_is_refused_with_value_and_range() {
         let parameters = Parameters::of_text(URG_04LX).unwrap();
         let refused = |parameters: &Parameters, rate_hz, skip| {
-            parameters.require_fit(rate_hz, skip).unwrap_err().to_string()
+            parameters.require_fit(Some(rate_hz), skip).unwrap_err().to_string()
         };
         assert_eq!(
             refused(&parameters, 20.0, 0),
