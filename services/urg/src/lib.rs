@@ -19,17 +19,19 @@
 //!
 //! Below it, each part can be used alone: [`Parser`] reads replies, [`Command`] writes commands, [`Resampling`] turns
 //! the ranges of any model into beams, and [`Session`] is the conversation with a scanner, without input, output or
-//! clock.
+//! clock. [`Emulator`] is a scanner with faults, for tests and for a first try without a scanner; [`Port`] connects it.
 //!
 //! Source: Hokuyo, "URG series communication protocol specification SCIP 2.0", C-42-03320B.
 
 mod coding;
 mod command;
+mod emulator;
 mod identity;
 mod link;
 mod model;
 mod parser;
 mod place;
+mod port;
 mod resampling;
 mod session;
 mod source;
@@ -39,10 +41,12 @@ mod status;
 pub use coding::{checksum, decode, encode, verified};
 pub use command::{Coding, Command, Measurement};
 pub use device_clock::Event;
+pub use emulator::{DeviceFault, Emulator};
 pub use identity::Identity;
 pub use model::{Parameters, fields};
 pub use parser::{Completed, MAX_RANGES, Parser, ReplyFault};
 pub use place::{Config, Place};
+pub use port::Port;
 pub use resampling::{NOT_MEASURED, Resampling};
 pub use session::{Counters, Reading, Session, SourceState};
 pub use source::Source;

@@ -17,6 +17,8 @@ const RECONNECT_NS: u64 = 500_000_000;
 const CONNECT_NS: u64 = 2_000_000_000;
 /// Bytes that one read takes: nearly four scans.
 const BUFFER: usize = 8192;
+/// Reads of one step: a scanner that floods the line does not keep it busy for ever.
+const READS: usize = 8;
 
 /// A scanner that is connected to, started, and read.
 ///
@@ -80,20 +82,21 @@ impl Source {
     /// # Errors
     /// As [`Self::next`].
     pub fn step(&mut self, scan: &mut Scan) -> Result<Option<Reading>, UrgError> {
-        loop {
+        for _ in 0..READS {
+            // Bytes that an earlier call has left come first.
+            if self.pending.is_empty() && !self.read() {
+                break;
+            }
             if let Some(reading) = self.take(scan)? {
                 return Ok(Some(reading));
             }
             self.send();
-            if !self.read() {
-                break;
-            }
         }
         let now_ns = (self.now_ns)();
         self.connect(now_ns);
         self.session.poll(now_ns);
         self.send();
-        if self.session.gave_up() && !self.config.identify_only {
+        if self.session.gave_up() && !self.is_identified() {
             let reason = self.session.message().to_owned();
             self.close(&reason);
         }
@@ -147,9 +150,6 @@ impl Source {
 
     /// Takes bytes that were read, until a scan is complete.
     fn take(&mut self, scan: &mut Scan) -> Result<Option<Reading>, UrgError> {
-        if self.pending.is_empty() {
-            return Ok(None);
-        }
         let bytes = &self.buffer[self.pending.clone()];
         let (count, reading) = self.session.receive(bytes, self.arrived_ns, scan)?;
         self.pending.start += count;
