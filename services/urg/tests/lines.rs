@@ -139,7 +139,7 @@ fn a_server_that_floods_delays_no_call_and_is_given_up() {
     let mut source = source(&listener.local_addr().unwrap().to_string());
     let flood = std::thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
-        let garbage: Vec<u8> = (0..1 << 16).map(|index: u32| (index * 97 >> 3) as u8).collect();
+        let garbage: Vec<u8> = (0..1 << 16).map(|index: u32| ((index * 97) >> 3) as u8).collect();
         while stream.write_all(&garbage).is_ok() {}
     });
     let end_ns = now_ns() + 8_000 * MS;
