@@ -10,3 +10,4 @@ mod calibrate;
 mod description;
 mod reference;
 mod scenarios;
+mod urg;
