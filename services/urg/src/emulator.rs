@@ -163,7 +163,7 @@ impl Emulator {
 
     fn reset(&mut self) {
         (self.is_laser_on, self.is_time_mode, self.job) = (false, false, None);
-        self.faults = faults::Faults::default();
+        self.faults.drop_held();
     }
 
     fn answer(&mut self, command: &[u8], now_ns: u64) {

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use shared_types::{BEAMS, Scan, WINDOW};
 
 use crate::UrgError;
+use crate::coding::checksum;
 
 /// The rate of a scanner may differ by this fraction from that of the system.
 const RATE_TOLERANCE: f64 = 0.05;
@@ -116,6 +117,12 @@ impl Parameters {
     }
 }
 
+/// Whether the checksums of all lines `KEY:value;S` are right.
+pub(crate) fn has_valid_sums(text: &[u8]) -> bool {
+    let mut lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+    lines.all(|line| matches!(line, [text @ .., b';', sum] if checksum(text) == *sum))
+}
+
 /// Keys and values of the lines `KEY:value;S` of a reply, without control characters. Lines of another form are left
 /// out, and checksums are not verified: some models send wrong ones.
 pub fn fields(text: &[u8]) -> impl Iterator<Item = (String, String)> {
@@ -163,6 +170,16 @@ mod tests {
             refused(&narrow, 10.0, 0),
             "URG-04LX(emulated) measures from -59.4 to 119.9 deg; at least -59.8 to 60.1 deg are allowed"
         );
+    }
+
+    #[test]
+    fn a_wrong_digit_is_seen_by_its_checksum() {
+        assert!(has_valid_sums(URG_04LX));
+        for at in (0..URG_04LX.len()).filter(|at| URG_04LX[*at].is_ascii_digit()) {
+            let mut text = URG_04LX.to_vec();
+            text[at] ^= 1;
+            assert!(!has_valid_sums(&text), "{}", String::from_utf8_lossy(&text));
+        }
     }
 
     #[test]

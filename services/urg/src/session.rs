@@ -11,7 +11,7 @@ use shared_types::{BEAMS, Scan};
 use crate::UrgError;
 use crate::command::{Command, Measurement};
 use crate::identity::Identity;
-use crate::model::Parameters;
+use crate::model::{Parameters, has_valid_sums};
 use crate::parser::{Completed, Parser};
 use crate::place::Config;
 use crate::resampling::Resampling;
@@ -113,6 +113,8 @@ pub struct Session {
     measurement: Measurement,
     resampling: Option<Resampling>,
     identity: Identity,
+    /// Parameters whose checksums are wrong: they count when they come twice.
+    unverified: Option<Parameters>,
     output: Vec<u8>,
     state: SourceState,
     message: String,
@@ -134,6 +136,7 @@ impl Session {
             measurement: Measurement::default(),
             resampling: None,
             identity: Identity::default(),
+            unverified: None,
             output: Vec::with_capacity(64),
             state: SourceState::Connecting,
             message: String::new(),
@@ -312,10 +315,13 @@ impl Session {
         match step {
             Step::Version => self.identity.version = text.to_vec(),
             Step::State => self.identity.state = text.to_vec(),
-            Step::Parameters if status == Status::DONE => {
-                let parameters = Parameters::of_text(text)?;
-                self.prepare(parameters)?;
-            }
+            Step::Parameters if status == Status::DONE => match self.read_parameters() {
+                Ok(parameters) => self.prepare(parameters)?,
+                Err(message) => {
+                    self.fail(now_ns, DRAIN_NS, &message);
+                    return Ok(());
+                }
+            },
             Step::ReadTime(_) => {
                 if let (Some(ticks), Some(clock)) = (Step::time_of(text), &mut self.clock) {
                     clock.round_trip(u64::from(ticks), self.asked_ns, now_ns);
@@ -337,6 +343,17 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// The parameters in the reply. Wrong ones would turn all ranges, so a damaged reply is asked for again.
+    fn read_parameters(&mut self) -> Result<Parameters, String> {
+        let text = self.parser.text();
+        let parameters = Parameters::of_text(text).map_err(|error| error.to_string())?;
+        if has_valid_sums(text) || self.unverified.as_ref() == Some(&parameters) {
+            return Ok(parameters);
+        }
+        self.unverified = Some(parameters);
+        Err("PP of the scanner: wrong checksum".to_owned())
     }
 
     /// Prepares the measurement of a model.

@@ -1,6 +1,7 @@
 //! Source side and emulated scanner in simulated time, without a connection.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use proptest::prelude::*;
 use shared_types::{FRONT_BEAM, Sample, Scan};
 use urg::{
     Coding, Completed, Config, DeviceFault, Emulator, Event, Measurement, Parser, Place, Reading, Session,
@@ -18,6 +19,8 @@ struct Pair {
     now_ns: u64,
     readings: Vec<(Reading, Scan)>,
     states: Vec<SourceState>,
+    /// Applied to all that the scanner sends.
+    damage: Box<dyn FnMut(&mut Vec<u8>)>,
 }
 
 impl Pair {
@@ -33,6 +36,7 @@ impl Pair {
             now_ns,
             readings: Vec::new(),
             states: Vec::new(),
+            damage: Box::new(|_| {}),
         }
     }
 
@@ -45,7 +49,8 @@ impl Pair {
             self.session.sent(sent.len());
             self.emulator.receive(&sent, self.now_ns);
             self.emulator.advance(self.now_ns);
-            let bytes: Vec<u8> = self.emulator.output().drain(..).collect();
+            let mut bytes: Vec<u8> = self.emulator.output().drain(..).collect();
+            (self.damage)(&mut bytes);
             bytes.chunks(64).for_each(|piece| self.take(piece));
             if self.states.last() != Some(&self.session.state()) {
                 self.states.push(self.session.state());
@@ -248,4 +253,33 @@ fn the_emulator_refuses_what_a_scanner_refuses() {
     );
     assert_eq!([ask("BM"), ask("BM"), ask("QT")], ["00P", "02R", "00P"]);
     assert!(Measurement::of_echo(b"MD0044072501000").is_some());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_line_that_damages_bytes_for_a_while_is_survived(seed in 1_u64..u64::MAX, one_in in 20_u64..4_000) {
+        let mut pair = measuring();
+        let mut random = seed;
+        pair.damage = Box::new(move |bytes| {
+            bytes.retain_mut(|byte| {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                let value = random >> 33;
+                if value.is_multiple_of(one_in) {
+                    *byte = (value >> 16) as u8;
+                }
+                !value.is_multiple_of(3 * one_in)
+            });
+        });
+        pair.run(20_000);
+        pair.damage = Box::new(|_| {});
+        pair.run(8_000);
+        let before = pair.scans();
+        prop_assert!(pair.run(1_000).scans() >= before + 9, "{}", pair.session.message());
+        for (reading, scan) in &pair.readings[pair.readings.len() - 9..] {
+            let front_ns = 1_000 * MS + u64::from(reading.stamp_ms) * MS + 37_500_000;
+            prop_assert!(scan.header.acquired_ns.abs_diff(front_ns) <= reading.error_ns, "{:?}", reading);
+        }
+    }
 }

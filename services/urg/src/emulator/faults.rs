@@ -67,6 +67,12 @@ impl Faults {
         }
     }
 
+    /// Drops what was held back: the measurement has ended. Faults of scans to come remain.
+    pub(crate) fn drop_held(&mut self) {
+        self.held.clear();
+        self.until_ns = None;
+    }
+
     pub(crate) fn release_ns(&self) -> Option<u64> {
         self.until_ns.filter(|until_ns| *until_ns != u64::MAX)
     }
