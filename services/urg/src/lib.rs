@@ -36,6 +36,7 @@ mod resampling;
 mod session;
 mod source;
 mod start;
+mod state;
 mod status;
 
 pub use coding::{checksum, decode, encode, verified};
@@ -48,8 +49,9 @@ pub use parser::{Completed, MAX_RANGES, Parser, ReplyFault};
 pub use place::{Config, Place};
 pub use port::Port;
 pub use resampling::{NOT_MEASURED, Resampling};
-pub use session::{Counters, Reading, Session, SourceState};
+pub use session::Session;
 pub use source::Source;
+pub use state::{Counters, Reading, SourceState};
 pub use status::Status;
 
 /// Why a scanner can't be used.

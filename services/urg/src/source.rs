@@ -9,7 +9,8 @@ use crate::UrgError;
 use crate::identity::Identity;
 use crate::link::{Link, Read};
 use crate::place::Config;
-use crate::session::{Counters, Reading, Session, SourceState};
+use crate::session::Session;
+use crate::state::{Counters, Reading, SourceState};
 
 /// A lost connection is made again after this time [ns].
 const RECONNECT_NS: u64 = 500_000_000;

@@ -12,6 +12,9 @@ const MS: u64 = 1_000_000;
 const COMMANDS: &[u8] = include_bytes!("data/scip-urglib-tcp.c2s.bin");
 const REPLIES: &[u8] = include_bytes!("data/scip-urglib-tcp.s2c.bin");
 
+/// Changes bytes on their way.
+type Damage = Box<dyn FnMut(&mut Vec<u8>)>;
+
 /// A session and a scanner, joined by lines that take a millisecond.
 struct Pair {
     session: Session,
@@ -20,7 +23,7 @@ struct Pair {
     readings: Vec<(Reading, Scan)>,
     states: Vec<SourceState>,
     /// Applied to all that the scanner sends.
-    damage: Box<dyn FnMut(&mut Vec<u8>)>,
+    damage: Damage,
 }
 
 impl Pair {
