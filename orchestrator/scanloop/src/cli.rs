@@ -14,6 +14,7 @@ use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
+use crate::urg::UrgCommand;
 
 /// Exit codes, below the help of the program and on the page of the commands.
 const EXIT_CODES: &str = "\
@@ -147,6 +148,9 @@ pub enum Command {
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
+    /// Try a Hokuyo laser scanner alone: print its parameters, draw or log its scans.
+    #[command(subcommand)]
+    Urg(UrgCommand),
     /// Print the samples of all topics: fields, units, offsets.
     Types(TypesArguments),
     /// List the keys of scenario and system files with default, allowed values and meaning.

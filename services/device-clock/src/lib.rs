@@ -39,6 +39,8 @@
 mod clock;
 mod counter;
 mod envelope;
+mod settings;
 
-pub use clock::{DeviceClock, Event, Mapped, Settings};
+pub use clock::{DeviceClock, Event, Mapped};
 pub use envelope::{Envelope, Line};
+pub use settings::Settings;
