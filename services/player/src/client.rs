@@ -6,6 +6,7 @@
 mod connection;
 mod guarded;
 mod lost;
+mod scanner;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,6 +18,7 @@ use std::time::{Duration, Instant};
 use shared_types::BEAMS;
 
 use crate::Config;
+use crate::config::ScanSource;
 use crate::handshake::Session;
 use crate::message::State;
 
@@ -52,6 +54,17 @@ pub enum Event {
         /// When it arrived, on CLOCK_MONOTONIC [ns].
         arrived_ns: u64,
     },
+    /// A scan of a scanner at this computer.
+    Scan {
+        /// Its ranges, by beam [mm].
+        ranges_mm: [u16; BEAMS],
+        /// Time of the front beam, on CLOCK_MONOTONIC [ns].
+        front_ns: u64,
+        /// Duration of the sweep [ns].
+        sweep_ns: u64,
+        /// When it arrived, on CLOCK_MONOTONIC [ns].
+        arrived_ns: u64,
+    },
     /// There is no connection, and why.
     Lost(Lost),
 }
@@ -61,7 +74,7 @@ pub enum Event {
 pub struct Client {
     events: Receiver<Event>,
     is_ended: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Client {
@@ -74,17 +87,24 @@ impl Client {
         config: &Config,
         timeout_ns: u64,
         scanloop: &Path,
-        wake: impl Fn() + Send + 'static,
+        wake: impl Fn() + Send + Sync + 'static,
     ) -> std::io::Result<Self> {
         let (sender, events) = sync_channel(QUEUED);
         let is_ended = Arc::new(AtomicBool::new(false));
         let scanloop = scanloop.to_owned();
         let outlet =
-            Outlet { events: sender, wake: Box::new(wake), scanloop, is_ended: Arc::clone(&is_ended) };
+            Outlet { events: sender, wake: Arc::new(wake), scanloop, is_ended: Arc::clone(&is_ended) };
+        let named = |name: &str| std::thread::Builder::new().name(name.to_owned());
+        let mut threads = Vec::new();
+        if config.scan == ScanSource::Urg {
+            let (config, outlet) = (config.clone(), outlet.clone());
+            // Two periods are the time without an order.
+            let rate_hz = 2e9 / timeout_ns as f64;
+            threads.push(named("scanner").spawn(move || scanner::read(&config, rate_hz, &outlet))?);
+        }
         let config = config.clone();
-        let connect = move || keep_connected(&config, timeout_ns, &outlet);
-        let thread = Some(std::thread::Builder::new().name("player".to_owned()).spawn(connect)?);
-        Ok(Self { events, is_ended, thread })
+        threads.push(named("player").spawn(move || keep_connected(&config, timeout_ns, &outlet))?);
+        Ok(Self { events, is_ended, threads })
     }
 
     /// The next event, if there is one.
@@ -113,18 +133,19 @@ impl Drop for Client {
     /// Ends the guard, which stops the wheels, and closes the connection.
     fn drop(&mut self) {
         self.is_ended.store(true, Ordering::SeqCst);
-        // The thread may wait for a place in the queue.
-        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+        // A thread may wait for a place in the queue.
+        while self.threads.iter().any(|thread| !thread.is_finished()) {
             let _ = self.events.recv_timeout(Duration::from_millis(5));
         }
-        let _ = self.thread.take().map(JoinHandle::join);
+        self.threads.drain(..).for_each(|thread| _ = thread.join());
     }
 }
 
-/// Where the thread puts its events.
+/// Where the threads put their events.
+#[derive(Clone)]
 struct Outlet {
     events: SyncSender<Event>,
-    wake: Box<dyn Fn() + Send>,
+    wake: Arc<dyn Fn() + Send + Sync>,
     /// The program of the guard.
     scanloop: PathBuf,
     is_ended: Arc<AtomicBool>,

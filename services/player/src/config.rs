@@ -2,6 +2,7 @@
 
 use key_table::{Invalid, Setting, settings};
 use serde::{Deserialize, Serialize};
+use urg::Place;
 
 use crate::header::{Device, interface};
 
@@ -66,6 +67,8 @@ settings! {
         pub position2d: u32 = 0, 0.0..=65535.0;
         /// Where the scans come from: a scanner of the server, or a Hokuyo scanner at this computer.
         pub scan: ScanSource = ScanSource::Player;
+        /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
+        pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
         /// Interface of the server's scanner; `auto` is ranger, or laser where there is no ranger.
         pub scanner: Scanner = Scanner::Auto;
         /// Index of the scanner among the devices of its interface.
@@ -108,11 +111,11 @@ impl Config {
         if self.host.trim().is_empty() {
             return Err(Invalid::new("host", "\"\"", "the name or address of a host"));
         }
-        if self.scan == ScanSource::Urg {
+        if Place::parse(&self.urg).is_err() {
             return Err(Invalid::new(
-                "scan",
-                "\"urg\"",
-                "`\"player\"`; the driver of Hokuyo scanners is not joined yet",
+                "urg",
+                format!("{:?}", self.urg),
+                "a device such as /dev/ttyACM0, or HOST:PORT",
             ));
         }
         let signs = [("velocity_sign", self.velocity_sign), ("steering_sign", self.steering_sign)];

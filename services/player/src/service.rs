@@ -178,6 +178,10 @@ impl Driver {
                     tracing::warn!(?state, "a state of the base is not finite");
                 }
             }
+            Event::Scan { ranges_mm, front_ns, sweep_ns, arrived_ns } => {
+                self.scan.sweep_ns = sweep_ns.clamp(1, self.period_ns);
+                self.sensing.sweep_at(ranges_mm, front_ns, arrived_ns);
+            }
             Event::Sweep { ranges_mm, time_s, arrived_ns } => {
                 self.sensing.sweep(ranges_mm, time_s, arrived_ns)
             }

@@ -62,8 +62,8 @@ fn the_driver_of_a_player_server_is_checked() {
             &["player.toml", "player.scanner", "sonar", "`laser`"],
         ),
         (
-            robot.replace("sweep_s = 0.0 ", "scan = \"urg\" "),
-            &["player.toml", "player.scan", "urg", "`\"player\"`"],
+            robot.replace("sweep_s = 0.0 ", "urg = \"ttyACM0\" "),
+            &["player.toml", "player.urg", "ttyACM0", "HOST:PORT"],
         ),
     ] {
         std::fs::write(&file, text).unwrap();

@@ -1,9 +1,10 @@
 //! A robot behind a Player 3 server: driven, with a guard of its wheels, and with faults of the server.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, TcpListener};
 use std::path::Path;
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use emulator::{Outcome, Scenario};
@@ -84,7 +85,7 @@ impl Link {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                Event::State { .. } => {}
+                Event::State { .. } | Event::Scan { .. } => {}
             }
         }
     }
@@ -320,6 +321,23 @@ fn a_second_driver_of_the_same_wheels_is_refused_and_the_first_drives_on() {
     assert!(server.received().iter().all(|(_, what)| *what != Received::Closed));
     let x_m = server.truth().x_m;
     system.wait_until("it drives on", |_| server.truth().x_m > x_m + 0.5);
+}
+
+#[test]
+fn a_hokuyo_scanner_at_this_computer_and_a_base_at_the_server_are_one_robot() {
+    let server = server("free");
+    let system = System::new(EXECUTABLE);
+    let mut scanner = system.command(&["urg", "emulate", "--duration", "60", "--tcp", "127.0.0.1:0"]);
+    let mut scanner = scanner.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut place = String::new();
+    BufReader::new(scanner.stdout.as_mut().unwrap()).read_line(&mut place).unwrap();
+    let file = system_file(&system, server.port(), &format!("scan = \"urg\"\nurg = \"{}\"", place.trim()));
+    let cases = ["scans", "header", "valid-values", "increments", "drives", "dead-man"];
+    let mut arguments = vec!["conformance", "robot", "--to", "player", "--system", &file, "--jobs", "1"];
+    cases.iter().for_each(|case| arguments.extend(["--only", case]));
+    let output = system.run(&arguments);
+    let _ = (scanner.kill(), scanner.wait());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 /// Kills the driver while it drives, after the guard if that is asked for; returns the server and the time of the kill.
