@@ -15,6 +15,8 @@ use crate::motion::Motion;
 const WAIT_SHARE: u64 = 4;
 /// The front beam is at most this many periods older than the arrival of its sweep; an older stamp is wrong.
 const MAX_AGE_PERIODS: u64 = 1;
+/// A state is moved on by at most this many periods: the base is silent, or the connection is lost.
+const MAX_AHEAD_PERIODS: u64 = 2;
 /// Sweeps that are closer together than this share of a period are one too many.
 const MIN_SPACING_SHARE: u64 = 4;
 
@@ -103,9 +105,14 @@ impl Sensing {
         if !self.motions.covers(front_ns) && now_ns < until_ns {
             return None;
         }
-        let motion = self.motions.at(front_ns)?;
-        (self.waiting, self.front_ns) = (None, front_ns);
-        Some(Measured { ranges_mm, motion })
+        self.waiting = None;
+        let is_known = |newest: &Motion| newest.time_ns + MAX_AHEAD_PERIODS * self.period_ns >= front_ns;
+        if !self.motions.newest().is_some_and(is_known) {
+            self.dropped += 1;
+            return None;
+        }
+        self.front_ns = front_ns;
+        self.motions.at(front_ns).map(|motion| Measured { ranges_mm, motion })
     }
 
     /// When [`Self::next`] gives a sweep at the latest [ns].
@@ -172,6 +179,18 @@ mod tests {
     }
 
     #[test]
+    fn a_scan_without_a_recent_state_is_dropped_and_nothing_waits_for_it() {
+        let mut sensing = running();
+        sensing.sweep_at([700; BEAMS], 3000 * MS, 3000 * MS);
+        assert!(sensing.next(3100 * MS).is_some(), "two periods at most");
+        sensing.sweep_at([700; BEAMS], 3210 * MS, 3210 * MS);
+        assert_eq!((sensing.next(3300 * MS), sensing.due_ns(), sensing.dropped()), (None, None, 1));
+        sensing.restart();
+        sensing.sweep_at([700; BEAMS], 3400 * MS, 3400 * MS);
+        assert_eq!((sensing.next(3500 * MS), sensing.due_ns()), (None, None));
+    }
+
+    #[test]
     fn sweeps_in_a_burst_and_stamps_of_another_clock_do_no_harm() {
         let mut sensing = running();
         sensing.sweep([700; BEAMS], 3.8 + 1.9, 2942 * MS);
@@ -181,6 +200,7 @@ mod tests {
         for stamp_s in [1e9, -1e9, f64::NAN, f64::INFINITY, 0.0] {
             sensing.sweep([700; BEAMS], stamp_s, 3200 * MS);
         }
+        assert!(sensing.state(&state(2.2), 3.8 + 2.15, 3152 * MS));
         let front_ns = sensing.next(3300 * MS).unwrap().motion.time_ns;
         assert!((3100 * MS..=3200 * MS).contains(&front_ns), "{front_ns}");
     }

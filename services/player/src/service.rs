@@ -197,6 +197,8 @@ impl Driver {
             tracing::debug!(%lost, "no connection yet");
         }
         self.drives_until_ns = None;
+        // Scans of another scanner have no pose now.
+        self.sensing.restart();
     }
 
     /// Follows actuations and the dead man.
