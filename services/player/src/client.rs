@@ -31,7 +31,6 @@ const QUEUED: usize = 32;
 const PAUSES: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 
 /// What the connection reports.
-#[expect(clippy::large_enum_variant, reason = "sweeps travel in a queue that is allocated once")]
 #[derive(Debug)]
 pub enum Event {
     /// Base and scanner are open; orders may be given.
