@@ -14,6 +14,7 @@ use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
+use crate::urg::UrgCommand;
 
 /// Exit codes, below the help of the program and on the page of the commands.
 const EXIT_CODES: &str = "\
@@ -105,7 +106,7 @@ pub enum Command {
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
-        /// Name of the implementation: emulator, ekf, ellipses, nmpc or actuation.
+        /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and count how they end.
@@ -147,6 +148,9 @@ pub enum Command {
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
+    /// Try a Hokuyo laser scanner alone: print its parameters, draw or log its scans.
+    #[command(subcommand)]
+    Urg(UrgCommand),
     /// Print the samples of all topics: fields, units, offsets.
     Types(TypesArguments),
     /// List the keys of scenario and system files with default, allowed values and meaning.

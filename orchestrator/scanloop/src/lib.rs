@@ -18,6 +18,7 @@ pub mod successor;
 pub mod swap;
 mod topic;
 mod types;
+pub mod urg;
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -112,6 +113,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)),
+        Command::Urg(command) => urg::urg(command),
     }
 }
 

@@ -14,6 +14,7 @@ mod live;
 mod operator;
 mod other_user;
 mod output;
+mod player;
 mod private_place;
 mod restart;
 mod service_manager;
