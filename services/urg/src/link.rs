@@ -6,7 +6,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::{Mode, OFlags, open};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, open};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketFlags, SocketType, connect, socket_with, sockopt};
 use rustix::termios::{ControlModes, InputModes, OptionalActions, isatty, tcgetattr, tcsetattr};
@@ -105,6 +105,11 @@ fn open_device(path: &Path, bit_rate: u32) -> io::Result<OwnedFd> {
     if !isatty(&descriptor) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "is no serial line"));
     }
+    // Two readers would each get a part of the bytes.
+    flock(&descriptor, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
+        Errno::WOULDBLOCK => io::Error::new(io::ErrorKind::ResourceBusy, "is used by another process"),
+        error => error.into(),
+    })?;
     let mut modes = tcgetattr(&descriptor)?;
     modes.make_raw();
     modes.input_modes -= InputModes::IXON | InputModes::IXOFF;

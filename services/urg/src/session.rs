@@ -5,6 +5,8 @@
 //! for the time (`TM`), and the measurement (`BM`, `MD` or `MS`). When no scan comes for three periods, or a reply for a
 //! second, it begins anew. After three attempts it asks for a new connection.
 
+use std::fmt::Write as _;
+
 use device_clock::{DeviceClock, Event, Settings};
 use shared_types::{BEAMS, Scan};
 
@@ -12,7 +14,7 @@ use crate::UrgError;
 use crate::command::{Command, Measurement};
 use crate::identity::Identity;
 use crate::model::{Parameters, has_valid_sums};
-use crate::parser::{Completed, Parser};
+use crate::parser::{Completed, Parser, ReplyFault};
 use crate::place::Config;
 use crate::resampling::Resampling;
 use crate::start::{Outcome, Step};
@@ -84,7 +86,7 @@ impl Session {
             unverified: None,
             output: Vec::with_capacity(64),
             state: SourceState::Connecting,
-            message: String::new(),
+            message: String::with_capacity(128),
             counters: Counters::default(),
             starts: 0,
         }
@@ -182,8 +184,8 @@ impl Session {
             let Some(completed) = self.parser.push(*byte) else { continue };
             let reading = match completed {
                 Completed::Answer => self.answered(arrived_ns)?,
-                Completed::Scan => self.measured(arrived_ns, scan, false),
-                Completed::BrokenScan(_) => self.measured(arrived_ns, scan, true),
+                Completed::Scan => self.measured(arrived_ns, scan, None),
+                Completed::BrokenScan(fault) => self.measured(arrived_ns, scan, Some(fault)),
                 Completed::Garbage(_) => {
                     self.counters.garbage += 1;
                     None
@@ -197,7 +199,8 @@ impl Session {
     }
 
     /// A scan has come, with ranges or without.
-    fn measured(&mut self, arrived_ns: u64, scan: &mut Scan, is_missing: bool) -> Option<Reading> {
+    fn measured(&mut self, arrived_ns: u64, scan: &mut Scan, fault: Option<ReplyFault>) -> Option<Reading> {
+        let is_missing = fault.is_some();
         let measurement = self.parser.measurement()?;
         if self.phase != Phase::Measuring || !measurement.is_same(&self.measurement) {
             return None;
@@ -221,9 +224,12 @@ impl Session {
         }
         self.deadline_ns = arrived_ns.saturating_add(SILENT_PERIODS * scan.period_ns);
         self.counters.clock_jumps += u64::from(mapped.event != Event::Regular);
-        if !is_missing {
+        self.message.clear();
+        if let Some(fault) = fault {
+            // Writing to a text does not fail.
+            let _ = write!(self.message, "a scan was damaged on the way: {fault}");
+        } else {
             (self.attempts, self.state) = (0, SourceState::Measuring);
-            self.message.clear();
             self.counters.scans += 1;
         }
         let (error_ns, event) = (mapped.error_ns, mapped.event);

@@ -162,12 +162,16 @@ fn a_damaged_scan_is_marked_as_missing_and_costs_no_other() {
     for fault in [DeviceFault::Checksum, DeviceFault::HalfScan, DeviceFault::Garbage(500)] {
         let mut pair = measuring();
         let before = pair.readings.len();
-        pair.inject(fault).run(1_000);
+        pair.inject(fault).run(90);
+        let is_shown = pair.session.message().starts_with("a scan was damaged on the way: ");
+        pair.run(910);
+        assert_eq!(pair.session.message(), "");
         let missing = pair.readings.iter().filter(|(reading, _)| reading.is_missing).count();
         assert!(missing <= 1, "{fault:?}");
         assert!(pair.readings.len() - before >= 9, "{fault:?}: {}", pair.readings.len() - before);
         assert_eq!(pair.session.counters().restarts, 0, "{fault:?}");
         assert!(fault == DeviceFault::Garbage(500) || missing == 1, "{fault:?}");
+        assert!(is_shown || fault != DeviceFault::Checksum, "{fault:?}");
     }
 }
 

@@ -110,6 +110,10 @@ fn scans_come_over_a_serial_line_and_again_after_a_stuck_scanner() {
     let scanner = Scanner::start(port);
     let mut source = source(&device);
     until(&mut source, measures);
+    let mut second = Source::open(Config::new(Place::parse(&device).unwrap()), now_ns);
+    assert_eq!(second.next(0, &mut Scan::default()), Ok(None));
+    assert_eq!(second.message(), format!("{device}: is used by another process"));
+    drop(second);
     scanner.order(Order::Fault(DeviceFault::Stuck));
     until(&mut source, |source, _| source.state() == SourceState::Stalled);
     assert_eq!(source.message(), "no scan comes");
