@@ -202,6 +202,7 @@ impl Solver {
                 }
             }
         }
+        self.chain.reserve(problem.intervals.len(), row_count);
         self.reserve_condensed(problem);
         let gap = self.shooting.gaps.iter().flatten().fold(0.0, |largest: f64, gap| largest.max(gap.abs()));
         gap == 0.0

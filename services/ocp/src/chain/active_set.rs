@@ -15,6 +15,14 @@ use crate::shooting::Shooting;
 /// Violations and multipliers of the wrong sign up to this are rounding errors.
 const TOLERANCE: f64 = 1e-10;
 
+/// The longest horizon for which memory is reserved.
+const RESERVED_INTERVALS: usize = 24;
+
+/// Makes room for `length` values.
+fn reserve<T>(values: &mut Vec<T>, length: usize) {
+    values.reserve(length.saturating_sub(values.len()));
+}
+
 impl Chain {
     /// Searches from the states in `solution`; false where a system is not convex or the rounds do not end.
     pub(super) fn search(
@@ -40,6 +48,21 @@ impl Chain {
             }
         }
         false
+    }
+
+    /// Makes room for all equations of `count` intervals, so that later solves of this size allocate nothing. Longer horizons
+    /// than [`RESERVED_INTERVALS`] make room when they need it.
+    pub(crate) fn reserve(&mut self, count: usize, rows: usize) {
+        let most = 2 * count;
+        if count > RESERVED_INTERVALS || self.equations.capacity() >= rows && self.responses.len() >= most {
+            return;
+        }
+        reserve(&mut self.equations, rows);
+        reserve(&mut self.multipliers, rows);
+        reserve(&mut self.schur, most * most);
+        reserve(&mut self.schur_factor, most * most);
+        self.responses.resize_with(most.max(self.responses.len()), Default::default);
+        self.responses.iter_mut().for_each(|response| response.resize(count));
     }
 
     /// Solves with the states in `solution` as they are, into the path and the multipliers of the equations; false where
@@ -118,6 +141,10 @@ impl Chain {
     /// Responses to the equations and the factor of their Schur complement.
     fn factorise_equations(&mut self, shooting: &Shooting) -> bool {
         let size = self.equations.len();
+        if size > shooting.intervals.len() * 2 {
+            // More equations than controls have no unique solution.
+            return false;
+        }
         if self.responses.len() < size {
             self.responses.resize_with(size, Default::default);
         }

@@ -312,7 +312,7 @@ impl Path {
         }
     }
 
-    fn resize(&mut self, count: usize) {
+    pub(super) fn resize(&mut self, count: usize) {
         self.states.resize(count + 1, [0.0; 5]);
         self.controls.resize(count, [0.0; 2]);
         self.open.resize(count, [0.0; 2]);
