@@ -83,7 +83,7 @@ fn motions_by_hand_show_the_direction_of_the_odometry() {
         );
         assert_eq!(outcomes["stop"], "skipped");
     }
-    // Nobody moves it.
+    // It is not moved.
     let (code, outcomes, report) = check(&system, &["--by-hand", "0.3"]);
     assert_eq!((code, outcomes["ahead"].as_str(), outcomes["left"].as_str()), (Some(1), "failed", "failed"));
     assert!(report["checks"][7]["measured"].as_str().unwrap().contains("by +0.00 m"), "{report:#}");
@@ -111,7 +111,7 @@ fn a_scanner_that_is_missing_fails_and_the_robot_is_not_driven() {
 fn a_scanner_of_another_rate_fails() {
     let system = System::new(EXECUTABLE);
     let file = faulty(&system, &["slow"]);
-    let (code, outcomes, report) = check(&system, &["--by-hand", "0", "--observe", "2", "--system", &file]);
+    let (code, outcomes, report) = check(&system, &["--by-hand", "0", "--system", &file]);
     assert_eq!((code, outcomes["rate"].as_str()), (Some(1), "failed"), "{report:#}");
 }
 

@@ -4,13 +4,15 @@
 //! The way during the delay of the command, as `[vehicle]` describes it, does not count. The rest is v^2 / (2 a).
 //!
 //! Limits: at 0.3 m/s and 5 m/s^2 the distance is 9 mm, near the resolution of an odometer. So the result is the value of
-//! a distance that is longer by this resolution: too small rather than too large.
+//! a distance that is longer by this resolution, and by a delay that differs from its mean: too small rather than too large.
 
 use super::super::feed::Point;
 use super::super::finding::Finding;
 
-/// What the distance may be wrong by: encoder steps, and 5 ms of an unknown delay at 0.4 m/s [m].
+/// What the distance may be wrong by at any speed: encoder steps [m].
 const RESOLUTION_M: f64 = 0.002;
+/// What the delay of a single command may differ from its mean [s].
+const DELAY_ERROR_S: f64 = 0.005;
 /// The speed before the block is the mean over this time [ns].
 const SPEED_NS: u64 = 500_000_000;
 /// At rest, the odometry moves less than this in three samples [m].
@@ -48,13 +50,15 @@ impl Halt {
     /// The deceleration to be entered in `[vehicle]`, rounded down to a tenth [m/s^2].
     pub(super) fn deceleration_mps2(&self) -> f64 {
         let [low, high] = RANGE_MPS2;
-        ((10.0 * self.of_distance(self.distance_m.max(0.0) + RESOLUTION_M)).floor() / 10.0).clamp(low, high)
+        let distance_m = self.distance_m.max(0.0) + self.error_m();
+        let deceleration = self.speed_mps * self.speed_mps / (2.0 * distance_m);
+        ((10.0 * deceleration).floor() / 10.0).clamp(low, high)
     }
 
     /// Passes when the stop may be as short as the description of the vehicle states.
     pub(super) fn finding(&self, described_mps2: f64) -> Finding {
         let Self { speed_mps, distance_m } = *self;
-        let allowed_m = speed_mps * speed_mps / (2.0 * described_mps2) + RESOLUTION_M;
+        let allowed_m = speed_mps * speed_mps / (2.0 * described_mps2) + self.error_m();
         let deceleration = self.deceleration_mps2();
         Finding::of(
             "stop",
@@ -64,8 +68,9 @@ impl Halt {
         )
     }
 
-    fn of_distance(&self, distance_m: f64) -> f64 {
-        self.speed_mps * self.speed_mps / (2.0 * distance_m)
+    /// What the distance may be wrong by [m].
+    fn error_m(&self) -> f64 {
+        RESOLUTION_M + DELAY_ERROR_S * self.speed_mps
     }
 }
 
@@ -89,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_deceleration_is_found_up_to_the_resolution() {
-        for (deceleration, expected) in [(0.5, 0.4), (2.0, 1.9), (5.0, 4.6)] {
+        for (deceleration, expected) in [(0.5, 0.4), (2.0, 1.8), (5.0, 4.2)] {
             let halt = measure(&way(deceleration), 1_030_000_000, 0.02).unwrap();
             let distance_m = 0.25 / (2.0 * deceleration);
             assert!((halt.distance_m - distance_m).abs() < 1e-9 && (halt.speed_mps - 0.5).abs() < 1e-9);
@@ -103,7 +108,7 @@ mod tests {
         let halt = measure(&way(2.0), 1_030_000_000, 0.02).unwrap();
         assert_eq!(halt.finding(2.0).outcome, Outcome::Ok);
         assert_eq!(halt.finding(5.0).outcome, Outcome::Failed);
-        assert!(halt.finding(5.0).measured.ends_with("from 0.50 m/s: at least 1.9 m/s^2"), "{halt:?}");
+        assert!(halt.finding(5.0).measured.ends_with("from 0.50 m/s: at least 1.8 m/s^2"), "{halt:?}");
     }
 
     #[test]
