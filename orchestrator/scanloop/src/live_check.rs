@@ -1,7 +1,7 @@
 //! `scanloop check --live`: what the robot and its scanner really do, one line per check.
 //!
-//! A running system is observed only. Otherwise robot, estimator and obstacle detector of the system are started, and
-//! this command is their orchestrator and actuator: it keeps the wheels blocked. With `--drive` it drives about a metre.
+//! A running system is observed only. Otherwise robot, estimator and obstacle detector of the system are started.
+//! This command is then their orchestrator and actuator: it keeps the wheels blocked, or drives a metre with `--drive`.
 //!
 //! Limits: stamps, rate and returns are judged by what the robot publishes. Whether the ranges are right is seen only
 //! from the state of the scanner, and fully only while the robot drives.

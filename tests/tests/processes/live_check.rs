@@ -13,8 +13,8 @@ fn check(system: &System, arguments: &[&str]) -> (Option<i32>, BTreeMap<String, 
     let output = system.run(&[&["check", "--live", "--json", "--observe", "1"], arguments].concat());
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{message}"));
-    let text = |value: &Value| value.as_str().unwrap().to_owned();
-    let checks = report["checks"].as_array().unwrap().iter();
+    let text = |value: &Value| value.as_str().expect("a text").to_owned();
+    let checks = report["checks"].as_array().expect("a list").iter();
     let outcomes = checks.map(|check| (text(&check["name"]), text(&check["outcome"]))).collect();
     (output.status.code(), outcomes, report)
 }
@@ -30,8 +30,8 @@ fn faulty(system: &System, fault: &[&str]) -> String {
     let text =
         format!("[[process]]\nrole = \"robot\"\ncommand = [{}]\n{}", command.join(", "), others.concat());
     let file = system.folder().join("faulty.toml");
-    std::fs::write(&file, text).unwrap();
-    file.to_str().unwrap().to_owned()
+    std::fs::write(&file, text).expect("a system file");
+    file.to_str().expect("a readable path").to_owned()
 }
 
 #[test]
@@ -155,5 +155,16 @@ fn wrong_usage_and_a_robot_that_ends_have_their_exit_codes() {
         message.contains("the process of the robot ended") && message.contains("gone at scan"),
         "{message}"
     );
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_stop_ends_a_drive() {
+    let mut system = System::new(EXECUTABLE);
+    system.launch(&["check", "--live", "--drive", "--observe", "1"], &[]);
+    system.wait_until("it is about to drive", |system| system.stderr().contains("the robot drives"));
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1), "{}", system.stderr());
+    assert!(!system.stderr().contains(" ok, "), "{}", system.stderr());
     system.assert_nothing_left();
 }

@@ -1,7 +1,8 @@
 //! A system without a controller: robot, estimator and obstacle detector run, and this process commands the wheels.
 //!
 //! It answers each odometry with an actuation: to block, unless a check orders a drive. When it stops answering, the
-//! actuations end and the robot's dead man blocks the wheels. Dropping the bench ends all processes, wheels blocked first.
+//! actuations end and the robot's dead man blocks the wheels. Dropping the bench blocks the wheels, then ends all
+//! processes.
 
 use console::exit::{Exit, Failure};
 use plan::Plan;

@@ -69,7 +69,7 @@ fn jitter(sweeps: &[Sweep], period_s: f64) -> Finding {
     )
 }
 
-/// The age of scans when they are published: outside of two periods the stamps are of another clock, or of another time.
+/// The age of scans when they are published: outside of two periods the stamps are of another clock or time.
 fn stamps(sweeps: &[Sweep], period_s: f64) -> Finding {
     let ages = sweeps.iter().map(|sweep| seconds(sweep.acquired_ns, sweep.published_ns));
     let (low_s, high_s) =

@@ -3,8 +3,8 @@
 //! The distance is that between the place at the block, which the speed before it predicts, and the place of rest.
 //! The way during the delay of the command, as `[vehicle]` describes it, does not count. The rest is v^2 / (2 a).
 //!
-//! Limits: at 0.3 m/s and 5 m/s^2 the distance is 9 mm, near the resolution of an odometer. So the result is the value of
-//! a distance that is longer by this resolution, and by a delay that differs from its mean: too small rather than too large.
+//! Limits: at 0.3 m/s and 5 m/s^2 the distance is 9 mm, near the resolution of an odometer. So the result is the value
+//! of a distance that is longer by this resolution, and by a delay that differs from its mean: rather too small.
 
 use super::super::feed::Point;
 use super::super::finding::Finding;
