@@ -20,6 +20,8 @@ use super::{POLL_NS, interrupted};
 
 /// The directive is repeated this often [ns].
 const REPEAT_NS: u64 = 100_000_000;
+/// Scans before the observation.
+const STARTING_SCANS: usize = 5;
 /// The roles that are started.
 const STARTED: [Role; 3] = [Role::Robot, Role::Estimator, Role::Obstacles];
 
@@ -125,9 +127,9 @@ impl Bench {
 
     /// Observes with blocked wheels from now on for this long [ns].
     pub(super) fn observe(&mut self, duration_ns: u64) -> anyhow::Result<()> {
-        // The first scan of a scanner that starts is late as a rule.
+        // The first scans of processes that just started are late as a rule.
         let start_ns = 2 * self.stop_word.period_ns();
-        self.until(start_ns + duration_ns, |bench| bench.feed.observed.odometries > 1)?;
+        self.until(start_ns + duration_ns, |bench| bench.feed.observed.odometries >= STARTING_SCANS)?;
         self.feed.observed = Default::default();
         self.until(duration_ns, |_| false).map(|_| ())
     }

@@ -25,6 +25,12 @@ const LEGS_M: [f64; 2] = [0.5, 0.4];
 const LEFT_RAD: f64 = 0.08;
 /// Both legs, the way to stop and a reserve must be free in front of the body at the start [m].
 const FREE_M: f64 = 1.5;
+/// The drive ends when the newest scan with ranges is older than this many periods.
+const MAX_SCAN_PERIODS: u64 = 3;
+/// A way by the odometry against the order that is no noise [m].
+const MIN_BACK_M: f64 = 0.05;
+/// Why the drive ended early.
+const NOT_FREE: &str = "something is near, or the scanner does not see: the wheels are blocked";
 /// The drive ends when something is nearer to the front of the body [m].
 const NEAR_M: f64 = 0.4;
 /// Blocked wheels rest within this time [ns].
@@ -105,34 +111,36 @@ fn drive(bench: &mut Bench, system: &System, speed_mps: f64, moved: &mut Moved) 
         WARNING_NS / 1_000_000_000
     );
     bench.until(WARNING_NS, |_| false)?;
-    let start = place(bench);
-    let is_free = leg(bench, &system.vehicle, Order::Drive(speed_mps, 0.0), straight_m)?;
-    let finding = ahead(place(bench).ahead_m - start.ahead_m);
-    let is_ahead = finding.outcome == Outcome::Ok;
-    moved.add(finding);
-    if !is_ahead || !is_free {
-        bench.order(Order::Block);
-        bench.until(REST_NS, |bench| halt::rests(&bench.feed.observed.way))?;
-        moved.skip(if is_free {
-            "`ahead` failed"
-        } else {
-            "something is in the way: the wheels are blocked"
-        });
+    if !is_seen_free(bench, system) {
+        moved.skip(NOT_FREE);
         return Ok(());
     }
     let start = place(bench);
-    let is_free = leg(bench, &system.vehicle, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
+    let is_free = leg(bench, system, Order::Drive(speed_mps, 0.0), straight_m)?;
+    let moved_m = place(bench).ahead_m - start.ahead_m;
+    // The way of a robot that was stopped early is too short to be judged, but its direction is not.
+    if is_free || moved_m < -MIN_BACK_M {
+        moved.add(ahead(moved_m));
+    }
+    if !is_free || moved_m < MIN_AHEAD_M {
+        bench.order(Order::Block);
+        bench.until(REST_NS, |bench| halt::rests(&bench.feed.observed.way))?;
+        moved.skip(if is_free { "`ahead` failed" } else { NOT_FREE });
+        return Ok(());
+    }
+    let start = place(bench);
+    let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
     let end = place(bench);
     if is_free {
         moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD));
     } else {
-        moved.add(Finding::skipped("left", "something is in the way: the wheels are blocked"));
+        moved.add(Finding::skipped("left", NOT_FREE));
     }
     stop(bench, &system.vehicle, moved)
 }
 
-/// Drives until the distance is covered, in whichever direction; false when something is near.
-fn leg(bench: &mut Bench, vehicle: &Description, order: Order, length_m: f64) -> anyhow::Result<bool> {
+/// Drives until the distance is covered, in whichever direction; false when the way is not free any more.
+fn leg(bench: &mut Bench, system: &System, order: Order, length_m: f64) -> anyhow::Result<bool> {
     let Order::Drive(speed_mps, _) = order else { return Ok(true) };
     let start_m = place(bench).ahead_m;
     // Three times as long as at this speed, and the time to accelerate: a robot may be slower before its calibration.
@@ -140,10 +148,19 @@ fn leg(bench: &mut Bench, vehicle: &Description, order: Order, length_m: f64) ->
     let mut is_free = true;
     bench.order(order);
     bench.until(limit_ns, |bench| {
-        is_free = bench.feed.newest_scan.as_ref().is_none_or(|scan| free_ahead_m(scan, vehicle) >= NEAR_M);
+        is_free = is_seen_free(bench, system);
         !is_free || (place(bench).ahead_m - start_m).abs() >= length_m
     })?;
     Ok(is_free)
+}
+
+/// Whether a scanner that works sees nothing near in the way of the robot.
+fn is_seen_free(bench: &Bench, system: &System) -> bool {
+    let feed = &bench.feed;
+    let oldest_ns = place(bench).at_ns.saturating_sub(MAX_SCAN_PERIODS * system.period_ns());
+    let is_stop = feed.observed.health.is_some_and(|health| health.state().is_stop());
+    let scan = feed.newest_scan.as_ref().filter(|scan| scan.header.acquired_ns >= oldest_ns);
+    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
 }
 
 /// Blocks the wheels and measures how the robot comes to rest.

@@ -13,6 +13,8 @@ use super::super::finding::Finding;
 const RESOLUTION_M: f64 = 0.002;
 /// What the delay of a single command may differ from its mean [s].
 const DELAY_ERROR_S: f64 = 0.005;
+/// A single stop may take this much longer than described: delays of the command and of a busy computer [s].
+const TOLERANCE_S: f64 = 0.02;
 /// The speed before the block is the mean over this time [ns].
 const SPEED_NS: u64 = 500_000_000;
 /// At rest, the odometry moves less than this in three samples [m].
@@ -58,7 +60,8 @@ impl Halt {
     /// Passes when the stop may be as short as the description of the vehicle states.
     pub(super) fn finding(&self, described_mps2: f64) -> Finding {
         let Self { speed_mps, distance_m } = *self;
-        let allowed_m = speed_mps * speed_mps / (2.0 * described_mps2) + self.error_m();
+        let allowed_m =
+            speed_mps * speed_mps / (2.0 * described_mps2) + RESOLUTION_M + TOLERANCE_S * speed_mps;
         let deceleration = self.deceleration_mps2();
         Finding::of(
             "stop",
