@@ -10,6 +10,7 @@ use session::arguments::{AdoptArguments, RunArguments};
 use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::live_check::LiveArguments;
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
@@ -51,7 +52,13 @@ pub enum Command {
     /// A process is identified by process id, start time, system and incarnation; no other process is touched. Exit
     /// code 2 if there is nothing to adopt.
     Adopt(AdoptArguments),
-    /// Validate scenario and system files and print the graph of processes and topics.
+    /// Validate scenario and system files and print the graph of processes and topics; with `--live`, check a robot.
+    ///
+    /// `--live` checks what robot and scanner really do: rate, jitter, stamps and returns of the scans, state of the
+    /// scanner, odometry, its direction when the robot is moved, and the stop. A system that runs is only observed.
+    /// Exit code 1 if a check failed, 4 if a process could not be started or ended. JSON keys: `system_id`, `system`
+    /// (`running`, `started`), `checks` with `name`, `outcome` (`ok`, `failed`, `skipped`), `measured`, `allowed`; `ok`,
+    /// `failed`, `skipped`, `blocked_deceleration_mps2` (null unless it was measured).
     Check(CheckArguments),
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     ///
@@ -186,6 +193,9 @@ pub struct CheckArguments {
     /// Print the names of the shipped scenarios to standard output.
     #[arg(long)]
     pub list: bool,
+    /// Options of `--live`.
+    #[command(flatten)]
+    pub live: LiveArguments,
 }
 
 /// Arguments of `campaign`.

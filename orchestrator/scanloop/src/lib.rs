@@ -7,6 +7,7 @@ mod campaign;
 mod check;
 pub mod cli;
 mod cores;
+pub mod live_check;
 mod live_latency;
 mod price;
 mod reference;
@@ -93,6 +94,9 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Bench(command) => {
             runtime::start_logging();
             bench::bench(&cli.system_id, command)
+        }
+        Command::Check(arguments) if arguments.live.live => {
+            live_check::check(&cli.system_id, &arguments.live, &arguments.choice)
         }
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),

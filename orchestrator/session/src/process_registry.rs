@@ -154,6 +154,15 @@ impl RunFile {
     }
 }
 
+/// The system of a run, and whether time is simulated.
+///
+/// # Errors
+/// A run file that is absent or can't be read.
+pub fn driven_system(domain: &Domain) -> anyhow::Result<(System, bool)> {
+    let (run, _) = RunFile::read(domain)?;
+    Ok((run.system, run.lockstep))
+}
+
 fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::Result<T> {
     let text = domain.folder().read_text(name)?;
     toml::from_str(&text).with_context(|| format!("{}", domain.directory().join(name).display()))

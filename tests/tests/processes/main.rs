@@ -11,6 +11,7 @@ mod ladder;
 mod languages;
 mod ledger;
 mod live;
+mod live_check;
 mod operator;
 mod other_user;
 mod output;
