@@ -105,7 +105,7 @@ class Device:
             yaw = pose.yaw_rad + FIRST_BEAM_YAW_RAD + beam * PITCH_RAD
             cos, sin = math.cos(yaw), math.sin(yaw)
             along = (40.0 - pose.x_m) / cos if cos > 0 else (3.0 + pose.x_m) / -cos
-            across = (3.5 - pose.y_m) / sin if sin > 0 else (3.5 + pose.y_m) / min(-sin, -1e-9)
-            range_m = min(along, abs(across))
-            ranges.append(int(range_m * 1e3 + self._random.random() * 20 - 10) if range_m < 4.0 else 0)
+            across = (3.5 - pose.y_m) / sin if sin > 0 else (3.5 + pose.y_m) / max(-sin, 1e-9)
+            range_m = min(along, across)
+            ranges.append(int(range_m * 1e3 + self._random.random() * 20 - 10) if range_m < 5.6 else 0)
         return ranges

@@ -65,7 +65,7 @@ const BROKEN: u64 = 23;
 /// Distances of the walls from the start: behind, ahead, and to either side [m].
 const WALLS_M: [f64; 3] = [3.0, 40.0, 3.5];
 /// Ranges beyond this have no return [m].
-const FAR_M: f64 = 4.0;
+const FAR_M: f64 = 5.6;
 /// The robot drives this much slower than it is told.
 const VELOCITY_FACTOR: f64 = 1.4;
 /// Curvature of the path per steering angle [1/(m rad)].
