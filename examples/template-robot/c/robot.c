@@ -17,7 +17,7 @@
 #define SLACK 1e-9           /* rounding of what was limited to these values */
 #define REST_MPS 1e-3        /* below this speed the wheels rest */
 #define TURN 6.283185307179586
-#define KEPT 64              /* states of the base, more than it sends in two scan periods */
+#define MAX_STATES 64              /* states of the base, more than it sends in two scan periods */
 
 /* The clock of one device. A restart of the device starts the mapping anew. */
 struct device_clock {
@@ -36,7 +36,7 @@ struct driver {
     scanloop_process *process;
     struct device device;
     struct device_clock scanner_clock, base_clock;
-    struct state states[KEPT]; /* a ring, `count` were added */
+    struct state states[MAX_STATES]; /* a ring, `count` were added */
     unsigned count;
     struct pose origin; /* of the base since its last restart */
     int waits;          /* a sweep that waits for the odometry after it */
@@ -78,7 +78,7 @@ static struct pose from(const struct pose *origin, const struct pose *pose) {
 
 /* Adds a state. After a restart the base counts from zero again; the robot has not moved by that. */
 static void add_state(struct driver *driver, uint64_t time_ns, const struct pose *reported, int restarted) {
-    const struct state *last = driver->count > 0 ? &driver->states[(driver->count - 1) % KEPT] : NULL;
+    const struct state *last = driver->count > 0 ? &driver->states[(driver->count - 1) % MAX_STATES] : NULL;
     if (restarted && last != NULL) {
         struct pose turn = {0.0, 0.0, last->pose.yaw_rad - reported->yaw_rad, 0.0};
         struct pose moved = from(&turn, reported);
@@ -86,14 +86,14 @@ static void add_state(struct driver *driver, uint64_t time_ns, const struct pose
             (struct pose){last->pose.x_m - moved.x_m, last->pose.y_m - moved.y_m, turn.yaw_rad, 0.0};
     }
     if (last == NULL || time_ns > last->time_ns) {
-        driver->states[driver->count++ % KEPT] = (struct state){time_ns, from(&driver->origin, reported)};
+        driver->states[driver->count++ % MAX_STATES] = (struct state){time_ns, from(&driver->origin, reported)};
     }
 }
 
 /* The pose at a time between two states; 0 when there are none, or when they are too far apart. */
 static int pose_at(const struct driver *driver, uint64_t time_ns, struct pose *pose) {
-    for (unsigned index = driver->count; index > 1 && index + KEPT > driver->count + 1; index--) {
-        const struct state *late = &driver->states[(index - 1) % KEPT], *early = &driver->states[(index - 2) % KEPT];
+    for (unsigned index = driver->count; index > 1 && index + MAX_STATES > driver->count + 1; index--) {
+        const struct state *late = &driver->states[(index - 1) % MAX_STATES], *early = &driver->states[(index - 2) % MAX_STATES];
         if (time_ns > late->time_ns) {
             return 0;
         }
@@ -143,7 +143,7 @@ static int obey(struct driver *driver, const scanloop_directive *directive) {
     return result;
 }
 
-/* Tells `scanloop stop` what the wheels do. */
+/* Reports to `scanloop stop` what the wheels do. */
 static void report(const struct driver *driver) {
     uint32_t standing = fabs(driver->speed_mps) > REST_MPS ? SCANLOOP_BLOCKED : SCANLOOP_RESTING;
     scanloop_report_wheels(driver->process, driver->drives ? SCANLOOP_TURNING : standing);

@@ -22,7 +22,7 @@ POLL_NS = 5_000_000  # the device is polled this often, also when no actuation c
 END_NS = 800_000_000  # a process that is asked to end is killed after one second
 VELOCITY_MAX_MPS, STEERING_MAX_RAD, SLACK = 2.0, 0.12, 1e-9  # what the actuator may send; else it is not obeyed
 REST_MPS = 1e-3  # below this speed the wheels rest
-KEPT = 64  # states of the base, more than it sends in two scan periods
+MAX_STATES = 64  # states of the base, more than it sends in two scan periods
 
 
 class DeviceClock:
@@ -59,7 +59,7 @@ class History:
     """The newest states of the base, without a jump when it starts again at zero."""
 
     def __init__(self):
-        self._states, self._origin = collections.deque(maxlen=KEPT), Pose()
+        self._states, self._origin = collections.deque(maxlen=MAX_STATES), Pose()
 
     def add(self, time_ns, reported, restarted):
         """Adds a state. After a restart the base counts from zero again; the robot has not moved by that."""
@@ -135,7 +135,7 @@ class Driver:
         self._told_ns = None
 
     def _report(self):
-        """Tells `scanloop stop` what the wheels do."""
+        """Reports to `scanloop stop` what the wheels do."""
         standing = Wheels.BLOCKED if abs(self._speed_mps) > REST_MPS else Wheels.RESTING
         self._process.report_wheels(standing if self._told_ns is None else Wheels.TURNING)
 

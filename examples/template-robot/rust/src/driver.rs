@@ -104,7 +104,7 @@ impl Driver {
         self.told_ns = None;
     }
 
-    /// Tells `scanloop stop` what the wheels do.
+    /// Reports to `scanloop stop` what the wheels do.
     fn report(&self, process: &Process) {
         process.report_wheels(match self.told_ns {
             Some(_) => Wheels::Turning,
@@ -128,7 +128,7 @@ impl Driver {
         }
     }
 
-    /// Whether a front beam is after the one before; says so when there was a gap.
+    /// Whether a front beam is after the one before; logs a gap.
     fn is_next(&self, front_ns: u64, period_ns: u64) -> bool {
         let last_ns = self.last.header.acquired_ns;
         let since_ns = front_ns.saturating_sub(last_ns);

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::f64::consts::{PI, TAU};
 
 /// States that are kept: more than a base sends in two scan periods.
-const KEPT: usize = 64;
+const MAX_STATES: usize = 64;
 
 /// Pose and speed of the base.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -72,7 +72,7 @@ impl History {
         if last.is_some_and(|(last_ns, _)| time_ns <= last_ns) {
             return;
         }
-        if self.states.len() == KEPT {
+        if self.states.len() == MAX_STATES {
             self.states.pop_front();
         }
         self.states.push_back((time_ns, reported.from(self.origin)));

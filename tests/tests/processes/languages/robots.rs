@@ -1,6 +1,7 @@
 //! The drivers that users copy for a robot of their own, with the simulated devices that they come with.
 
 use std::path::PathBuf;
+use std::process::Output;
 
 use conformance::{Outcome as CaseOutcome, Report as Suite};
 use emulator::{JudgedBy, Outcome};
@@ -35,23 +36,26 @@ fn drivers(system: &System, test: &str) -> Vec<(&'static str, Vec<String>, &'sta
 #[test]
 fn drivers_to_be_copied_honour_all_that_is_asked_of_a_real_robot() {
     let system = System::new(EXECUTABLE);
-    for (language, command, rate_hz) in drivers(&system, "drivers_to_be_copied_honour_all, the driver") {
-        let output = system
-            .command(&["conformance", "robot", "--json", "--rate", rate_hz, "--"])
-            .args(command)
-            .output()
-            .unwrap();
-        let text = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(0), "{language}: {text}");
-        let suite: Suite = serde_json::from_slice(&output.stdout).unwrap();
-        let failed = suite.cases.iter().filter(|case| case.outcome != CaseOutcome::Passed);
-        let failed: Vec<&str> = failed.map(|case| case.name.as_str()).collect();
-        assert_eq!(failed, NOT_FOR_REAL_ROBOTS, "{language}: {text}");
-        // Its device restarts and breaks sweeps off, so the cases about that have something to find.
-        let gaps = suite.cases.iter().find(|case| case.name == "gaps").unwrap();
-        assert!(!gaps.reason.starts_with("0 of"), "{language}: {}", gaps.reason);
-    }
+    let drivers = drivers(&system, "drivers_to_be_copied_honour_all, the driver");
+    std::thread::scope(|scope| {
+        for (language, command, rate_hz) in &drivers {
+            let mut suite = system.command(&["conformance", "robot", "--json", "--rate", rate_hz, "--"]);
+            scope.spawn(move || honours_all(language, &suite.args(command).output().unwrap()));
+        }
+    });
     system.assert_nothing_left();
+}
+
+fn honours_all(language: &str, output: &Output) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{language}: {text}");
+    let suite: Suite = serde_json::from_slice(&output.stdout).unwrap();
+    let failed = suite.cases.iter().filter(|case| case.outcome != CaseOutcome::Passed);
+    let failed: Vec<&str> = failed.map(|case| case.name.as_str()).collect();
+    assert_eq!(failed, NOT_FOR_REAL_ROBOTS, "{language}: {text}");
+    // Its device restarts and breaks sweeps off, so the cases about that have something to find.
+    let gaps = suite.cases.iter().find(|case| case.name == "gaps").unwrap();
+    assert!(!gaps.reason.starts_with("0 of"), "{language}: {}", gaps.reason);
 }
 
 #[test]
