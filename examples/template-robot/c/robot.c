@@ -93,7 +93,8 @@ static void add_state(struct driver *driver, uint64_t time_ns, const struct pose
 /* The pose at a time between two states; 0 when there are none, or when they are too far apart. */
 static int pose_at(const struct driver *driver, uint64_t time_ns, struct pose *pose) {
     for (unsigned index = driver->count; index > 1 && index + MAX_STATES > driver->count + 1; index--) {
-        const struct state *late = &driver->states[(index - 1) % MAX_STATES], *early = &driver->states[(index - 2) % MAX_STATES];
+        const struct state *late = &driver->states[(index - 1) % MAX_STATES];
+        const struct state *early = &driver->states[(index - 2) % MAX_STATES];
         if (time_ns > late->time_ns) {
             return 0;
         }

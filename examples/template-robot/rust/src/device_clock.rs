@@ -3,8 +3,8 @@
 //! Data arrive later than they are stamped, so the smallest arrival minus stamp has the smallest delay. This is the
 //! short form without an error bound.
 
-/// More than two crystals drift apart [ns per s].
-const DRIFT_NS_PER_S: i64 = 200_000;
+/// Two crystals drift apart by less than one part in this many: 200 ppm.
+const DRIFT: i64 = 5000;
 
 /// The clock of one device. A restart of the device starts the mapping anew.
 #[derive(Debug, Default)]
@@ -26,8 +26,7 @@ impl DeviceClock {
             self.offset_ns = None;
         }
         let aged_ns = arrived_ns.saturating_sub(self.arrived_ns).cast_signed();
-        let drifted_ns = aged_ns / 1_000_000_000 * DRIFT_NS_PER_S + aged_ns % 1_000_000_000 / 5000;
-        let offset_ns = self.offset_ns.map_or(found_ns, |known_ns| found_ns.min(known_ns + drifted_ns));
+        let offset_ns = self.offset_ns.map_or(found_ns, |known_ns| found_ns.min(known_ns + aged_ns / DRIFT));
         (self.offset_ns, self.stamp_ns, self.arrived_ns) = (Some(offset_ns), stamp_ns, arrived_ns);
         stamp_ns.saturating_add_signed(offset_ns)
     }

@@ -1,4 +1,4 @@
-//! What every driver of a robot must do: stamps on CLOCK_MONOTONIC, whole scans only, and wheels that stop by themselves.
+//! What every driver of a robot must do: stamps on CLOCK_MONOTONIC, whole scans only, wheels that stop by themselves.
 
 use std::rc::Rc;
 

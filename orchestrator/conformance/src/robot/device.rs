@@ -44,8 +44,8 @@ pub(crate) const CASES: [Case; 6] = [
         .because("A base that restarts counts from zero again, and the estimate would follow it."),
     Case::required("half-a-scan", half_a_scan)
         .demands(
-            "A scan has the ranges of one whole sweep: its first or last beams are not left at zero, and half of it is not \
-             that of the scan before.",
+            "A scan has the ranges of one whole sweep: its first or last beams are not left at zero, and half of it is \
+             not that of the scan before.",
         )
         .because("The rest of a sweep that broke off looks free, or shows what was there before."),
     Case::required("counts-up", counts_up)
