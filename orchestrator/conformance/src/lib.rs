@@ -133,7 +133,10 @@ fn cases(role: Role) -> Vec<Case> {
         all.push(answers::LOST_STATE);
     }
     match role {
-        Role::Robot => all.extend(robot::CASES),
+        Role::Robot => {
+            all.extend(robot::CASES);
+            all.extend(robot::device::CASES);
+        }
         Role::Estimator => all.extend(estimator::CASES),
         Role::Obstacles => {
             all.extend(obstacles::CASES);

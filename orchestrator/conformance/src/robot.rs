@@ -2,6 +2,7 @@
 //!
 //! Its motion is judged by its own odometry and its own stamps, so nothing depends on when the test bench polls.
 
+pub(crate) mod device;
 mod motion;
 
 use shared_types::{Odometry, Phase, Topic};
