@@ -115,8 +115,8 @@ mod tests {
         let lines: Vec<&str> = text.lines().collect();
         let wall = lines.iter().position(|line| !line.trim().is_empty()).unwrap();
         let scanner = lines.iter().position(|line| line.contains('o')).unwrap();
-        // 10 dots a metre: 4 of them are a row.
-        assert_eq!((wall, scanner, lines.len()), (2, 5, 15), "\n{text}");
+        // 20 dots a metre: 4 of them are a row.
+        assert_eq!((wall, scanner, lines.len()), (5, 10, 15), "\n{text}");
         assert!(lines[wall].trim().chars().count() > 12, "\n{text}");
     }
 }
