@@ -1,4 +1,6 @@
-//! A solve allocates nothing once its buffers have grown to the size of its problems.
+//! A solve allocates nothing once its buffers have grown to the size of its problems, and a scanner's driver nothing per
+//! scan.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 #[path = "../../services/ocp/tests/problems/mod.rs"]
 mod problems;
@@ -6,6 +8,8 @@ mod problems;
 use ocp::{Budget, Hessian, Problem, Solution, Solver, SolverSettings, Trajectory};
 use problems::random;
 use scanloop_bench::{CountingAllocator, allocations};
+use shared_types::Scan;
+use urg::{Config, DeviceFault, Emulator, Place, Session};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
@@ -46,4 +50,45 @@ fn a_solve_allocates_nothing_after_warm_up() {
     let before = allocations();
     drop(std::hint::black_box(vec![1]));
     assert_eq!(allocations(), before + 1);
+}
+
+/// The bytes of an emulated scanner in pieces of at most 500, each with its time, until `end_ms`.
+fn deliver(session: &mut Session, emulator: &mut Emulator, begin_ms: u64, end_ms: u64) -> (u64, u64) {
+    let (mut scans, mut allocated) = (0, 0);
+    let mut scan = Scan::default();
+    for now_ns in (begin_ms..end_ms).map(|ms| ms * 1_000_000) {
+        session.poll(now_ns);
+        emulator.receive(session.output(), now_ns);
+        session.sent(usize::MAX);
+        emulator.advance(now_ns);
+        let bytes: Vec<u8> = emulator.output().drain(..).collect();
+        let before = allocations();
+        for piece in bytes.chunks(500) {
+            let mut taken = 0;
+            while taken < piece.len() {
+                let (count, reading) = session.receive(&piece[taken..], now_ns, &mut scan).unwrap();
+                taken += count;
+                scans += u64::from(reading.is_some());
+            }
+        }
+        allocated += allocations() - before;
+    }
+    (scans, allocated)
+}
+
+#[test]
+fn a_scan_of_a_scanner_allocates_nothing_after_the_start() {
+    let mut session = Session::new(Config::new(Place::parse("/dev/none").unwrap()));
+    let mut emulator = Emulator::in_a_room(0);
+    session.connected(0);
+    let (scans, allocated) = deliver(&mut session, &mut emulator, 0, 3_000);
+    assert!(
+        scans > 10 && allocated > 0,
+        "{scans} scans, {allocated} allocations: the start reads parameters"
+    );
+    // Damaged ones as well.
+    emulator.inject(DeviceFault::Checksum, 3_000_000_000);
+    let (scans, allocated) = deliver(&mut session, &mut emulator, 3_000, 60_000);
+    assert!(scans > 560, "{scans}");
+    assert_eq!(allocated, 0);
 }

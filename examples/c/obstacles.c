@@ -22,6 +22,8 @@
 #define REMEMBERED_S 10.0  /* a body is forgotten when nothing was seen of it for so long */
 #define BEHIND_M 3.0       /* a body that is further behind is forgotten */
 #define BODY_M 0.44        /* half the diagonal of the robot's body, plus 0.1 m */
+#define PASSING_M 0.3      /* half its width while it passes a body at a small angle, plus 0.08 m */
+#define ROOM 1.12          /* an ellipse that is wider by this factor holds the corners of a body without being long */
 #define WIDE_M 2.0         /* a wider body is a wall */
 #define STATE_KIND 0xb0d10002u /* number of this kind of state: `struct memory` */
 
@@ -48,7 +50,7 @@ struct memory {
 };
 
 struct settings {
-    double theta_m, long_axis_m, ratio, depth_m, walls, band_m, beside_m, y_m[2];
+    double long_axis_m, ratio, depth_m, walls, band_m, beside_m, y_m[2];
 };
 
 static double setting(scanloop_process *process, const char *key, double otherwise) {
@@ -58,7 +60,6 @@ static double setting(scanloop_process *process, const char *key, double otherwi
 
 static struct settings read_settings(scanloop_process *process) {
     return (struct settings){
-        .theta_m = setting(process, "safety_distance_m", 0.2),
         .long_axis_m = setting(process, "long_axis_m", 1.2),
         .ratio = setting(process, "long_axis_ratio", 1.15),
         .depth_m = setting(process, "unseen_depth_m", 0.1),
@@ -174,12 +175,11 @@ static void forget(struct memory *memory, const struct view *view) {
 static scanloop_obstacle draw(const struct body *body, const struct settings *settings) {
     double length = body->box.high[0] - body->box.low[0], width = body->box.high[1] - body->box.low[1];
     double x = (body->box.low[0] + body->box.high[0]) / 2, y = (body->box.low[1] + body->box.high[1]) / 2;
-    double b = width + 2 * settings->theta_m;
+    double b = ROOM * (width / 2 + PASSING_M);
     /* Past a wide body there is no way anyhow: its ellipse need not be long. */
     double a = width < WIDE_M ? fmax(settings->long_axis_m, settings->ratio * b) : settings->long_axis_m;
     /* A deep body needs a longer ellipse: its corners keep their distance too. */
-    double height = fmin((width / 2 + 0.3) / b, 0.95);
-    a = fmax(a, (length / 2 + BODY_M) / sqrt(1 - height * height));
+    a = fmax(a, (length / 2 + BODY_M) / sqrt(1 - 1 / (ROOM * ROOM)));
     return (scanloop_obstacle){
         .id = body->number, .body = body->number,
         .x_m = x, .y_m = y, .a_m = fmin(a, 100.0), .b_m = fmin(b, 100.0),

@@ -281,6 +281,19 @@ _Static_assert(offsetof(scanloop_blocking, id) == 32, "scanloop_blocking.id");
 _Static_assert(offsetof(scanloop_blocking, reserved) == 36, "scanloop_blocking.reserved");
 
 /* A part of samples. */
+typedef struct scanloop_sides {
+    double left_objective; /* Objective of the plan that passes the obstacle on its left, negative without such a plan */
+    double right_objective; /* The same on its right */
+    uint32_t id; /* Identity of the ellipse, 0 when no sides were compared */
+    uint32_t reserved; /* Unused, zero */
+} scanloop_sides;
+_Static_assert(sizeof(scanloop_sides) == 24, "scanloop_sides");
+_Static_assert(offsetof(scanloop_sides, left_objective) == 0, "scanloop_sides.left_objective");
+_Static_assert(offsetof(scanloop_sides, right_objective) == 8, "scanloop_sides.right_objective");
+_Static_assert(offsetof(scanloop_sides, id) == 16, "scanloop_sides.id");
+_Static_assert(offsetof(scanloop_sides, reserved) == 20, "scanloop_sides.reserved");
+
+/* A part of samples. */
 typedef struct scanloop_plan_node {
     double x_m; /* Position along the track [m] */
     double y_m; /* Lateral position [m] */
@@ -508,11 +521,12 @@ typedef struct scanloop_command {
     double speed_limit_mps; /* Largest velocity at which the robot can still stop in time [m/s] */
     scanloop_margin margin; /* The clearance that the plan keeps */
     scanloop_blocking blocking; /* The obstacle that a stop is for */
+    scanloop_sides sides; /* What passing an obstacle on each side would cost */
     uint32_t plan_length; /* How many of `plan` are used */
     uint32_t reserved; /* Unused, zero */
     scanloop_plan_node plan[25]; /* The planned nodes */
 } scanloop_command;
-_Static_assert(sizeof(scanloop_command) == 1792, "scanloop_command");
+_Static_assert(sizeof(scanloop_command) == 1816, "scanloop_command");
 _Static_assert(offsetof(scanloop_command, header) == 0, "scanloop_command.header");
 _Static_assert(offsetof(scanloop_command, kind) == 192, "scanloop_command.kind");
 _Static_assert(offsetof(scanloop_command, level) == 196, "scanloop_command.level");
@@ -534,9 +548,10 @@ _Static_assert(offsetof(scanloop_command, plan_interval_s) == 288, "scanloop_com
 _Static_assert(offsetof(scanloop_command, speed_limit_mps) == 296, "scanloop_command.speed_limit_mps");
 _Static_assert(offsetof(scanloop_command, margin) == 304, "scanloop_command.margin");
 _Static_assert(offsetof(scanloop_command, blocking) == 344, "scanloop_command.blocking");
-_Static_assert(offsetof(scanloop_command, plan_length) == 384, "scanloop_command.plan_length");
-_Static_assert(offsetof(scanloop_command, reserved) == 388, "scanloop_command.reserved");
-_Static_assert(offsetof(scanloop_command, plan) == 392, "scanloop_command.plan");
+_Static_assert(offsetof(scanloop_command, sides) == 384, "scanloop_command.sides");
+_Static_assert(offsetof(scanloop_command, plan_length) == 408, "scanloop_command.plan_length");
+_Static_assert(offsetof(scanloop_command, reserved) == 412, "scanloop_command.reserved");
+_Static_assert(offsetof(scanloop_command, plan) == 416, "scanloop_command.plan");
 
 /* Topic actuation, published once per command, and when the actuator blocks the wheels by itself. */
 typedef struct scanloop_actuation {
@@ -852,7 +867,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.box_yaw_rad", items[0].box_yaw_rad),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.unseen_s", items[0].unseen_s),
     SCANLOOP_VALUE("obstacles", scanloop_obstacles, "items.sightings", items[0].sightings),
-    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v2"),
+    SCANLOOP_SAMPLE("command", scanloop_command, "scanloop.Command.v3"),
     SCANLOOP_STRUCT("command", scanloop_command, "header", "Header", header),
     SCANLOOP_VALUE("command", scanloop_command, "header.layout", header.layout),
     SCANLOOP_VALUE("command", scanloop_command, "header.incarnation", header.incarnation),
@@ -895,6 +910,11 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("command", scanloop_command, "blocking.needed_m", blocking.needed_m),
     SCANLOOP_VALUE("command", scanloop_command, "blocking.id", blocking.id),
     SCANLOOP_VALUE("command", scanloop_command, "blocking.reserved", blocking.reserved),
+    SCANLOOP_STRUCT("command", scanloop_command, "sides", "Sides", sides),
+    SCANLOOP_VALUE("command", scanloop_command, "sides.left_objective", sides.left_objective),
+    SCANLOOP_VALUE("command", scanloop_command, "sides.right_objective", sides.right_objective),
+    SCANLOOP_VALUE("command", scanloop_command, "sides.id", sides.id),
+    SCANLOOP_VALUE("command", scanloop_command, "sides.reserved", sides.reserved),
     SCANLOOP_VALUE("command", scanloop_command, "plan_length", plan_length),
     SCANLOOP_VALUE("command", scanloop_command, "reserved", reserved),
     SCANLOOP_STRUCTS("command", scanloop_command, "plan", "PlanNode", plan),

@@ -245,6 +245,17 @@ class Blocking(ctypes.Structure):
     ]
 
 
+class Sides(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("left_objective", ctypes.c_double),  # Objective of the plan that passes the obstacle on its left, negative without such a plan
+        ("right_objective", ctypes.c_double),  # The same on its right
+        ("id", ctypes.c_uint32),  # Identity of the ellipse, 0 when no sides were compared
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+    ]
+
+
 class PlanNode(ctypes.Structure):
     """A part of samples."""
 
@@ -416,7 +427,7 @@ class Command(ctypes.Structure):
     """Topic command, published once per scan, when pose and obstacles are there."""
 
     TOPIC = "command"
-    LAYOUT = 0xeb8f54b7
+    LAYOUT = 0xc97f10a6
     _fields_ = [
         ("header", Header),  # Identity and stamps
         ("kind", ctypes.c_uint32),  # What the controller asks for, `CommandKind`
@@ -439,6 +450,7 @@ class Command(ctypes.Structure):
         ("speed_limit_mps", ctypes.c_double),  # Largest velocity at which the robot can still stop in time [m/s]
         ("margin", Margin),  # The clearance that the plan keeps
         ("blocking", Blocking),  # The obstacle that a stop is for
+        ("sides", Sides),  # What passing an obstacle on each side would cost
         ("plan_length", ctypes.c_uint32),  # How many of `plan` are used
         ("reserved", ctypes.c_uint32),  # Unused, zero
         ("plan", PlanNode * 25),  # The planned nodes
@@ -446,7 +458,7 @@ class Command(ctypes.Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Command.v2"
+        return "scanloop.Command.v3"
 
 
 class Actuation(ctypes.Structure):

@@ -135,9 +135,23 @@ layout! {
     }
 }
 
+layout! {
+    /// Both sides of an obstacle, when a plan was solved for each.
+    pub struct Sides(24) {
+        /// Objective of the plan that passes the obstacle on its left, negative without such a plan
+        pub left_objective: f64,
+        /// The same on its right
+        pub right_objective: f64,
+        /// Identity of the ellipse, 0 when no sides were compared
+        pub id: u32,
+        /// Unused, zero
+        pub reserved: u32,
+    }
+}
+
 sample! {
     /// One verified command per scan, with the plan that it begins.
-    pub struct Command(1792, Command, 0xeb8f_54b7, "scanloop.Command.v2", check) {
+    pub struct Command(1816, Command, 0xc97f_10a6, "scanloop.Command.v3", check) {
         /// Identity and stamps
         pub header: Header,
         /// What the controller asks for, `CommandKind`
@@ -180,6 +194,8 @@ sample! {
         pub margin: Margin,
         /// The obstacle that a stop is for
         pub blocking: Blocking,
+        /// What passing an obstacle on each side would cost
+        pub sides: Sides,
         /// How many of `plan` are used
         pub plan_length: u32,
         /// Unused, zero

@@ -36,7 +36,7 @@ pub use actuation::{Actuation, ActuationKind, BlockReason};
 pub use authority::{Admission, Authority, AuthorityFilter};
 pub use checkpoint::{CHECKPOINT_BYTES, Checkpoint, CheckpointError};
 pub use command::{
-    Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, SolveStatus, StopReason,
+    Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, Sides, SolveStatus, StopReason,
 };
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};

@@ -4,6 +4,7 @@ pub mod audit;
 mod delays;
 pub mod namespace;
 pub mod operator;
+pub mod player_server;
 pub mod soak;
 pub mod stranger;
 pub mod swaps;

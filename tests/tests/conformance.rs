@@ -92,7 +92,7 @@ const FAULTS: [(&str, &str, &str, &[&str]); 60] = [
 ];
 
 /// Faults of robots whose cases can be played in one go, because no case hides another.
-const ROBOT_FAULTS: [(&str, &[&str]); 8] = [
+const ROBOT_FAULTS: [(&str, &[&str]); 18] = [
     ("halves", &["scans"]),
     ("stamps", &["header"]),
     ("nan", &["valid-values"]),
@@ -101,6 +101,16 @@ const ROBOT_FAULTS: [(&str, &[&str]); 8] = [
     ("truthless", &["truth"]),
     ("runs-ahead", &["grants"]),
     ("random", &["repeatable"]),
+    ("foreign", &["foreign-clock"]),
+    ("drifts", &["foreign-clock"]),
+    ("arrival", &["foreign-clock"]),
+    ("jittery", &["jitter"]),
+    ("fills", &["gaps"]),
+    ("resets", &["device-restart"]),
+    ("half", &["half-a-scan"]),
+    ("old-half", &["half-a-scan"]),
+    ("backwards", &["counts-up"]),
+    ("apart", &["counts-up"]),
 ];
 
 #[test]

@@ -1,15 +1,16 @@
 //! The orchestrator's view of the loop: all topics, in the order of scans.
 //!
 //! Topics are polled one after the other, so their samples come in any order. Here they wait until their scan is
-//! complete: its truth and its actuation have arrived, or later scans show that no answer will come.
+//! complete: its truth and its actuation have arrived, or later scans show that no answer will come. Of a robot that
+//! publishes no truth, scan and actuation complete it; a scan that was not observed is known by its actuation.
 //! In lock-step the result does not depend on when the topics were polled.
 
 use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
 use shared_types::{
-    Actuation, Admission, AuthorityFilter, Command, Directive, Fault, Obstacles, Odometry, Pose, Rule,
-    Sample, Scan, Topic, Truth, YOUNG_NS,
+    Actuation, Admission, AuthorityFilter, Command, Directive, Fault, Header, Obstacles, Odometry, Pose,
+    Rule, Sample, Scan, Truth, YOUNG_NS,
 };
 
 use crate::ledger::SampleAudit;
@@ -26,15 +27,48 @@ const RECENT: usize = 32;
 /// orchestrator polls less often.
 const ASIDE: usize = 16;
 
+/// What is stored of a sample until its scan is complete.
+trait Stored<S> {
+    fn of(sample: &S) -> Self;
+    fn header(&self) -> &Header;
+}
+
+impl<S: Sample> Stored<S> for S {
+    fn of(sample: &S) -> Self {
+        *sample
+    }
+
+    fn header(&self) -> &Header {
+        Sample::header(self)
+    }
+}
+
+/// A scan without its ranges.
+struct Swept {
+    header: Header,
+    /// Whether the scanner gave no ranges.
+    missing: bool,
+}
+
+impl Stored<Scan> for Swept {
+    fn of(scan: &Scan) -> Self {
+        Self { header: scan.header, missing: scan.missing.is_set() }
+    }
+
+    fn header(&self) -> &Header {
+        &self.header
+    }
+}
+
 /// Samples of one topic that wait for their scan.
-struct Queue<S: Sample> {
+struct Queue<S: Sample, T = S> {
     observer: Observer<S>,
-    waiting: VecDeque<S>,
-    aside: VecDeque<S>,
+    waiting: VecDeque<T>,
+    aside: VecDeque<T>,
     filter: AuthorityFilter,
 }
 
-impl<S: Sample> Queue<S> {
+impl<S: Sample, T: Stored<S>> Queue<S, T> {
     fn new(bus: &Bus) -> Result<Self, RuntimeError> {
         Ok(Self {
             observer: Observer::new(bus)?,
@@ -53,23 +87,27 @@ impl<S: Sample> Queue<S> {
         let Self { observer, waiting, aside, filter } = self;
         let before = std::mem::take(aside);
         let authority = directive.authority_over(S::TOPIC);
-        let mut put = |sample: &S, was_aside: bool| match filter.admit(authority, sample.header(), was_aside)
-        {
-            Admission::Counts => waiting.push_back(*sample),
+        let mut put = |stored: T, was_aside: bool| match filter.admit(authority, stored.header(), was_aside) {
+            Admission::Counts => waiting.push_back(stored),
             Admission::Aside => {
                 if aside.len() == ASIDE {
                     aside.pop_front();
                 }
-                aside.push_back(*sample);
+                aside.push_back(stored);
             }
             Admission::Foreign => {}
         };
-        before.iter().for_each(|sample| put(sample, true));
-        poll(observer, directive, sample_audit, refused, |sample| put(sample, false))
+        before.into_iter().for_each(|stored| put(stored, true));
+        poll(observer, directive, sample_audit, refused, |sample| put(T::of(sample), false))
     }
 
-    fn pop_up_to(&mut self, scan_id: u64) -> Option<S> {
-        self.waiting.pop_front_if(|sample| sample.header().scan_id <= scan_id)
+    /// The newest scan that waits; 0 without one.
+    fn newest(&self) -> u64 {
+        self.waiting.back().map_or(0, |stored| stored.header().scan_id)
+    }
+
+    fn pop_up_to(&mut self, scan_id: u64) -> Option<T> {
+        self.waiting.pop_front_if(|stored| stored.header().scan_id <= scan_id)
     }
 }
 
@@ -118,8 +156,10 @@ fn remember(recent: &mut VecDeque<Actuation>, actuation: &Actuation) {
 
 /// All samples of one scan, and those without a scan since the scan before.
 pub struct ScanRecord {
-    /// The true state of the robot.
-    pub truth: Truth,
+    /// Identity and stamps of the scan.
+    pub header: Header,
+    /// The true state of the robot; `None` when the robot publishes none.
+    pub truth: Option<Truth>,
     /// Poses of the scan in the order of arrival; one unless something is wrong.
     pub poses: Vec<Pose>,
     /// Obstacles of the scan.
@@ -134,9 +174,13 @@ pub struct ScanRecord {
 
 /// All topics of the loop.
 pub struct Samples {
-    scans: Observer<Scan>,
-    /// Scans without ranges that were not returned yet.
-    missing: Vec<u64>,
+    scans: Queue<Scan, Swept>,
+    /// Whether the robot publishes its true state.
+    has_truth: bool,
+    /// The first scan of a robot without any truth so far.
+    first_swept: Option<u64>,
+    /// The scan from which on the truth is missing.
+    truth_missing: Option<u64>,
     odometries: Observer<Odometry>,
     truths: Queue<Truth>,
     poses: Queue<Pose>,
@@ -148,6 +192,7 @@ pub struct Samples {
     timeout_scans: u64,
     newest_scan: u64,
     answered_scan: u64,
+    returned_scan: u64,
     refused: Vec<(u64, Rule)>,
 }
 
@@ -161,8 +206,10 @@ impl Samples {
         let (actuations, commands) = (Queue::new(bus)?, Queue::new(bus)?);
         let (obstacles, poses) = (Queue::new(bus)?, Queue::new(bus)?);
         Ok(Self {
-            scans: Observer::new(bus)?,
-            missing: Vec::new(),
+            scans: Queue::new(bus)?,
+            has_truth: true,
+            first_swept: None,
+            truth_missing: None,
             odometries: Observer::new(bus)?,
             truths: Queue::new(bus)?,
             poses,
@@ -173,13 +220,19 @@ impl Samples {
             timeout_scans: TIMEOUT_SCANS.max(YOUNG_NS / period_ns.max(1) + 1),
             newest_scan: 0,
             answered_scan: 0,
+            returned_scan: 0,
             refused: Vec::new(),
         })
     }
 
+    /// The robot publishes no truth: scan and actuation complete a scan. For the time before the first sample.
+    pub fn expect_no_truth(&mut self) {
+        self.has_truth = false;
+    }
+
     /// Connects to all writers.
     pub fn connect(&self) {
-        self.scans.connect();
+        self.scans.observer.connect();
         self.odometries.connect();
         self.truths.observer.connect();
         self.poses.observer.connect();
@@ -197,13 +250,9 @@ impl Samples {
         directive: &Directive,
         sample_audit: &mut SampleAudit,
     ) -> Result<(), RuntimeError> {
-        let Self { refused, missing, .. } = self;
+        let Self { refused, .. } = self;
+        let swept = self.scans.newest();
         self.truths.poll(directive, sample_audit, refused)?;
-        poll(&self.scans, directive, sample_audit, refused, |scan| {
-            if scan.missing.is_set() && directive.counts(Topic::Scan, &scan.header) {
-                missing.push(scan.header.scan_id);
-            }
-        })?;
         poll(&self.odometries, directive, sample_audit, refused, |_| ())?;
         // In reverse order of the data flow: when an answer has arrived, so have the samples that led to it.
         let before = self.actuations.waiting.len();
@@ -216,15 +265,38 @@ impl Samples {
         self.commands.poll(directive, sample_audit, refused)?;
         self.obstacles.poll(directive, sample_audit, refused)?;
         self.poses.poll(directive, sample_audit, refused)?;
-        if let Some(truth) = self.truths.waiting.back() {
-            self.newest_scan = truth.header.scan_id;
-        }
+        self.scans.poll(directive, sample_audit, refused)?;
         for actuation in &self.actuations.waiting {
             if actuation.answers == 1 {
                 self.answered_scan = self.answered_scan.max(actuation.header.scan_id);
             }
         }
+        if self.has_truth {
+            self.newest_scan = self.newest_scan.max(self.truths.newest());
+            self.miss_truth(swept);
+        } else {
+            // A truth that no one promised is not used.
+            self.truths.waiting.clear();
+            self.newest_scan = self.newest_scan.max(self.scans.newest()).max(self.answered_scan);
+        }
         Ok(())
+    }
+
+    /// Notes that the truth is missing when so many scans up to `swept`, which the poll before found, have come without
+    /// one that no delay explains it: a truth is published before its scan.
+    fn miss_truth(&mut self, swept: u64) {
+        if swept > 0 {
+            let first = *self.first_swept.get_or_insert(swept);
+            let newest = self.newest_scan.max(first - 1);
+            if swept >= newest + self.timeout_scans {
+                self.truth_missing.get_or_insert(newest + 1);
+            }
+        }
+    }
+
+    /// The scan from which on a robot that publishes its true state has published none.
+    pub fn truth_missing(&self) -> Option<u64> {
+        self.truth_missing
     }
 
     /// The newest actuations without repetitions, oldest first.
@@ -254,21 +326,36 @@ impl Samples {
 
     /// The next complete scan; with `flush` also a scan without an answer.
     pub fn next(&mut self, flush: bool) -> Option<ScanRecord> {
-        let scan_id = self.truths.waiting.front()?.header.scan_id;
+        let first = self.first_waiting()?;
+        let scan_id = first.scan_id;
         let answered = self.answered_scan >= scan_id;
         if !answered && !flush && self.newest_scan < scan_id + self.timeout_scans {
             return None;
         }
-        let truth = self.truths.waiting.pop_front()?;
-        let missing = self.missing.contains(&scan_id);
-        self.missing.retain(|missing| *missing > scan_id);
+        self.returned_scan = scan_id;
+        let swept = std::iter::from_fn(|| self.scans.pop_up_to(scan_id)).last();
         Some(ScanRecord {
-            missing,
-            truth,
+            header: first,
+            missing: swept.is_some_and(|swept| swept.header.scan_id == scan_id && swept.missing),
+            truth: self.truths.waiting.pop_front(),
             poses: std::iter::from_fn(|| self.poses.pop_up_to(scan_id)).collect(),
             obstacles: std::iter::from_fn(|| self.obstacles.pop_up_to(scan_id)).collect(),
             commands: std::iter::from_fn(|| self.commands.pop_up_to(scan_id)).collect(),
             actuations: std::iter::from_fn(|| self.actuations.pop_up_to(scan_id)).collect(),
         })
+    }
+
+    /// The first scan that was not returned: by its truth; without one by the scan itself, or by its answer if the scan was
+    /// not observed.
+    fn first_waiting(&mut self) -> Option<Header> {
+        if self.has_truth {
+            return self.truths.waiting.front().map(|truth| truth.header);
+        }
+        let returned = self.returned_scan;
+        while self.scans.pop_up_to(returned).is_some() {}
+        let is_new = |actuation: &&Actuation| actuation.answers == 1 && actuation.header.scan_id > returned;
+        let answered = self.actuations.waiting.iter().find(is_new).map(|actuation| actuation.header);
+        let swept = self.scans.waiting.front().map(|swept| swept.header);
+        swept.into_iter().chain(answered).min_by_key(|header| header.scan_id)
     }
 }

@@ -30,10 +30,12 @@ mod test_bench;
 mod trouble;
 
 use std::ffi::OsString;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
 use clap::Args;
+use plan::System;
 use shared_types::Role;
 
 pub use case::{Level, Outcome};
@@ -55,9 +57,12 @@ pub struct ConformanceArguments {
     /// Role that the program fills: robot, estimator, obstacles, controller or actuator.
     #[arg(required_unless_present = "list")]
     pub role: Option<String>,
-    /// Built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "candidate")]
     pub to: Option<String>,
+    /// System file whose table `[player]` the robot `player` gets.
+    #[arg(long, value_name = "FILE")]
+    pub system: Option<PathBuf>,
     /// Run only this case; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
@@ -97,7 +102,11 @@ pub fn conformance(arguments: &ConformanceArguments) -> anyhow::Result<Exit> {
     }
     let cases = chosen(role, &arguments.only)?;
     let (command, label) = candidate(role, arguments)?;
-    let suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
+    let mut suite = Suite::new(role, command, (1e9 / arguments.rate).round() as u64)?;
+    if let Some(file) = &arguments.system {
+        let (table, name) = System::read_table(Some(file))?;
+        suite.player = Some(System::from_table(table, &name)?.player);
+    }
     let verdicts = play_all(&cases, &suite, arguments)?;
     let mut report = Report::new(role.name(), &label);
     for (case, verdict) in cases.iter().zip(verdicts) {
@@ -124,7 +133,10 @@ fn cases(role: Role) -> Vec<Case> {
         all.push(answers::LOST_STATE);
     }
     match role {
-        Role::Robot => all.extend(robot::CASES),
+        Role::Robot => {
+            all.extend(robot::CASES);
+            all.extend(robot::device::CASES);
+        }
         Role::Estimator => all.extend(estimator::CASES),
         Role::Obstacles => {
             all.extend(obstacles::CASES);

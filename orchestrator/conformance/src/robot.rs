@@ -2,6 +2,7 @@
 //!
 //! Its motion is judged by its own odometry and its own stamps, so nothing depends on when the test bench polls.
 
+pub(crate) mod device;
 mod motion;
 
 use shared_types::{Odometry, Phase, Topic};
@@ -60,7 +61,8 @@ pub(crate) const CASES: [Case; 14] = [
         .because("A run ends when all published scans are answered."),
     Case::recommended("truth", truth)
         .demands("It publishes the true state of each scan.")
-        .because("Collisions, clearance and the outcome of a run are judged by it; a real robot has none."),
+        .because("Collisions and clearance are known only from it. Without it a run is judged by the estimate, as with a \
+             real robot."),
     Case::recommended("grants", grants)
         .in_lockstep()
         .demands("In lock-step it waits with a scan until it is granted and the scan before was answered.")

@@ -20,6 +20,8 @@ pub(crate) struct Suite {
     pub(crate) command: Vec<OsString>,
     /// Scan period [ns].
     pub(crate) period_ns: u64,
+    /// Settings of a robot behind a Player server.
+    pub(crate) player: Option<player::Config>,
     /// Set when the user wants to end.
     pub(crate) shutdown: Shutdown,
     drives: Mutex<BTreeMap<Course, Arc<Drive>>>,
@@ -50,7 +52,8 @@ impl Suite {
     pub(crate) fn new(role: Role, command: Vec<OsString>, period_ns: u64) -> anyhow::Result<Self> {
         let shutdown = Shutdown::on_signals()?;
         sweep()?;
-        Ok(Self { role, command, period_ns, shutdown, drives: Mutex::default(), benches: AtomicU32::new(0) })
+        let (drives, benches) = (Mutex::default(), AtomicU32::new(0));
+        Ok(Self { role, command, period_ns, player: None, shutdown, drives, benches })
     }
 
     /// A recorded drive.
@@ -67,7 +70,12 @@ impl Suite {
 }
 
 /// Writes the settings that a candidate finds.
-pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> anyhow::Result<()> {
+pub(super) fn write_settings(
+    domain: &Domain,
+    drive: &Drive,
+    setup: Setup,
+    player: Option<&player::Config>,
+) -> anyhow::Result<()> {
     let pipeline::Settings { scenario, tuning, period_ns } = &drive.settings;
     let run = RunSettings {
         period_ns: *period_ns,
@@ -75,7 +83,8 @@ pub(super) fn write_settings(domain: &Domain, drive: &Drive, setup: Setup) -> an
         orphan_stop_ns: setup.orphan_ns,
         orphan_timeout_ns: setup.orphan_ns,
     };
-    settings::write(domain, &run, &Realtime::default(), scenario, &tuning.clone().for_scenario(scenario))
+    let tuning = tuning.clone().for_scenario(scenario);
+    settings::write(domain, &run, &Realtime::default(), scenario, &tuning, player)
 }
 
 /// Removes what suites that were killed have left: systems that are named after a process which is gone.

@@ -111,7 +111,7 @@ impl<'a> TestBench<'a> {
         let (domain, lock) = Claim::take_new(&format!("c{}-{number}", std::process::id()))?;
         let stop_word = StopWord::create(domain.run_id(), suite.period_ns)?;
         stop_word.hand_down()?;
-        write_settings(&domain, &drive, setup)?;
+        write_settings(&domain, &drive, setup, suite.player.as_ref())?;
         let bus = Bus::create(&domain)?;
         let mut directive =
             Directive { orchestrator_pid: u64::from(std::process::id()), ..Directive::default() };

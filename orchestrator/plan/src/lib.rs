@@ -3,6 +3,7 @@
 pub mod calibration_file;
 pub mod difference;
 pub mod overrides;
+mod player_robot;
 mod rate;
 pub mod reference;
 pub mod settings;
@@ -97,6 +98,7 @@ impl Plan {
             })?;
             scenario.insert("seed".to_owned(), Value::Integer(seed));
         }
+        player_robot::add_defaults(&mut system);
         vehicle_table::adopt_scenario(&scenario, &mut system);
         let mut scenario = Scenario::from_table(scenario, &scenario_file).map_err(Failure::bad_input)?;
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{system_file}: {invalid}"));
@@ -135,13 +137,18 @@ impl Plan {
     /// Settings that are not allowed, and errors of the file system.
     pub fn write_settings(&self, domain: &Domain, lockstep: bool) -> anyhow::Result<()> {
         let Self { scenario, system, .. } = self;
+        if lockstep && system.player().is_some() {
+            let message = "--lockstep: the robot `player` drives in real time only";
+            return Err(Failure::bad_input(message));
+        }
         let run = RunSettings {
             period_ns: system.period_ns(),
             clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
             orphan_stop_ns: (system.orphan_stop_s() * 1e9) as u64,
             orphan_timeout_ns: (system.orphan_timeout_s * 1e9) as u64,
         };
-        settings::write(domain, &run, &system.realtime, scenario, &system.tuning().for_scenario(scenario))
+        let tuning = system.tuning().for_scenario(scenario);
+        settings::write(domain, &run, &system.realtime, scenario, &tuning, system.player())
     }
 }
 

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use emulator::Scenario;
 use emulator::scenario::{Preset, Robot};
 use estimator::Profile;
-use toml::Table;
+use toml::{Table, Value};
 use vehicle::{Description, Key, Setting, toml_text};
 
 use crate::System;
@@ -49,7 +49,19 @@ fn system_keys() -> Vec<Key> {
     let mut keys = System::keys();
     // The copies of `[vehicle]` that the stages have are no keys of the file.
     keys.iter_mut().for_each(|table| table.keys.retain(|key| key.name != "vehicle"));
+    add_profile(&mut keys, &pipeline::profile::source());
     with_defaults(keys, "estimator", profiles, "profile `source`")
+}
+
+/// Adds the values of a profile to the defaults of the keys.
+fn add_profile(keys: &mut [Key], profile: &Table) {
+    for key in keys {
+        match profile.get(key.name) {
+            Some(Value::Table(inner)) => add_profile(&mut key.keys, inner),
+            Some(value) => key.default = format!("{}; profile `source`: {}", key.default, toml_text(value)),
+            None => {}
+        }
+    }
 }
 
 /// The keys with defaults for those keys of `table` that have none: of its first set, and of the set `other`.
@@ -128,6 +140,18 @@ mod tests {
         let row = "| `odometry_lateral_rate` | 0.0; profile `source`: 0.053 | -1 to 1 |";
         assert!(system_page().contains(row), "{}", system_page());
         assert!(system_page().contains("| `odometry_longitudinal` | 0.01 | -0.5 to 0.5 |"));
+    }
+
+    #[test]
+    fn defaults_that_depend_on_the_profile_of_the_controller_are_both_shown() {
+        let page = system_page();
+        for row in [
+            "| `horizon_s` | 5.44; profile `source`: 2.72 |",
+            "| `hessian` | \"gauss-newton\"; profile `source`: \"bfgs\" |",
+            "| `cover` | \"tight\"; profile `source`: \"source\" |",
+        ] {
+            assert!(page.contains(row), "{row}");
+        }
     }
 
     #[test]

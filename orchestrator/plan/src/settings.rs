@@ -1,6 +1,6 @@
 //! The settings files of a system: one per role, with what its process may know and nothing else.
 //!
-//! Obstacles and hidden faults of the robot stand in the robot's file only: the stages never read the truth.
+//! A robot behind a Player server has the tables `player` and `vehicle` in addition. Obstacles and hidden faults of the robot stand in the robot's file only: the stages never read the truth.
 
 use emulator::Scenario;
 use pipeline::Tuning;
@@ -18,9 +18,14 @@ pub fn write(
     realtime: &Realtime,
     scenario: &Scenario,
     tuning: &Tuning,
+    player: Option<&player::Config>,
 ) -> anyhow::Result<()> {
     for role in Role::ALL.iter().copied() {
-        let table = of(role, run, realtime, scenario, tuning)?;
+        let mut table = of(role, run, realtime, scenario, tuning)?;
+        if let (Role::Robot, Some(player)) = (role, player) {
+            table.insert("player".to_owned(), Value::try_from(player)?);
+            table.insert("vehicle".to_owned(), Value::try_from(tuning.vehicle)?);
+        }
         domain.folder().write(&settings_file(role), toml::to_string(&table)?.as_bytes())?;
     }
     Ok(())

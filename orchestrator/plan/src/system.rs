@@ -4,7 +4,7 @@ use std::path::Path;
 
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
-use pipeline::Tuning;
+use pipeline::{Tuning, profile};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
@@ -28,6 +28,8 @@ settings! {
         pub orphan_stop_s: Option<f64> = None, "0.5 to `orphan_timeout_s`";
         /// The robot as all stages know it. An explicit `robot.KEY` of the scenario also holds here, unless the key is set.
         pub vehicle: Description = Description::default();
+        /// Driver of a robot behind a Player server, for the implementation `player` of role `robot`.
+        pub player: player::Config = player::Config::default();
         /// Processors, scheduling, idle states and memory; the defaults need no privilege.
         pub realtime: runtime::Realtime = runtime::Realtime::default();
         /// One table for each role.
@@ -49,7 +51,8 @@ impl System {
     ///
     /// # Errors
     /// One message with file, key, value and allowed range; exit code 2.
-    pub fn from_table(table: Table, file: &str) -> anyhow::Result<Self> {
+    pub fn from_table(mut table: Table, file: &str) -> anyhow::Result<Self> {
+        profile::add(&mut table);
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{file}: {invalid}"));
         let system: Self = read(table).map_err(refuse)?;
         system.validate().map_err(refuse)?;
@@ -89,6 +92,12 @@ impl System {
         }
     }
 
+    /// The settings of the driver, when a robot behind a Player server fills the role `robot`.
+    pub fn player(&self) -> Option<&player::Config> {
+        let implementation = self.entry(Role::Robot)?.implementation.as_deref();
+        (implementation == Some("player")).then_some(&self.player)
+    }
+
     /// The entry of a role; a checked system has one for each.
     pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
         self.processes.iter().find(|entry| entry.role() == role)
@@ -97,6 +106,7 @@ impl System {
     fn validate(&self) -> Result<(), Invalid> {
         self.require_ranges()?;
         require("orphan_stop_s", self.orphan_stop_s(), MIN_ORPHAN_STOP_S..=self.orphan_timeout_s)?;
+        self.player.validate().map_err(|invalid| invalid.within("player"))?;
         realtime::validate(&self.realtime).map_err(|invalid| invalid.within("realtime"))?;
         for (index, entry) in self.processes.iter().enumerate() {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;

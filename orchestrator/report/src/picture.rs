@@ -12,6 +12,7 @@ mod legend;
 mod map;
 pub mod panels;
 
+use emulator::JudgedBy;
 use plotters::chart::MeshStyle;
 use plotters::coord::types::RangedCoordf64;
 use plotters::drawing::DrawingAreaErrorKind;
@@ -85,7 +86,7 @@ pub struct Scene {
     pub body_width_m: f64,
 }
 
-/// True state of the robot at one scan.
+/// State of the robot at one scan.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Moment {
     /// Time since the start [s].
@@ -118,12 +119,14 @@ pub struct Ellipse {
 /// What happened in a run.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Drive {
-    /// True states, one per scan in order.
+    /// States, one per scan in order: the true ones if they are known.
     pub moments: Vec<Moment>,
     /// Estimated positions, one per scan in order [m].
     pub estimates: Vec<[f64; 2]>,
     /// All ellipses that were described, in their last version.
     pub ellipses: Vec<Ellipse>,
+    /// With `Estimate` the moments are estimated, and there is no true path.
+    pub judged_by: JudgedBy,
 }
 
 /// The picture could not be drawn.
@@ -146,7 +149,7 @@ pub fn draw(scene: &Scene, drive: &Drive) -> Result<String> {
     svg(legend::HEIGHT + layout.height() + curves::HEIGHT, |root| {
         let (head, rest) = root.split_vertically(fine(legend::HEIGHT));
         let (maps, below) = rest.split_vertically(fine(layout.height()));
-        legend::draw(&head, scene, &layout)?;
+        legend::draw(&head, scene, &layout, drive.judged_by)?;
         layout.draw(&maps, scene, drive)?;
         curves::draw(&below, &drive.moments)
     })
@@ -234,6 +237,7 @@ mod tests {
             estimates: moments.iter().map(|moment| [moment.x_m + 0.01, moment.y_m - 0.02]).collect(),
             ellipses: vec![Ellipse { x_m: 5.0, y_m: 0.0, a_m: 1.2, b_m: 0.6 }],
             moments,
+            judged_by: JudgedBy::Truth,
         }
     }
 
@@ -253,6 +257,14 @@ mod tests {
         {
             assert!(svg.contains(text), "{text}");
         }
+    }
+
+    #[test]
+    fn without_a_truth_no_true_path_is_drawn() {
+        let svg = draw(&scene(), &Drive { judged_by: JudgedBy::Estimate, ..drive(12.5) }).unwrap();
+        assert!(!svg.contains("true path") && svg.contains("estimated path"));
+        let paths = |svg: &str| coordinates(svg).len();
+        assert!(paths(&svg) < paths(&draw(&scene(), &drive(12.5)).unwrap()));
     }
 
     #[test]
@@ -297,8 +309,12 @@ mod tests {
         let nonsense = Moment { x_m: f64::NAN, y_m: f64::INFINITY, time_s: f64::NAN, ..Moment::default() };
         let far = Moment { x_m: 1e300, y_m: -1e300, time_s: 1e300, speed_mps: 1e300, ..Moment::default() };
         let ellipse = Ellipse { x_m: f64::NAN, a_m: f64::INFINITY, ..Ellipse::default() };
-        let drive =
-            Drive { moments: vec![nonsense, far], estimates: vec![[f64::NAN; 2]], ellipses: vec![ellipse] };
+        let drive = Drive {
+            moments: vec![nonsense, far],
+            estimates: vec![[f64::NAN; 2]],
+            ellipses: vec![ellipse],
+            ..Drive::default()
+        };
         draw(&scene(), &drive).unwrap();
         draw(&Scene { goal_m: [f64::NAN; 2], body_length_m: f64::NAN, ..scene() }, &drive).unwrap();
     }

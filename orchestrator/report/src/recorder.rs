@@ -1,11 +1,12 @@
 //! Collects what the report, the picture and the progress line need from the samples of one run.
 //!
 //! Samples may come in any order between topics and may be missing. Rows of the drive are kept one per scan, at most
-//! [`MAX_ROWS`] (5.5 hours at 10 Hz, about 40 MB); the figures cover the whole run. Without samples of the truth (a
-//! real robot) the drive is judged by the estimate, and clearances stay unknown.
+//! [`MAX_ROWS`] (5.5 hours at 10 Hz, about 40 MB); the figures cover the whole run. Of a robot that publishes no truth
+//! the drive is the estimated one, and what only the truth knows is left out.
 //!
 //! The caller passes only samples that count: those of the incarnation with authority over its role.
 
+mod estimated;
 mod margins;
 mod rows;
 mod scanner;
@@ -15,20 +16,23 @@ use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::{Ledger, ScanReport};
 use console::progress::View;
+use emulator::JudgedBy;
 use handover::swap::Certificate;
 use ride::{Recording, measure};
 use shared_types::{
-    Actuation, BlockReason, Blocking, Command, Obstacles, Pose, Role, Rule, ScannerHealth, StopReason, Truth,
+    Actuation, BlockReason, Blocking, Command, Header, Obstacles, Pose, Role, Rule, ScannerHealth,
+    StopReason, Truth,
 };
 use vehicle::{Goal, Surroundings};
 
+use self::estimated::Estimated;
 use self::margins::Margins;
 use self::rows::{Estimate, Rows};
 use self::scanner::Scanner;
 use self::tally::Tally;
 use crate::latency::{self, Latencies};
 use crate::picture::{Drive, Ellipse, Moment};
-use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, SCHEMA};
+use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, SCHEMA, TrueDrive};
 
 pub use self::rows::MAX_ROWS;
 
@@ -90,6 +94,8 @@ pub struct Recorder {
     /// The obstacle of the last stop, and whether the newest command is that stop.
     blocking: Option<(Blocking, bool)>,
     truth: Option<Truth>,
+    /// The drive by the estimate, of a robot that publishes no truth.
+    estimated: Option<Estimated>,
     pose: Option<Pose>,
     actuation: Option<Actuation>,
     ellipses: BTreeMap<u32, Ellipse>,
@@ -113,6 +119,7 @@ impl Recorder {
             scanner: Scanner::default(),
             blocking: None,
             truth: None,
+            estimated: None,
             pose: None,
             actuation: None,
             ellipses: BTreeMap::new(),
@@ -132,14 +139,32 @@ impl Recorder {
         self.ledger.refused(scan_id, rule.name());
     }
 
+    /// The robot publishes no truth; for the time before the first scan.
+    pub fn expect_no_truth(&mut self) {
+        self.estimated = Some(Estimated::default());
+    }
+
+    /// What decides the outcome.
+    pub fn judged_by(&self) -> JudgedBy {
+        if self.estimated.is_some() { JudgedBy::Estimate } else { JudgedBy::Truth }
+    }
+
+    /// A scan was published.
+    pub fn scan(&mut self, header: &Header) {
+        if self.ledger.first() == 0 {
+            self.ledger.begin_at(header.scan_id);
+        }
+        self.ledger.published(header.scan_id, header.scan_published_ns());
+        self.acquired(header.acquired_ns);
+        if let Some(estimated) = &mut self.estimated {
+            estimated.scan(header, self.info.period_ns);
+        }
+    }
+
     /// The true state of the robot at a scan; shows also that the scan was published.
     pub fn truth(&mut self, truth: &Truth) {
         let scan_id = truth.header.scan_id;
-        if self.ledger.first() == 0 {
-            self.ledger.begin_at(scan_id);
-        }
-        self.ledger.published(scan_id, truth.header.scan_published_ns());
-        self.acquired(truth.header.acquired_ns);
+        self.scan(&truth.header);
         let moment = Moment {
             time_s: truth.time_s,
             x_m: truth.x_m,
@@ -165,6 +190,10 @@ impl Recorder {
         self.acquired(pose.header.acquired_ns);
         self.tally.pose(pose);
         self.rows.put_estimate(pose.header.scan_id, Estimate::of(pose));
+        if let Some(estimated) = &mut self.estimated {
+            let steering_rad = self.actuation.map_or(0.0, |actuation| actuation.desired_steering_rad);
+            self.rows.put_moment(pose.header.scan_id, estimated.pose(pose, steering_rad));
+        }
         self.pose = Some(*pose);
     }
 
@@ -278,6 +307,7 @@ impl Recorder {
             moments: self.rows.moments().collect(),
             estimates: self.rows.estimates().collect(),
             ellipses: self.ellipses.values().copied().collect(),
+            judged_by: self.judged_by(),
         }
     }
 
@@ -290,6 +320,7 @@ impl Recorder {
             seed: self.info.seed,
             surroundings: self.info.surroundings,
             outcome: result.outcome,
+            judged_by: self.judged_by(),
             reason: result.reason.clone(),
             lockstep: self.info.lockstep,
             adopted: self.info.first_scan == 0,
@@ -300,7 +331,7 @@ impl Recorder {
             latency_us: self.latencies.report(),
             drive: self.drive_report(),
             margin_m: self.margins.means(),
-            ride: measure(&self.ride.drive(), &self.goal()),
+            ride: self.estimated.is_none().then(|| measure(&self.ride.drive(), &self.goal())),
             scanner: self.scanner.report(),
             blocking: self.blocking.map(|(blocking, _)| blocking.into()),
             differences: Vec::new(),
@@ -322,21 +353,31 @@ impl Recorder {
     fn drive_report(&self) -> DriveReport {
         let report = DriveReport {
             final_distance_m: self.goal_distance_m().unwrap_or(0.0),
-            estimate_error_max_m: self.rows.error().max_m(),
-            estimate_error_rms_m: self.rows.error().rms_m(),
-            covariance_coverage: self.rows.error().coverage(),
             speed_limit_mps: self.margins.speed_limit_mps(),
             ..DriveReport::default()
         };
-        let Some(truth) = &self.truth else { return report };
+        if let Some(estimated) = &self.estimated {
+            return estimated.report(report);
+        }
+        let error = self.rows.error();
+        let only_true = TrueDrive {
+            estimate_error_max_m: error.max_m(),
+            estimate_error_rms_m: error.rms_m(),
+            covariance_coverage: error.coverage(),
+            ..TrueDrive::default()
+        };
+        let Some(truth) = &self.truth else { return DriveReport { truth: Some(only_true), ..report } };
         DriveReport {
             final_speed_mps: truth.speed_mps,
-            min_clearance_m: truth.min_clearance_m,
             path_length_m: truth.path_length_m,
             max_abs_lateral_m: truth.max_abs_lateral_m,
-            longest_blind_s: truth.longest_blind_s,
-            collided: truth.collided == 1,
-            struck: truth.struck == 1,
+            truth: Some(TrueDrive {
+                min_clearance_m: truth.min_clearance_m,
+                longest_blind_s: truth.longest_blind_s,
+                collided: truth.collided == 1,
+                struck: truth.struck == 1,
+                ..only_true
+            }),
             ..report
         }
     }
@@ -346,7 +387,11 @@ impl Recorder {
         Goal { x_m, y_m, ..Goal::default() }
     }
 
-    fn duration_s(&self) -> f64 {
+    /// Driven time until the newest scan [s].
+    pub fn duration_s(&self) -> f64 {
+        if let Some(estimated) = &self.estimated {
+            return estimated.time_s();
+        }
         let acquired = || {
             let first = self.first_acquired_ns.unwrap_or(self.newest_acquired_ns);
             self.newest_acquired_ns.saturating_sub(first) as f64 * 1e-9
@@ -446,7 +491,7 @@ mod tests {
         assert_eq!((report.scans.published, report.scans.commanded, report.scans.unaccounted), (5, 5, 0));
         assert_eq!(report.latency_us.scan_to_actuation.max, 2.55);
         assert_eq!(report.trajectory[4], [0.4, 5.4, 0.0, 0.0]);
-        assert_eq!((report.drive.min_clearance_m, report.drive.path_length_m), (0.35, 5.4));
+        assert_eq!((report.drive.truth.unwrap().min_clearance_m, report.drive.path_length_m), (0.35, 5.4));
         assert!((report.drive.final_distance_m - 4.6).abs() < 1e-12);
     }
 
@@ -494,7 +539,35 @@ mod tests {
         recorder.pose(&pose(1, 7.0, 4.0));
         assert_eq!(recorder.view().goal_distance_m, Some(5.0));
         let drive = recorder.report(&RunResult::default()).drive;
-        assert_eq!((drive.final_distance_m, drive.min_clearance_m), (5.0, crate::report::NO_OBSTACLE_M));
+        let clearance_m = drive.truth.map(|truth| truth.min_clearance_m);
+        assert_eq!((drive.final_distance_m, clearance_m), (5.0, Some(crate::report::NO_OBSTACLE_M)));
+    }
+
+    #[test]
+    fn a_robot_without_a_truth_has_the_drive_of_its_estimate() {
+        let mut recorder = Recorder::new(RunInfo { first_scan: 0, ..info(false) });
+        recorder.expect_no_truth();
+        // The first scan that is seen is the 21st of the run.
+        for scan_id in 21..=25 {
+            let header = chain(scan_id, scan_id * 100_000_000);
+            recorder.scan(&header);
+            let x_m = 0.08 * scan_id as f64;
+            recorder.pose(&Pose { header, x_m, y_m: 0.1 * x_m, speed_mps: 0.8, ..Pose::default() });
+            recorder.actuation(&answer(scan_id));
+        }
+        let report = recorder.report(&RunResult::default());
+        assert_eq!((report.judged_by, report.drive.truth, report.ride), (JudgedBy::Estimate, None, None));
+        assert_eq!((report.scans.published, report.scans.commanded, report.scans.unaccounted), (5, 5, 0));
+        let DriveReport { final_distance_m, final_speed_mps, path_length_m, max_abs_lateral_m, .. } =
+            report.drive;
+        // The front beam is a microsecond before the time of the scan.
+        let figures = [report.duration_s, final_distance_m, path_length_m, max_abs_lateral_m];
+        for (figure, expected) in figures.into_iter().zip([2.5, 8.002_499, 0.32, 0.032]) {
+            assert!((figure - expected).abs() < 2e-6, "{figures:?}");
+        }
+        assert_eq!((final_speed_mps, recorder.view().speed_mps), (0.8, 0.8));
+        let [time_s, x_m, y_m, _] = report.trajectory[0];
+        assert!((time_s - 2.1).abs() < 2e-6 && (x_m, y_m) == (1.68, 0.168), "{:?}", report.trajectory);
     }
 
     #[test]

@@ -13,11 +13,11 @@ use std::io;
 use std::path::Path;
 
 pub use audit::ledger::{LedgerReport, LedgerRow, ScanReport};
-pub use emulator::Outcome;
+pub use emulator::{JudgedBy, Outcome};
 use figures::Figures;
 use handover::swap::Certificate;
 use ride::Figures as RideReport;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use vehicle::Surroundings;
 
 use self::write::join_leaves;
@@ -42,6 +42,9 @@ pub struct Report {
     pub surroundings: Surroundings,
     /// How the run ended.
     pub outcome: Outcome,
+    /// What decided that. With `estimate`, figures of the drive and `trajectory` are estimated, and what only the truth
+    /// knows is left out.
+    pub judged_by: JudgedBy,
     /// Why it ended so; empty when the outcome is reason enough.
     pub reason: String,
     /// Whether time was simulated.
@@ -61,12 +64,14 @@ pub struct Report {
     pub ledger: LedgerReport,
     /// Where the time went [us].
     pub latency_us: LatencyReport,
-    /// True motion of the robot.
+    /// Motion of the robot.
     pub drive: DriveReport,
     /// The clearance that the driven plans kept, by its parts [m].
     pub margin_m: MarginReport,
-    /// How it was driven, from the first drive command to 1.75 m before the goal; `None` when it did not get there.
-    pub ride: Option<RideReport>,
+    /// How it was driven, from the first drive command to 1.75 m before the goal; `Some(None)` when it did not get there,
+    /// `None` without a truth.
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "present")]
+    pub ride: Option<Option<RideReport>>,
     /// How the scanner was.
     pub scanner: ScannerReport,
     /// The obstacle of the last stop that had one.
@@ -87,7 +92,7 @@ pub struct Report {
     pub digests: BTreeMap<String, String>,
     /// Number of first rows that `trajectory` lacks because the run was too long to keep them.
     pub trajectory_rows_dropped: u64,
-    /// True time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].
+    /// Time, position and yaw per scan: t [s], x [m], y [m], yaw [rad].
     pub trajectory: Vec<[f64; 4]>,
 }
 
@@ -163,28 +168,36 @@ impl PerStage {
     }
 }
 
-/// True motion of the robot, as the referee of the emulator saw it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Motion of the robot, by the truth or by the estimate.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DriveReport {
     /// Distance of the robot's centre to the goal at the end [m].
     pub final_distance_m: f64,
-    /// Smallest distance of the body to any obstacle or wall, negative when they overlapped; 1e9 without any [m].
-    pub min_clearance_m: f64,
     /// Speed over ground at the last scan [m/s].
     pub final_speed_mps: f64,
     /// Length of the driven path [m].
     pub path_length_m: f64,
     /// Largest lateral offset from the start [m].
     pub max_abs_lateral_m: f64,
+    /// Smallest speed limit of all commands that drove; `None` when the controller states none [m/s].
+    pub speed_limit_mps: Option<f64>,
+    /// What only the truth knows; its keys stand with the others, or are left out.
+    #[serde(flatten)]
+    pub truth: Option<TrueDrive>,
+}
+
+/// What only the true state of the robot shows of a drive, as the referee of the emulator saw it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TrueDrive {
+    /// Smallest distance of the body to any obstacle or wall, negative when they overlapped; 1e9 without any [m].
+    pub min_clearance_m: f64,
     /// Largest distance of the estimated to the true position at the same scan [m].
     pub estimate_error_max_m: f64,
     /// Root of the mean square of that distance [m].
     pub estimate_error_rms_m: f64,
-    /// Share of scans in which the 95 % ellipse of the estimated position contained the true one; `None` without a truth.
+    /// Share of scans in which the 95 % ellipse of the estimated position contained the true one; `None` without scans.
     pub covariance_coverage: Option<f64>,
-    /// Smallest speed limit of all commands that drove; `None` when the controller states none [m/s].
-    pub speed_limit_mps: Option<f64>,
     /// Longest time that the wheels turned without a new actuation [s].
     pub longest_blind_s: f64,
     /// Whether the body touched something while the wheels turned.
@@ -196,23 +209,23 @@ pub struct DriveReport {
 /// Clearance that stands for a scene without obstacles and walls [m].
 pub const NO_OBSTACLE_M: f64 = 1e9;
 
-impl Default for DriveReport {
+impl Default for TrueDrive {
     fn default() -> Self {
         Self {
-            final_distance_m: 0.0,
             min_clearance_m: NO_OBSTACLE_M,
-            final_speed_mps: 0.0,
-            path_length_m: 0.0,
-            max_abs_lateral_m: 0.0,
             estimate_error_max_m: 0.0,
             estimate_error_rms_m: 0.0,
             covariance_coverage: None,
-            speed_limit_mps: None,
             longest_blind_s: 0.0,
             collided: false,
             struck: false,
         }
     }
+}
+
+/// A key that is there, whatever its value: a key that is left out takes the default.
+fn present<'de, D: Deserializer<'de>, T: Deserialize<'de>>(value: D) -> Result<Option<T>, D::Error> {
+    T::deserialize(value).map(Some)
 }
 
 /// How the controller solved its problems.
@@ -273,6 +286,8 @@ impl Report {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     fn report() -> Report {
@@ -286,7 +301,8 @@ mod tests {
                 truth: 1.4.into(),
                 believed: 0.4.into(),
             }],
-            ride: Some(RideReport::default()),
+            drive: DriveReport { truth: Some(TrueDrive::default()), ..DriveReport::default() },
+            ride: Some(Some(RideReport::default())),
             trajectory: vec![[0.0, 0.1, -0.2, 1.0 / 3.0], [0.1, 0.2, -0.2, 1e-17]],
             processes: vec![ProcessReport {
                 role: "controller".to_owned(),
@@ -327,6 +343,7 @@ mod tests {
             "/seed",
             "/surroundings",
             "/outcome",
+            "/judged_by",
             "/lockstep",
             "/duration_s",
             "/scans/published",
@@ -387,6 +404,27 @@ mod tests {
         ] {
             assert!(value.pointer(pointer).is_some(), "{pointer}");
         }
+    }
+
+    #[test]
+    fn without_a_truth_the_keys_that_only_it_knows_are_left_out() {
+        let of =
+            |report: &Report| serde_json::from_str::<serde_json::Value>(&report.to_json().unwrap()).unwrap();
+        let drive = DriveReport { final_distance_m: 0.04, ..DriveReport::default() };
+        let blind = Report { judged_by: JudgedBy::Estimate, ride: None, drive, ..report() };
+        let (with, without) = (of(&report()), of(&blind));
+        assert_eq!((&with["judged_by"], &without["judged_by"]), (&"truth".into(), &"estimate".into()));
+        let keys =
+            |value: &serde_json::Value| value.as_object().unwrap().keys().cloned().collect::<BTreeSet<_>>();
+        let left_out: Vec<_> = (&keys(&with["drive"]) - &keys(&without["drive"])).into_iter().collect();
+        let known = ["collided", "covariance_coverage", "estimate_error_max_m", "estimate_error_rms_m"];
+        assert_eq!(left_out, [&known[..], &["longest_blind_s", "min_clearance_m", "struck"]].concat());
+        assert_eq!((&keys(&with) - &keys(&without)).into_iter().collect::<Vec<_>>(), ["ride"]);
+        assert_eq!(serde_json::from_str::<Report>(&blind.to_json().unwrap()).unwrap(), blind);
+        // A drive that did not get to the goal has no ride, which is known.
+        let short = Report { ride: Some(None), ..report() };
+        assert!(of(&short)["ride"].is_null() && of(&short).get("ride").is_some());
+        assert_eq!(serde_json::from_str::<Report>(&short.to_json().unwrap()).unwrap(), short);
     }
 
     #[test]

@@ -7,8 +7,8 @@ use figures::Figures;
 
 use crate::latency::STAGES;
 use crate::report::{
-    DriveReport, LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport,
-    ScannerReport, SelfCheckReport,
+    LatencyReport, LedgerReport, LedgerRow, NO_OBSTACLE_M, PerStage, Report, ScanReport, ScannerReport,
+    SelfCheckReport, TrueDrive,
 };
 
 /// The summary of a run; `folder` is where its files are, if any were written.
@@ -16,7 +16,13 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     let mut rows = vec![("outcome", outcome(report))];
     rows.push(("driven", format!("{:.1} s, {:.2} m", report.duration_s, report.drive.path_length_m)));
     rows.push(("to the goal", format!("{:.3} m", report.drive.final_distance_m)));
-    rows.push(("clearance", clearance(&report.drive)));
+    match &report.drive.truth {
+        Some(truth) => rows.push(("clearance", clearance(truth))),
+        None => rows.push((
+            "judged by",
+            "the estimate: no truth, so collisions and clearance are not known".to_owned(),
+        )),
+    }
     if report.margin_m.sum() > 0.0 {
         rows.push(("margin", report.margin_m.to_string()));
     }
@@ -24,7 +30,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     if report.scanner != (ScannerReport { valid_share, ..ScannerReport::default() }) {
         rows.push(("scanner", report.scanner.to_string()));
     }
-    rows.push(("estimate error", estimate_error(&report.drive)));
+    rows.extend(report.drive.truth.iter().map(|truth| ("estimate error", estimate_error(truth))));
     rows.push(("scans", scans(&report.scans)));
     rows.push(("samples", samples(&report.ledger)));
     rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
@@ -63,7 +69,7 @@ fn outcome(report: &Report) -> String {
     format!("{}{reason}{simulated}", report.outcome)
 }
 
-fn clearance(drive: &DriveReport) -> String {
+fn clearance(drive: &TrueDrive) -> String {
     let touched = match (drive.collided, drive.struck) {
         (true, _) => ", touched while driving",
         (false, true) => ", struck while standing",
@@ -76,8 +82,8 @@ fn clearance(drive: &DriveReport) -> String {
     }
 }
 
-fn estimate_error(drive: &DriveReport) -> String {
-    let DriveReport { estimate_error_max_m, estimate_error_rms_m, covariance_coverage, .. } = drive;
+fn estimate_error(drive: &TrueDrive) -> String {
+    let TrueDrive { estimate_error_max_m, estimate_error_rms_m, covariance_coverage, .. } = drive;
     let coverage = covariance_coverage.map_or_else(String::new, |share| {
         format!(", in its 95 % ellipse in {:.1} % of scans", 100.0 * share)
     });
@@ -198,8 +204,11 @@ mod tests {
         let mut report = Report { outcome: Outcome::Reached, duration_s: 12.7, ..Report::default() };
         report.drive.path_length_m = 10.2;
         report.drive.final_distance_m = 0.0412;
-        report.drive.min_clearance_m = 0.3514;
-        report.drive.covariance_coverage = Some(0.9534);
+        report.drive.truth = Some(TrueDrive {
+            min_clearance_m: 0.3514,
+            covariance_coverage: Some(0.9534),
+            ..TrueDrive::default()
+        });
         report.margin_m =
             MarginReport { base: 0.05, pose: 0.021, latency: 0.0304, model: 0.01, perception: 0.02 };
         report.scans = ScanReport { published: 127, commanded: 126, lost: 1, ..ScanReport::default() };
@@ -265,7 +274,7 @@ files           out/corridor
         report.latency_us.simulated = true;
         report.stop_reasons = BTreeMap::from([("no_command".to_owned(), 2)]);
         report.processes = vec![crate::report::ProcessReport { restarts: 3, ..Default::default() }];
-        report.drive.min_clearance_m = NO_OBSTACLE_M;
+        report.drive.truth = Some(TrueDrive::default());
         let text = text(&report, None);
         for expected in [
             "outcome         stopped: path blocked (simulated time)\n",
@@ -276,6 +285,15 @@ files           out/corridor
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }
+    }
+
+    #[test]
+    fn without_a_truth_the_summary_says_so_and_names_no_clearance() {
+        let mut report = report();
+        report.drive.truth = None;
+        let text = text(&report, None);
+        assert!(text.contains("judged by       the estimate: no truth, "), "{text}");
+        assert!(!text.contains("clearance       ") && !text.contains("estimate error"), "{text}");
     }
 
     #[test]

@@ -25,6 +25,8 @@ const SLACK_WEIGHTS: [f64; 2] = [500.0, 1e5];
 const MAX_ITERATIONS: u32 = 60;
 /// Largest distance to the end [m].
 const END_M: f64 = 1e-6;
+/// Objectives of two problems in a row that differ by less than this share belong to the same solution.
+const SAME_OBJECTIVE: f64 = 1e-4;
 /// Solves in which the end is found.
 const MAX_CORRECTIONS: usize = 6;
 /// Velocities of the guesses past moving bodies, as shares of the largest.
@@ -95,6 +97,7 @@ fn solve(
     let mut trajectory = Trajectory { states: Vec::new(), controls: guess.controls.clone() };
     let longest = (MAX_INTERVALS as f64 - 0.5) * INTERVAL_S;
     let mut duration = guess.duration_s;
+    let mut solved_before = None;
     for &slack in &SLACK_WEIGHTS {
         for _ in 0..MAX_CORRECTIONS {
             let is_whole = duration < longest;
@@ -108,7 +111,11 @@ fn solve(
             trajectory = solution.trajectory;
             let end = trajectory.states.last()?;
             let missing = course.end_x_m() - end.x;
-            let kept = solution.slack <= LARGEST_SLACK && solution.kkt_residual <= LARGEST_RESIDUAL;
+            // From the solution of a problem that differs by less than a millimetre no step may be found.
+            let same = |before: f64| (solution.objective - before).abs() <= SAME_OBJECTIVE * before.abs();
+            let solved = solution.kkt_residual <= LARGEST_RESIDUAL || solved_before.is_some_and(same);
+            let kept = solution.slack <= LARGEST_SLACK && solved;
+            solved_before = solved.then_some(solution.objective);
             if !is_whole || missing.abs() <= END_M {
                 if kept {
                     let objective = solution.objective;

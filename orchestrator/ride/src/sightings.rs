@@ -4,6 +4,8 @@
 //!
 //! * the last description before the robot passed its centre: that is the one that the plans past it had to keep;
 //! * with the margin of the command of that scan, as the controller adds it;
+//! * but no larger than the drive kept it: a plan may be driven if the body keeps its margin, even where its centre cuts
+//!   the ellipse by some centimetres;
 //! * known from the first scan in which any ellipse contained its centre: an identity may change, the obstacle is
 //!   known;
 //! * not at all if it was forgotten before the robot entered its span, or first described behind its centre: it did
@@ -94,7 +96,20 @@ impl Sightings {
         };
         let known_x_m = first.x_m + first.speed_mps * lead_s;
         let passed_left = scan.y_m >= item.y_m;
-        Some(Ellipse { body: item.body, a, b, passed_left, path, known_s: first.time_s + lead_s, known_x_m })
+        let known_s = first.time_s + lead_s;
+        let described = Ellipse { body: item.body, a, b, passed_left, path, known_s, known_x_m };
+        let kept = self.kept(&described);
+        Some(Ellipse { a: a * kept, b: b * kept, ..described })
+    }
+
+    /// The scale at which the drive stayed outside of an ellipse, at most 1.
+    fn kept(&self, ellipse: &Ellipse) -> f64 {
+        let square = |scan: &Sighting| {
+            let [x, y] = ellipse.centre_at(scan.time_s);
+            ((scan.x_m - x) / ellipse.a).powi(2) + ((scan.y_m - y) / ellipse.b).powi(2)
+        };
+        let known = self.scans.iter().filter(|scan| scan.time_s >= ellipse.known_s);
+        known.map(square).fold(1.0, f64::min).sqrt()
     }
 
     /// The first scan in which the centre of an ellipse was within this one.
@@ -121,12 +136,17 @@ mod tests {
 
     use super::*;
 
-    /// Obstacles that are described at each scan, 0.1 s and 0.1 m apart from x = 0.
+    /// Obstacles that are described at each scan, 0.1 s and 0.1 m apart from x = 0, far to the right of all of them.
     fn sightings(scans: &[Vec<Obstacle>]) -> Sightings {
+        along(-3.0, scans)
+    }
+
+    /// The same along another line.
+    fn along(y_m: f64, scans: &[Vec<Obstacle>]) -> Sightings {
         let mut sightings = Sightings::default();
         for (index, items) in scans.iter().enumerate() {
             let at = 0.1 * index as f64;
-            let truth = Truth { time_s: at, x_m: at, speed_mps: 1.0, ..Truth::default() };
+            let truth = Truth { time_s: at, x_m: at, y_m, speed_mps: 1.0, ..Truth::default() };
             let mut obstacles = Obstacles { count: items.len() as u32, ..Obstacles::default() };
             obstacles.items[..items.len()].copy_from_slice(items);
             let margin = Margin { base_m: 0.05, pose_m: 0.01 * index as f64, ..Margin::default() };
@@ -161,6 +181,15 @@ mod tests {
         let ellipses = sightings(&scans).ellipses(0.02, 0.0);
         let [ellipse] = &ellipses[..] else { panic!("the first identity was forgotten: {ellipses:?}") };
         assert_eq!((ellipse.body, ellipse.known_s), (2, 0.0));
+    }
+
+    #[test]
+    fn an_ellipse_is_no_larger_than_the_drive_kept_it() {
+        // The robot drives along y = 0 past a centre at y = 0.48 with b = 0.5 + 0.02 + the margin at scan 20.
+        let scans: Vec<Vec<Obstacle>> = (0..80).map(|_| vec![obstacle(1, 2.0, 0.48)]).collect();
+        let ellipses = along(0.0, &scans).ellipses(0.02, 0.0);
+        assert!((ellipses[0].b - 0.48).abs() < 1e-9, "{ellipses:?}");
+        assert!((ellipses[0].a / ellipses[0].b - 1.42 / 0.72).abs() < 1e-9);
     }
 
     #[test]

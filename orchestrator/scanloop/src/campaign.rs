@@ -10,7 +10,7 @@ use console::note;
 use console::progress::Steps;
 use emulator::course::{Family, of_campaign};
 use emulator::{Outcome, Scenario, feasible};
-use pipeline::Settings;
+use pipeline::{Settings, WayToRest};
 use report::NO_OBSTACLE_M;
 use serde::Serialize;
 
@@ -28,6 +28,10 @@ struct CourseRun {
     reason: String,
     time_s: f64,
     min_clearance_m: f64,
+    /// Smallest clearance on a way to rest.
+    min_rest_clearance_m: f64,
+    /// Scans without a way to rest that keeps clear.
+    without_rest: u64,
 }
 
 /// A course with a wrong outcome.
@@ -54,12 +58,15 @@ struct Summary {
     blocked: u64,
     blocked_stopped: u64,
     min_clearance_m: f64,
+    min_rest_clearance_m: f64,
+    without_rest: u64,
     time_to_goal_s: BTreeMap<&'static str, f64>,
     families: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
     bad: Vec<BadCourse>,
 }
 
-/// Drives the courses and prints how they ended; exit code 3 when one collided, 1 when another was bad.
+/// Drives the courses and prints how they ended; exit code 3 when one collided, 1 when another was bad or a scan had no way
+/// to rest without contact.
 ///
 /// # Errors
 /// Errors of the file system.
@@ -88,8 +95,14 @@ fn drive(seed: u64) -> anyhow::Result<CourseRun> {
     let (family, scenario) = of_campaign(seed);
     let passable = feasible::passable(&scenario);
     let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
-    let drive = pipeline::drive(&Settings::of(scenario), |step| {
+    let settings = Settings::of(scenario);
+    let (mut rest, mut min_rest_clearance_m, mut without_rest) =
+        (WayToRest::new(&settings), NO_OBSTACLE_M, 0);
+    let drive = pipeline::drive(&settings, |step| {
         (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
+        let clearance_m = rest.clearance(&step.truth);
+        min_rest_clearance_m = min_rest_clearance_m.min(clearance_m);
+        without_rest += u64::from(clearance_m <= 0.0);
     })?;
     Ok(CourseRun {
         seed,
@@ -99,12 +112,18 @@ fn drive(seed: u64) -> anyhow::Result<CourseRun> {
         reason: drive.reason,
         time_s,
         min_clearance_m,
+        min_rest_clearance_m,
+        without_rest,
     })
 }
 
 fn summarise(runs: &[CourseRun], arguments: &CampaignArguments) -> anyhow::Result<Summary> {
-    let mut summary =
-        Summary { runs: runs.len() as u64, min_clearance_m: NO_OBSTACLE_M, ..Summary::default() };
+    let mut summary = Summary {
+        runs: runs.len() as u64,
+        min_clearance_m: NO_OBSTACLE_M,
+        min_rest_clearance_m: NO_OBSTACLE_M,
+        ..Summary::default()
+    };
     let mut times: Vec<f64> = Vec::new();
     for run in runs {
         match run.outcome {
@@ -115,6 +134,8 @@ fn summarise(runs: &[CourseRun], arguments: &CampaignArguments) -> anyhow::Resul
             Outcome::Timeout | Outcome::Interrupted | Outcome::Failed => summary.timeout += 1,
         }
         summary.min_clearance_m = summary.min_clearance_m.min(run.min_clearance_m);
+        summary.min_rest_clearance_m = summary.min_rest_clearance_m.min(run.min_rest_clearance_m);
+        summary.without_rest += run.without_rest;
         *summary.families.entry(run.family.name()).or_default().entry(run.outcome.name()).or_default() += 1;
         if run.outcome == Outcome::Reached {
             times.push(run.time_s);
@@ -133,7 +154,7 @@ fn summarise(runs: &[CourseRun], arguments: &CampaignArguments) -> anyhow::Resul
             // For obstacles that appear late or move, passing and stopping are both right.
             _ => !matches!(run.outcome, Outcome::Reached | Outcome::Stopped),
         };
-        if bad {
+        if bad || run.without_rest > 0 {
             summary.bad.push(save(run, arguments)?);
         }
     }
@@ -151,8 +172,12 @@ fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCou
     std::fs::create_dir_all(&arguments.out).with_context(|| format!("--out {}", arguments.out.display()))?;
     let path = arguments.out.join(format!("{}.toml", scenario.name));
     std::fs::write(&path, scenario.to_toml()).with_context(|| format!("{}", path.display()))?;
-    let CourseRun { seed, outcome, ref reason, .. } = *run;
-    Ok(BadCourse { seed, family: family.name(), outcome, reason: reason.clone(), scenario: path })
+    let CourseRun { seed, outcome, ref reason, without_rest, .. } = *run;
+    let reason = match without_rest {
+        0 => reason.clone(),
+        scans => format!("{reason}, {scans} scans without a way to rest"),
+    };
+    Ok(BadCourse { seed, family: family.name(), outcome, reason, scenario: path })
 }
 
 fn text(summary: &Summary) -> String {
@@ -163,6 +188,11 @@ fn text(summary: &Summary) -> String {
     let _ = writeln!(text, "passable        {} of {} reached", summary.passable_reached, summary.passable);
     let _ = writeln!(text, "closed          {} of {} stopped", summary.blocked_stopped, summary.blocked);
     let _ = writeln!(text, "clearance       smallest {:.3} m", summary.min_clearance_m);
+    let _ = writeln!(
+        text,
+        "way to rest     smallest clearance {:.3} m, {} scans without one",
+        summary.min_rest_clearance_m, summary.without_rest
+    );
     for (family, outcomes) in &summary.families {
         let counts: Vec<String> =
             outcomes.iter().map(|(outcome, count)| format!("{count} {outcome}")).collect();

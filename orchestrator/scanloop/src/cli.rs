@@ -10,10 +10,12 @@ use session::arguments::{AdoptArguments, RunArguments};
 use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
+use crate::live_check::LiveArguments;
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
 use crate::types::TypesArguments;
+use crate::urg::UrgCommand;
 
 /// Exit codes, below the help of the program and on the page of the commands.
 const EXIT_CODES: &str = "\
@@ -50,7 +52,13 @@ pub enum Command {
     /// A process is identified by process id, start time, system and incarnation; no other process is touched. Exit
     /// code 2 if there is nothing to adopt.
     Adopt(AdoptArguments),
-    /// Validate scenario and system files and print the graph of processes and topics.
+    /// Validate scenario and system files and print the graph of processes and topics; with `--live`, check a robot.
+    ///
+    /// `--live` checks what robot and scanner really do: rate, jitter, stamps and returns of the scans, state of the
+    /// scanner, odometry, its direction when the robot is moved, and the stop. A system that runs is only observed.
+    /// Exit code 1 if a check failed, 4 if a process could not be started or ended. JSON keys: `system_id`, `system`
+    /// (`running`, `started`), `checks` with `name`, `outcome` (`ok`, `failed`, `skipped`), `measured`, `allowed`; `ok`,
+    /// `failed`, `skipped`, `blocked_deceleration_mps2` (null unless it was measured).
     Check(CheckArguments),
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     ///
@@ -105,14 +113,15 @@ pub enum Command {
     Shadow(ShadowArguments),
     /// Run one built-in implementation; `scanloop run` starts these.
     Service {
-        /// Name of the implementation: emulator, ekf, ellipses, nmpc or actuation.
+        /// Name of the implementation: emulator, player, ekf, ellipses, nmpc or actuation.
         name: String,
     },
     /// Drive random courses through the in-process pipeline on all cores and count how they end.
     ///
     /// Six of ten courses have obstacles at rest. The others are symmetric, blocked, have an obstacle that appears close
-    /// ahead, or one that moves. JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`,
-    /// `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`, `time_to_goal_s`, `bad`.
+    /// ahead, or one that moves. A course is bad as well if in any scan the robot could not come to rest without contact.
+    /// JSON keys: `runs`, `reached`, `missed`, `stopped`, `timeout`, `collision`, `passable`, `passable_reached`, `blocked`,
+    /// `blocked_stopped`, `min_clearance_m`, `min_rest_clearance_m`, `without_rest` (scans), `time_to_goal_s`, `bad`.
     Campaign(CampaignArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     ///
@@ -146,6 +155,9 @@ pub enum Command {
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),
+    /// Try a Hokuyo laser scanner alone: print its parameters, draw or log its scans.
+    #[command(subcommand)]
+    Urg(UrgCommand),
     /// Print the samples of all topics: fields, units, offsets.
     Types(TypesArguments),
     /// List the keys of scenario and system files with default, allowed values and meaning.
@@ -181,6 +193,9 @@ pub struct CheckArguments {
     /// Print the names of the shipped scenarios to standard output.
     #[arg(long)]
     pub list: bool,
+    /// Options of `--live`.
+    #[command(flatten)]
+    pub live: LiveArguments,
 }
 
 /// Arguments of `campaign`.

@@ -7,6 +7,7 @@ mod campaign;
 mod check;
 pub mod cli;
 mod cores;
+pub mod live_check;
 mod live_latency;
 mod price;
 mod reference;
@@ -18,6 +19,7 @@ pub mod successor;
 pub mod swap;
 mod topic;
 mod types;
+pub mod urg;
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -93,6 +95,9 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
             runtime::start_logging();
             bench::bench(&cli.system_id, command)
         }
+        Command::Check(arguments) if arguments.live.live => {
+            live_check::check(&cli.system_id, &arguments.live, &arguments.choice)
+        }
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => status::status(&domain()?, *json),
@@ -112,6 +117,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)),
+        Command::Urg(command) => urg::urg(command),
     }
 }
 

@@ -161,10 +161,10 @@ mod tests {
     fn a_text_that_no_key_has_is_refused() {
         let arguments = |text: &str| ReferenceArguments { text: text.to_owned(), page: None };
         assert!(
-            text(&arguments("wheelbase"), Cli::command())
+            text(&arguments("propeller"), Cli::command())
                 .unwrap_err()
                 .to_string()
-                .starts_with("wheelbase: no key")
+                .starts_with("propeller: no key")
         );
         assert!(text(&arguments(""), Cli::command()).unwrap().lines().count() > 200);
     }

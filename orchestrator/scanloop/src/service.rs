@@ -20,6 +20,9 @@ pub(crate) fn run(name: &str) -> anyhow::Result<Exit> {
     }
     match name {
         "emulator" => emulator::service::run()?,
+        "player" => player::service::run()?,
+        // Started by `player`, and no process of the system.
+        "player-guard" => player::guard::run()?,
         "ekf" => estimator::service::run()?,
         "ellipses" => obstacles::service::run()?,
         "nmpc" => nmpc::service::run()?,

@@ -11,7 +11,7 @@ use session::control::{Reply, Request, Successor, ask};
 pub struct SuccessorArguments {
     /// Role of the process: robot, estimator, obstacles, controller or actuator.
     pub role: String,
-    /// Built-in implementation: emulator, ekf, ellipses, nmpc or actuation.
+    /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
     pub to: Option<String>,
     /// Program of your own that fills the role, with its arguments.

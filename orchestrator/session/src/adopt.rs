@@ -113,7 +113,8 @@ pub(crate) fn take_over(
 
     let duration_s = arguments.duration.or(run.duration_s);
     let options = RunOptions { lockstep: false, duration_s, quiet: arguments.quiet, out };
-    let startup = Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 0 };
+    let judged_by = registry.judged_by;
+    let startup = Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 0, judged_by };
     let mut session = Session::new(domain, &plan, &options, startup)?;
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)

@@ -15,4 +15,5 @@ pub mod startup;
 mod survivors;
 mod vitals;
 
+pub use process_registry::driven_system;
 pub use session::Session;

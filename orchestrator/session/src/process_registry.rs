@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use emulator::{Outcome, Scenario};
+use emulator::{JudgedBy, Outcome, Scenario};
 use plan::Plan;
 use plan::system::System;
 use runtime::{Domain, PROCESSES_FILE};
@@ -44,6 +44,9 @@ pub(crate) struct ProcessRegistry {
     pub phase: u32,
     /// 1 when the wheels are to be blocked.
     pub stop: u32,
+    /// What decides the outcome, once the robot is connected.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub judged_by: Option<JudgedBy>,
     /// How the run ends, once it is decided.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outcome: Option<Outcome>,
@@ -151,6 +154,15 @@ impl RunFile {
     }
 }
 
+/// The system of a run, and whether time is simulated.
+///
+/// # Errors
+/// A run file that is absent or can't be read.
+pub fn driven_system(domain: &Domain) -> anyhow::Result<(System, bool)> {
+    let (run, _) = RunFile::read(domain)?;
+    Ok((run.system, run.lockstep))
+}
+
 fn read<T: serde::de::DeserializeOwned>(domain: &Domain, name: &str) -> anyhow::Result<T> {
     let text = domain.folder().read_text(name)?;
     toml::from_str(&text).with_context(|| format!("{}", domain.directory().join(name).display()))
@@ -172,6 +184,7 @@ mod tests {
         let entry = ProcessEntry::of(Role::Controller, &["./mine".to_owned(), "--fast".to_owned()]);
         let process_registry = ProcessRegistry {
             generation: 2,
+            judged_by: Some(JudgedBy::Estimate),
             outcome: Some(Outcome::Missed),
             reason: "passed \"it\"".to_owned(),
             authority: vec![Right { incarnation: 7, previous: 3, from_scan: 1 << 40 }; ROLES],

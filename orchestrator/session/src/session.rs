@@ -7,6 +7,7 @@
 
 mod candidates;
 mod conclusion;
+mod judge;
 mod reconciliation;
 mod recording;
 mod registry_file;
@@ -19,6 +20,7 @@ use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::Samples;
 use console::progress::Progress;
+use emulator::JudgedBy;
 use plan::Plan;
 use report::recorder::{Recorder, RunResult};
 use report::{Outcome, ProcessReport};
@@ -58,6 +60,8 @@ pub struct Session {
     watches: Watches,
     directives: Directives,
     registry_file: RegistryFile,
+    /// What decides the outcome; `None` until the robot is connected.
+    judged_by: Option<JudgedBy>,
     control: ControlSocket,
     shutdown: Shutdown,
     progress: Progress,
@@ -89,7 +93,7 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan } = startup;
+        let Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan, judged_by } = startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -99,7 +103,7 @@ impl Session {
             _ => SampleAudit::new(lockstep),
         };
         let scenario = plan.scenario.name.clone();
-        Ok(Self {
+        let mut session = Self {
             control: ControlSocket::open(domain)?,
             supervisor: if lockstep { supervisor.in_lockstep() } else { supervisor },
             swaps: Swaps::new(period_ns, lockstep),
@@ -112,6 +116,7 @@ impl Session {
             watches: Watches::default(),
             directives: Directives::new(&bus, directive)?,
             registry_file: RegistryFile::default(),
+            judged_by: None,
             progress: Progress::new(options.quiet),
             manager: ServiceManager::new(),
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
@@ -119,7 +124,9 @@ impl Session {
             shutdown,
             bus,
             fleet,
-        })
+        };
+        judged_by.into_iter().for_each(|by| session.judge_by(by));
+        Ok(session)
     }
 
     /// Calls `observer` with each scan that is recorded: for a bench.
@@ -145,6 +152,7 @@ impl Session {
             self.reap()?;
             self.serve()?;
             self.record(false)?;
+            self.require_truth();
             self.advance_audit();
             self.advance_end()?;
             self.advance_candidates()?;
@@ -254,7 +262,7 @@ impl Session {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
             if self.conclusion.is_open()
-                && let Some((outcome, reason)) = self.recording.judge(&scan.truth)
+                && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
                 self.decide(outcome, &reason);
             }
@@ -324,18 +332,6 @@ impl Session {
         self.audit.samples.run_ended();
     }
 
-    /// Whether the wheels rest since the end was decided. Without a truth the limit of the conclusion counts.
-    fn rests(&self) -> bool {
-        let Some((outcome, decided_ns)) = self.conclusion.resting() else { return false };
-        // The referee has seen it stand.
-        let stood =
-            matches!(outcome, Outcome::Reached | Outcome::Missed | Outcome::Stopped | Outcome::Collision);
-        let newest = self.samples.newest_truth().or(self.recording.recorder.last_truth());
-        newest.is_some_and(|truth| {
-            truth.speed_mps <= 0.0 && (stood || truth.blocked == 1 && truth.header.acquired_ns > decided_ns)
-        })
-    }
-
     fn handle(&mut self, event: Event) -> anyhow::Result<()> {
         let mut events = vec![event];
         while let Some(event) = events.pop() {
@@ -382,6 +378,7 @@ impl Session {
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
+                    self.find_judge()?;
                     self.audit.samples.driving();
                     self.directives.grant(GRANT_AHEAD);
                     self.audit.moved(monotonic_ns());

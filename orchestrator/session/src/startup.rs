@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use emulator::JudgedBy;
 use runtime::{Bus, Shutdown, StopWord};
 use shared_types::Directive;
 use supervision::fleet::Fleet;
@@ -31,4 +32,6 @@ pub(crate) struct Startup {
     pub(crate) directive: Directive,
     /// 0 when another orchestrator has started the run.
     pub(crate) first_scan: u64,
+    /// What decides the outcome; `None` until the robot is connected.
+    pub(crate) judged_by: Option<JudgedBy>,
 }

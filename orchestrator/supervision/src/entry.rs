@@ -16,7 +16,7 @@ settings! {
         /// Role that the process fills.
         pub role: String = String::new(), (ROLES, "must be given");
         /// Built-in implementation that fills the role; it needs this or `command`.
-        pub implementation: Option<String> = None, "emulator, ekf, ellipses, nmpc or actuation, in the order of the roles";
+        pub implementation: Option<String> = None, "emulator or player, ekf, ellipses, nmpc or actuation, in the order of the roles";
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
         /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
@@ -48,8 +48,9 @@ pub struct ProcessRow {
 }
 
 /// Built-in implementations: name, and the role that each fills.
-pub const IMPLEMENTATIONS: [(&str, Role); 5] = [
+pub const IMPLEMENTATIONS: [(&str, Role); 6] = [
     ("emulator", Role::Robot),
+    ("player", Role::Robot),
     ("ekf", Role::Estimator),
     ("ellipses", Role::Obstacles),
     ("nmpc", Role::Controller),

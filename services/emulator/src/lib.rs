@@ -22,5 +22,5 @@ pub mod service;
 pub mod steering_map;
 
 pub use emulator::{Emulator, EmulatorState, Received};
-pub use referee::{Outcome, Referee};
+pub use referee::{Evidence, JudgedBy, Outcome, Referee};
 pub use scenario::{Scenario, ScenarioError};

@@ -1,13 +1,18 @@
 //! How a drive ends, judged by the truth and by what was sent to the robot.
 //!
-//! The referee gets one truth per scan. A run ends when the body has touched something, when the robot stands after
+//! The referee gets one truth per scan, or, where the robot publishes none, the estimated pose. A run ends when the body has touched something, when the robot stands after
 //! landing or after passing the goal, when the wheels stay blocked, or when the time is over. Time is that of the
 //! plant, so a run in lock-step ends like one in real time.
+
+mod estimate;
 
 use serde::{Deserialize, Serialize};
 use shared_types::{Actuation, ActuationKind, BlockReason, StopReason, Truth, named_enum};
 
+use self::estimate::Wheels;
 use crate::scenario::Scenario;
+
+pub use self::estimate::Evidence;
 
 named_enum! {
     /// How a run ended.
@@ -32,9 +37,23 @@ named_enum! {
     }
 }
 
+named_enum! {
+    /// What decides the outcome of a run.
+    #[derive(Default, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum JudgedBy {
+        /// The true state that an emulated robot publishes.
+        #[default]
+        Truth "truth",
+        /// The estimated pose and what was sent to the robot: collisions are not seen.
+        Estimate "estimate",
+    }
+}
+
 /// Judges a drive.
 #[derive(Debug, Clone)]
 pub struct Referee {
+    goal_m: [f64; 2],
     tolerance_m: f64,
     timeout_s: f64,
     stop_final_s: f64,
@@ -44,7 +63,20 @@ pub struct Referee {
     block: Option<Block>,
     /// The last scan that was answered with turning wheels.
     driven_scan: u64,
+    /// The wheels of a robot that publishes no truth.
+    wheels: Wheels,
     reason: String,
+}
+
+/// The robot at a scan, by the truth or by the estimate.
+#[derive(Debug, Clone, Copy)]
+struct Sight {
+    time_s: f64,
+    goal_distance_m: f64,
+    /// Whether the wheels have been blocked since the scan before.
+    blocked: bool,
+    stands: bool,
+    dead_man: bool,
 }
 
 /// Why an actuation blocks the wheels.
@@ -70,12 +102,14 @@ impl Referee {
     /// A referee for one run of a scenario.
     pub fn new(scenario: &Scenario) -> Self {
         Self {
+            goal_m: [scenario.goal.x_m, scenario.goal.y_m],
             tolerance_m: scenario.goal.tolerance_m,
             timeout_s: scenario.timeout_s,
             stop_final_s: scenario.stop_final_s,
             blocked_since_s: None,
             block: None,
             driven_scan: 0,
+            wheels: Wheels::default(),
             reason: String::new(),
         }
     }
@@ -92,14 +126,30 @@ impl Referee {
                 self.driven_scan = actuation.header.scan_id;
             }
         }
-        if truth.blocked == 0 || turned {
-            self.blocked_since_s = None;
-        } else if self.blocked_since_s.is_none() {
-            self.blocked_since_s = Some(truth.time_s);
+        let contact = contact(truth);
+        let sight = Sight {
+            time_s: truth.time_s,
+            goal_distance_m: truth.goal_distance_m,
+            blocked: truth.blocked != 0 && !turned,
+            stands: truth.blocked != 0 && truth.speed_mps <= 0.0,
+            dead_man: truth.dead_man != 0,
+        };
+        self.decide(&sight, contact)
+    }
+
+    /// The outcome of a drive without a truth, once there is one; a collision never is.
+    pub fn observe_estimate(&mut self, scan: &Evidence<'_>) -> Option<Outcome> {
+        let is_of_scan = |actuation: &Actuation| actuation.header.scan_id >= scan.header.scan_id;
+        // The actuator's own decisions carry the number of the scan before.
+        let before = scan.actuations.iter().position(is_of_scan).unwrap_or(scan.actuations.len());
+        let (before, since) = scan.actuations.split_at(before);
+        before.iter().for_each(|actuation| self.wheels.note(actuation));
+        let sight = self.wheels.at(scan, self.goal_m);
+        since.iter().for_each(|actuation| self.wheels.note(actuation));
+        if let Some(newest) = scan.actuations.last() {
+            self.block = Block::of(newest);
         }
-        let (outcome, reason) = self.judge(truth)?;
-        self.reason = reason;
-        Some(outcome)
+        self.decide(&sight, None)
     }
 
     /// Why the run ended; empty while it lasts.
@@ -107,17 +157,15 @@ impl Referee {
         &self.reason
     }
 
-    fn judge(&self, truth: &Truth) -> Option<(Outcome, String)> {
-        let distance = truth.goal_distance_m;
-        if truth.collided != 0 {
-            let place =
-                format!("the body touched something at x = {:.3} m, y = {:.3} m", truth.x_m, truth.y_m);
-            return Some((Outcome::Collision, place));
-        }
-        if truth.struck != 0 {
-            return Some((Outcome::Stopped, "struck".to_owned()));
-        }
-        let stands = truth.blocked != 0 && truth.speed_mps <= 0.0;
+    fn decide(&mut self, sight: &Sight, contact: Option<(Outcome, String)>) -> Option<Outcome> {
+        self.blocked_since_s = sight.blocked.then(|| self.blocked_since_s.unwrap_or(sight.time_s));
+        let (outcome, reason) = contact.or_else(|| self.judge(sight))?;
+        self.reason = reason;
+        Some(outcome)
+    }
+
+    fn judge(&self, sight: &Sight) -> Option<(Outcome, String)> {
+        let Sight { time_s, goal_distance_m: distance, stands, .. } = *sight;
         if stands && self.block.is_some_and(Block::lands) {
             let reason = format!("landed {distance:.3} m from the goal, {} m are allowed", self.tolerance_m);
             // NaN does not count as reached.
@@ -128,22 +176,22 @@ impl Referee {
             return Some((Outcome::Missed, format!("the goal was passed, it is {distance:.3} m away")));
         }
         if let Some(since) = self.blocked_since_s
-            && truth.time_s - since >= self.stop_final_s
+            && time_s - since >= self.stop_final_s
         {
-            let reason = format!("wheels blocked for {} s: {}", self.stop_final_s, self.block_name(truth));
+            let reason = format!("wheels blocked for {} s: {}", self.stop_final_s, self.block_name(sight));
             return Some((Outcome::Stopped, reason));
         }
-        (truth.time_s >= self.timeout_s).then(|| {
+        (time_s >= self.timeout_s).then(|| {
             (Outcome::Timeout, format!("{} s are over, the goal is {distance:.3} m away", self.timeout_s))
         })
     }
 
     /// Name of the reason why the wheels are blocked.
-    fn block_name(&self, truth: &Truth) -> &'static str {
+    fn block_name(&self, sight: &Sight) -> &'static str {
         match self.block {
             Some(Block { reason: Some(BlockReason::Commanded), stop: Some(stop) }) => stop.name(),
             Some(Block { reason: Some(reason), .. }) => reason.name(),
-            _ if truth.dead_man != 0 => "dead_man",
+            _ if sight.dead_man => "dead_man",
             _ => BlockReason::Start.name(),
         }
     }
@@ -166,9 +214,19 @@ impl Block {
     }
 }
 
+/// The outcome of a drive in which the body touches something.
+fn contact(truth: &Truth) -> Option<(Outcome, String)> {
+    if truth.collided != 0 {
+        let place = format!("the body touched something at x = {:.3} m, y = {:.3} m", truth.x_m, truth.y_m);
+        return Some((Outcome::Collision, place));
+    }
+    (truth.struck != 0).then(|| (Outcome::Stopped, "struck".to_owned()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_types::{Header, Pose, Role};
 
     fn truth(time_s: f64, goal_distance_m: f64, blocked: u32) -> Truth {
         Truth { time_s, goal_distance_m, blocked, ..Truth::default() }
@@ -262,6 +320,96 @@ mod tests {
         let mut referee = referee();
         assert_eq!(referee.observe(&Truth { struck: 1, ..truth(1.0, 9.0, 1) }, None), Some(Outcome::Stopped));
         assert_eq!(referee.reason(), "struck");
+    }
+
+    /// A referee that sees scans without a truth, every 0.1 s from zero.
+    struct Blind {
+        referee: Referee,
+        scan_id: u64,
+    }
+
+    impl Blind {
+        fn new() -> Self {
+            Self { referee: referee(), scan_id: 0 }
+        }
+
+        /// The next scan at this place and speed, answered so; `late` are blocks that the actuator decided before it.
+        fn scan(
+            &mut self,
+            x_m: f64,
+            speed_mps: f64,
+            late: &[Actuation],
+            answer: Actuation,
+        ) -> Option<Outcome> {
+            self.scan_id += 1;
+            let acquired_ns = (self.scan_id - 1) * 100_000_000;
+            let header = Header { scan_id: self.scan_id, acquired_ns, ..Header::default() };
+            let pose = Pose { x_m, speed_mps, ..Pose::default() };
+            let mut answer = Actuation { header, answers: 1, ..answer };
+            answer.header.stage_mut(Role::Actuator).published_ns = acquired_ns + 40_000_000;
+            let mut actuations: Vec<Actuation> = late.to_vec();
+            for actuation in &mut actuations {
+                actuation.header.scan_id = self.scan_id - 1;
+            }
+            actuations.push(answer);
+            self.referee.observe_estimate(&Evidence {
+                header: &header,
+                time_s: acquired_ns as f64 * 1e-9,
+                period_ns: 100_000_000,
+                pose: Some(&pose),
+                actuations: &actuations,
+            })
+        }
+    }
+
+    #[test]
+    fn without_a_truth_a_landing_is_judged_by_the_estimate_once_the_robot_stands() {
+        let landed = block(BlockReason::Landed, StopReason::Landed);
+        for (x_m, outcome) in [(9.91, Outcome::Reached), (9.89, Outcome::Missed)] {
+            let mut blind = Blind::new();
+            assert_eq!(blind.scan(x_m, 0.5, &[], drive()), None);
+            assert_eq!(blind.scan(x_m, 0.5, &[], landed), None, "the wheels turned until now");
+            assert_eq!(blind.scan(x_m, 0.3, &[], landed), None, "it slides");
+            assert_eq!(blind.scan(x_m, 0.04, &[], landed), Some(outcome), "{}", blind.referee.reason());
+        }
+        // An estimate that never gets to rest delays the end, and does not prevent it.
+        let mut blind = Blind::new();
+        let outcomes: Vec<_> = (0..20).map(|_| blind.scan(10.0, 0.2, &[], landed)).collect();
+        assert_eq!(outcomes.iter().position(Option::is_some), Some(15));
+    }
+
+    #[test]
+    fn without_a_truth_a_stop_and_the_timeout_count_as_with_it() {
+        let blocked = block(BlockReason::Commanded, StopReason::Blocked);
+        let mut blind = Blind::new();
+        blind.scan(3.0, 0.5, &[], drive());
+        let ended = (2..100).find(|_| blind.scan(3.0, 0.0, &[], blocked).is_some());
+        assert_eq!((ended, blind.referee.reason()), (Some(53), "wheels blocked for 5 s: blocked"));
+        let mut blind = Blind::new();
+        let ended = (1..1000).find(|_| blind.scan(3.0, 0.5, &[], drive()).is_some());
+        assert_eq!((ended, blind.referee.reason()), (Some(601), "60 s are over, the goal is 7.000 m away"));
+    }
+
+    #[test]
+    fn without_a_truth_gaps_between_scans_are_no_stop_and_a_silent_actuator_is() {
+        let gap = block(BlockReason::NoCommand, StopReason::None);
+        let mut blind = Blind::new();
+        assert!((0..100).all(|_| blind.scan(3.0, 0.5, &[gap], drive()).is_none()));
+        let mut blind = Blind::new();
+        blind.scan(3.0, 0.5, &[], drive());
+        let header =
+            |scan_id: u64| Header { scan_id, acquired_ns: scan_id * 100_000_000, ..Header::default() };
+        let ended = (2..100).find(|scan_id| {
+            let silent = Evidence {
+                header: &header(*scan_id),
+                time_s: *scan_id as f64 * 0.1,
+                period_ns: 100_000_000,
+                pose: None,
+                actuations: &[],
+            };
+            blind.referee.observe_estimate(&silent) == Some(Outcome::Stopped)
+        });
+        assert_eq!((ended, blind.referee.reason()), (Some(53), "wheels blocked for 5 s: dead_man"));
     }
 
     #[test]

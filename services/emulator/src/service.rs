@@ -1,4 +1,4 @@
-//! The process of the role `robot`: actuation in; scan, odometry and truth out.
+//! The process of the role `robot`: actuation in; scan, odometry and, unless the scenario hides it, truth out.
 //!
 //! In real time a scan is published when it is due. In lock-step it is published when the previous scan was answered
 //! and the orchestrator has granted it.
@@ -64,7 +64,7 @@ pub fn run_with(change: impl FnMut(&mut Scan, &mut Odometry, &mut Truth) + 'stat
         actuations: process.input()?,
         scans: process.output()?,
         odometries: process.output()?,
-        truths: process.output()?,
+        truths: if scenario.robot.publish_truth { Some(process.output()?) } else { None },
         change: Box::new(change),
         pending: None,
         state: RobotState { next_scan: 1, ..RobotState::default() },
@@ -90,7 +90,8 @@ struct Robot {
     actuations: Input<Actuation>,
     scans: Rc<Output<Scan>>,
     odometries: Rc<Output<Odometry>>,
-    truths: Rc<Output<Truth>>,
+    /// Only where the scenario asks for the truth: a robot that opens this topic promises to publish on it.
+    truths: Option<Rc<Output<Truth>>>,
     /// Applied to the samples of each scan.
     change: Box<Change>,
     /// The next actuation, which does not act yet.
@@ -99,7 +100,7 @@ struct Robot {
     state: RobotState,
     /// Whether this process blocked the wheels for a stop.
     stopped: bool,
-    /// Whether a truth at rest was published since then.
+    /// Whether a scan at rest was published since then.
     rest_published: bool,
     /// What the last line of the log states about the wheels.
     logged: Wheels,
@@ -159,7 +160,7 @@ impl Robot {
         }
     }
 
-    /// Before this process ends: waits until the robot rests and a truth that shows it is published.
+    /// Before this process ends: waits until the robot rests and a scan that shows it is published.
     fn come_to_rest(&mut self, process: &mut Process) -> anyhow::Result<()> {
         // Another process is in charge, or simulated time has stopped.
         if !process.is_in_charge() || process.clock().is_simulated() {
@@ -295,7 +296,9 @@ impl Robot {
         }
         (self.change)(&mut scan, &mut odometry, &mut truth);
         self.rest_published |= self.stopped && truth.speed_mps <= 0.0;
-        self.truths.publish_silently(&mut truth)?;
+        if let Some(truths) = &self.truths {
+            truths.publish_silently(&mut truth)?;
+        }
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
         self.state.next_scan = scan_id + 1;

@@ -1,14 +1,31 @@
 //! Settings of the controller, checked once when it is made.
 
 use ocp::SolverSettings;
-use vehicle::{Description, Goal, Invalid, Track, require, settings};
+use serde::{Deserialize, Serialize};
+use vehicle::{Description, Goal, Invalid, Setting, Track, require, settings};
 
+use crate::explicit_side::SideRule;
 use crate::margin::MarginSettings;
 use crate::reference_path::LatticeSettings;
 use crate::weights::WeightSettings;
 
 /// Most intervals a plan may have: a command carries one node more.
 pub(crate) const MAX_INTERVALS: usize = shared_types::PLAN_NODES - 1;
+
+/// A set of default values that go together.
+///
+/// The reader of the system file puts the values of a profile where the file has none. The controller does not use it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Profile {
+    /// The controller of this project.
+    #[default]
+    Scanloop,
+    /// The controller of the source.
+    Source,
+}
+
+impl Setting for Profile {}
 
 settings! {
     /// Settings of the rule that stops in front of a blocked path.
@@ -32,6 +49,12 @@ settings! {
 settings! {
     /// Settings of the controller.
     pub struct Config {
+        /// Set of default values for this table, the tables below it and `obstacles.cover`: `source` has the methods of
+        /// the source. A key that is set holds with each profile.
+        pub profile: Profile = Profile::Scanloop;
+        /// What chooses the passing sides: `search` is the path search. The others do without a search and pass obstacles
+        /// on the line on their left, on their right, or on the side with the shorter detour.
+        pub side: SideRule = SideRule::Search;
         /// Where to land; `run` takes it from the scenario.
         pub goal: Goal = Goal::default();
         /// The track; `run` takes it from the scenario.
@@ -42,14 +65,16 @@ settings! {
         pub theta_m: f64 = 0.2, 0.0..=2.0;
         /// Distance by which the semi-axes of the ellipses are enlarged for planning [m].
         pub ellipse_margin_m: f64 = 0.02, 0.0..=0.5;
+        /// Time constant with which the ellipses follow their description [s].
+        pub smoothing_s: f64 = 0.28, 0.001..=10.0;
         /// Distance of the body to an obstacle that a verified plan keeps in any case [m].
         pub clearance_m: f64 = 0.05, 0.0..=1.0;
         /// What is kept in addition to `clearance_m`.
         pub margin: MarginSettings = MarginSettings::default();
         /// Length of the horizon, tf [s].
-        pub horizon_s: f64 = 2.72, 0.5..=10.0;
+        pub horizon_s: f64 = 5.44, 0.5..=10.0;
         /// Number of intervals of the horizon, N.
-        pub intervals: usize = 6, 2.0..=MAX_INTERVALS as f64;
+        pub intervals: usize = 12, 2.0..=MAX_INTERVALS as f64;
         /// Scan period that is assumed until the stamps of two scans give the true one; `run` takes it from `rate_hz` [s].
         pub period_s: f64 = 0.1, 0.001..=2.0;
         /// Velocity on a free path [m/s].

@@ -3,7 +3,8 @@
 //! 1. Invalid or contradictory inputs stop the robot.
 //! 2. Landing is decided by position alone.
 //! 3. The speed is limited to what can be stopped for something that appears unseen, and within what the scanner shows.
-//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly.
+//! 4. The lattice planner chooses the passing sides, and shows whether the path is clear, if need be slowly; or an
+//!    explicit rule does.
 //! 5. The optimal control problem is solved from the best guess, then from others.
 //! 6. Only a verified plan is driven: converged, best iterate, or the rest of the last plan; else stop.
 //! 7. The stop rule checks what comes behind the end of the plan.
@@ -18,13 +19,17 @@ use vehicle::{Control, Invalid, State};
 use crate::blocking::blocking;
 use crate::braking::STOP_MARGIN_M;
 use crate::config::Config;
+use crate::contest::Contest;
+use crate::explicit_side::{self, SideRule};
 use crate::landing::{Approach, approach};
 use crate::lattice::Search;
 use crate::planner::{Choice, Planner, Task};
 use crate::predicted_obstacle::PredictedObstacle;
 use crate::query::Query;
 use crate::reference_path::ReferencePath;
+use crate::scene::REST_MPS;
 use crate::side::{self, Passing, held};
+use crate::smoothing;
 use crate::start::{self, Start};
 use crate::state::{Arrival, ControllerState};
 use crate::stop_rule::blocked_by;
@@ -32,13 +37,12 @@ use crate::warm;
 
 /// Velocities at which a path past moving obstacles is searched, as shares of the cruising velocity.
 const SLOWER: [f64; 4] = [1.0, 0.6, 0.35, 0.15];
-/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
-const REST_MPS: f64 = 0.02;
-
+/// A moving obstacle is passed on the other side when that costs less than this share.
+const SWITCH_SHARE: f64 = 0.8;
+/// A plan that the search does not agree with may have this slack.
+const CONTINUED_SLACK: f64 = 0.01;
 /// Blocked wheels that slide further than this are worth a slower plan [m].
 const SLIDE_M: f64 = 0.2;
-/// Distance in addition to the margin that a path at full speed keeps [m]: plans do not follow it exactly.
-const SPARE_M: f64 = 0.03;
 /// Share of the drive's largest deceleration with which a path slows down for a narrow place.
 const SLOWING_SHARE: f64 = 0.35;
 
@@ -51,6 +55,10 @@ pub struct Controller {
     state: ControllerState,
     predicted: Vec<PredictedObstacle>,
     reference_path: ReferencePath,
+    /// A path past the nearest obstacle whose side is open, on the other side; used when there is a `contest`.
+    alternative: ReferencePath,
+    /// What the alternative is for, when there is one.
+    contest: Option<Contest>,
 }
 
 impl Controller {
@@ -68,6 +76,8 @@ impl Controller {
             state: ControllerState::default(),
             predicted: Vec::with_capacity(shared_types::MAX_OBSTACLES),
             reference_path,
+            alternative: ReferencePath::default(),
+            contest: None,
             config,
         })
     }
@@ -79,7 +89,11 @@ impl Controller {
 
     /// Continues from the state of another controller; an invalid plan is dropped.
     pub fn resume(&mut self, state: &ControllerState) {
-        self.state = ControllerState { sides: side::valid(&state.sides), ..*state };
+        self.state = ControllerState {
+            sides: side::valid(&state.sides),
+            ellipses: smoothing::valid(&state.ellipses),
+            ..*state
+        };
         let length = state.plan_length as usize;
         let finite = |node: &PlanNode| node.velocity_mps.is_finite() && node.steering_rad.is_finite();
         let sound = (2..=PLAN_NODES).contains(&length)
@@ -142,6 +156,7 @@ impl Controller {
         // Bodies that a faulty scanner shows may contradict the pose: then the scanner is the reason.
         let initial = start::read(&self.config, pose, obstacles, &mut self.predicted)
             .map_err(|reason| if scanner.state().is_stop() { StopReason::Scanner } else { reason })?;
+        self.smooth(pose.predicted_ns);
         self.arrive(&initial, pose.predicted_speed_mps, period_s)?;
         if pose.alarm == Alarm::Stop.wire() {
             return Err(StopReason::SelfCheck);
@@ -151,6 +166,12 @@ impl Controller {
             (start.limit_mps, start.margin.at(0.0, pose.predicted_speed_mps.abs()));
         self.find_reference_path(&start);
         command.side = self.nearest_side(&initial);
+        if (!self.reference_path.clear || !self.reference_path.limits.is_empty())
+            && let Some(choice) = self.continue_plan(&start, pose, budget, command)
+        {
+            command.margin = start.margin.at(0.0, self.planner.controls[0].velocity);
+            return Ok(choice);
+        }
         if !self.reference_path.clear {
             let scene = start.scene(&self.config, &self.predicted);
             let approach_mps = start.stopping.speed(scene.free_ahead() - start.margin.base() - STOP_MARGIN_M);
@@ -168,6 +189,27 @@ impl Controller {
         Ok(choice)
     }
 
+    /// The last plan, corrected, where it leads past the obstacles although the search found no path: the search is
+    /// coarser than a plan that drives along an ellipse.
+    fn continue_plan(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        let Self { config, predicted, alternative, state, planner, .. } = self;
+        alternative.set_line(start.initial.x, config.goal.y_m, config.cruise_mps.min(start.limit_mps));
+        let scene = start.scene(config, predicted);
+        let task = Task::new(scene, alternative, state, pose, start);
+        let choice = planner.continue_plan(&task, budget, &mut 0, command)?;
+        let is_open = choice.level == Level::Converged
+            && command.slack < CONTINUED_SLACK
+            && planner.is_fast()
+            && blocked_by(&scene, &planner.rollout.samples, start.stop_m(), f64::NEG_INFINITY).is_none();
+        is_open.then_some(choice)
+    }
+
     /// A plan that may be driven, unless the path is blocked.
     fn plan(
         &mut self,
@@ -176,16 +218,24 @@ impl Controller {
         budget: &Budget,
         command: &mut Command,
     ) -> Result<Choice, StopReason> {
-        let Self { config, predicted, reference_path, state, planner, .. } = self;
+        let other = self.cost_of_alternative(start, pose, budget, command);
+        let Self { config, predicted, reference_path, alternative, contest, state, planner, .. } = self;
         let scene = start.scene(config, predicted);
-        let mut task = Task {
-            scene,
-            reference_path,
-            last: state,
-            start_ns: pose.predicted_ns,
-            fastest_mps: start.limit_mps,
-        };
+        let task = Task::new(scene, reference_path, state, pose, start);
         let mut choice = planner.plan(&task, budget, command);
+        let own = choice.filter(|choice| choice.level == Level::Converged).map(|_| command.objective);
+        if let Some(contest) = contest {
+            command.sides = contest.compare(own, other);
+        }
+        if let (Some(contest), Some(other)) = (contest, other)
+            && own.is_none_or(|own| contest.share * own > other)
+        {
+            std::mem::swap(reference_path, alternative);
+            side::renew(&mut state.sides, predicted, |obstacle| reference_path.side_of(obstacle));
+            let task = Task::new(scene, reference_path, state, pose, start);
+            choice = planner.plan(&task, budget, command);
+        }
+        let mut task = Task::new(scene, reference_path, state, pose, start);
         // Where blocked wheels slide far, a slower plan may keep clear although the fast one does not.
         let slowest = config.vehicle.bounds.velocity_min_mps;
         while choice.is_none()
@@ -210,6 +260,29 @@ impl Controller {
             command.blocking = refused_for.map(|index| blocking(&scene, index)).unwrap_or_default();
             StopReason::Unverified
         })
+    }
+
+    /// Objective of a plan along the alternative; `None` without one that can be driven.
+    fn cost_of_alternative(
+        &mut self,
+        start: &Start,
+        pose: &Pose,
+        budget: &Budget,
+        command: &mut Command,
+    ) -> Option<f64> {
+        self.contest?;
+        let Self { config, predicted, alternative, state, planner, .. } = self;
+        let task = Task::new(start.scene(config, predicted), alternative, state, pose, start);
+        let choice = planner.plan(&task, budget, command)?;
+        (choice.level == Level::Converged).then_some(command.objective)
+    }
+
+    /// Smooths the ellipses of this scan, whose plan starts at `start_ns`.
+    fn smooth(&mut self, start_ns: u64) {
+        let elapsed_s = start_ns.saturating_sub(self.state.started_ns) as f64 * 1e-9;
+        self.state.started_ns = start_ns;
+        let Self { state, predicted, config, .. } = self;
+        smoothing::smooth(&mut state.ellipses, predicted, elapsed_s, config.smoothing_s);
     }
 
     /// Lands, or stops behind the goal; a goal that was passed stays passed until the robot is well before it.
@@ -257,16 +330,19 @@ impl Controller {
                     && y - obstacle.b - margin < high
                     && y + obstacle.b + margin > low)
         };
-        if predicted.iter().any(in_the_way) {
+        if config.side != SideRule::Search {
             let scene = start.scene(config, predicted);
-            let mut find = |speed: f64, spare_m: f64| {
-                let query = Query { scene, speed, spare_m, sides: &self.state.sides };
+            explicit_side::find(&scene, &self.state.sides, cruise, &mut self.reference_path);
+        } else if predicted.iter().any(in_the_way) {
+            let scene = start.scene(config, predicted);
+            let mut find = |speed: f64, narrow: bool| {
+                let query = Query { scene, speed, narrow, sides: &self.state.sides, forced: None };
                 self.search.find(&query, &mut self.reference_path);
                 self.reference_path.clear
             };
             if predicted.iter().any(PredictedObstacle::moves) {
-                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), 0.0));
-            } else if !find(cruise, SPARE_M) && find(slowest, 0.0) {
+                let _ = SLOWER.iter().any(|share| find((cruise * share).max(slowest), true));
+            } else if !find(cruise, false) && find(slowest, true) {
                 // Slow only where the margin of the full speed does not fit.
                 let deceleration = SLOWING_SHARE * config.vehicle.deceleration_max_mps2;
                 let allowed = |x: f64, y: f64, course: f64| scene.fastest_at(x, y, course, [slowest, cruise]);
@@ -279,8 +355,44 @@ impl Controller {
         } else {
             self.reference_path.set_line(initial.x, goal.y_m, cruise);
         }
+        self.find_alternative(start);
         let choose = |obstacle: &PredictedObstacle| self.reference_path.side_of(obstacle);
         side::renew(&mut self.state.sides, &self.predicted, choose);
+    }
+
+    /// Finds a path on the other side of the nearest obstacle whose side is not held, or that moves.
+    fn find_alternative(&mut self, start: &Start) {
+        self.contest = None;
+        let (config, predicted, path) = (&self.config, &self.predicted, &self.reference_path);
+        let is_searched = config.side == SideRule::Search;
+        if !is_searched || !path.clear || !path.limits.is_empty() || path.y.len() < 2 {
+            return;
+        }
+        let open =
+            |obstacle: &&PredictedObstacle| obstacle.moves() || held(&self.state.sides, obstacle).is_none();
+        let ahead = |obstacle: &&PredictedObstacle| obstacle.centre[0] > start.initial.x;
+        let nearest = predicted
+            .iter()
+            .filter(ahead)
+            .filter(open)
+            .min_by(|one, other| one.centre[0].total_cmp(&other.centre[0]));
+        let Some((obstacle, side)) = nearest.and_then(|obstacle| Some((obstacle, path.side_of(obstacle)?)))
+        else {
+            return;
+        };
+        let query = Query {
+            scene: start.scene(config, predicted),
+            speed: path.speed,
+            narrow: false,
+            sides: &self.state.sides,
+            forced: Some((obstacle.id, side.other())),
+        };
+        self.search.find(&query, &mut self.alternative);
+        if self.alternative.clear && self.alternative.side_of(obstacle) == Some(side.other()) {
+            let is_held = held(&self.state.sides, obstacle).is_some();
+            let share = if is_held { SWITCH_SHARE } else { 1.0 };
+            self.contest = Some(Contest { id: obstacle.id, side, share });
+        }
     }
 
     /// Side on which the nearest obstacle that the line leads through is passed.
@@ -312,7 +424,8 @@ impl Controller {
 
     fn drive(&mut self, choice: Choice, command: &mut Command) {
         let Planner { controls, rollout, .. } = &self.planner;
-        let intervals = choice.intervals.min(controls.len());
+        let Choice { level, verified } = choice;
+        let intervals = verified.intervals().min(controls.len());
         for (index, state) in rollout.nodes.iter().enumerate().take(intervals + 1) {
             // The last node repeats the control before it: nothing is planned behind it.
             let control = controls[index.min(intervals.max(1) - 1)];
@@ -328,11 +441,15 @@ impl Controller {
         }
         command.plan_length = intervals as u32 + 1;
         command.kind = CommandKind::Drive.wire();
-        command.level = choice.level.wire();
+        command.level = level.wire();
         command.reason = StopReason::None.wire();
-        command.verified = 1;
-        (command.velocity_mps, command.steering_rad) = (controls[0].velocity, controls[0].steering);
+        // The wheels get the control that was verified: there is no `Choice` without the evidence.
+        let Control { velocity, steering } = verified.first();
+        (command.velocity_mps, command.steering_rad, command.verified) = (velocity, steering, 1);
 
+        for (index, obstacle) in self.predicted.iter().enumerate() {
+            smoothing::grow(&mut self.state.ellipses, obstacle.id, self.planner.grown(index));
+        }
         let state = &mut self.state;
         (state.arrival, state.blocked_scans, state.clear_scans) = (Arrival::OnTheWay.wire(), 0, 0);
         (state.velocity_mps, state.steering_rad) = (command.velocity_mps, command.steering_rad);
@@ -359,3 +476,6 @@ impl Controller {
         state.plan_length = 0;
     }
 }
+
+#[cfg(test)]
+mod tests;

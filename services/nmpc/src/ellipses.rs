@@ -11,9 +11,11 @@ pub(crate) fn fill_ellipses(
     config: &Config,
     predicted: &[PredictedObstacle],
     initial: &State,
-    margin: f64,
+    margin: impl Fn(&PredictedObstacle, f64) -> f64,
     ellipses: &mut Vec<EllipsePath>,
+    owners: &mut Vec<usize>,
 ) {
+    owners.clear();
     let reach = config.vehicle.bounds.velocity_max_mps * config.horizon_s;
     let in_reach = |obstacle: &PredictedObstacle| {
         let [x, y] = obstacle.centre;
@@ -35,11 +37,18 @@ pub(crate) fn fill_ellipses(
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let Some((_, index)) = next else { break };
         farthest = next;
+        owners.push(index);
         if ellipses.len() <= count {
             ellipses.push(EllipsePath { a: 0.0, b: 0.0, centres: Vec::with_capacity(config.intervals + 1) });
         }
         let (obstacle, ellipse) = (&predicted[index], &mut ellipses[count]);
+        // The margin grows until the robot gets there.
+        let margin = margin(obstacle, (obstacle.centre[0] - obstacle.a - initial.x).max(0.0));
         (ellipse.a, ellipse.b) = (obstacle.a + margin, obstacle.b + margin);
+        // The ellipse holds at the nodes. A straight piece between two of them cuts it, in the mean by two thirds of its
+        // sagitta, and the nodes move with every scan.
+        let piece = config.cruise_mps * config.interval_s();
+        ellipse.b += piece * piece * ellipse.b / (12.0 * ellipse.a * ellipse.a);
         ellipse.centres.clear();
         let interval_s = config.interval_s();
         ellipse
@@ -68,11 +77,13 @@ mod tests {
         };
         let predicted =
             [obstacle(1, 3.0), obstacle(2, -1.5), obstacle(3, 2.0), obstacle(4, 9.0), obstacle(5, 1.0)];
-        let config = Config { max_ellipses: 2, ..Config::default() };
+        let config = Config { max_ellipses: 2, horizon_s: 2.72, intervals: 6, ..Config::default() };
         let mut ellipses = Vec::new();
-        fill_ellipses(&config, &predicted, &State::default(), 0.02, &mut ellipses);
+        fill_ellipses(&config, &predicted, &State::default(), |_, _| 0.02, &mut ellipses, &mut Vec::new());
         let centres: Vec<f64> = ellipses.iter().map(|ellipse| ellipse.centres[0][0]).collect();
         assert_eq!(centres, [1.0, 2.0]);
-        assert!((ellipses[0].b - 0.52).abs() < 1e-12 && ellipses[0].centres.len() == 7);
+        // Two thirds of the sagitta of 0.4533 m, where the radius is a^2 / b.
+        let cut = 0.453_333_f64.powi(2) * 0.52 / (12.0 * 1.22 * 1.22);
+        assert!((ellipses[0].b - 0.52 - cut).abs() < 1e-6 && ellipses[0].centres.len() == 7);
     }
 }

@@ -97,7 +97,7 @@ impl Search {
 
     /// Tabulates arcs and obstacles.
     fn prepare(&mut self, query: &Query) -> Grid {
-        let grid = Grid::new(&query.scene, if query.spare_m > 0.0 { CELL_M } else { NARROW_CELL_M });
+        let grid = Grid::new(&query.scene, if query.narrow { NARROW_CELL_M } else { CELL_M });
         self.obstacle_cost.measure(query, grid.layers, grid.step);
         self.tabulate(&query.scene, &grid);
         grid
@@ -226,7 +226,7 @@ impl Search {
         let split = (layer + 1) * grid.layer_cells();
         let (costs, next_costs) = costs.split_at_mut(split);
         let (ends, next_ends) = ends.split_at_mut(split);
-        let crossed = obstacle_cost.has_crossing(layer);
+        let (crossed, near) = (obstacle_cost.has_crossing(layer), obstacle_cost.reaches(layer));
         let lateral = step * settings.lateral_weight;
         for &source in sources.iter() {
             let (cost, End { y, course, .. }) = (costs[source as usize], ends[source as usize]);
@@ -248,12 +248,14 @@ impl Search {
                 if total >= known {
                     continue;
                 }
-                let [extent, larger] = arc.extents;
-                let middle = y + arc.rise / 2.0;
-                total += obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
-                total += obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
+                if near {
+                    let [extent, larger] = arc.extents;
+                    let middle = y + arc.rise / 2.0;
+                    total += obstacle_cost.cost(&settings, 2 * layer + 1, middle, step / 2.0, larger);
+                    total += obstacle_cost.cost(&settings, 2 * layer + 2, y_next, step / 2.0, extent);
+                }
                 if crossed {
-                    total += settings.switch_cost * obstacle_cost.switches(layer, y, y_next);
+                    total += obstacle_cost.switches(layer, y, y_next, settings.switch_cost);
                 }
                 let outside = excess(y_next, y_range) - allowed;
                 if outside > 1e-9 {

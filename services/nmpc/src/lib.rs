@@ -1,14 +1,22 @@
 //! The controller of the robot: from pose and obstacles to one verified command per scan.
 //!
-//! A lattice search chooses on which side each obstacle is passed, the crate `ocp` solves the optimal control problem
-//! along that path, and every plan is verified before it is driven. [`Controller`] holds the order of these decisions;
+//! A lattice search proposes on which side each obstacle is passed. The crate `ocp` solves the optimal control problem,
+//! which keeps the plan outside of the ellipses, (7.34), and near the line to the goal. Every plan is verified before it
+//! is driven. [`Controller`] holds the order of these decisions;
 //! [`service`] is the process around it.
 
 mod blocking;
 mod braking;
 mod config;
+mod contest;
 mod controller;
 mod ellipses;
+mod explicit_side;
+#[cfg(test)]
+#[path = "../tests/common/independent.rs"]
+mod independent;
+#[cfg(test)]
+mod injection;
 mod landing;
 mod lattice;
 mod margin;
@@ -24,6 +32,7 @@ mod sampled;
 mod scene;
 pub mod service;
 mod side;
+mod smoothing;
 mod start;
 mod state;
 mod stop_rule;
@@ -32,8 +41,9 @@ mod warm;
 mod weights;
 
 pub use braking::speed_limit;
-pub use config::{Config, StopSettings};
+pub use config::{Config, Profile, StopSettings};
 pub use controller::Controller;
+pub use explicit_side::SideRule;
 pub use margin::MarginSettings;
 pub use ocp::Budget;
 pub use reference_path::LatticeSettings;

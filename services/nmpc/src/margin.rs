@@ -52,6 +52,11 @@ impl MarginModel {
         Self { variance_m2: variance.max(0.0), age_s, ..Self::certain(config) }
     }
 
+    /// The margin of a plan that kept it whole when it was made: what is for errors of model and perception may be used up.
+    pub(crate) fn used_up(self) -> Self {
+        Self { settings: MarginSettings { model_m: 0.0, perception_m: 0.0, ..self.settings }, ..self }
+    }
+
     /// Age of the data when the command acts [s].
     pub(crate) fn age_s(&self) -> f64 {
         self.age_s

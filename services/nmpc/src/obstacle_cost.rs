@@ -43,6 +43,8 @@ struct Crossing {
     share: f64,
     centre: f64,
     side: Passing,
+    /// Cost of the other side, where it is not that of the settings.
+    forced: bool,
 }
 
 /// Extents of the ellipses at every half layer, and where their centres are crossed.
@@ -66,7 +68,7 @@ impl ObstacleCost {
             self.offsets.push(self.spans.len());
             let along = half as f64 * step / 2.0;
             let t = along / query.speed;
-            let growth = query.scene.margin.growth(t, query.speed) + query.spare_m;
+            let growth = query.scene.margin.growth(t, query.speed);
             for obstacle in predicted {
                 // Around a robot already inside, the ellipse is shrunk until it is just outside: it must not go deeper.
                 // The box of a straight body has the clearance; the ellipses of others have it.
@@ -89,10 +91,11 @@ impl ObstacleCost {
         }
         self.offsets.push(self.spans.len());
         for obstacle in predicted {
-            if let Some(side) = held(query.sides, obstacle)
+            let forced = query.forced.filter(|(id, _)| *id == obstacle.id).map(|(_, side)| side);
+            if let Some(side) = forced.or_else(|| held(query.sides, obstacle))
                 && let Some(crossing) = crossing_of(obstacle, side, query, layers, step)
             {
-                self.crossings.push(crossing);
+                self.crossings.push(Crossing { forced: forced.is_some(), ..crossing });
             }
         }
     }
@@ -127,18 +130,27 @@ impl ObstacleCost {
         cost
     }
 
+    /// Whether an ellipse reaches the arcs from this layer to the next.
+    pub(crate) fn reaches(&self, layer: usize) -> bool {
+        self.offsets[2 * layer + 1] < self.offsets[2 * layer + 3]
+    }
+
     /// Whether the centre of an obstacle with a held side is crossed from this layer to the next.
     pub(crate) fn has_crossing(&self, layer: usize) -> bool {
         self.crossings.iter().any(|crossing| crossing.layer == layer)
     }
 
-    /// How many obstacles an arc from this layer to the next passes on the side that is not held.
-    pub(crate) fn switches(&self, layer: usize, from: f64, to: f64) -> f64 {
+    /// Cost of the obstacles that an arc from this layer to the next passes on the side that is not held.
+    pub(crate) fn switches(&self, layer: usize, from: f64, to: f64, switch_cost: f64) -> f64 {
         let switched = |crossing: &&Crossing| {
             let y = from + crossing.share * (to - from);
             crossing.layer == layer && (y > crossing.centre) != (crossing.side == Passing::Left)
         };
-        self.crossings.iter().filter(switched).count() as f64
+        self.crossings
+            .iter()
+            .filter(switched)
+            .map(|crossing| if crossing.forced { HARD } else { switch_cost })
+            .sum()
     }
 }
 
@@ -156,7 +168,7 @@ fn side_of_box(query: &Query, obstacle: &PredictedObstacle, along: f64, t: f64) 
     }
     let Rectangle { centre, yaw, length, width } = obstacle.body_at(t);
     let (sin, cos) = (yaw.sin().abs(), yaw.cos().abs());
-    let margin = scene.margin.sum(t, query.speed) + query.spare_m;
+    let margin = scene.margin.sum(t, query.speed);
     let half = [length * cos + width * sin, length * sin + width * cos].map(|size| size / 2.0);
     let vehicle = &scene.config.vehicle;
     let reach = half[0] + (vehicle.length_m + BODY_TURN * vehicle.width_m) / 2.0;
@@ -167,7 +179,7 @@ fn side_of_box(query: &Query, obstacle: &PredictedObstacle, along: f64, t: f64) 
         return f64::NEG_INFINITY;
     }
     let side = half[1] + (margin * margin - beyond * beyond).sqrt();
-    if query.spare_m > 0.0 {
+    if !query.narrow {
         return side;
     }
     // A robot that is nearer already must not come nearer.
@@ -199,7 +211,7 @@ fn crossing_of(
         if before < 0.0 && after >= 0.0 {
             let share = -before / (after - before);
             let centre = obstacle.centre_at(t[0] + share * (t[1] - t[0]))[1];
-            return Some(Crossing { layer, share, centre, side });
+            return Some(Crossing { layer, share, centre, side, forced: false });
         }
     }
     None

@@ -1,30 +1,58 @@
-//! From the reference path to a plan that may be driven. These are tried in turn:
+//! From the proposed path to a plan that may be driven. These are tried in turn:
 //!
-//! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides;
-//! 2. the optimal control problem, solved from the reference path;
-//! 3. the reference path itself, followed by simple steering;
-//! 4. the rest of the last plan.
+//! 1. the optimal control problem, solved from the last plan where that passes obstacles on the same sides, with a
+//!    reserve of steering, then without;
+//! 2. the optimal control problem, solved from the path;
+//! 3. the optimal control problem from the last plan, with the part of the margin used up that is for noise;
+//! 4. the path itself, followed by simple steering;
+//! 5. the rest of the last plan.
 //!
-//! A plan counts only when it is verified against the obstacles of this scan.
+//! The reference of the problem is the line to the goal; the path gives the sides and the first guess. Only where a narrow
+//! place has to be passed slowly, or nothing is clear, the path itself is the reference.
+//!
+//! A plan counts only when it is verified against the obstacles of this scan. An ellipse does not contain everything that
+//! the body must keep clear of. Where a plan is refused for that, its ellipse is enlarged by what is missing, the problem
+//! is solved again, and the next scans begin with most of the enlargement.
 
 use std::sync::Arc;
 
 use ocp::{Budget, Problem, Solution, Solver, Status, Trajectory};
-use shared_types::{Command, Level, PlanNode, SolveStatus};
+use shared_types::{Command, Level, PlanNode, Pose, SolveStatus};
 use vehicle::{Control, State};
 
 use crate::config::Config;
 use crate::ellipses::fill_ellipses;
+#[cfg(test)]
+use crate::injection::{Injection, Place};
+use crate::predicted_obstacle::PredictedObstacle;
 use crate::reference::{self, Pace};
 use crate::reference_path::ReferencePath;
 use crate::rollout::Rollout;
 use crate::scene::Scene;
+use crate::smoothing::{MAX_GROWN_M, grown};
+use crate::start::Start;
 use crate::state::ControllerState;
-use crate::verify::verify;
+use crate::verify::{VERIFIED_S, Verified, verify};
 use crate::warm;
 
 /// Longest time that the rest of an old plan may be driven [s].
 const MAX_REST_S: f64 = 1.0;
+/// How often a problem is solved again with ellipses that are enlarged by what the body misses.
+const TIGHTENINGS: usize = 3;
+/// By how much more an ellipse is enlarged [m].
+const SPARE_M: f64 = 0.003;
+/// A plan that covers this fraction of the distance of its reference does not slow down for anything.
+const FAST_SHARE: f64 = 0.95;
+/// Share of the largest steering angle that plans use at first: the rest is for corrections.
+const STEERING_SHARE: f64 = 0.95;
+/// Distance in addition to the margin that plans should keep [m].
+const RESERVE_M: f64 = 0.02;
+/// Weights of x along a path that is followed: in the integral and at the end.
+const FOLLOWING: [f64; 2] = [1.0, 5.0];
+/// Weights of x while a body moves: in the integral and at the end.
+const HASTE: [f64; 2] = [20.0, 100.0];
+/// Share of an enlargement that the next scan begins with.
+const GROWN_SHARE: f64 = 0.95;
 /// Largest distance between the positions of the solver and those of the rollout in a converged plan [m].
 const LARGEST_DEFECT_M: f64 = 0.01;
 
@@ -43,7 +71,18 @@ pub(crate) struct Task<'a> {
     pub(crate) fastest_mps: f64,
 }
 
-impl Task<'_> {
+impl<'a> Task<'a> {
+    /// The task of a scan, at the largest velocity of its start.
+    pub(crate) fn new(
+        scene: Scene<'a>,
+        reference_path: &'a ReferencePath,
+        last: &'a ControllerState,
+        pose: &Pose,
+        start: &Start,
+    ) -> Self {
+        Self { scene, reference_path, last, start_ns: pose.predicted_ns, fastest_mps: start.limit_mps }
+    }
+
     fn pace(&self) -> Pace {
         let config = self.scene.config;
         Pace {
@@ -69,8 +108,8 @@ impl Task<'_> {
 pub(crate) struct Choice {
     /// How it was found.
     pub(crate) level: Level,
-    /// How many of its intervals were verified.
-    pub(crate) intervals: usize,
+    /// The evidence that it may be driven.
+    pub(crate) verified: Verified,
 }
 
 /// The solver with its problem, and the plan of this scan.
@@ -80,12 +119,19 @@ pub(crate) struct Planner {
     problem: Problem,
     guess: Trajectory,
     solution: Solution,
+    /// Index of the obstacle that each ellipse of the problem belongs to.
+    owners: Vec<usize>,
+    /// By how much each ellipse is enlarged [m].
+    grown: Vec<f64>,
     /// The obstacle for which a plan was refused last.
     pub(crate) refused_for: Option<usize>,
     /// Controls of the plan.
     pub(crate) controls: Vec<Control>,
     /// The trajectory of `controls`.
     pub(crate) rollout: Rollout,
+    /// Bad plans of a test.
+    #[cfg(test)]
+    pub(crate) injection: Injection,
 }
 
 impl Planner {
@@ -109,17 +155,24 @@ impl Planner {
             problem,
             guess: Trajectory::default(),
             solution: Solution::default(),
+            owners: Vec::with_capacity(config.max_ellipses),
+            grown: Vec::with_capacity(config.max_ellipses),
             refused_for: None,
             controls: Vec::with_capacity(config.intervals),
             rollout: Rollout::default(),
+            #[cfg(test)]
+            injection: Injection::default(),
         }
     }
 
     /// The first plan that may be driven, `None` without one. The figures of the solver go into `command`.
     pub(crate) fn plan(&mut self, task: &Task, budget: &Budget, command: &mut Command) -> Option<Choice> {
-        self.build_problem(task);
-        self.refused_for = None;
         let mut used = 0;
+        if let Some(choice) = self.continue_plan(task, budget, &mut used, command) {
+            return Some(choice);
+        }
+        // The reserve of the steering is for this.
+        self.problem.bounds.steering_max_rad = task.scene.config.vehicle.bounds.steering_max_rad;
         if let Some(elapsed_s) = task.elapsed()
             && self.start_from_plan(task, elapsed_s)
             && let Some(choice) = self.solve(task, budget, &mut used, command)
@@ -130,10 +183,17 @@ impl Planner {
         if let Some(choice) = self.solve(task, budget, &mut used, command) {
             return Some(choice);
         }
+        let tight =
+            Task { scene: task.scene.keeping(task.scene.margin.used_up(), task.scene.speed), ..*task };
+        if let Some(choice) = self.continue_plan(&tight, budget, &mut used, command) {
+            return Some(Choice { level: Level::BestIterate, ..choice });
+        }
+        self.problem.bounds.steering_max_rad = task.scene.config.vehicle.bounds.steering_max_rad;
+        self.start_from_reference(task);
         if task.reference_path.clear
-            && let Some(intervals) = self.verify_guess(task)
+            && let Some(choice) = self.verify_guess(task, Level::BestIterate)
         {
-            return Some(Choice { level: Level::BestIterate, intervals });
+            return Some(choice);
         }
         let elapsed_s = task.elapsed()?;
         let interval_s = task.scene.config.interval_s();
@@ -142,7 +202,24 @@ impl Planner {
         let left = self.guess.controls.len().saturating_sub((elapsed_s / interval_s).ceil() as usize);
         self.guess.controls.truncate(left);
         warm::clamp(&self.problem.bounds, &mut self.guess.controls);
-        self.verify_guess(task).map(|intervals| Choice { level: Level::LastPlan, intervals })
+        self.verify_guess(task, Level::LastPlan)
+    }
+
+    /// The solution from the last plan, when there is one that passes obstacles on the sides of the reference path.
+    pub(crate) fn continue_plan(
+        &mut self,
+        task: &Task,
+        budget: &Budget,
+        used: &mut u32,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        self.build_problem(task);
+        self.refused_for = None;
+        let elapsed_s = task.elapsed()?;
+        if !self.start_from_plan(task, elapsed_s) {
+            return None;
+        }
+        self.solve(task, budget, used, command)
     }
 
     /// Fills the optimal control problem of this scan.
@@ -151,23 +228,45 @@ impl Planner {
         let problem = &mut self.problem;
         problem.initial = initial;
         problem.bounds.velocity_max_mps = config.vehicle.bounds.velocity_max_mps.min(task.fastest_mps);
+        problem.bounds.steering_max_rad = STEERING_SHARE * config.vehicle.bounds.steering_max_rad;
         let previous = Control { velocity: last.velocity_mps, steering: last.steering_rad };
         problem.previous = (previous.velocity > 0.0).then_some(previous);
+        let is_wide = task.reference_path.limits.is_empty();
+        let line = (task.reference_path.clear && is_wide).then_some(config.goal.y_m);
+        problem.weights = config.weights.over(config.interval_s());
+        // The pace of a path past narrow places need not be kept. Waiting for a body that moves seldom pays.
+        let moving = predicted.iter().any(PredictedObstacle::moves).then_some(HASTE);
+        if let Some([along, last]) = if line.is_none() { Some(FOLLOWING) } else { moving } {
+            problem.weights.node[3] = along * config.interval_s();
+            problem.weights.terminal[3] = last;
+        }
         problem.control_reference = reference::fill(
             task.reference_path,
             &task.pace(),
+            line,
             initial.x,
             config.interval_s(),
             config.intervals,
             &mut problem.references,
         );
-        let margin = config.ellipse_margin_m + task.scene.margin.growth(0.0, task.reference_path.slowest());
-        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses);
+        let (speed, cruise) = (task.reference_path.slowest(), task.pace().cruise);
+        let margin = |obstacle: &PredictedObstacle, way_m: f64| {
+            config.ellipse_margin_m
+                + task.scene.margin.growth(if is_wide { way_m / cruise } else { 0.0 }, speed)
+                + GROWN_SHARE * grown(&last.ellipses, obstacle.id)
+        };
+        fill_ellipses(config, predicted, &initial, margin, &mut problem.ellipses, &mut self.owners);
+        self.grown.clear();
+        self.grown.extend(
+            self.owners.iter().map(|owner| GROWN_SHARE * grown(&last.ellipses, predicted[*owner].id)),
+        );
     }
 
     /// Makes the last plan, shifted in time, the guess; false when it passes an obstacle on another side than the
     /// reference path.
     fn start_from_plan(&mut self, task: &Task, elapsed_s: f64) -> bool {
+        #[cfg(test)]
+        self.injection.guess_is(Place::SolutionFromPlan);
         read_plan(task.last, &mut self.controls);
         if self.controls.is_empty() {
             return false;
@@ -176,10 +275,13 @@ impl Planner {
         self.controls.resize(task.scene.config.intervals, self.controls[self.controls.len() - 1]);
         warm::shift(&self.controls, task.scene.config.interval_s(), elapsed_s, &mut self.guess.controls);
         self.drive_guess(task);
-        warm::agrees(&task.scene, task.reference_path, &self.rollout.samples)
+        let (scene, path, guess) = (&task.scene, task.reference_path, &self.rollout.samples);
+        warm::agrees(scene, path, guess) && warm::leads(scene, path, guess)
     }
 
     fn start_from_reference(&mut self, task: &Task) {
+        #[cfg(test)]
+        self.injection.guess_is(Place::SolutionFromReference);
         let intervals = task.scene.config.intervals;
         warm::follow(&task.scene, task.reference_path, &task.pace(), intervals, &mut self.guess.controls);
         self.drive_guess(task);
@@ -192,16 +294,83 @@ impl Planner {
         self.guess.states.clone_from(&self.rollout.nodes);
     }
 
-    /// Makes the guess the plan when it may be driven; returns how many of its intervals were verified.
-    fn verify_guess(&mut self, task: &Task) -> Option<usize> {
+    /// Makes the guess the plan when it may be driven.
+    fn verify_guess(&mut self, task: &Task, level: Level) -> Option<Choice> {
+        #[cfg(test)]
+        self.injection.replace_guess(level, &mut self.guess.controls);
         let verdict = verify(&task.scene, &self.guess.controls, &mut self.rollout);
         self.controls.clone_from(&self.guess.controls);
         self.refused_for = self.refused_for.or(verdict.obstacle());
-        verdict.holds().then_some(verdict.intervals)
+        verdict.verified().map(|verified| Choice { level, verified })
     }
 
-    /// Solves from the guess; returns the result when it may be driven.
+    /// Solves from the guess; where the body of the result comes too near to an obstacle, its ellipse is enlarged by what is
+    /// missing, and the problem is solved again.
     fn solve(
+        &mut self,
+        task: &Task,
+        budget: &Budget,
+        used: &mut u32,
+        command: &mut Command,
+    ) -> Option<Choice> {
+        for _ in 0..=TIGHTENINGS {
+            let choice = self.solve_once(task, budget, used, command);
+            if choice.is_some() {
+                // The next plan keeps a little more than it must, so that noise does not refuse it.
+                self.tighten(&task.scene, RESERVE_M);
+                return choice;
+            }
+            if self.refused_for.is_none()
+                || self.solution.status == Status::Failed
+                || !self.tighten(&task.scene, 0.0)
+            {
+                return None;
+            }
+            self.guess.clone_from(&self.solution.trajectory);
+        }
+        None
+    }
+
+    /// Whether the plan gets about as far as its reference.
+    pub(crate) fn is_fast(&self) -> bool {
+        let (start, end) = (self.problem.initial.x, self.rollout.nodes.last().map_or(0.0, |state| state.x));
+        let wanted = self.problem.references.last().map_or(0.0, |state| state.x);
+        end - start > FAST_SHARE * (wanted - start)
+    }
+
+    /// By how much the ellipse of an obstacle was enlarged for this plan [m].
+    pub(crate) fn grown(&self, index: usize) -> f64 {
+        let ellipse = self.owners.iter().position(|owner| *owner == index);
+        ellipse.map_or(0.0, |ellipse| self.grown[ellipse])
+    }
+
+    /// Enlarges the ellipses of the bodies that the rollout comes too near to, with `reserve_m` in addition to the margin;
+    /// false when there is none.
+    fn tighten(&mut self, scene: &Scene, reserve_m: f64) -> bool {
+        let baseline = scene.baseline();
+        let mut tightened = false;
+        for (ellipse, (&owner, grown)) in
+            self.problem.ellipses.iter_mut().zip(self.owners.iter().zip(&mut self.grown))
+        {
+            let short = self
+                .rollout
+                .samples
+                .iter()
+                .take_while(|sample| sample.t <= VERIFIED_S)
+                .map(|sample| scene.shortfall(&baseline, sample, owner, reserve_m))
+                .fold(0.0, f64::max);
+            let more = (short + SPARE_M).min(MAX_GROWN_M - *grown);
+            if short > 0.0 && more > 0.0 {
+                (ellipse.a, ellipse.b) = (ellipse.a + more, ellipse.b + more);
+                *grown += more;
+                tightened = true;
+            }
+        }
+        tightened
+    }
+
+    /// Solves once.
+    fn solve_once(
         &mut self,
         task: &Task,
         budget: &Budget,
@@ -218,6 +387,8 @@ impl Planner {
             }
         };
         self.solver.solve_into(&self.problem, &self.guess, &rest, &mut self.solution);
+        #[cfg(test)]
+        self.injection.replace_solution(&mut self.solution);
         let solution = &self.solution;
         *used = used.saturating_add(solution.iterations.max(1));
         report(solution, *used, command);
@@ -228,21 +399,19 @@ impl Planner {
         if !usable {
             return None;
         }
-        warm::clamp(&task.scene.config.vehicle.bounds, &mut self.controls);
+        warm::clamp(&task.scene.bounds(), &mut self.controls);
         slow_down(task, &mut self.controls);
         let scene = &task.scene;
         let verdict = verify(scene, &self.controls, &mut self.rollout);
         let agrees =
             !task.reference_path.clear || warm::agrees(scene, task.reference_path, &self.rollout.samples);
         self.refused_for = self.refused_for.or(verdict.obstacle());
-        if !verdict.holds() || !agrees {
-            return None;
-        }
+        let verified = verdict.verified().filter(|_| agrees)?;
         let defect = largest_distance(&solution.trajectory.states, &self.rollout.nodes);
         command.largest_violation = command.largest_violation.max(defect);
         let exact = solution.status == Status::Converged && defect < LARGEST_DEFECT_M;
         let level = if exact { Level::Converged } else { Level::BestIterate };
-        Some(Choice { level, intervals: verdict.intervals })
+        Some(Choice { level, verified })
     }
 }
 

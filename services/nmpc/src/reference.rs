@@ -41,6 +41,7 @@ const STEPS: usize = 4;
 pub(crate) fn fill(
     reference_path: &ReferencePath,
     pace: &Pace,
+    line: Option<f64>,
     start_x: f64,
     interval_s: f64,
     intervals: usize,
@@ -51,10 +52,10 @@ pub(crate) fn fill(
     let step = interval_s / STEPS as f64;
     for _ in 0..intervals {
         for _ in 0..STEPS {
-            let (_, course, _) = reference_path.at(x);
+            let course = if line.is_some() { 0.0 } else { reference_path.at(x).1 };
             x += pace.along(reference_path, x) * course.cos() * step;
         }
-        let (y, course, curvature) = reference_path.at(x);
+        let (y, course, curvature) = line.map_or_else(|| reference_path.at(x), |y| (y, 0.0, 0.0));
         references.push(State {
             sideslip: 0.0,
             yaw: course,
@@ -74,7 +75,7 @@ mod tests {
         let pace = Pace { cruise: 1.0, slowest: 0.1, goal_x: 10.0, landing_time: 0.8 };
         let (mut reference_path, mut states) = (ReferencePath::default(), Vec::new());
         reference_path.set_line(start_x, 0.3, 1.0);
-        let control = fill(&reference_path, &pace, start_x, 0.4, 5, &mut states);
+        let control = fill(&reference_path, &pace, None, start_x, 0.4, 5, &mut states);
         (states, control)
     }
 

@@ -1,8 +1,8 @@
-//! The reference path: a path past all obstacles in sight that the robot can steer.
+//! The proposed path: a path past all obstacles in sight that the robot can steer.
 //!
-//! The horizon covers 2.7 m, but a lateral shift of 0.9 m at the smallest radius takes 3.2 m: a controller
-//! that waits until the obstacle is inside its horizon cannot pass it any more. So the lattice planner decides early
-//! where to pass, over the range of the scanner, and the optimal control problem follows its path.
+//! The solution of the optimal control problem is local: the first guess decides on which side an obstacle is passed. So a
+//! search over the range of the scanner finds a path, which gives the sides and the guess. It is driven itself only where
+//! a narrow place has to be passed slowly.
 //!
 //! The path is made of arcs of equal length along x. The sine of the course changes by curvature times length
 //! exactly, so a path is a list of lateral positions and sines.

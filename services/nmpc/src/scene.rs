@@ -6,7 +6,7 @@
 use nalgebra::Vector2;
 use vehicle::frame::to_robot;
 use vehicle::geometry::Rectangle;
-use vehicle::{Control, State};
+use vehicle::{Bounds, Control, State};
 
 use crate::config::Config;
 use crate::margin::MarginModel;
@@ -19,6 +19,12 @@ const DEEPER: f64 = 0.01;
 const OUTSIDE_M: f64 = 0.05;
 /// Numerical tolerance of all comparisons of lengths [m].
 const TOLERANCE_M: f64 = 1e-3;
+
+/// A robot at rest does not start when it is nearer to an obstacle than this share of the base clearance: the obstacle may
+/// be coming nearer, too slowly for its velocity to be told from noise. A robot stops further away by itself.
+const START_SHARE: f64 = 0.8;
+/// A robot slower than this rests [m/s]: blocked wheels are measured as exactly zero, rolling ones are not.
+pub(crate) const REST_MPS: f64 = 0.02;
 
 /// How much further than the margin a robot is from an obstacle when it need not slow down for it [m].
 const SLOW_BEFORE_M: f64 = 0.05;
@@ -38,6 +44,8 @@ pub(crate) struct Scene<'a> {
     pub(crate) margin: MarginModel,
     /// Speed at the start of the plan [m/s].
     pub(crate) speed: f64,
+    /// Largest velocity from which the robot stops in time [m/s].
+    pub(crate) limit_mps: f64,
 }
 
 /// The limit that a plan violates.
@@ -67,6 +75,7 @@ impl<'a> Scene<'a> {
             y_range: config.y_range(),
             margin: MarginModel::certain(config),
             speed: 0.0,
+            limit_mps: f64::INFINITY,
         }
     }
 
@@ -74,6 +83,12 @@ impl<'a> Scene<'a> {
     #[must_use]
     pub(crate) fn keeping(self, margin: MarginModel, speed: f64) -> Self {
         Self { margin, speed, ..self }
+    }
+
+    /// The hard bounds of the controls, with the limit of the velocity.
+    pub(crate) fn bounds(&self) -> Bounds {
+        let bounds = self.config.vehicle.bounds;
+        Bounds { velocity_max_mps: bounds.velocity_max_mps.min(self.limit_mps), ..bounds }
     }
 
     /// Limits as they are at the start of the plan.
@@ -93,6 +108,14 @@ impl<'a> Scene<'a> {
         baseline.outside = [excess(x, self.config.track.x_m), excess(y, self.y_range)]
             .map(|now| OUTSIDE_M.max(now + TOLERANCE_M));
         baseline
+    }
+
+    /// The obstacle that a robot at rest is too near to for a start.
+    pub(crate) fn too_near_to_start(&self, baseline: &Baseline) -> Option<usize> {
+        let near = |index: &usize| baseline.gaps[*index] < START_SHARE * self.config.clearance_m;
+        (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
+            .find(near)
+            .filter(|_| self.speed < REST_MPS)
     }
 
     /// The first limit that the robot violates at a sample of the plan.
@@ -135,6 +158,27 @@ impl<'a> Scene<'a> {
         (0..self.predicted.len().min(shared_types::MAX_OBSTACLES))
             .find(|&index| near(index))
             .map(Violation::Obstacle)
+    }
+
+    /// How much nearer than the margin with a reserve a sample comes to an obstacle [m]; zero or less when it keeps its
+    /// distance.
+    pub(crate) fn shortfall(
+        &self,
+        baseline: &Baseline,
+        sample: &Sampled,
+        index: usize,
+        reserve_m: f64,
+    ) -> f64 {
+        let Sampled { t, speed, ref state } = *sample;
+        let obstacle = &self.predicted[index];
+        let body = self.body_at(state);
+        let limit = baseline.gaps[index].min(self.margin.sum(t, speed) + reserve_m) - TOLERANCE_M;
+        let other = obstacle.body_at(t);
+        let reach = (body.length.hypot(body.width) + other.length.hypot(other.width)) / 2.0 + limit;
+        let near = (other.centre - body.centre).norm() < reach;
+        let short = if near { limit - body.distance_to_rectangle(&other) } else { 0.0 };
+        let missing = baseline.values[index] - obstacle.value(t, state.x, state.y);
+        short.max(if missing > 0.0 { obstacle.b * missing / 2.0 } else { 0.0 })
     }
 
     /// Distance from the body to the nearest obstacle that is not behind it [m]; infinite when there is none.
@@ -188,7 +232,7 @@ impl<'a> Scene<'a> {
     }
 
     /// Curvature of a steady turn [1/m].
-    pub(crate) fn curvature(&self, control: &Control) -> f64 {
+    fn curvature(&self, control: &Control) -> f64 {
         vehicle::model::steady_turn(&self.config.vehicle.parameters(), control).1 / control.velocity
     }
 

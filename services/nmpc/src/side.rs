@@ -34,6 +34,14 @@ impl Passing {
         self as i32
     }
 
+    /// The other side.
+    pub(crate) fn other(self) -> Self {
+        match self {
+            Self::Left => Self::Right,
+            Self::Right => Self::Left,
+        }
+    }
+
     fn from_wire(side: i32) -> Option<Self> {
         [Self::Left, Self::Right].into_iter().find(|passing| passing.wire() == side)
     }

@@ -60,7 +60,8 @@ impl Start {
 
     /// What plans from here must respect.
     pub(crate) fn scene<'a>(&self, config: &'a Config, predicted: &'a [PredictedObstacle]) -> Scene<'a> {
-        Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed)
+        let scene = Scene::new(config, predicted, self.initial).keeping(self.margin, self.speed);
+        Scene { limit_mps: self.limit_mps, ..scene }
     }
 
     /// Distance of the body to an obstacle at which the robot must begin to stop [m].
@@ -72,6 +73,9 @@ impl Start {
 /// Largest speed at which the robot stops within what the scanner shows [m/s]; zero when it shows nothing.
 fn seen_mps(config: &Config, stopping: &Stopping, scanner: &ScannerHealth) -> f64 {
     let seen_m = scanner.seen_ahead_m - config.vehicle.length_m / 2.0 - STOP_MARGIN_M;
+    if seen_m.is_nan() {
+        return 0.0;
+    }
     match scanner.state() {
         ScannerState::Healthy => stopping.speed(seen_m),
         ScannerState::Degraded => stopping.speed(seen_m).min(config.vehicle.careful_mps),

@@ -3,6 +3,7 @@
 use shared_types::{PLAN_NODES, PlanNode, plain_state};
 
 use crate::side::Sides;
+use crate::smoothing::SmoothedEllipses;
 
 /// How far the robot has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,6 +49,8 @@ plain_state! {
         pub plan_start_ns: u64,
         /// Time between two nodes of the plan [s]
         pub plan_interval_s: f64,
+        /// When the plan of the last scan started [ns]; 0 before the first scan
+        pub started_ns: u64,
         /// When the front beam of the last scan was taken [ns]; 0 before the first scan
         pub acquired_ns: u64,
         /// Velocity of the last command [m/s]
@@ -56,6 +59,8 @@ plain_state! {
         pub steering_rad: f64,
         /// Sides on which obstacles are passed
         pub sides: Sides,
+        /// Ellipses of the last scan
+        pub ellipses: SmoothedEllipses,
         /// The last verified plan
         pub plan: [PlanNode; PLAN_NODES],
     }

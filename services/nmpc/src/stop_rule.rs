@@ -156,6 +156,10 @@ mod tests {
     use vehicle::{Goal, Track};
 
     fn blocked_at(distance: f64, y: f64, b: f64, slack: f64) -> bool {
+        is_blocked([distance, y], b, 0.1, slack)
+    }
+
+    fn is_blocked([distance, y]: [f64; 2], b: f64, stop_m: f64, slack: f64) -> bool {
         let body = Rectangle { centre: Vector2::new(distance, y), yaw: 0.0, length: 0.1, width: b - 0.4 };
         let predicted = [PredictedObstacle {
             id: 1,
@@ -171,7 +175,7 @@ mod tests {
             ..Config::default()
         };
         let scene = Scene::new(&config, &predicted, State::default());
-        blocked_by(&scene, &[], 0.1, slack - 0.05).is_some()
+        blocked_by(&scene, &[], stop_m, slack - 0.05).is_some()
     }
 
     #[test]
@@ -195,6 +199,13 @@ mod tests {
         assert!(!blocked_at(4.3, 0.0, 1.7, 0.0));
         assert!(blocked_at(4.3, 0.0, 1.7, 0.06));
         assert!(blocked_at(3.3, 0.0, 1.7, 0.0));
+    }
+
+    #[test]
+    fn a_robot_that_needs_longer_to_stop_is_blocked_earlier() {
+        // The body is 0.28 m, the box 0.05 m long to each side: 3.97 m are between them.
+        assert!(!is_blocked([4.3, 0.0], 1.7, 3.9, 0.0));
+        assert!(is_blocked([4.3, 0.0], 1.7, 4.0, 0.0));
     }
 
     #[test]

@@ -19,6 +19,11 @@ const OFFSET_GAIN: f64 = 0.6;
 /// Steering correction per difference of course to the reference path, as curvature [1/m].
 const COURSE_GAIN: f64 = 1.4;
 
+/// Distance in front of an ellipse at which a plan must lead to the side of the reference path [m].
+///
+/// It exceeds the margins.
+const IN_FRONT_M: f64 = 0.3;
+
 /// Fills `shifted` with `controls`, given for equal intervals, as they are `elapsed_s` later.
 ///
 /// An interval that contains a change of the control gets the mean over its time; the last control is held.
@@ -75,6 +80,20 @@ pub(crate) fn agrees(scene: &Scene, reference_path: &ReferencePath, plan: &[Samp
     scene.predicted.iter().all(|obstacle| {
         let sides = side_of(obstacle, plan).zip(reference_path.side_of(obstacle));
         sides.is_none_or(|(driven, planned)| driven == planned)
+    })
+}
+
+/// Whether a plan that ends in front of an obstacle ends on the side of the reference path.
+///
+/// A short horizon shows the solver the front of an ellipse first: its guess decides the side then, before the plan
+/// passes anything.
+pub(crate) fn leads(scene: &Scene, reference_path: &ReferencePath, plan: &[Sampled]) -> bool {
+    let Some(end) = plan.last() else { return true };
+    scene.predicted.iter().all(|obstacle| {
+        let [x, y] = obstacle.centre_at(end.t);
+        let is_in_front = (x - obstacle.a - IN_FRONT_M..x).contains(&end.state.x);
+        let wanted = reference_path.side_of(obstacle).filter(|_| is_in_front);
+        wanted.is_none_or(|side| side == Passing::of(end.state.y, y))
     })
 }
 

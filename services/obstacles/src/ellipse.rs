@@ -38,6 +38,13 @@ const PASSING_YAW: f64 = 0.4;
 const TIGHT_YAW: f64 = 0.12;
 /// Semi-axis across the track per reach of a piece: 1 would need an endless a.
 const ROOM: f64 = 1.05;
+/// The same for tight ellipses, at least and at most.
+const ROOMS: [f64; 2] = [1.015, 1.2];
+/// What a metre of the semi-axis along the track costs in metres of that across it.
+const LENGTH_COST: f64 = 0.05;
+/// Share of the interval that a step of the golden section keeps, and the number of steps.
+const GOLDEN: f64 = 0.618_033_988_749_895;
+const NARROWINGS: usize = 7;
 
 /// An ellipse (7.34) with axes along and across the track.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -149,16 +156,36 @@ impl<'a> Sizing<'a> {
 
     /// The ellipse around a rectangle of this width across the track.
     fn around(&self, centre: Vector2<f64>, rectangle: &Rectangle, width: f64) -> Ellipse {
-        let room: &[f64] = match self.config.cover {
-            CoverRule::Tight => &[1.015, 1.02, 1.03, 1.04],
-            CoverRule::Source => &[],
+        let reach = width / 2.0 + self.across;
+        let ratio = match self.config.cover {
+            CoverRule::Tight => self.tightest(centre, rectangle, reach),
+            CoverRule::Source => ROOM,
         };
-        let fitting = |ratio: &&f64| {
-            let b = *ratio * (width / 2.0 + self.across);
-            self.needed(centre, rectangle, b) <= self.rule(b)
+        self.ellipse(centre, rectangle, ratio * reach)
+    }
+
+    /// The ratio of b and `reach` with the best of both axes. The cost is convex, so noise in the rectangle changes the
+    /// ellipse little.
+    fn tightest(&self, centre: Vector2<f64>, rectangle: &Rectangle, reach: f64) -> f64 {
+        let cost = |ratio: f64| {
+            let b = ratio * reach;
+            b + LENGTH_COST * (self.needed(centre, rectangle, b) - self.rule(b)).max(0.0)
         };
-        let ratio = room.iter().find(fitting).unwrap_or(&ROOM);
-        self.ellipse(centre, rectangle, ratio * (width / 2.0 + self.across))
+        let [mut low, mut high] = ROOMS;
+        let mut inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
+        let mut costs = inner.map(cost);
+        for _ in 0..NARROWINGS {
+            if costs[0] <= costs[1] {
+                (high, inner[1], costs[1]) = (inner[1], inner[0], costs[0]);
+                inner[0] = high - GOLDEN * (high - low);
+                costs[0] = cost(inner[0]);
+            } else {
+                (low, inner[0], costs[0]) = (inner[0], inner[1], costs[1]);
+                inner[1] = low + GOLDEN * (high - low);
+                costs[1] = cost(inner[1]);
+            }
+        }
+        if costs[0] <= costs[1] { inner[0] } else { inner[1] }
     }
 
     /// a of (7.35) [m].

@@ -8,15 +8,15 @@ use nalgebra::Vector2;
 use shared_types::PITCH_RAD;
 
 use crate::points::{Place, Point};
-use crate::segment::Cluster;
+use crate::segment::{Cluster, End};
 
 /// A corner or end of an outline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Vertex {
     /// Where it is [m].
     pub(crate) at: Vector2<f64>,
-    /// Whether the body may continue beyond it, unseen.
-    pub(crate) open: bool,
+    /// What is next to it; corners count as seen.
+    pub(crate) end: End,
 }
 
 /// Largest number of pieces of one outline that wait to be split.
@@ -58,8 +58,9 @@ pub(crate) fn trace(
         if last == count - 1 {
             ends[1] += line.direction * half_spacing(&piece[piece.len() - 1], line.direction, place);
         }
-        vertices.push(Vertex { at: ends[0], open: first == 0 && cluster.open[0] });
-        vertices.push(Vertex { at: ends[1], open: last == count - 1 && cluster.open[1] });
+        let end = |is_end: bool, end: End| if is_end { end } else { End::Seen };
+        vertices.push(Vertex { at: ends[0], end: end(first == 0, cluster.ends[0]) });
+        vertices.push(Vertex { at: ends[1], end: end(last == count - 1, cluster.ends[1]) });
         if piece.len() >= 4 {
             let double = squared(line.direction);
             edges += squared(double) * (ends[1] - ends[0]).norm_squared();

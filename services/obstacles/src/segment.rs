@@ -33,8 +33,19 @@ pub(crate) struct Cluster {
     pub(crate) end: usize,
     /// Whether it is evidence enough for a new body.
     pub(crate) may_start: bool,
-    /// Whether the body may continue beyond its first and last member.
-    pub(crate) open: [bool; 2],
+    /// What limits it at its first and at its last member.
+    pub(crate) ends: [End; 2],
+}
+
+/// What is next to the last return of a body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum End {
+    /// A return of what is behind: the body ends there.
+    Seen,
+    /// No return at all: the view of nothing, or beams that see nothing.
+    Silent,
+    /// Something nearer, or the end of the view: the body may continue.
+    Hidden,
 }
 
 /// Clusters of one scan; buffers are kept.
@@ -96,8 +107,8 @@ impl Segments {
         // A few returns one behind the other are mixed pixels between an edge and its background.
         let farthest = members.iter().map(|point| point.range).fold(0.0, f64::max);
         let may_start = in_window >= 2 && (members.len() > 3 || farthest - range < 6.0 * range_noise);
-        let open = [is_open(scan, &members[0], false), is_open(scan, &members[members.len() - 1], true)];
-        self.clusters.push(Cluster { first, end: self.members.len(), may_start, open });
+        let ends = [end_of(scan, &members[0], false), end_of(scan, &members[members.len() - 1], true)];
+        self.clusters.push(Cluster { first, end: self.members.len(), may_start, ends });
     }
 }
 
@@ -127,17 +138,17 @@ fn is_mixed(end: &Point, neighbour: &Point, inner: &Point, range_noise: f64) -> 
     trail > 4.0 * range_noise && trail > 2.5 * usual && along > 0.8 * trail
 }
 
-/// Whether the body may continue beyond its end: something nearer hides it, or the view ends.
-fn is_open(scan: &Scan, end: &Point, leftwards: bool) -> bool {
+/// What limits a body beyond its return `end`.
+fn end_of(scan: &Scan, end: &Point, leftwards: bool) -> End {
     if end.range > FADING_M {
-        return true;
+        return End::Hidden;
     }
     for step in 1..=4 {
         let beam = if leftwards { end.beam.checked_add(step) } else { end.beam.checked_sub(step) };
-        let Some(beam) = beam.filter(|beam| *beam < BEAMS) else { return true };
+        let Some(beam) = beam.filter(|beam| *beam < BEAMS) else { return End::Hidden };
         if let Some(range) = range_of(scan, beam) {
-            return range < end.range - HIDING_M;
+            return if range < end.range - HIDING_M { End::Hidden } else { End::Seen };
         }
     }
-    false
+    End::Silent
 }

@@ -14,6 +14,7 @@ use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
 use crate::outline::Vertex;
+use crate::segment::End;
 
 /// Directions of the reaches: 7.5 deg apart, so a box 2 m long is described at most 0.07 m too wide at each side.
 pub const DIRECTIONS: usize = 48;
@@ -73,26 +74,32 @@ fn yaw_of(index: usize) -> f64 {
 pub(crate) struct Seen {
     /// Reach per direction from the reference point [m].
     pub(crate) reach: [f64; DIRECTIONS],
-    /// Whether the body may reach farther than its outermost vertex, unseen.
-    pub(crate) open: [bool; DIRECTIONS],
+    /// What limits it at its outermost vertices: the least that is known there.
+    pub(crate) end: [End; DIRECTIONS],
 }
 
 impl Seen {
     /// Reaches of the vertices from `origin`.
     pub(crate) fn of(vertices: &[Vertex], origin: Vector2<f64>, directions: &Directions) -> Self {
-        let mut seen = Self { reach: [f64::NEG_INFINITY; DIRECTIONS], open: [false; DIRECTIONS] };
-        let mut open_reach = seen.reach;
+        let mut seen = Self { reach: [f64::NEG_INFINITY; DIRECTIONS], end: [End::Seen; DIRECTIONS] };
+        let (mut silent, mut hidden) = (seen.reach, seen.reach);
         for vertex in vertices {
             let offset = vertex.at - origin;
             for (index, unit) in directions.0.iter().enumerate() {
                 let reach = unit.dot(&offset);
                 seen.reach[index] = seen.reach[index].max(reach);
-                if vertex.open {
-                    open_reach[index] = open_reach[index].max(reach);
+                match vertex.end {
+                    End::Seen => {}
+                    End::Silent => silent[index] = silent[index].max(reach),
+                    End::Hidden => hidden[index] = hidden[index].max(reach),
                 }
             }
         }
-        seen.open = std::array::from_fn(|index| open_reach[index] > seen.reach[index] - OPEN_M);
+        seen.end = std::array::from_fn(|index| match seen.reach[index] - OPEN_M {
+            outermost if hidden[index] > outermost => End::Hidden,
+            outermost if silent[index] > outermost => End::Silent,
+            _ => End::Seen,
+        });
         seen
     }
 }
@@ -156,6 +163,8 @@ pub(crate) struct Sighting<'a> {
     pub(crate) expected: Rectangle,
     /// Where the robot stands [m].
     pub(crate) robot: Vector2<f64>,
+    /// Whether beams that see nothing cut it off, so that it may reach farther than seen.
+    pub(crate) is_cut: bool,
     /// How many scans have shown the body before.
     pub(crate) sightings: u32,
 }
@@ -172,7 +181,7 @@ pub(crate) fn merge(reach: &mut [f32; DIRECTIONS], sighting: &Sighting<'_>, dire
         let faced = facing(&sighting.expected, *unit, sighting.robot) > SILHOUETTE;
         let change = if excess > NEW_PART_M {
             GROWTH_GAIN * excess
-        } else if faced && !(sighting.seen.open[index] && excess < 0.0) {
+        } else if faced && !(excess < 0.0 && (sighting.is_cut || sighting.seen.end[index] == End::Hidden)) {
             settled * excess
         } else {
             HIDDEN_GAIN * (excess - DEAD_BAND_M).max(0.0)
@@ -250,7 +259,7 @@ mod tests {
     use super::*;
 
     fn reaches(rectangle: &Rectangle, origin: Vector2<f64>) -> [f32; DIRECTIONS] {
-        let vertices = rectangle.corners().map(|at| Vertex { at, open: false });
+        let vertices = rectangle.corners().map(|at| Vertex { at, end: End::Seen });
         Seen::of(&vertices, origin, &Directions::new()).reach.map(|reach| reach as f32)
     }
 
@@ -277,7 +286,7 @@ mod tests {
     fn two_visible_sides_show_the_angle_of_the_box() {
         let directions = Directions::new();
         let truth = Rectangle { centre: Vector2::zeros(), yaw: TAU / 8.0, length: 2.0, width: 0.3 };
-        let [_, back, right_back, right] = truth.corners().map(|at| Vertex { at, open: false });
+        let [_, back, right_back, right] = truth.corners().map(|at| Vertex { at, end: End::Seen });
         let seen = Seen::of(&[back, right_back, right], Vector2::zeros(), &directions);
         let reach = seen.reach.map(|reach| reach as f32);
         // Four times 45 deg is 180 deg.

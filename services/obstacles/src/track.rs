@@ -7,6 +7,7 @@ use vehicle::geometry::Rectangle;
 use crate::Config;
 use crate::motion::{Motion, Rest, agreed, noise_along};
 use crate::outline::Vertex;
+use crate::segment::End;
 use crate::shape::{DIRECTIONS, Directions, ENDS, Seen, Shape, Sighting, deepen, facing, merge, orient};
 use crate::state::TrackState;
 
@@ -37,6 +38,9 @@ const MEMORY_PER_SIGHTING_S: f64 = 0.5;
 /// Where nothing tells, a body may have moved with this speed [m/s], at most this far [m].
 const GROWTH_MPS: f64 = 0.02;
 const MAX_GROWTH_M: f64 = 0.2;
+/// A body that ends this much, and this many beams, short of where it is known has not shrunk by noise [m].
+const CUT_M: f64 = 0.03;
+const CUT_BEAMS: f64 = 2.0;
 /// Longest prediction of a filter at once [s].
 const MAX_ELAPSED_S: f64 = 1.0;
 
@@ -155,24 +159,27 @@ impl Track {
         let expected = self.expected(directions);
         let seen = Seen::of(view.vertices, origin, directions);
         let nearest = expected.nearest_to(view.robot);
+        let distance = (nearest - view.robot).norm();
         // From afar the view is along the line to the centre; beside a long body, to its nearest side.
         let far = (expected.centre - view.robot).norm() > 1.5 * expected.length.hypot(expected.width) / 2.0;
         let near = directions.nearest(view.robot - if far { expected.centre } else { nearest });
         let excess = |index: usize| {
             let index = index % DIRECTIONS;
-            let usable = !seen.open[index] && facing(&expected, directions.unit(index), view.robot) > ENDS;
+            let usable = seen.end[index] != End::Hidden
+                && facing(&expected, directions.unit(index), view.robot) > ENDS;
             usable
                 .then_some(seen.reach[index] - f64::from(self.reach[index]))
                 .filter(|excess| excess.is_finite())
         };
-        let along = excess(near).filter(|excess| excess.abs() < JUMP_M);
+        let is_cut = is_cut(&seen, &self.reach, [near + DIRECTIONS / 4, near + DIRECTIONS * 3 / 4], distance);
+        let along = excess(near).filter(|excess| excess.abs() < JUMP_M && !is_cut);
         let ends = (excess(near + DIRECTIONS / 4), excess(near + DIRECTIONS * 3 / 4));
         let across = if let (Some(left), Some(right)) = ends { Some(agreed(left, -right)) } else { None };
-        let across = across.filter(|across| across.abs() < JUMP_M);
+        let across = across.filter(|across| across.abs() < JUMP_M && !is_cut);
 
         let shift = directions.unit(near) * along.unwrap_or(0.0)
             + directions.unit(near + DIRECTIONS / 4) * across.unwrap_or(0.0);
-        let (along_noise, across_noise) = deviations(view, (nearest - view.robot).norm(), config);
+        let (along_noise, across_noise) = deviations(view, distance, config);
         let noise = noise_along(
             directions.unit(near),
             along.map_or(BLIND_M, |_| along_noise),
@@ -188,7 +195,7 @@ impl Track {
         }
 
         let sighting =
-            Sighting { seen: &seen, shift, expected, robot: view.robot, sightings: self.sightings };
+            Sighting { seen: &seen, shift, expected, robot: view.robot, is_cut, sightings: self.sightings };
         merge(&mut self.reach, &sighting, directions);
         let away = direction(view.robot, expected.centre);
         deepen(&mut self.reach, view.vertices, origin + shift, away, config.unseen_depth_m, directions);
@@ -326,6 +333,19 @@ impl Track {
         self.rest.place = self.motion.place();
         self.rest.covariance = self.motion.covariance.fixed_view::<2, 2>(0, 0).into();
     }
+}
+
+/// Whether a sector that sees nothing cuts a body off: one end is short of where it is known, next to beams without
+/// return, and the other has not moved the same way.
+fn is_cut(seen: &Seen, reach: &[f32; DIRECTIONS], ends: [usize; 2], distance: f64) -> bool {
+    let short = CUT_M + CUT_BEAMS * PITCH_RAD * distance;
+    let [left, right] = ends.map(|index| {
+        let index = index % DIRECTIONS;
+        (seen.end[index], seen.reach[index] - f64::from(reach[index]))
+    });
+    let cuts =
+        |(end, excess): (End, f64), other: f64| end == End::Silent && excess < -short && other < short / 2.0;
+    cuts(left, right.1) || cuts(right, left.1)
 }
 
 /// Unit vector from one point to another, along the track when they coincide.

@@ -12,6 +12,7 @@ use nalgebra::{Matrix2, Vector2};
 use crate::Config;
 use crate::outline::Vertex;
 use crate::points::{Place, Point};
+use crate::segment::End;
 
 /// Returns farther from the line than this are left out of the fit, one value per iteration [m].
 const FIT_M: [f64; 3] = [0.25, 0.15, 0.08];
@@ -68,7 +69,7 @@ impl Walls {
                 let inward = side.inward(vertex.at);
                 if inward.abs() < 2.0 * self.band {
                     vertices
-                        .push(Vertex { at: Vector2::new(vertex.at.x, vertex.at.y - inward), open: false });
+                        .push(Vertex { at: Vector2::new(vertex.at.x, vertex.at.y - inward), end: End::Seen });
                 }
             }
         }

@@ -61,6 +61,26 @@ fn an_obstacle_that_vanishes_is_forgotten_within_three_scans() {
 }
 
 #[test]
+fn beams_that_see_nothing_cut_no_body_off() {
+    for (seed, covered) in [(1, [0.04, 0.35]), (2, [-0.35, -0.04])] {
+        let mut detector = detector();
+        let mut scene = Scene::of(&[block(5.0, 0.0, 0.3, 0.8, 0.0)]).noisy(seed);
+        let mut robot = Robot { speed: 1.0, ..Robot::default() };
+        let whole = run(&mut detector, &mut scene, &mut robot, 12)[11].items[0];
+        // From 3.8 to 1.8 m before the body, these beams cover more and more of one of its ends: at last, half of it.
+        scene.dead_rad = Some(covered);
+        let seen = run(&mut detector, &mut scene, &mut robot, 20);
+        for obstacles in &seen {
+            assert_eq!(obstacles.count, 1);
+            let body = obstacles.items[0];
+            assert!((body.box_width_m - whole.box_width_m).abs() < 0.05, "{body:?}");
+            assert!((body.box_x_m - whole.box_x_m).hypot(body.box_y_m - whole.box_y_m) < 0.04, "{body:?}");
+            assert_eq!((body.velocity_x_mps, body.velocity_y_mps), (0.0, 0.0), "{body:?}");
+        }
+    }
+}
+
+#[test]
 fn missing_returns_erase_nothing_and_an_old_memory_grows_until_it_is_forgotten() {
     let mut detector = detector();
     let mut scene = Scene::of(&[block(4.0, 0.2, 0.1, 0.4, 0.0)]);

@@ -7,8 +7,7 @@
 //! before)^2 subject to x(k+1) = A x(k) + C u(k) + gap(k), x(0) = 0, bounds of u, and the soft rows of each node.
 //!
 //! [`riccati`] solves it with some controls held, some rows as penalties and some as equations; [`active_set`] finds
-//! which, [`interior`] is called where that cycles, and [`newton`] makes the step with the exact
-//! Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
+//! which, [`interior`] is another method for where that fails, and [`newton`] makes the step with the exact Hessian. Rows and controls are numbered as in the condensed program, so that both write the same kind of solution.
 
 mod active_set;
 mod interior;
@@ -97,8 +96,10 @@ pub(crate) struct Chain {
     schur_factor: Vec<f64>,
     multipliers: Vec<f64>,
     sides: Vec<interior::Side>,
-    /// The search's solution from the interior point's answer.
+    /// The solution of the search, until it is known to be one.
     exact: QpSolution,
+    /// Whether the recursion is factorised for the last set that was solved.
+    is_factorised: bool,
 }
 
 impl Chain {
@@ -117,6 +118,7 @@ impl Chain {
         self.change = weights.change.map(|change| 2.0 * change);
         self.tied = problem.previous.is_some();
         self.damping = control_damping(problem, damping);
+        self.is_factorised = false;
         self.slack_linear = weights.slack_linear;
         self.slack_quadratic = weights.slack_quadratic;
 
@@ -157,24 +159,54 @@ impl Chain {
         }
     }
 
-    /// Solves the program with the convex `blocks`, from the active set in `solution`; false where no method does.
+    /// Solves the program with the convex `blocks`, from the active set in `solution`.
+    ///
+    /// False where the search does not end; then `solution` is as before.
     pub(crate) fn solve(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
-        /// One to four are usual; more indicate a cycle.
-        const ROUNDS: u32 = 16;
-        if self.search(shooting, blocks, solution, ROUNDS) {
-            return true;
-        }
+        self.is_factorised = false;
+        self.try_search(shooting, blocks, solution)
+    }
+
+    /// As [`Chain::solve`] after it, for other gaps: where the active set is the same, nothing is factorised.
+    pub(crate) fn solve_again(
+        &mut self,
+        shooting: &Shooting,
+        blocks: &[Block],
+        solution: &mut QpSolution,
+    ) -> bool {
+        self.try_search(shooting, blocks, solution)
+    }
+
+    /// Solves with the interior-point method, then exactly where its active set is right; false where it does not end.
+    pub(crate) fn solve_from_inside(
+        &mut self,
+        shooting: &Shooting,
+        blocks: &[Block],
+        solution: &mut QpSolution,
+    ) -> bool {
+        self.is_factorised = false;
         self.solve_interior(shooting, blocks, solution) && {
-            // The interior point is exact up to its tolerance; where its active set is right, so is the search's
-            // answer.
-            let mut exact = std::mem::take(&mut self.exact);
-            exact.copy_from(solution);
-            if self.search(shooting, blocks, &mut exact, ROUNDS) {
-                solution.copy_from(&exact);
-            }
-            self.exact = exact;
+            // The interior point is exact up to its tolerance; where its active set is right, the search is exact.
+            self.is_factorised = false;
+            self.try_search(shooting, blocks, solution);
             true
         }
+    }
+
+    /// Searches on a copy of `solution`, which stays as it is where that fails.
+    fn try_search(&mut self, shooting: &Shooting, blocks: &[Block], solution: &mut QpSolution) -> bool {
+        /// One or two are usual; where three are not enough, more seldom are.
+        const ROUNDS: u32 = 3;
+        let mut exact = std::mem::take(&mut self.exact);
+        exact.copy_from(solution);
+        let found = self.search(shooting, blocks, &mut exact, ROUNDS);
+        if found {
+            std::mem::swap(&mut exact, solution);
+        } else {
+            self.equations.clear();
+        }
+        self.exact = exact;
+        found
     }
 
     /// Fills the blocks with `blocks` and the damping of the controls.
@@ -225,11 +257,11 @@ mod tests {
             let (mut iterate, mut shooting) = (Iterate::default(), Shooting::default());
             iterate.start(&problem, &guess);
             let collocation = Collocation::new(Scheme::Radau3);
-            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Close));
+            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Close, true));
             // With gaps.
             iterate.states[3][4] += 0.02;
             iterate.states[4][1] -= 0.01;
-            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep));
+            assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep, true));
             let (mut qp, mut chain, mut blocks) = (Qp::default(), Chain::default(), Vec::new());
             condense(&problem, &iterate, &shooting, 0.2, &mut qp);
             chain.build(&problem, &iterate, 0.2, &mut Vec::new());
@@ -245,7 +277,10 @@ mod tests {
         for (qp, mut chain, shooting, blocks) in programs() {
             let (mut expected, mut found) = (QpSolution::default(), QpSolution::default());
             assert!(ActiveSet::default().solve(&qp, &mut expected));
-            assert!(chain.solve(&shooting, &blocks, &mut found));
+            assert!(
+                chain.solve(&shooting, &blocks, &mut found)
+                    || chain.solve_from_inside(&shooting, &blocks, &mut found)
+            );
             for (a, b) in found.step.iter().zip(&expected.step) {
                 assert!((a - b).abs() < 1e-9, "{a} {b}");
             }

@@ -6,13 +6,11 @@
 //! `sum of G' 2 W G` plus that of the controls lacks only the curvature of the model and of the ellipses. The rows of
 //! G at a node serve three times: in the Hessian, as rows of the state bounds, and for the rows of the ellipses.
 //!
-//! Work grows with N^3; that is as fast as a Riccati recursion ([`crate::chain`]) at N = 6 and half as fast at N = 24.
+//! Work grows with N^3, so it serves short horizons, and only where the search by stages ([`crate::chain`]) fails.
 
-use crate::collocation::Collocation;
 use crate::dense::refill;
-use crate::hessian::{Block, Point, bend};
+use crate::hessian::Block;
 use crate::interval::Linearisation;
-use crate::kkt::Multipliers;
 use crate::objective::{
     control_bounds, control_gradient, ellipse_excess, node_weights, reference, state_bounds,
 };
@@ -84,40 +82,6 @@ pub(crate) fn condense(problem: &Problem, iterate: &Iterate, shooting: &Shooting
     add_controls(problem, damping, &mut qp.hessian);
     mirror(&mut qp.hessian, width);
     limits(problem, iterate, qp);
-}
-
-/// Adds the second derivatives of the model and of the ellipses to the Gauss-Newton `hessian`.
-///
-/// The result is the exact Hessian of the Lagrangian on the linearised model; it may be indefinite.
-pub(crate) fn add_second_order(
-    problem: &Problem,
-    collocation: &Collocation,
-    iterate: &Iterate,
-    shooting: &Shooting,
-    multipliers: Multipliers,
-    rows: &[f64],
-    hessian: &mut [f64],
-) {
-    let count = problem.intervals.len();
-    let width = 2 * count;
-    let ellipses = problem.ellipses.len();
-    for node in 1..=count {
-        let bend = bend(problem, collocation, Point { iterate, shooting }, multipliers, node - 1);
-        // Order of the curvature: sideslip, yaw rate, yaw; then the controls.
-        add_product(&bend, [0, 2, 1], width, node - 1, rows, hessian);
-        let mut bend = [0.0; 2];
-        for (which, ellipse) in problem.ellipses.iter().enumerate() {
-            let multiplier = multipliers.rows[ellipse_row(count, ellipses, node, which)];
-            bend[0] -= 2.0 * multiplier / (ellipse.a * ellipse.a);
-            bend[1] -= 2.0 * multiplier / (ellipse.b * ellipse.b);
-        }
-        for (component, bend) in [3, 4].into_iter().zip(bend) {
-            if bend != 0.0 {
-                add_square(bend, &rows[bound_row(node, component) * width..][..2 * node], width, hessian);
-            }
-        }
-    }
-    mirror(hessian, width);
 }
 
 /// Fills `hessian` with the condensed `blocks` of nodes 0 to N, with the `rows` that [`condense`] has filled.

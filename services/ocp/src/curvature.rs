@@ -13,6 +13,7 @@
 use crate::collocation::MAX_STAGES;
 use crate::interval::{Interval, Linearisation, Stages};
 use crate::model::LateralSlope;
+use crate::trig::sin_cos;
 
 /// Symmetric second derivatives by (sideslip, yaw rate, yaw, velocity, steering) of the start and the control.
 pub(crate) type Curvature = [[f64; 5]; 5];
@@ -67,7 +68,7 @@ fn curvature_stages<const S: usize>(
                 *slope += factor * column;
             }
         }
-        let (sin, cos) = course.sin_cos();
+        let (sin, cos) = sin_cos(course);
         let across = weight * (costate[4] * cos - costate[3] * sin);
         let bend = -weight * control[0] * (costate[3] * cos + costate[4] * sin);
         for row in 0..5 {

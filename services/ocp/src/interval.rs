@@ -13,6 +13,7 @@
 
 use crate::collocation::{Collocation, MAX_STAGES};
 use crate::model::{LateralModel, LateralSlope};
+use crate::trig::sin_cos;
 
 /// (sideslip, yaw rate) at the stages; entries beyond the stages of the scheme are not used.
 pub(crate) type Stages = [[f64; 2]; MAX_STAGES];
@@ -61,7 +62,8 @@ pub(crate) fn linearise(
 /// Newton's method on the stage values until none changes by more than `tolerance`: the last linearisation, whose
 /// sensitivities belong to values that differ by the last step only, and its largest change.
 ///
-/// `None` where that takes more than `steps`, or the result is not finite.
+/// From afar, as from a guess, steps without sensitivities come first. `None` where that takes more than `steps`, or the
+/// result is not finite.
 pub(crate) fn settle(
     interval: &Interval,
     start: &[f64; 5],
@@ -69,8 +71,15 @@ pub(crate) fn settle(
     stages: &mut Stages,
     steps: usize,
     tolerance: f64,
+    mut is_far: bool,
 ) -> Option<(Linearisation, f64)> {
+    /// The equations are nearly linear: after a change of this size the next one is a rounding error.
+    const NEAR: f64 = 1e-4;
     for _ in 0..steps {
+        if is_far {
+            is_far = correct(interval, start, control, stages) > NEAR;
+            continue;
+        }
         let linearisation = linearise(interval, start, control, stages);
         let mut largest = 0.0f64;
         for (stage, change) in stages.iter_mut().zip(&linearisation.stages) {
@@ -84,6 +93,7 @@ pub(crate) fn settle(
                 linearisation.end.iter().chain(&linearisation.correction).all(|value| value.is_finite());
             return finite.then_some((linearisation, largest));
         }
+        is_far = largest > NEAR;
     }
     None
 }
@@ -130,6 +140,52 @@ impl Linearisation {
         start[4] = costate[4];
         start
     }
+}
+
+/// One Newton step of the collocation equations without sensitivities; the largest change of a stage.
+fn correct(interval: &Interval, start: &[f64; 5], control: &[f64; 2], stages: &mut Stages) -> f64 {
+    match interval.collocation.stages {
+        1 => correct_stages::<1>(interval, start, control, stages),
+        2 => correct_stages::<2>(interval, start, control, stages),
+        3 => correct_stages::<3>(interval, start, control, stages),
+        _ => correct_stages::<4>(interval, start, control, stages),
+    }
+}
+
+fn correct_stages<const S: usize>(
+    interval: &Interval,
+    start: &[f64; 5],
+    control: &[f64; 2],
+    stages: &mut Stages,
+) -> f64 {
+    let Interval { model, collocation, length } = *interval;
+    let mut slopes = [LateralSlope::default(); S];
+    model.slopes(*control, &stages[..S], &mut slopes);
+    let mut matrix = [[[[0.0; 2]; 2]; S]; S];
+    let mut right = [[[0.0; 1]; 2]; S];
+    for row in 0..S {
+        for component in 0..2 {
+            let mut left = start[2 * component] - stages[row][component];
+            for column in 0..S {
+                let factor = length * collocation.integrals[row][column];
+                let slope = &slopes[column];
+                matrix[row][column][component][0] = -factor * slope.by_state[component][0];
+                matrix[row][column][component][1] = -factor * slope.by_state[component][1];
+                left += factor * slope.value[component];
+            }
+            matrix[row][row][component][component] += 1.0;
+            right[row][component][0] = left;
+        }
+    }
+    eliminate(&mut matrix, &mut right);
+    let mut largest = 0.0f64;
+    for (stage, change) in stages.iter_mut().zip(&right) {
+        for component in 0..2 {
+            stage[component] += change[component][0];
+            largest = largest.max(change[component][0].abs());
+        }
+    }
+    largest
 }
 
 fn linearise_stages<const S: usize>(
@@ -210,7 +266,7 @@ fn linearise_stages<const S: usize>(
         for column in 0..5 {
             yaw[column] += weight * right[stage][1][column];
         }
-        let (sin, cos) = course[5].sin_cos();
+        let (sin, cos) = sin_cos(course[5]);
         let (along, across) = (weight * cos, weight * sin);
         position[0][5] += control[0] * along;
         position[1][5] += control[0] * across;

@@ -7,6 +7,7 @@
 use vehicle::Parameters;
 
 use crate::model::{LateralModel, LateralSlope};
+use crate::trig::sin_cos;
 
 impl LateralModel for Parameters {
     fn is_sound(&self) -> bool {
@@ -115,7 +116,7 @@ impl Lateral {
     /// The stiff part under a control (velocity, steering).
     fn new(parameters: &Parameters, control: [f64; 2]) -> Self {
         let Parameters { mass_kg, rear_m, front_m, stiffness_n_per_rad, inertia_kgm2 } = *parameters;
-        let (sin, cos) = control[1].sin_cos();
+        let (sin, cos) = sin_cos(control[1]);
         let per_velocity = 1.0 / control[0];
         let force = stiffness_n_per_rad * cos;
         let (sum, difference) = (rear_m + front_m, rear_m - front_m);
@@ -134,7 +135,7 @@ impl Lateral {
 
     /// Derivatives of (sideslip, yaw rate), (7.27) and (7.29), with their Jacobians.
     fn slope(&self, [sideslip, yaw_rate]: [f64; 2]) -> LateralSlope {
-        let (sin, cos) = sideslip.sin_cos();
+        let (sin, cos) = sin_cos(sideslip);
         let damping = self.damping / cos;
         let turn = self.difference_per_velocity * yaw_rate;
         let slip = turn - 2.0 * sideslip;

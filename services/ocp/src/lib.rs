@@ -56,8 +56,8 @@
 //! # How it is solved
 //! Direct multiple shooting with collocation inside the intervals, sequential quadratic programming with a Newton
 //! step on the active set. `problem` says what is solved; `lateral`, `interval` and `shooting` are the model and its
-//! sensitivities; `objective` and `kkt` value an iterate; `condense` with `qp` solves the programs of short horizons
-//! and `chain`, by Riccati recursions, those of long ones; `sqp` is the iteration. [`analysis`] answers how many
+//! sensitivities; `objective` and `kkt` value an iterate; `chain` solves the programs by Riccati recursions, and
+//! `condense` with `qp` those of short horizons where that fails; `sqp` is the iteration. [`analysis`] answers how many
 //! intervals a horizon needs.
 //!
 //! # Limits
@@ -84,7 +84,6 @@ mod interval;
 mod kkt;
 mod lateral;
 mod model;
-mod newton;
 mod objective;
 mod problem;
 mod propagate;
@@ -95,6 +94,7 @@ mod shooting;
 mod sqp;
 #[cfg(test)]
 mod testing;
+mod trig;
 mod usable;
 mod walk;
 

@@ -69,7 +69,7 @@ pub(crate) fn converge(
     let start: [f64; 5] = start.to_vector().into();
     let control = [control.velocity, control.steering];
     let mut stages = [[start[0], start[2]]; MAX_STAGES];
-    let (linearisation, _) = settle(interval, &start, &control, &mut stages, NEWTON_STEPS, TOLERANCE)?;
+    let (linearisation, _) = settle(interval, &start, &control, &mut stages, NEWTON_STEPS, TOLERANCE, true)?;
     Some((linearisation, stages))
 }
 

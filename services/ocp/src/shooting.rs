@@ -103,7 +103,7 @@ pub(crate) enum Sweep {
 
 impl Shooting {
     /// Solves the collocation equations of all intervals from the stage values of `iterate` and linearises there;
-    /// false where they do not converge.
+    /// false where they do not converge. `is_far` says that the stage values are a guess.
     ///
     /// Near the solution of the program the stage values come predicted by the last step, and one Newton step per
     /// interval is enough: its linearisation is the one that is needed anyway.
@@ -113,6 +113,7 @@ impl Shooting {
         collocation: &Collocation,
         iterate: &mut Iterate,
         sweep: Sweep,
+        is_far: bool,
     ) -> bool {
         /// Three are usual from afar, one near the solution.
         const NEWTON_STEPS: usize = 20;
@@ -127,7 +128,7 @@ impl Shooting {
             let interval = Interval { model: problem.model.as_ref(), collocation, length };
             let (start, control) = (&iterate.states[index], &iterate.controls[index]);
             let stages = &mut iterate.stages[index];
-            let settled = settle(&interval, start, control, stages, NEWTON_STEPS, LAST_STEP);
+            let settled = settle(&interval, start, control, stages, NEWTON_STEPS, LAST_STEP, is_far);
             let Some((linearisation, last)) = settled else { return false };
             let mut gap = [0.0; 5];
             self.last_step = self.last_step.max(last);

@@ -1,6 +1,6 @@
 //! Sequential quadratic programming on the multiple-shooting program of one scan.
 //!
-//! One iteration: linearise the intervals, condense, solve the convex quadratic program with the chosen Hessian
+//! One iteration: linearise the intervals, solve the convex quadratic program with the chosen Hessian
 //! (Gauss-Newton unless the settings say otherwise); then, unless `refine` is off, try Newton's step on the active
 //! set it found, and where that is refused the program's own step, searched along. A trial gets its node states by a
 //! forward sweep, so every iterate after the first satisfies the model and the exact penalty function `objective +
@@ -12,8 +12,8 @@
 //! correction prevents refusals because of the large penalty (Maratos effect). The damping shortens steps where
 //! limits are nearly dependent and cross beyond the validity of the linearisation.
 //!
-//! Horizons of more than `condense_up_to` intervals are not condensed but solved stage by stage ([`crate::chain`]),
-//! by the same two steps and in time linear in their number.
+//! Both steps are solved stage by stage ([`crate::chain`]), in time linear in the number of intervals. Only where the
+//! search for the active set fails, a horizon of at most `condense_up_to` intervals is condensed.
 //!
 //! Limits: the solution is local, and the guess decides on which side an obstacle is passed. A guess in the exact
 //! centre of an ellipse has no direction to leave it. A reference far beyond what the horizon can reach makes the
@@ -32,11 +32,10 @@ use crate::collocation::Collocation;
 use crate::dense::{fill, refill};
 use crate::hessian::{self, Block, Hessian, Point};
 use crate::kkt::{self, Multipliers};
-use crate::newton::Newton;
 use crate::objective::{control_bounds, linearised_penalties, penalties, smooth, smooth_slope};
 use crate::problem::{Budget, Problem, Solution, Status, Trajectory};
 use crate::qp::active_set::ActiveSet;
-use crate::qp::{BoundState, Qp, QpChoice, QpSolution, RowState};
+use crate::qp::{BoundState, Qp, QpSolution, RowState};
 use crate::settings::SolverSettings;
 use crate::shooting::{Iterate, Shooting, Sweep};
 use crate::usable::is_usable;
@@ -65,11 +64,12 @@ pub struct Solver {
     trial_shooting: Shooting,
     qp: Qp,
     chain: Chain,
-    /// Whether the chain is solved instead of the condensed program.
-    is_long: bool,
     active_set: ActiveSet,
     answer: QpSolution,
-    newton: Newton,
+    /// Newton's step and its multipliers.
+    newton: QpSolution,
+    /// Whether the last call was [`Solver::prepare`].
+    is_prepared: bool,
     row_multipliers: Vec<f64>,
     costates: Vec<[f64; 5]>,
     /// The BFGS matrices of the nodes.
@@ -129,6 +129,7 @@ impl Solver {
         budget: &Budget,
         solution: &mut Solution,
     ) {
+        self.is_prepared = false;
         if is_usable(problem, guess) && self.start(problem, guess) {
             let (status, iterations, kkt_residual) = self.iterate(problem, budget);
             self.report(problem, status, iterations, kkt_residual, solution);
@@ -180,11 +181,8 @@ impl Solver {
 
     /// Starts from the guess; false where its collocation equations have no solution.
     fn start(&mut self, problem: &Problem, guess: &Trajectory) -> bool {
-        self.is_long = problem.intervals.len() > self.settings.condense_up_to
-            && self.settings.qp == QpChoice::ActiveSet
-            && problem.weights.slack_quadratic > 0.0;
         let sweep = self.iterate.start(problem, guess);
-        if !self.shooting.sweep(problem, &self.collocation, &mut self.iterate, sweep) {
+        if !self.shooting.sweep(problem, &self.collocation, &mut self.iterate, sweep, true) {
             return false;
         }
         let row_count = (5 + problem.ellipses.len()) * problem.intervals.len();
@@ -204,10 +202,12 @@ impl Solver {
                 }
             }
         }
+        self.chain.reserve(problem.intervals.len(), row_count);
+        self.reserve_condensed(problem);
         let gap = self.shooting.gaps.iter().flatten().fold(0.0, |largest: f64, gap| largest.max(gap.abs()));
         gap == 0.0
             || gap > SMALL_GAP
-            || self.shooting.sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close)
+            || self.shooting.sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close, false)
     }
 
     fn is_closed(&self) -> bool {
@@ -224,7 +224,7 @@ impl Solver {
         let stepped = stepped.flatten();
         let rolled = self
             .shooting
-            .sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close)
+            .sweep(problem, &self.collocation, &mut self.iterate, Sweep::Close, false)
             .then(|| merit(problem, &self.iterate));
         match (stepped, rolled) {
             (Some(stepped), rolled) if rolled.is_none_or(|rolled| stepped <= rolled) => {
@@ -242,7 +242,7 @@ impl Solver {
         loop {
             self.build_qp(problem, *damping);
             if self.solve_program(problem, *damping) {
-                if self.try_newton(problem, *damping, present, relieved) {
+                if self.try_newton(problem, present, relieved) {
                     self.refusals = 0;
                     *damping = relaxed(*damping);
                     return true;
@@ -267,10 +267,10 @@ impl Solver {
     /// Newton's step on the active set of the quadratic program; false where there is none that is accepted in full.
     ///
     /// Without refinement it is the step of the quadratic program, with its second-order correction.
-    fn try_newton(&mut self, problem: &Problem, damping: f64, present: f64, relieved: f64) -> bool {
+    fn try_newton(&mut self, problem: &Problem, present: f64, relieved: f64) -> bool {
         // Steps with and without the shift alternate, because either may be slow alone.
         let shift = self.refusals % 2 == 1;
-        if !self.solve_newton(problem, damping, shift) {
+        if !self.solve_newton(problem, shift) {
             return false;
         }
         self.expand(Step::Newton);
@@ -310,7 +310,7 @@ impl Solver {
     fn expand(&mut self, step: Step) {
         let controls = match step {
             Step::Program => &self.answer.step,
-            Step::Newton => &self.newton.solution.step,
+            Step::Newton => &self.newton.step,
         };
         fill(&mut self.step.controls, controls.chunks_exact(2).map(|pair| [pair[0], pair[1]]));
         self.shooting.expand(&mut self.step);
@@ -332,7 +332,8 @@ impl Solver {
             let inside = problem.bounds.clamp(Control { velocity: control[0], steering: control[1] });
             *control = [inside.velocity, inside.steering];
         }
-        let swept = self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close);
+        let swept =
+            self.trial_shooting.sweep(problem, &self.collocation, &mut self.trial, Sweep::Close, false);
         swept.then(|| merit(problem, &self.trial)).filter(|merit| merit.is_finite())
     }
 
@@ -342,7 +343,7 @@ impl Solver {
         std::mem::swap(&mut self.shooting, &mut self.trial_shooting);
         let solution = match step {
             Step::Program => &self.answer,
-            Step::Newton => &self.newton.solution,
+            Step::Newton => &self.newton,
         };
         self.row_multipliers.clone_from(&solution.row_multipliers);
         if self.settings.hessian == Hessian::Bfgs {

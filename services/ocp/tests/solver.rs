@@ -359,4 +359,6 @@ fn feedback_follows_a_small_error_of_the_prediction_to_first_order() {
         "{answer:?} {exact:?} {moved}"
     );
     assert_eq!(solver.feedback(&predicted, &State { y: f64::NAN, ..measured }), None);
+    solver.solve(&predicted, &planned, &Budget::Iterations(60));
+    assert_eq!(solver.feedback(&predicted, &measured), None, "a solve leaves nothing prepared");
 }

@@ -11,10 +11,13 @@
 //! processes.
 
 mod drive;
+pub mod profile;
 mod settings;
+mod way_to_rest;
 
 pub use drive::{Drive, drive};
 pub use settings::{Settings, Tuning};
+pub use way_to_rest::WayToRest;
 
 use actuation::Actuator;
 use emulator::Emulator;

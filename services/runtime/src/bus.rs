@@ -107,6 +107,14 @@ impl Bus {
         self.node.try_cleanup_dead_nodes().cleanups
     }
 
+    /// Whether a process has opened the topic for writing.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn has_publisher(&self, topic: Topic) -> Result<bool, RuntimeError> {
+        Ok(port::publishers(&self.open_samples(topic.sample_type())?) > 0)
+    }
+
     pub(crate) fn publisher(&self, of: &SampleType) -> Result<BytePublisher, RuntimeError> {
         let created = BytePublisher::new(self.open_samples(of)?);
         created.map_err(|reason| RuntimeError::bus(format!("write topic {}", of.topic), reason))

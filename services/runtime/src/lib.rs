@@ -64,6 +64,7 @@ mod tests;
 mod view;
 mod waiter;
 mod wake;
+mod waker;
 
 pub use bus::Bus;
 pub use clock::{Clock, monotonic_ns};
@@ -97,3 +98,4 @@ pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
 pub use terminal::{flush_terminal, is_terminal, printable, show_live_line, start_terminal};
 pub use wake::wait_for;
+pub use waker::Waker;

@@ -53,6 +53,11 @@ pub(crate) fn samples(node: &Node<ipc::Service>, name: &ServiceName, detail: &Ty
     }
 }
 
+/// How many publishers a service has.
+pub(crate) fn publishers(service: &Samples) -> usize {
+    service.dynamic_config().number_of_publishers()
+}
+
 /// Lends places in shared memory and sends what was written there.
 #[derive(Debug)]
 pub(crate) struct BytePublisher {
@@ -85,7 +90,7 @@ impl BytePublisher {
     /// How many publishers the service has.
     #[cfg(test)]
     pub(crate) fn publishers(&self) -> usize {
-        self.service.dynamic_config().number_of_publishers()
+        publishers(&self.service)
     }
 
     /// How many subscribers the service has.

@@ -247,6 +247,16 @@ impl Process {
         Ok(Enclosed::new(writer))
     }
 
+    /// The role of this process.
+    pub(crate) fn role(&self) -> Role {
+        self.shared.role
+    }
+
+    /// The doorbells of the system.
+    pub(crate) fn bells(&self) -> &Arc<Bells> {
+        &self.bells
+    }
+
     /// The node of this process on the bus, for services beside the topics: a bench has some.
     pub fn node(&self) -> &Node<ipc::Service> {
         self.bus.node()

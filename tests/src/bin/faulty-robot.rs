@@ -1,6 +1,6 @@
-//! The emulated robot with a fault, for tests of swaps.
+//! The emulated robot with a fault, for tests of swaps and of `check --live`.
 //!
-//! `faulty-robot none | nan | jump | hang-after N | exit-after N`
+//! `faulty-robot none | nan | jump | backwards | rolled SIGN | slow | hang-after N | exit-after N`
 
 use emulator::service::run_with;
 use shared_types::{Odometry, Scan, Truth};
@@ -17,6 +17,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             odometry.y_m += 0.1;
             truth.y_m += 0.1;
         }),
+        // Its encoders count the other way round.
+        ["backwards"] => run_with(|_, odometry: &mut Odometry, _| {
+            (odometry.x_m, odometry.dx_m) = (-odometry.x_m, -odometry.dx_m);
+        }),
+        // It is moved by hand while its wheels are blocked: ahead and to the left, or as its encoders count that.
+        ["rolled", sign] => {
+            let sign: f64 = sign.parse()?;
+            run_with(move |_, odometry: &mut Odometry, _| {
+                count += 1;
+                let steps = sign * count as f64;
+                (odometry.x_m, odometry.dx_m) = (0.03 * steps, 0.03 * sign);
+                (odometry.yaw_rad, odometry.dyaw_rad) = (0.02 * steps, 0.02 * sign);
+            })
+        }
+        // Its scanner has two thirds of the rate.
+        ["slow"] => run_with(|_, _, _| _ = runtime::wait_for(&[], 150_000_000)),
         ["hang-after", limit] => {
             let limit: u64 = limit.parse()?;
             run_with(move |_, _, _| {
@@ -38,7 +54,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }
             })
         }
-        _ => return Err("usage: faulty-robot none|nan|jump|hang-after N|exit-after N".into()),
+        _ => {
+            return Err(
+                "usage: faulty-robot none|nan|jump|backwards|rolled SIGN|slow|hang-after N|exit-after N"
+                    .into(),
+            );
+        }
     }?;
     Ok(())
 }

@@ -134,7 +134,7 @@ fn judge_drive(plan: &Plan, seen: &Evidence, drive: &Drive, found: &mut Vec<Stri
         }
     }
     if let Some(report) = &drive.report {
-        if report.drive.collided {
+        if report.drive.truth.is_none_or(|truth| truth.collided) {
             found.push(format!("{name}: the report says that the robot has collided"));
         }
         if report.scans.unaccounted > 0 && !plan.damages() {

@@ -45,6 +45,35 @@ fn scenarios_are_checked() {
 }
 
 #[test]
+fn the_driver_of_a_player_server_is_checked() {
+    let system = System::new(EXECUTABLE);
+    let robot = include_str!("../../../examples/player/system.toml");
+    let file = system.folder().join("player.toml");
+    for (text, names) in [
+        (robot.replace("6665", "0"), &["player.toml", "player.port", "0", "1 to 65535"]),
+        (robot.replace("127.0.0.1", ""), &["player.toml", "player.host", "\"\"", "name or address"]),
+        (
+            robot.replace("sweep_s = 0.0 ", "steering_sign = 2.0"),
+            &["player.toml", "player.steering_sign", "2", "1 or -1"],
+        ),
+        (robot.replace("host =", "hots ="), &["player.toml", "player.hots", "unknown", "`host`"]),
+        (
+            robot.replace("sweep_s = 0.0 ", "scanner = \"sonar\" "),
+            &["player.toml", "player.scanner", "sonar", "`laser`"],
+        ),
+        (
+            robot.replace("sweep_s = 0.0 ", "urg = \"ttyACM0\" "),
+            &["player.toml", "player.urg", "ttyACM0", "HOST:PORT"],
+        ),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        refused(&system, &["check", "player.toml"], names);
+    }
+    std::fs::write(&file, robot).unwrap();
+    refused(&system, &["run", "--lockstep", "--system", "player.toml"], &["--lockstep", "player"]);
+}
+
+#[test]
 fn systems_and_options_are_checked() {
     let system = System::new(EXECUTABLE);
     let file = system.folder().join("system.toml");
@@ -80,6 +109,12 @@ fn systems_and_options_are_checked() {
         &["rate_hz = 0.5", "at least ", "vehicle.sudden_m = 0.2", "vehicle.blocked_deceleration_mps2 = 5"],
     );
     refused(&system, &["run", "--set", "controller.horizon=1"], &["controller.horizon", "unknown"]);
+    let sides = ["controller.side = \"up\"", "search", "left", "right", "nearest"];
+    refused(&system, &["check", "--set", "controller.side=up"], &sides);
+    let profiles = ["controller.profile = \"thesis\"", "scanloop", "source"];
+    refused(&system, &["run", "--set", "controller.profile=thesis"], &profiles);
+    let source = ["check", "--set", "controller.profile=source", "--set", "controller.intervals=1"];
+    refused(&system, &source, &["controller.intervals = 1", "2 to "]);
     refused(&system, &["run", "--set", "robot.width_m=wide"], &["robot.width_m", "wide"]);
     refused(&system, &["run", "--set", "actuator.calibration=best"], &["actuator.calibration", "best"]);
     refused(&system, &["check", "--set", "goal.tolerance_m=0.001"], &["goal.tolerance_m", "0.001"]);

@@ -108,7 +108,9 @@ fn the_report_has_the_margins_of_the_drive_and_the_coverage_of_the_estimate() {
     let system = System::new(EXECUTABLE);
     let report = system.lockstep(&["corridor"]);
     assert_eq!(report.outcome, Outcome::Reached, "{}", report.reason);
-    assert!(report.drive.covariance_coverage.is_some_and(|share| (0.0..=1.0).contains(&share)));
+    assert!(
+        report.drive.truth.unwrap().covariance_coverage.is_some_and(|share| (0.0..=1.0).contains(&share))
+    );
     assert!(report.drive.speed_limit_mps.is_some_and(|limit_mps| limit_mps > 0.0), "{:?}", report.drive);
     let margin = report.margin_m;
     assert!(margin.base > 0.0 && margin.sum() > margin.base && margin.sum() < 0.6, "{margin:?}");

@@ -10,3 +10,5 @@ mod calibrate;
 mod description;
 mod reference;
 mod scenarios;
+mod urg;
+mod without_truth;

@@ -37,7 +37,7 @@ fn a_key_is_found_by_a_part_of_its_name_and_an_override_takes_what_is_shown() {
         assert!(found.starts_with(&format!("{name} = ")), "{found}");
         assert_eq!(system.run(&["check", "--set", key]).status.code(), Some(0), "{key}");
     }
-    let output = system.run(&["reference", "wheelbase"]);
+    let output = system.run(&["reference", "propeller"]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("wheelbase"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("propeller"));
 }

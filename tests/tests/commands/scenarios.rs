@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use audit::digest::Digests;
 use emulator::{Outcome, Scenario};
-use pipeline::{Drive, Settings};
+use pipeline::{Drive, Settings, Tuning, profile};
 use report::Report;
 use scanloop_tests::System;
 use vehicle::Surroundings;
@@ -17,10 +17,14 @@ fn drive(scenario: &str, expected: Outcome) -> Report {
     let system = System::new(EXECUTABLE);
     let report = system.lockstep(&[scenario]);
     assert_eq!(report.outcome, expected, "{scenario}: {}", report.reason);
-    assert!(!report.drive.collided);
+    assert!(!report.drive.truth.unwrap().collided);
     assert_eq!(report.scans.unaccounted, 0);
     assert_eq!((report.scans.commanded, report.scans.lost), (report.scans.published, 0));
-    assert!(report.drive.min_clearance_m >= 0.05, "{scenario}: clearance {} m", report.drive.min_clearance_m);
+    assert!(
+        report.drive.truth.unwrap().min_clearance_m >= 0.05,
+        "{scenario}: clearance {} m",
+        report.drive.truth.unwrap().min_clearance_m
+    );
     let again = system.lockstep(&[scenario]);
     assert_eq!(again.trajectory, report.trajectory, "{scenario}: two runs differ");
     assert_eq!(again.digests, report.digests, "{scenario}: two runs differ");
@@ -69,7 +73,7 @@ fn every_scan_of_a_scanner_that_is_late_irregular_or_blind_is_answered() {
         keys.iter().for_each(|key| arguments.extend(["--set", key]));
         let report = system.lockstep(&arguments);
         assert_eq!(
-            (report.scans.unaccounted, report.drive.collided),
+            (report.scans.unaccounted, report.drive.truth.unwrap().collided),
             (0, false),
             "{name}: {:?}",
             report.scans
@@ -155,7 +159,7 @@ fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
         set.iter().for_each(|pair| arguments.extend(["--set", *pair]));
         let report = system.lockstep(&arguments);
         assert_eq!(report.outcome, Outcome::Timeout, "{}", report.reason);
-        let error_m = report.drive.estimate_error_max_m;
+        let error_m = report.drive.truth.unwrap().estimate_error_max_m;
         assert!((0.02..0.10).contains(&error_m), "seed {seed}: {error_m} m");
     }
     system.assert_nothing_left();
@@ -165,7 +169,7 @@ fn the_printed_drift_is_corrected_to_ten_centimetres_in_forty_seconds() {
 fn untouched(system: &System, arguments: &[&str]) -> Report {
     let report = system.lockstep(arguments);
     assert!(
-        !report.drive.collided && report.drive.min_clearance_m > 0.0,
+        !report.drive.truth.unwrap().collided && report.drive.truth.unwrap().min_clearance_m > 0.0,
         "{arguments:?}: {:?}",
         report.drive
     );
@@ -184,7 +188,11 @@ fn every_stage_knows_a_body_that_one_key_sets() {
         let report = untouched(&system, &set("corridor", &[body]));
         let ended = [Outcome::Reached, Outcome::Stopped].contains(&report.outcome);
         assert!(ended, "{body}: {:?}, {}", report.outcome, report.reason);
-        assert!(report.drive.min_clearance_m >= 0.05, "{body}: {} m", report.drive.min_clearance_m);
+        assert!(
+            report.drive.truth.unwrap().min_clearance_m >= 0.05,
+            "{body}: {} m",
+            report.drive.truth.unwrap().min_clearance_m
+        );
         let output = system.run(&[&["run", "--lockstep", "--quiet"][..], &set("corridor", &[body])].concat());
         let code = i32::from(report.outcome != Outcome::Reached);
         assert_eq!(output.status.code(), Some(code), "{body}");
@@ -250,10 +258,30 @@ fn processes_and_pipeline_give_the_same_bits() {
     }
 }
 
+#[test]
+fn the_controller_of_the_source_gives_the_same_bits_in_processes_and_in_the_pipeline() {
+    let system = System::new(EXECUTABLE);
+    for (name, outcome) in [("two-obstacles", Outcome::Reached), ("sudden", Outcome::Stopped)] {
+        let report = system.lockstep(&[name, "--set", "controller.profile=source"]);
+        assert_eq!(report.outcome, outcome, "{name}: {}", report.reason);
+        let mut table = "[controller]\nprofile = \"source\"".parse().unwrap();
+        profile::add(&mut table);
+        let tuning: Tuning = table.try_into().unwrap();
+        let scenario = Scenario::parse(Scenario::shipped(name).unwrap(), name).unwrap();
+        let (drive, digests) = with_settings(&Settings { tuning, ..Settings::of(scenario) });
+        assert_eq!((drive.outcome, digests), (outcome, report.digests), "{name}");
+    }
+}
+
 /// The drive of a scenario in the pipeline, with its digests.
 fn in_one_process(scenario: Scenario) -> (Drive, BTreeMap<String, String>) {
+    with_settings(&Settings::of(scenario))
+}
+
+/// The same with other settings of the stages.
+fn with_settings(settings: &Settings) -> (Drive, BTreeMap<String, String>) {
     let mut digests = Digests::default();
-    let drive = pipeline::drive(&Settings::of(scenario), |step| {
+    let drive = pipeline::drive(settings, |step| {
         digests.add(&step.truth);
         step.pose.iter().for_each(|sample| digests.add(sample));
         step.obstacles.iter().for_each(|sample| digests.add(sample));

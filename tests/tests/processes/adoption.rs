@@ -48,7 +48,11 @@ fn assert_reached(mut system: System) -> Report {
     assert_eq!(report.outcome, Outcome::Reached);
     assert!(report.adopted && report.adopted_from_scan > Some(3), "{:?}", report.adopted_from_scan);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
-    assert!(!report.drive.collided && report.drive.longest_blind_s <= MAX_BLIND_S, "{:?}", report.drive);
+    assert!(
+        !report.drive.truth.unwrap().collided && report.drive.truth.unwrap().longest_blind_s <= MAX_BLIND_S,
+        "{:?}",
+        report.drive
+    );
     system.assert_nothing_left();
     report
 }
@@ -120,7 +124,9 @@ fn an_adopted_run_is_supervised_like_any_other() {
     let report = system.report();
     assert_eq!((report.outcome, report.scans.unaccounted), (Outcome::Interrupted, 0));
     assert_eq!(report.drive.final_speed_mps, 0.0);
-    assert!(report.drive.longest_blind_s <= MAX_BLIND_S && !report.drive.collided);
+    assert!(
+        report.drive.truth.unwrap().longest_blind_s <= MAX_BLIND_S && !report.drive.truth.unwrap().collided
+    );
     system.assert_nothing_left();
 }
 
@@ -163,7 +169,7 @@ fn a_controller_resumes_from_the_state_of_one_that_hung_for_longer_than_a_state_
     assert_eq!(system.run(&["stop"]).status.code(), Some(0));
     system.wait();
     let report = system.report();
-    assert_eq!((report.scans.unaccounted, report.drive.collided), (0, false));
+    assert_eq!((report.scans.unaccounted, report.drive.truth.unwrap().collided), (0, false));
     system.assert_nothing_left();
 }
 

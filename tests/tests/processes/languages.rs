@@ -3,6 +3,7 @@
 
 mod bytes;
 mod refusals;
+mod robots;
 mod swaps;
 mod tables;
 mod tools;

@@ -24,8 +24,12 @@ fn disturb(role: Role, signal: Signal) -> Report {
     let status = system.wait();
     let report = system.report();
     assert!(status.code().is_some(), "{}", system.stderr());
-    assert!(report.drive.longest_blind_s <= MAX_BLIND_S, "blind for {} s", report.drive.longest_blind_s);
-    assert!(!report.drive.collided);
+    assert!(
+        report.drive.truth.unwrap().longest_blind_s <= MAX_BLIND_S,
+        "blind for {} s",
+        report.drive.truth.unwrap().longest_blind_s
+    );
+    assert!(!report.drive.truth.unwrap().collided);
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
     system.assert_nothing_left();
     report
@@ -76,7 +80,9 @@ fn live(duration_s: &str, keys: &[&str]) -> Report {
     system.wait();
     let report = system.report();
     assert!(report.processes.iter().all(|process| process.restarts == 0), "{report:?}");
-    assert!(report.drive.longest_blind_s <= MAX_BLIND_S && !report.drive.collided);
+    assert!(
+        report.drive.truth.unwrap().longest_blind_s <= MAX_BLIND_S && !report.drive.truth.unwrap().collided
+    );
     assert_eq!((report.scans.unaccounted, report.ledger.residual, report.ledger.reordered), (0, 0, 0));
     system.assert_nothing_left();
     report
@@ -157,9 +163,9 @@ fn a_machine_that_was_suspended_restarts_no_process() {
     let restarts: Vec<u32> = report.processes.iter().map(|process| process.restarts).collect();
     assert_eq!(restarts, [0; 5], "{}", system.stderr());
     assert!(
-        report.drive.longest_blind_s <= 2.0 * MAX_BLIND_S,
+        report.drive.truth.unwrap().longest_blind_s <= 2.0 * MAX_BLIND_S,
         "blind for {} s",
-        report.drive.longest_blind_s
+        report.drive.truth.unwrap().longest_blind_s
     );
     assert_eq!(report.scans.unaccounted, 0, "{:?}", report.scans);
     system.assert_nothing_left();

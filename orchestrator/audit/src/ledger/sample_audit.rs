@@ -138,7 +138,9 @@ impl SampleAudit {
             let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
             self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
         }
-        if topic == Topic::Truth {
+        // Scans are counted by the truth, or by themselves where there is none.
+        let has_truth = self.sweeps.values().any(Sweep::has_truth);
+        if topic == if has_truth { Topic::Truth } else { Topic::Scan } {
             self.excused.extend(scans.into_iter().flatten().map(|scan| (scan, NOT_OBSERVED)));
         }
     }

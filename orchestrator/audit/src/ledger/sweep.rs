@@ -50,6 +50,11 @@ impl Sweep {
         }
     }
 
+    /// Whether the robot has published its true state.
+    pub(super) fn has_truth(&self) -> bool {
+        self.has_truth
+    }
+
     /// Notes that samples may not have been observed, so that scans so far are not judged. Returns those without any
     /// sample, which the robot may have skipped.
     pub(super) fn overflowed(&mut self) -> Vec<u64> {

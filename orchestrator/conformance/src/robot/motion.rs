@@ -12,7 +12,7 @@ const STANDSTILL_MPS: f64 = 1e-3;
 /// Blocked wheels are at rest after this time: 1 m/s at a deceleration of 5 m/s^2 takes 0.2 s [ns].
 const STOPPING_NS: u64 = 500_000_000;
 /// Straight on.
-const FORWARD: Order = Order::Drive(0.7, 0.0);
+pub(super) const FORWARD: Order = Order::Drive(0.7, 0.0);
 
 pub(super) fn drives(suite: &Suite) -> Verdict {
     let mut bench = suite.started(Setup::default())?;

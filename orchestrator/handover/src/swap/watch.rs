@@ -11,6 +11,9 @@ use super::{Output, OutputSummary, Party};
 /// Scans of a robot, of both processes together, whose samples are being collected.
 const PARTS: usize = 64;
 
+/// Why a robot without a truth can't take over from one with it.
+const NO_TRUTH: &str = "it publishes no truth, by which this run is judged";
+
 /// Observes the topics of one role.
 pub enum Watch {
     /// Both topics of a robot.
@@ -30,6 +33,8 @@ pub struct RobotWatch {
     scans: Observer<Scan>,
     odometries: Observer<Odometry>,
     truths: Observer<Truth>,
+    /// Whether an output without a truth is refused.
+    needs_truth: bool,
     /// By scan and incarnation.
     parts: BTreeMap<(u64, u32), Parts>,
 }
@@ -45,16 +50,17 @@ struct Parts {
 }
 
 impl Watch {
-    /// Starts to observe what `role` publishes.
+    /// Starts to observe what `role` publishes. With `needs_truth` the output of a robot is invalid without a truth.
     ///
     /// # Errors
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
-    pub fn new(bus: &Bus, role: Role) -> Result<Self, RuntimeError> {
+    pub fn new(bus: &Bus, role: Role, needs_truth: bool) -> Result<Self, RuntimeError> {
         Ok(match role {
             Role::Robot => Self::Robot(Box::new(RobotWatch {
                 scans: Observer::new(bus)?,
                 odometries: Observer::new(bus)?,
                 truths: Observer::new(bus)?,
+                needs_truth,
                 parts: BTreeMap::new(),
             })),
             Role::Estimator => Self::Poses(Observer::new(bus)?),
@@ -94,7 +100,7 @@ impl Watch {
 
 impl RobotWatch {
     fn poll(&mut self, both: [u32; 2], each: &mut impl FnMut(u32, Output)) -> Result<(), RuntimeError> {
-        let Self { scans, odometries, truths, parts } = self;
+        let Self { scans, odometries, truths, needs_truth, parts } = self;
         // The truth last: it is published before the others of its scan.
         collect(scans, both, parts, |parts, scan| parts.scan = Some(*scan))?;
         collect(odometries, both, parts, |parts, odometry| parts.odometry = Some(*odometry))?;
@@ -105,6 +111,9 @@ impl RobotWatch {
                 let sensed = Sensed::new(scan, odometry, parts.truth.as_ref());
                 let content = parts.fault.map_or(Ok(OutputSummary::Sensed(Box::new(sensed))), Err);
                 let mut output = output_of(&odometry.header, Role::Robot, content);
+                if *needs_truth && parts.truth.is_none() && output.content.is_ok() {
+                    output.content = Err(NO_TRUTH.to_owned());
+                }
                 output.stamps_ns[1] = scan.header.stage(Role::Robot).published_ns;
                 // A scan answers no other sample; it is due when its sweep is over.
                 output.scan_published_ns = scan.header.acquired_ns + scan.period_ns / 3;

@@ -1,5 +1,6 @@
 //! The top of the picture: title, second line and legend; and the samples of all legends.
 
+use emulator::JudgedBy;
 use plotters::prelude::*;
 
 use super::map::Layout;
@@ -18,7 +19,7 @@ const SAMPLE: u32 = 26;
 /// Estimated width of a letter; the library can't measure text [pixels].
 const LETTER: f64 = 6.6;
 
-pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout) -> Result<()> {
+pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout, judged_by: JudgedBy) -> Result<()> {
     text(area, &scene.title, 19, LEFT, 20)?;
     let part = if layout.is_cut() { " (only the last part of the drive is shown)" } else { "" };
     text(area, &format!("{}{part}", scene.subtitle), 13, LEFT, 44)?;
@@ -34,7 +35,7 @@ pub(super) fn draw(area: &Area<'_>, scene: &Scene, layout: &Layout) -> Result<()
         (bound.0, bound.1, if scene.walls { Sample::Thick } else { Sample::Dashes }),
     ];
     let mut left = LEFT;
-    for (name, colour, sample) in samples {
+    for (name, colour, sample) in samples.into_iter().skip(usize::from(judged_by == JudgedBy::Estimate)) {
         sample.draw(area, name, colour, left, ROW)?;
         left += width(name);
     }

@@ -1,5 +1,6 @@
 //! The drive on the map, in one strip or several.
 
+use emulator::JudgedBy;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use vehicle::frame::to_track;
@@ -236,7 +237,9 @@ impl Strip<'_> {
         let fine_step = (self.view.x[1] - self.view.x[0]) / f64::from(fine(ACROSS));
         let path = self.drive.moments.iter().map(|moment| [moment.x_m, moment.y_m]);
         let path = thinned(path, 2.0 * fine_step);
-        self.line(chart, &path, TRUE_PATH.stroke_width(fine(5) as u32 / 2), false)?;
+        if self.drive.judged_by == JudgedBy::Truth {
+            self.line(chart, &path, TRUE_PATH.stroke_width(fine(5) as u32 / 2), false)?;
+        }
         let estimates = thinned(self.drive.estimates.iter().copied(), 2.0 * fine_step);
         // A tangle of many rounds shows no dashes, but would be made of very many.
         let dashed = estimates.len() < MAX_POINTS / 2;

@@ -77,7 +77,7 @@ pub(crate) fn latency(system_id: &str, arguments: &LatencyArguments) -> anyhow::
     let expected_scans = (arguments.rate * arguments.duration) as u64;
     let collector = Rc::new(RefCell::new(Collector::new(plan.system.period_ns(), expected_scans)));
     let shared = Rc::clone(&collector);
-    session.observe_scans(Box::new(move |scan| shared.borrow_mut().scan(&scan.truth, &scan.actuations)));
+    session.observe_scans(Box::new(move |scan| shared.borrow_mut().scan(&scan.header, &scan.actuations)));
     let before = Ticks::now();
     let result = session.drive()?;
     machine.note_use(before, Ticks::now());

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use emulator::JudgedBy;
 use handover::swap::watch::Watch;
 use handover::swap::{Party, SwapEvent};
 use runtime::{HandoverData, monotonic_ns};
@@ -124,7 +125,8 @@ impl Session {
         if let Some(entry) = due {
             let old = self.supervisor.process(entry.role()).map_or(0, |view| view.incarnation);
             let new = self.supervisor.next_incarnation();
-            let started = self.start_candidate(entry, new);
+            let needs_truth = self.judged_by == Some(JudgedBy::Truth);
+            let started = self.start_candidate(entry, new, needs_truth);
             let order = self.swaps.begin(monotonic_ns(), [old, new], started);
             self.follow(order)?;
         }
@@ -137,7 +139,7 @@ impl Session {
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();
-            let started = self.start_candidate(asked.entry.clone(), incarnation);
+            let started = self.start_candidate(asked.entry.clone(), incarnation, false);
             let order = self.shadows.begin(monotonic_ns(), asked, incarnation, started);
             self.follow(order)?;
         }
@@ -184,20 +186,26 @@ impl Session {
         Ok(())
     }
 
-    /// Starts a process beside the one that fills its role, records it and observes its output.
+    /// Starts a process beside the one that fills its role, records it and observes its output. With `needs_truth` a robot
+    /// must publish the truth.
     ///
     /// # Errors
     /// When shared memory or a file system is full, or the command can't be started; then no such process runs.
-    fn start_candidate(&mut self, entry: ProcessEntry, incarnation: u32) -> Result<(), String> {
-        self.try_start(entry, incarnation).map_err(|error| format!("{error:#}"))
+    fn start_candidate(
+        &mut self,
+        entry: ProcessEntry,
+        incarnation: u32,
+        needs_truth: bool,
+    ) -> Result<(), String> {
+        self.try_start(entry, incarnation, needs_truth).map_err(|error| format!("{error:#}"))
     }
 
-    fn try_start(&mut self, entry: ProcessEntry, incarnation: u32) -> anyhow::Result<()> {
+    fn try_start(&mut self, entry: ProcessEntry, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {
         let role = entry.role();
         let handover = self.hand_over(role);
         self.fleet.spawn_candidate(entry, incarnation, handover.as_ref())?;
         // After the start: until then the reserve holds the memory of the watch.
-        let watch = Watch::new(&self.bus, role).map_err(anyhow::Error::from);
+        let watch = Watch::new(&self.bus, role, needs_truth).map_err(anyhow::Error::from);
         let begun = watch.and_then(|watch| self.write_registry().map(|()| watch));
         if begun.is_err() {
             self.fleet.dismiss(incarnation);

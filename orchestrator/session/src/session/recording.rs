@@ -2,10 +2,9 @@
 
 use audit::digest::Digests;
 use audit::samples::ScanRecord;
-use emulator::{Referee, Scenario};
+use emulator::{Evidence, Referee, Scenario};
 use report::Outcome;
 use report::recorder::{Recorder, RunInfo};
-use shared_types::Truth;
 
 use crate::startup::RunOptions;
 
@@ -19,6 +18,7 @@ pub(crate) struct Recording {
     referee: Referee,
     lockstep: bool,
     duration_s: Option<f64>,
+    period_ns: u64,
     /// Receives every recorded scan: for benches.
     pub(crate) observer: Option<ScanObserver>,
 }
@@ -47,6 +47,7 @@ impl Recording {
             referee: Referee::new(scenario),
             lockstep: options.lockstep,
             duration_s: options.duration_s,
+            period_ns,
             observer: None,
         }
     }
@@ -59,10 +60,13 @@ impl Recording {
         if let Some(observer) = &mut self.observer {
             observer(scan);
         }
+        if scan.truth.is_none() {
+            self.recorder.scan(&scan.header);
+        }
         scan.poses.iter().for_each(|pose| self.recorder.pose(pose));
         scan.obstacles.iter().for_each(|obstacles| self.recorder.obstacles(obstacles));
         scan.commands.iter().for_each(|command| self.recorder.command(command));
-        self.recorder.truth(&scan.truth);
+        scan.truth.iter().for_each(|truth| self.recorder.truth(truth));
         if scan.missing {
             self.recorder.scan_missing();
         }
@@ -71,19 +75,30 @@ impl Recording {
 
     /// In lock-step equal runs have equal samples; in real time stamps differ.
     fn digest(&mut self, scan: &ScanRecord) {
-        self.digests.add(&scan.truth);
+        scan.truth.iter().for_each(|sample| self.digests.add(sample));
         scan.poses.iter().for_each(|sample| self.digests.add(sample));
         scan.obstacles.iter().for_each(|sample| self.digests.add(sample));
         scan.commands.iter().for_each(|sample| self.digests.add(sample));
         scan.actuations.iter().for_each(|sample| self.digests.add(sample));
     }
 
-    /// How the run ends and why, if this scan decides it.
-    pub(super) fn judge(&mut self, truth: &Truth) -> Option<(Outcome, String)> {
-        if let Some(outcome) = self.referee.observe(truth, self.recorder.last_actuation()) {
+    /// How the run ends and why, if this scan, which was added, decides it.
+    pub(super) fn judge(&mut self, scan: &ScanRecord) -> Option<(Outcome, String)> {
+        let time_s = self.recorder.duration_s();
+        let decided = match &scan.truth {
+            Some(truth) => self.referee.observe(truth, self.recorder.last_actuation()),
+            None => self.referee.observe_estimate(&Evidence {
+                header: &scan.header,
+                time_s,
+                period_ns: self.period_ns,
+                pose: scan.poses.last(),
+                actuations: &scan.actuations,
+            }),
+        };
+        if let Some(outcome) = decided {
             return Some((outcome, self.referee.reason().to_owned()));
         }
-        let is_over = self.duration_s.is_some_and(|duration_s| truth.time_s >= duration_s);
+        let is_over = self.duration_s.is_some_and(|duration_s| time_s >= duration_s);
         is_over.then(|| (Outcome::Timeout, "the duration asked for is over".to_owned()))
     }
 }
@@ -92,17 +107,51 @@ impl Recording {
 mod tests {
     use std::path::PathBuf;
 
+    use shared_types::{Header, Truth};
+
     use super::*;
 
-    #[test]
-    fn a_run_of_limited_duration_ends_with_the_first_scan_after_it() {
+    fn recording() -> Recording {
         let scenario: Scenario = toml::from_str("").unwrap();
         let options =
             RunOptions { lockstep: true, duration_s: Some(2.0), quiet: true, out: PathBuf::from("/") };
-        let mut recording = Recording::new("run", &scenario, &options, 1, 100_000_000);
-        let truth = |time_s| Truth { time_s, ..Truth::default() };
-        assert_eq!(recording.judge(&truth(1.9)), None);
-        let (outcome, reason) = recording.judge(&truth(2.0)).unwrap();
-        assert_eq!((outcome, reason.as_str()), (Outcome::Timeout, "the duration asked for is over"));
+        Recording::new("run", &scenario, &options, 1, 100_000_000)
+    }
+
+    /// A scan without a truth and without an answer.
+    fn record(scan_id: u64) -> ScanRecord {
+        let acquired_ns = scan_id * 100_000_000;
+        ScanRecord {
+            header: Header { scan_id, acquired_ns, ..Header::default() },
+            truth: None,
+            poses: Vec::new(),
+            obstacles: Vec::new(),
+            commands: Vec::new(),
+            actuations: Vec::new(),
+            missing: false,
+        }
+    }
+
+    #[test]
+    fn a_run_of_limited_duration_ends_with_the_first_scan_after_it() {
+        let mut recording = recording();
+        let mut judge = |scan: ScanRecord| {
+            recording.add(&scan);
+            recording.judge(&scan)
+        };
+        let with = |scan_id, time_s| {
+            let header = Header { scan_id, ..Header::default() };
+            ScanRecord { truth: Some(Truth { header, time_s, ..Truth::default() }), ..record(scan_id) }
+        };
+        assert_eq!(judge(with(20, 1.9)), None);
+        let expected = Some((Outcome::Timeout, "the duration asked for is over".to_owned()));
+        assert_eq!(judge(with(21, 2.0)), expected);
+        let mut recording = self::recording();
+        recording.recorder.expect_no_truth();
+        let ended = (1..100).map(record).find(|scan| {
+            recording.add(scan);
+            recording.judge(scan) == expected
+        });
+        assert_eq!(ended.map(|scan| scan.header.scan_id), Some(20), "2 s after the start");
     }
 }

@@ -74,6 +74,7 @@ impl Session {
             last_incarnation: self.supervisor.last_incarnation(),
             phase: directive.phase,
             stop: directive.stop,
+            judged_by: self.judged_by,
             outcome,
             reason: reason.to_owned(),
             authority: directive.authority.iter().map(Right::from).collect(),

@@ -241,7 +241,7 @@ impl Swaps {
 
     /// A scan was recorded, with all samples that belong to it.
     pub(super) fn recorded(&mut self, now_ns: u64, scan: &ScanRecord) -> Vec<Order> {
-        (self.recorded_scan, self.recorded_ns) = (scan.truth.header.scan_id, now_ns);
+        (self.recorded_scan, self.recorded_ns) = (scan.header.scan_id, now_ns);
         let Some(plan) = self.plan() else { return Vec::new() };
         let answers = scan.actuations.iter().filter(|actuation| actuation.answers == 1);
         let last = answers.clone().next_back();

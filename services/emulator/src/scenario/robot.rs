@@ -53,6 +53,8 @@ settings! {
         /// Set of values for the keys below: `ideal` follows every command at once, `summit` is a believable robot, and
         /// `worn` draws each value once from the seed, around what the vehicle description states.
         pub preset: Preset = Preset::Ideal;
+        /// Whether the robot publishes its true state. Without it a run is judged by the estimate, as with a real robot.
+        pub publish_truth: bool = true;
         /// Length of the body [m].
         pub length_m: f64 = 0.56, 0.05..=5.0;
         /// Width of the body [m].

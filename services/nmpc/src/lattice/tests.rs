@@ -16,7 +16,8 @@ fn obstacle_at(id: u32, x: f64, y: f64, b: f64) -> PredictedObstacle {
 
 fn find(start: State, predicted: &[PredictedObstacle], sides: &Sides) -> ReferencePath {
     let config = Config { goal: Goal { x_m: 30.0, ..Goal::default() }, ..Config::default() };
-    let query = Query { scene: Scene::new(&config, predicted, start), speed: 1.0, spare_m: 0.0, sides };
+    let query =
+        Query { scene: Scene::new(&config, predicted, start), speed: 1.0, narrow: true, sides, forced: None };
     let mut reference_path = ReferencePath::default();
     Search::default().find(&query, &mut reference_path);
     reference_path
@@ -103,8 +104,12 @@ fn the_path_is_that_of_a_search_of_all_paths() {
         let config = Config { goal: Goal { x_m, ..Goal::default() }, ..Config::default() };
         let (y, yaw) = (random.random_range(-0.7..0.7), random.random_range(-0.3..0.3));
         let scene = Scene::new(&config, &predicted, State { y, yaw, ..State::default() });
-        let spare_m = if random.random_bool(0.5) { 0.03 } else { 0.0 };
-        let query = Query { scene, speed: random.random_range(0.1..1.0), spare_m, sides: &sides };
+        let narrow = random.random_bool(0.5);
+        let forced = predicted
+            .first()
+            .filter(|_| random.random_bool(0.3))
+            .map(|obstacle| (obstacle.id, Passing::Left));
+        let query = Query { scene, speed: random.random_range(0.1..1.0), narrow, sides: &sides, forced };
         bounded.find(&query, &mut path);
         let grid = full.prepare(&query);
         full.search(&query, &grid, f64::INFINITY, &mut expected);

@@ -64,6 +64,8 @@ pub struct Scene {
     pub range_noise: f64,
     pub dropout: f64,
     pub mixed: bool,
+    /// Directions from which nothing returns [rad].
+    pub dead_rad: Option<[f64; 2]>,
     pub pose_noise: (f64, f64),
     pub random: Pcg64Mcg,
     pub scans: u64,
@@ -77,6 +79,7 @@ impl Scene {
             range_noise: 0.0,
             dropout: 0.0,
             mixed: false,
+            dead_rad: None,
             pose_noise: (0.0, 0.0),
             random: Pcg64Mcg::seed_from_u64(1),
             scans: 0,
@@ -118,7 +121,8 @@ impl Scene {
             }
             last = sharp;
             let noise = self.range_noise * self.gauss();
-            let lost = self.uniform() < self.dropout;
+            let is_dead = |[low, high]: [f64; 2]| (low..=high).contains(&Scan::beam_yaw_rad(beam));
+            let lost = self.uniform() < self.dropout || self.dead_rad.is_some_and(is_dead);
             scan.ranges_mm[beam] = match range {
                 Some(range) if !lost && range + noise < 5.6 => {
                     ((range + noise).max(0.02) * 1e3).round() as u16

@@ -15,6 +15,14 @@ use crate::shooting::Shooting;
 /// Violations and multipliers of the wrong sign up to this are rounding errors.
 const TOLERANCE: f64 = 1e-10;
 
+/// The longest horizon for which memory is reserved.
+const RESERVED_INTERVALS: usize = 24;
+
+/// Makes room for `length` values.
+fn reserve<T>(values: &mut Vec<T>, length: usize) {
+    values.reserve(length.saturating_sub(values.len()));
+}
+
 impl Chain {
     /// Searches from the states in `solution`; false where a system is not convex or the rounds do not end.
     pub(super) fn search(
@@ -29,10 +37,12 @@ impl Chain {
             solution.reset(variables, rows);
         }
         for _ in 0..rounds {
-            if !self.solve_set(shooting, blocks, solution) {
+            if !self.is_factorised && !self.factorise_set(shooting, blocks, solution) {
                 return false;
             }
-            if self.correct_set(solution) {
+            self.solve_factorised(shooting, solution);
+            self.is_factorised = self.correct_set(solution);
+            if self.is_factorised {
                 self.write(&self.path, solution);
                 return solution.step.iter().all(|value| value.is_finite());
             }
@@ -40,38 +50,59 @@ impl Chain {
         false
     }
 
-    /// Solves with the states in `solution` as they are, into the path and the row multipliers.
-    pub(super) fn solve_set(
-        &mut self,
-        shooting: &Shooting,
-        blocks: &[Block],
-        solution: &mut QpSolution,
-    ) -> bool {
+    /// Makes room for all equations of `count` intervals, so that later solves of this size allocate nothing. Longer horizons
+    /// than [`RESERVED_INTERVALS`] make room when they need it.
+    pub(crate) fn reserve(&mut self, count: usize, rows: usize) {
+        let most = 2 * count;
+        if count > RESERVED_INTERVALS || self.equations.capacity() >= rows && self.responses.len() >= most {
+            return;
+        }
+        reserve(&mut self.equations, rows);
+        reserve(&mut self.multipliers, rows);
+        reserve(&mut self.schur, most * most);
+        reserve(&mut self.schur_factor, most * most);
+        self.responses.resize_with(most.max(self.responses.len()), Default::default);
+        self.responses.iter_mut().for_each(|response| response.resize(count));
+    }
+
+    /// Solves with the states in `solution` as they are, into the path and the multipliers of the equations; false where
+    /// that has no unique solution.
+    pub(super) fn solve_set(&mut self, shooting: &Shooting, blocks: &[Block], solution: &QpSolution) -> bool {
+        self.is_factorised = false;
+        self.factorise_set(shooting, blocks, solution) && {
+            self.solve_factorised(shooting, solution);
+            true
+        }
+    }
+
+    /// Factorises the recursion and the equations for the states in `solution`.
+    fn factorise_set(&mut self, shooting: &Shooting, blocks: &[Block], solution: &QpSolution) -> bool {
         /// Weights of the squares of the equations, in units of the curvature of their nodes. A square changes nothing
         /// where its equation holds, and with enough of it the system is positive definite when it is so on the null
         /// space; too much costs digits of the multipliers.
         const WEIGHTS: [f64; 3] = [1e2, 1e4, 1e6];
-        let intervals = &shooting.intervals;
         let factorised = WEIGHTS.iter().any(|weight| {
             self.assemble(blocks, *weight, solution);
             let states = &solution.bound_states;
-            self.riccati.factorise(intervals, &self.blocks, &self.change, self.tied, states)
+            self.riccati.factorise(&shooting.intervals, &self.blocks, &self.change, self.tied, states)
         });
-        if !factorised {
-            return false;
-        }
+        factorised && self.factorise_equations(shooting)
+    }
+
+    /// Solves with the present factors.
+    fn solve_factorised(&mut self, shooting: &Shooting, solution: &QpSolution) {
+        let intervals = &shooting.intervals;
         self.riccati.solve(intervals, &self.sums, &self.held, Some(&shooting.gaps), &mut self.path);
-        if !self.equations.is_empty() {
-            if !self.solve_equations(shooting, solution) {
-                return false;
-            }
-            for (&row, &multiplier) in self.equations.iter().zip(&self.multipliers) {
-                let row = &self.rows[row];
-                row.add_to(multiplier, &mut self.sums[row.node]);
-            }
-            self.riccati.solve(intervals, &self.sums, &self.held, Some(&shooting.gaps), &mut self.path);
+        self.multipliers.clear();
+        for &index in &self.equations {
+            let row = &self.rows[index];
+            let limit = if solution.row_states[index] == RowState::AtLower { row.lower } else { row.upper };
+            self.multipliers.push(row.value(&self.path.states) - limit);
         }
-        true
+        solve_factored(&self.schur_factor, self.equations.len(), &mut self.multipliers);
+        for (response, &multiplier) in self.responses.iter().zip(&self.multipliers) {
+            self.path.add(multiplier, response);
+        }
     }
 
     /// Blocks, linear terms, held controls and equations of the present set.
@@ -107,9 +138,13 @@ impl Chain {
         }
     }
 
-    /// The multipliers of the equations.
-    fn solve_equations(&mut self, shooting: &Shooting, solution: &QpSolution) -> bool {
+    /// Responses to the equations and the factor of their Schur complement.
+    fn factorise_equations(&mut self, shooting: &Shooting) -> bool {
         let size = self.equations.len();
+        if size > shooting.intervals.len() * 2 {
+            // More equations than controls have no unique solution.
+            return false;
+        }
         if self.responses.len() < size {
             self.responses.resize_with(size, Default::default);
         }
@@ -120,18 +155,11 @@ impl Chain {
             self.riccati.respond(&shooting.intervals, row.node, &slope, response);
         }
         self.schur.clear();
-        self.multipliers.clear();
         for &index in &self.equations {
             let row = &self.rows[index];
             self.schur.extend(self.responses[..size].iter().map(|response| -row.value(&response.states)));
-            let limit = if solution.row_states[index] == RowState::AtLower { row.lower } else { row.upper };
-            self.multipliers.push(row.value(&self.path.states) - limit);
         }
-        if !cholesky(&self.schur, size, &mut self.schur_factor) {
-            return false;
-        }
-        solve_factored(&self.schur_factor, size, &mut self.multipliers);
-        true
+        cholesky(&self.schur, size, &mut self.schur_factor)
     }
 
     /// Corrects the states in `solution` where the path contradicts them; true where it never does. Multipliers of

@@ -1,4 +1,10 @@
-//! Newton's step on the active set of the chain's program, with the exact Hessian: [`crate::newton`] stage by stage.
+//! Newton's step on the active set of the chain's program, with the exact Hessian.
+//!
+//! The quadratic program finds the active set. Its Gauss-Newton Hessian is always convex but lacks the curvature of
+//! the model and of the ellipses, so alone it converges linearly, or oscillates. Here controls at their bounds are
+//! fixed, limits that are kept become equations, and limits that are exceeded become quadratic penalties. The exact
+//! Hessian then gives quadratic convergence where it is positive definite on the remaining space. Elsewhere there is
+//! no step, and the caller uses that of the quadratic program.
 
 use super::Chain;
 use crate::dense::{fill, solve_factored};

@@ -192,6 +192,7 @@ impl Riccati {
         let count = intervals.len();
         path.resize(count);
         path.open[node..].fill([0.0; 2]);
+        path.linear[node..].fill([0.0; 2]);
         let mut next = *slope;
         for index in (0..node).rev() {
             next = self.retreat(index, &intervals[index], &next, &[0.0; 7], [0.0; 2], path);
@@ -298,7 +299,20 @@ impl Path {
         }
     }
 
-    fn resize(&mut self, count: usize) {
+    /// Adds `factor` times another solution of the same factors.
+    pub(crate) fn add(&mut self, factor: f64, other: &Self) {
+        for (value, change) in self.states.iter_mut().flatten().zip(other.states.iter().flatten()) {
+            *value += factor * change;
+        }
+        for (value, change) in self.controls.iter_mut().flatten().zip(other.controls.iter().flatten()) {
+            *value += factor * change;
+        }
+        for (value, change) in self.linear.iter_mut().flatten().zip(other.linear.iter().flatten()) {
+            *value += factor * change;
+        }
+    }
+
+    pub(super) fn resize(&mut self, count: usize) {
         self.states.resize(count + 1, [0.0; 5]);
         self.controls.resize(count, [0.0; 2]);
         self.open.resize(count, [0.0; 2]);

@@ -1,5 +1,6 @@
 use super::*;
-use crate::collocation::Scheme;
+use crate::collocation::{Collocation, Scheme};
+use crate::kkt::Multipliers;
 use crate::objective::smooth;
 use crate::rows::row_excess;
 use crate::shooting::Sweep;
@@ -14,7 +15,7 @@ fn swept(problem: &Problem, moved: usize, by: f64) -> (Iterate, Shooting) {
     let mut shooting = Shooting::default();
     // The second sweep leaves nothing of the first one's tolerance.
     for _ in 0..2 {
-        assert!(shooting.sweep(problem, &collocation, &mut iterate, Sweep::Close));
+        assert!(shooting.sweep(problem, &collocation, &mut iterate, Sweep::Close, true));
     }
     (iterate, shooting)
 }
@@ -47,7 +48,21 @@ fn rows_and_gradient_are_differences_of_the_sweep() {
 }
 
 #[test]
-fn the_second_order_hessian_is_the_difference_of_the_gradient_of_the_lagrangian() {
+fn blocks_are_condensed_to_the_hessian_of_the_gradient() {
+    let problem = testing::problem();
+    let (iterate, shooting) = swept(&problem, 0, 0.0);
+    let mut qp = Qp::default();
+    condense(&problem, &iterate, &shooting, 0.3, &mut qp);
+    let weights = qp.hessian.clone();
+    let mut blocks = Vec::new();
+    hessian::gauss_newton(&problem, &mut blocks);
+    condense_blocks(&problem, &blocks, 0.3, &qp.rows, &mut qp.hessian);
+    // Entries reach some hundred.
+    assert!(qp.hessian.iter().zip(&weights).all(|(a, b)| (a - b).abs() < 1e-10));
+}
+
+#[test]
+fn condensed_exact_blocks_are_the_difference_of_the_gradient_of_the_lagrangian() {
     let problem = testing::problem();
     let collocation = Collocation::new(Scheme::Radau3);
     let lagrangian = |iterate: &Iterate, shooting: &Shooting| {
@@ -63,12 +78,12 @@ fn the_second_order_hessian_is_the_difference_of_the_gradient_of_the_lagrangian(
         (qp, rows, gradient)
     };
     let (iterate, shooting) = swept(&problem, 0, 0.0);
-    let (qp, rows, _) = lagrangian(&iterate, &shooting);
-    let mut costates = Vec::new();
+    let (mut qp, rows, _) = lagrangian(&iterate, &shooting);
+    let (mut costates, mut blocks) = (Vec::new(), Vec::new());
     kkt::costates(&problem, &iterate, &shooting, &rows, &mut costates);
-    let mut hessian = qp.hessian.clone();
     let multipliers = Multipliers { costates: &costates, rows: &rows };
-    add_second_order(&problem, &collocation, &iterate, &shooting, multipliers, &qp.rows, &mut hessian);
+    hessian::exact(&problem, &collocation, &iterate, &shooting, multipliers, &mut blocks);
+    condense_blocks(&problem, &blocks, 0.0, &qp.rows, &mut qp.hessian);
     let step = 1e-5;
     for column in 0..12 {
         let (ahead, ahead_shooting) = swept(&problem, column, step);
@@ -78,35 +93,10 @@ fn the_second_order_hessian_is_the_difference_of_the_gradient_of_the_lagrangian(
         for row in 0..12 {
             let difference = (ahead[row] - behind[row]) / (2.0 * step);
             // Entries reach some hundred; differences of gradients keep seven digits.
-            let error = (difference - hessian[row * 12 + column]).abs();
+            let error = (difference - qp.hessian[row * 12 + column]).abs();
             assert!(error < 1e-4 * (1.0 + difference.abs()), "{row} {column}: {error}");
         }
     }
-}
-
-#[test]
-fn blocks_condense_to_the_same_hessians() {
-    let problem = testing::problem();
-    let collocation = Collocation::new(Scheme::Radau3);
-    let (iterate, shooting) = swept(&problem, 0, 0.0);
-    let mut qp = Qp::default();
-    condense(&problem, &iterate, &shooting, 0.3, &mut qp);
-    let rows = multipliers(&qp);
-    let mut costates = Vec::new();
-    kkt::costates(&problem, &iterate, &shooting, &rows, &mut costates);
-    let multipliers = Multipliers { costates: &costates, rows: &rows };
-    let weights = qp.hessian.clone();
-    let mut whole = qp.hessian.clone();
-    add_second_order(&problem, &collocation, &iterate, &shooting, multipliers, &qp.rows, &mut whole);
-    let mut blocks = Vec::new();
-    hessian::gauss_newton(&problem, &mut blocks);
-    condense_blocks(&problem, &blocks, 0.3, &qp.rows, &mut qp.hessian);
-    // Entries reach some hundred.
-    let near = |left: &[f64], right: &[f64]| left.iter().zip(right).all(|(a, b)| (a - b).abs() < 1e-10);
-    assert!(near(&qp.hessian, &weights));
-    hessian::exact(&problem, &collocation, &iterate, &shooting, multipliers, &mut blocks);
-    condense_blocks(&problem, &blocks, 0.3, &qp.rows, &mut qp.hessian);
-    assert!(near(&qp.hessian, &whole));
 }
 
 #[test]
@@ -115,7 +105,7 @@ fn gaps_move_the_limits_and_the_gradient() {
     let (mut iterate, mut shooting) = swept(&problem, 0, 0.0);
     iterate.states[3][4] += 0.05;
     let collocation = Collocation::new(Scheme::Radau3);
-    assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep));
+    assert!(shooting.sweep(&problem, &collocation, &mut iterate, Sweep::Keep, true));
     assert!((shooting.gaps[2][4] + 0.05).abs() < 1e-9 && (shooting.gaps[3][4] - 0.05).abs() < 1e-9);
     let (closed, closed_shooting) = swept(&problem, 0, 0.0);
     let (mut open_qp, mut closed_qp) = (Qp::default(), Qp::default());

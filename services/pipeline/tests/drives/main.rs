@@ -5,6 +5,7 @@ mod gaps;
 mod presets;
 mod scanner;
 mod seeds;
+mod source;
 mod stopping;
 
 use emulator::{Outcome, Scenario};

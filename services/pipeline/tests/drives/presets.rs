@@ -9,11 +9,11 @@ use pipeline::Settings;
 use crate::{End, end, seeds, shipped};
 
 /// What a scenario is shipped for.
-fn expected(name: &str) -> Outcome {
+pub(crate) fn expected(name: &str) -> Outcome {
     if ["blocked", "sudden"].contains(&name) { Outcome::Stopped } else { Outcome::Reached }
 }
 
-fn names() -> impl Iterator<Item = &'static str> {
+pub(crate) fn names() -> impl Iterator<Item = &'static str> {
     Scenario::names().filter(|name| *name != "endless")
 }
 

@@ -6,10 +6,12 @@ use pipeline::Settings;
 use crate::{End, end, parse};
 
 /// Faults with which each scenario is driven to its end all the same.
-const BEARABLE: [&str; 9] = [
+const BEARABLE: [&str; 11] = [
     "dropout_steps = [[0, 0.5]]",
     "dead_rad = [[0.52, 0.70]]",
     "dead_rad = [[-0.35, -0.175]]",
+    "dead_rad = [[-0.262, -0.0873]]",
+    "dead_rad = [[0.175, 0.35]]",
     "dead_rad = [[-1.05, -0.87]]",
     "salt = 0.01",
     "dust = 0.01",

@@ -227,6 +227,20 @@ fn a_wake_up_that_the_plain_events_lose_is_healed_by_the_time_out() {
 }
 
 #[test]
+fn a_thread_of_the_process_ends_its_sleep_and_the_next_one() {
+    let lab = Lab::new();
+    lab.write_settings();
+    let mut process = Process::attach_as(Role::Estimator, lab.domain.clone(), 7).unwrap();
+    let waker = process.waker();
+    // The first wait only notes the bell.
+    assert!(process.wait(Some(0)).unwrap());
+    std::thread::spawn(move || waker.wake()).join().unwrap();
+    let begun_ns = monotonic_ns();
+    assert!(process.wait(Some(begun_ns + LONG_NS)).unwrap());
+    assert!(monotonic_ns() - begun_ns < MAX_WAIT_NS / 2, "it slept until its own limit");
+}
+
+#[test]
 fn a_signal_at_any_moment_ends_the_sleep() {
     let lab = Lab::new();
     let shutdown = Shutdown::on(&[SIGUSR1]).unwrap();

@@ -10,9 +10,9 @@ use crate::root;
 
 /// Crates by layer, the lowest first. A crate uses crates of lower layers only.
 const LAYERS: &[&[&str]] = &[
-    &["shared-types", "figures", "key-table"],
-    &["runtime", "vehicle"],
-    &["emulator", "estimator", "obstacles", "ocp", "console"],
+    &["shared-types", "figures", "key-table", "device-clock"],
+    &["runtime", "vehicle", "urg"],
+    &["emulator", "estimator", "obstacles", "ocp", "player", "console"],
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride"],
     &["pipeline", "calibration", "c-library"],
     &["plan", "report"],

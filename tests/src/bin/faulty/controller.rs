@@ -1,12 +1,16 @@
 //! Controllers with a fault.
 
-use nmpc::{Budget, Controller};
+use nmpc::{Budget, Controller, ControllerState};
 use runtime::{Process, join};
 use shared_types::{Command, CommandKind, Obstacles, Pose, Role, ScannerHealth, StopReason};
 
 use crate::Outcome;
 
-/// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`.
+/// The scan at which `bad-state` ends, after it saved a state of nonsense.
+const LAST_SCAN: u64 = 25;
+
+/// Faults: `never`, `blind`, `never-lands`, `careless`, `mute`, `planless`, `unverified`, `too-fast`, `not-finite`,
+/// `bad-state`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Controller)?;
     let config = process.settings::<nmpc::Config>("controller")?;
@@ -43,7 +47,22 @@ pub(crate) fn run(fault: &str) -> Outcome {
                 _ => {}
             }
             commands.publish(&mut command)?;
+            if fault == "bad-state" {
+                process.save(&command.header, &spoiled(controller.state()))?;
+                if command.header.scan_id >= LAST_SCAN {
+                    return Err("ends on purpose".into());
+                }
+            }
         }
     }
     Ok(())
+}
+
+/// A state that keeps its times, so that its plan is used, and whose numbers are not finite.
+fn spoiled(mut state: ControllerState) -> ControllerState {
+    (state.velocity_mps, state.steering_rad) = (f64::NAN, f64::INFINITY);
+    for node in &mut state.plan {
+        (node.x_m, node.velocity_mps, node.steering_rad) = (f64::NAN, f64::NAN, f64::NEG_INFINITY);
+    }
+    state
 }

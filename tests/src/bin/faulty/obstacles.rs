@@ -7,8 +7,11 @@ use shared_types::{MIN_RANGE_MM, Obstacle, Obstacles, Pose, Role, Scan, ScannerH
 
 use crate::Outcome;
 
+/// The scan from which descriptions are spoiled that were good until then: the robot drives by then.
+const SPOILED: u64 = 15;
+
 /// Faults: `small`, `phantom`, `needs-returns`, `far-first`, `renumbers`, `forgets`, `unpaired`, `trusting`, `timid`,
-/// `unforgiving`, `needs-scans`, `keeps`, `travels`.
+/// `unforgiving`, `needs-scans`, `keeps`, `travels`; from the scan [`SPOILED`] on `nan`, `heap`, `inside`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Obstacles)?;
     let mut detector = obstacles::ObstacleDetector::new(process.settings::<obstacles::Config>("obstacles")?)?;
@@ -29,6 +32,9 @@ pub(crate) fn run(fault: &str) -> Outcome {
             let mut description = detector.step(&scan, &pose);
             memory.see(&scan, &pose, &description);
             spoil(fault, &mut description, &mut memory);
+            if scan.header.scan_id >= SPOILED {
+                invent(fault, &pose, &mut description);
+            }
             output.publish(&mut description)?;
         }
     }
@@ -110,4 +116,41 @@ fn spoil(fault: &str, description: &mut Obstacles, memory: &mut Memory) {
     description.items = Default::default();
     description.count = list.len() as u32;
     description.items[..list.len()].copy_from_slice(&list);
+}
+
+/// Replaces what was described by bodies that are not there.
+fn invent(fault: &str, pose: &Pose, description: &mut Obstacles) {
+    match fault {
+        "nan" => description.items[0] = Obstacle { y_m: f64::NAN, ..body(1, 5.0, 0.0) },
+        // Half of them around the same place, the others turned on the spot.
+        "heap" => {
+            description.items = std::array::from_fn(|index| {
+                let turn = index as f64;
+                let spread = if index % 2 == 0 { 0.2 } else { 0.0 };
+                let (x, y) = (6.0 + spread * turn.cos(), 0.4 + spread * turn.sin());
+                Obstacle { box_yaw_rad: turn, ..body(index as u32 + 1, x, y) }
+            });
+        }
+        "inside" => description.items[0] = body(1, pose.x_m, pose.y_m),
+        _ => return,
+    }
+    description.count = if fault == "heap" { description.items.len() as u32 } else { 1 };
+}
+
+fn body(id: u32, x: f64, y: f64) -> Obstacle {
+    let (a_m, b_m, [box_length_m, box_width_m]) = (1.2, 0.8, [0.1, 0.4]);
+    let [x_m, y_m, box_x_m, box_y_m] = [x, y, x, y];
+    Obstacle {
+        id,
+        body: id,
+        x_m,
+        y_m,
+        a_m,
+        b_m,
+        box_x_m,
+        box_y_m,
+        box_length_m,
+        box_width_m,
+        ..Obstacle::default()
+    }
 }

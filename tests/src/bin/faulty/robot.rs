@@ -2,12 +2,13 @@
 
 use emulator::{Emulator, Scenario};
 use runtime::{Process, monotonic_ns};
-use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan, Truth};
+use shared_types::{Actuation, ActuationKind, BEAMS, Odometry, Phase, Role, Scan, Truth};
 
 use crate::{Outcome, everything};
 
-/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`, and
-/// `stubborn`, which is truthless and does not end either. Of its inputs: `mirrored`, `rolls`, `tireless`,
+/// Faults of its outputs: `halves`, `stamps`, `nan`, `jumps`, `truthless`, `runs-ahead`, `random`, `restless`,
+/// `stubborn`, which is truthless and does not end either, and `withholding` and `forgetful`, which open the topic of the
+/// truth and publish none on it, or none from scan 20 on. Of its device: those of [`Device`]. Of its inputs: `mirrored`, `rolls`, `tireless`,
 /// `trusts`, `believes`, `repeats`.
 pub(crate) fn run(fault: &str) -> Outcome {
     let mut process = Process::attach(Role::Robot)?;
@@ -16,7 +17,8 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let actuations = process.input::<Actuation>()?;
     let scans = process.output::<Scan>()?;
     let odometries = process.output::<Odometry>()?;
-    let truths = process.output::<Truth>()?;
+    let is_truthless = ["truthless", "stubborn"].contains(&fault);
+    let truths = if is_truthless { None } else { Some(process.output::<Truth>()?) };
     let (_bus, all) = everything::<Actuation>()?;
     if !process.start()? {
         return Ok(());
@@ -25,6 +27,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
     let origin_ns = process.clock().now_ns();
     let (mut scan_id, mut answered) = (1, 0);
     let mut last = Actuation::default();
+    let mut device = Device { origin_ns, period_ns: process.period_ns(), ..Device::default() };
     let (mut scan, mut odometry, mut truth) = (Scan::default(), Odometry::default(), Truth::default());
     loop {
         let due_ns = origin_ns + emulator.scan_ready_ns(scan_id);
@@ -92,7 +95,9 @@ pub(crate) fn run(fault: &str) -> Outcome {
             "random" => odometry.y_m += 1e-12 * (monotonic_ns() % 1000) as f64,
             _ => {}
         }
-        if !["truthless", "stubborn"].contains(&fault) {
+        device.disturb(fault, process.clock().now_ns(), &mut scan, &mut odometry);
+        let keeps_truth = fault == "withholding" || fault == "forgetful" && scan_id >= 20;
+        if let Some(truths) = truths.as_ref().filter(|_| !keeps_truth) {
             truths.publish_silently(&mut truth)?;
         }
         if fault != "halves" || !scan_id.is_multiple_of(4) {
@@ -117,5 +122,53 @@ fn obey(fault: &str, actuation: &mut Actuation) {
             actuation.sent_steering_rad = actuation.sent_steering_rad.clamp(-0.1, 0.1);
         }
         _ => {}
+    }
+}
+
+/// What a driver makes of a device that fails: `foreign`, `drifts`, `arrival`, `jittery`, `fills`, `resets`, `half`,
+/// `old-half`, `backwards`, `apart`.
+#[derive(Default)]
+struct Device {
+    origin_ns: u64,
+    period_ns: u64,
+    /// The ranges published last.
+    ranges_mm: Option<[u16; BEAMS]>,
+    /// Where the base restarted.
+    restarted: Option<Odometry>,
+}
+
+impl Device {
+    /// Spoils what was measured.
+    fn disturb(&mut self, fault: &str, now_ns: u64, scan: &mut Scan, odometry: &mut Odometry) {
+        let scan_id = scan.header.scan_id;
+        let stamp_ns = self.stamp_ns(fault, now_ns, scan_id, scan.header.acquired_ns);
+        scan.header.acquired_ns = if fault == "apart" { stamp_ns - 1 } else { stamp_ns };
+        odometry.header.acquired_ns = stamp_ns;
+        let old = self.ranges_mm.unwrap_or(scan.ranges_mm);
+        match fault {
+            "fills" if scan_id.is_multiple_of(5) => scan.ranges_mm = old,
+            "half" if scan_id.is_multiple_of(5) => scan.ranges_mm[BEAMS / 2..].fill(0),
+            "old-half" if scan_id.is_multiple_of(5) => {
+                scan.ranges_mm[BEAMS / 2..].copy_from_slice(&old[BEAMS / 2..]);
+            }
+            "resets" if scan_id >= 30 => {
+                let zero = *self.restarted.get_or_insert(*odometry);
+                (odometry.x_m, odometry.y_m) = (odometry.x_m - zero.x_m, odometry.y_m - zero.y_m);
+            }
+            _ => {}
+        }
+        self.ranges_mm = Some(scan.ranges_mm);
+    }
+
+    fn stamp_ns(&self, fault: &str, now_ns: u64, scan_id: u64, acquired_ns: u64) -> u64 {
+        let run_ns = acquired_ns - self.origin_ns;
+        match fault {
+            "foreign" => run_ns,
+            "drifts" => acquired_ns - run_ns / 50,
+            "arrival" => now_ns,
+            "jittery" if scan_id.is_multiple_of(2) => acquired_ns + self.period_ns * 3 / 10,
+            "backwards" if scan_id.is_multiple_of(10) => acquired_ns - self.period_ns * 6 / 5,
+            _ => acquired_ns,
+        }
     }
 }

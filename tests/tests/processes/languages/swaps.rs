@@ -50,7 +50,7 @@ fn c_obstacles(system: &System) -> PathBuf {
 }
 
 /// The built-in system with another command in one role.
-fn system_with(folder: &Path, role: &str, command: &[&str]) -> String {
+pub(super) fn system_with(folder: &Path, role: &str, command: &[&str]) -> String {
     let built_in = [
         ("robot", "emulator"),
         ("estimator", "ekf"),
@@ -161,7 +161,7 @@ fn every_example_drives_the_whole_way_in_lock_step() {
         {
             let report = system.lockstep(&[scenario, "--system", &file]);
             assert_eq!(report.outcome, outcome, "{role} {scenario}");
-            assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+            assert_eq!((report.scans.lost, report.drive.truth.unwrap().collided), (0, false));
         }
     }
     let Some(python) = python("every_example_drives_the_whole_way_in_lock_step, the controllers") else {
@@ -174,7 +174,7 @@ fn every_example_drives_the_whole_way_in_lock_step() {
         // At 5 Hz a process may take 600 ms of the machine's time before it counts as hung.
         let report = system.lockstep(&[scenario, "--system", &file, "--set", "rate_hz=5"]);
         assert_eq!(report.outcome, Outcome::Reached, "{}: {}", program.display(), report.reason);
-        assert_eq!((report.scans.lost, report.drive.collided), (0, false));
+        assert_eq!((report.scans.lost, report.drive.truth.unwrap().collided), (0, false));
     }
     system.assert_nothing_left();
 }

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 pub(crate) const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// The examples in Rust.
 pub(crate) const DEAD_RECKONING: &str = env!("CARGO_BIN_EXE_dead-reckoning-under-test");
+pub(crate) const MY_ROBOT: &str = env!("CARGO_BIN_EXE_my-robot-under-test");
 pub(crate) const MY_CONTROLLER: &str = env!("CARGO_BIN_EXE_my-controller-under-test");
 
 /// Root of the repository.

@@ -225,21 +225,20 @@ fn the_programs_that_the_tutorial_shows_are_those_of_the_examples() {
     }
 }
 
-/// Its source is compiled here as a program of another crate, which has more dependencies.
+/// Their sources are compiled here as programs of another crate, which has more dependencies.
 #[test]
-fn the_manifest_of_the_template_names_each_crate_that_its_source_uses() {
-    let folder = root().join("examples/template-controller");
-    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap();
-    for entry in std::fs::read_dir(folder.join("src")).unwrap().flatten() {
-        let source = std::fs::read_to_string(entry.path()).unwrap();
-        for line in source.lines().filter_map(|line| line.strip_prefix("use ")) {
-            let name = line.split("::").next().unwrap().replace('_', "-");
-            let is_named = manifest.lines().any(|line| line.starts_with(&format!("{name} = ")));
-            assert!(
-                ["std", "crate"].contains(&name.as_str()) || is_named,
-                "{}: {line}",
-                entry.path().display()
-            );
+fn the_manifests_of_the_templates_name_each_crate_that_their_sources_use() {
+    for folder in ["template-controller", "template-robot/rust"] {
+        let folder = root().join("examples").join(folder);
+        let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap();
+        for entry in std::fs::read_dir(folder.join("src")).unwrap().flatten() {
+            let source = std::fs::read_to_string(entry.path()).unwrap();
+            for line in source.lines().filter_map(|line| line.strip_prefix("use ")) {
+                let name = line.split("::").next().unwrap().replace('_', "-");
+                let is_named = manifest.lines().any(|line| line.starts_with(&format!("{name} = ")));
+                let is_known = ["std", "crate"].contains(&name.as_str()) || is_named;
+                assert!(is_known, "{}: {line}", entry.path().display());
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use figures::Distribution;
 use report::latency::{Attribution, attribute};
-use shared_types::{Actuation, Header, Role, Truth};
+use shared_types::{Actuation, Header, Role};
 
 use super::intervals::{Intervals, Series};
 
@@ -63,9 +63,9 @@ impl Collector {
     }
 
     /// One scan, in order, and the actuations that came with it.
-    pub(crate) fn scan(&mut self, truth: &Truth, actuations: &[Actuation]) {
-        let scan_id = truth.header.scan_id;
-        let due_ns = self.due_ns(&truth.header);
+    pub(crate) fn scan(&mut self, header: &Header, actuations: &[Actuation]) {
+        let scan_id = header.scan_id;
+        let due_ns = self.due_ns(header);
         // Numbers that the robot skipped were due one period after the other.
         if let Some((newest, newest_due_ns)) = self.newest {
             let skipped = scan_id.saturating_sub(newest + 1).min(100_000);
@@ -159,22 +159,22 @@ mod tests {
 
     const PERIOD_NS: u64 = 30_000;
 
-    /// Truth of a scan on schedule, and its answer whose robot woke `late_ns` after the scan was due.
-    fn scan(scan_id: u64, late_ns: u64) -> (Truth, Actuation) {
+    /// A scan on schedule, and its answer whose robot woke `late_ns` after the scan was due.
+    fn scan(scan_id: u64, late_ns: u64) -> (Header, Actuation) {
         let acquired_ns = 1_000_000 + scan_id * PERIOD_NS;
         let due_ns = acquired_ns + PERIOD_NS / 3;
         // The emulator takes 500 ns to make a scan.
         let mut header = chain(scan_id, due_ns + late_ns + 500);
         header.acquired_ns = acquired_ns;
         header.stage_mut(Role::Robot).taken_ns = due_ns + late_ns;
-        (Truth { header, ..Truth::default() }, Actuation { header, answers: 1, ..Actuation::default() })
+        (header, Actuation { header, answers: 1, ..Actuation::default() })
     }
 
     fn collect(scans: impl IntoIterator<Item = (u64, u64, bool)>) -> Collector {
         let mut collector = Collector::new(PERIOD_NS, 100);
         for (scan_id, late_ns, answered) in scans {
-            let (truth, actuation) = scan(scan_id, late_ns);
-            collector.scan(&truth, if answered { std::slice::from_ref(&actuation) } else { &[] });
+            let (header, actuation) = scan(scan_id, late_ns);
+            collector.scan(&header, if answered { std::slice::from_ref(&actuation) } else { &[] });
         }
         collector
     }

@@ -1,7 +1,7 @@
 //! Swaps without a session, a process or a bus: requests and events in, orders out.
 
 use handover::swap::{Output, OutputSummary, SwapOutcome};
-use shared_types::{Actuation, Authority, Command, CommandKind, Header, Truth};
+use shared_types::{Actuation, Authority, Command, CommandKind, Header};
 
 use super::*;
 use crate::control::Successor;
@@ -34,10 +34,10 @@ fn begun(lockstep: bool) -> Swaps {
 }
 
 fn scan_record(scan: u64) -> ScanRecord {
-    let truth = Truth { header: Header { scan_id: scan, ..Header::default() }, ..Truth::default() };
     let actuations = vec![Actuation { answers: 1, ..Actuation::default() }];
     ScanRecord {
-        truth,
+        header: Header { scan_id: scan, ..Header::default() },
+        truth: None,
         poses: Vec::new(),
         obstacles: Vec::new(),
         commands: Vec::new(),

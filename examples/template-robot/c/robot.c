@@ -1,0 +1,273 @@
+/* A driver of your own robot in C, ready to be copied and changed.
+ *
+ * It publishes a scan and the odometry at its front beam once per sweep, and writes velocity and steering angle to the
+ * wheels. Replace the three functions of device.h; this file is what every driver must do: stamps on CLOCK_MONOTONIC,
+ * whole scans only, and wheels that stop by themselves. */
+#include <math.h>
+#include <stdio.h>
+
+#include "scanloop.h"
+
+#include "device.h"
+
+#define POLL_NS (5u * MS)    /* the device is polled this often, also when no actuation comes */
+#define END_NS (800u * MS)   /* a process that is asked to end is killed after one second */
+#define VELOCITY_MAX_MPS 2.0 /* what the actuator may send; anything else is not obeyed */
+#define STEERING_MAX_RAD 0.12
+#define SLACK 1e-9           /* rounding of what was limited to these values */
+#define REST_MPS 1e-3        /* below this speed the wheels rest */
+#define TURN 6.283185307179586
+#define MAX_STATES 64              /* states of the base, more than it sends in two scan periods */
+
+/* The clock of one device. A restart of the device starts the mapping anew. */
+struct device_clock {
+    int is_known;
+    int64_t offset_ns; /* smallest arrival minus stamp: that with the smallest delay */
+    uint64_t stamp_ns, arrived_ns;
+    unsigned restarts;
+};
+
+struct state {
+    uint64_t time_ns;
+    struct pose pose;
+};
+
+struct driver {
+    scanloop_process *process;
+    struct device device;
+    struct device_clock scanner_clock, base_clock;
+    struct state states[MAX_STATES]; /* a ring, `count` were added */
+    unsigned count;
+    struct pose origin; /* of the base since its last restart */
+    int waits;          /* a sweep that waits for the odometry after it */
+    uint64_t front_ns;
+    struct sweep sweep;
+    scanloop_odometry last;
+    int drives;
+    uint64_t told_ns, period_ns;
+    double speed_mps;
+};
+
+static double wrap(double angle_rad) {
+    double rest = remainder(angle_rad, TURN);
+    return rest <= -TURN / 2 ? rest + TURN : rest;
+}
+
+/* When data with this stamp would have arrived with the smallest delay, on CLOCK_MONOTONIC. */
+static uint64_t map_stamp(struct device_clock *clock, uint64_t stamp_ns, uint64_t arrived_ns) {
+    int64_t found_ns = (int64_t)(arrived_ns - stamp_ns);
+    if (clock->is_known && stamp_ns < clock->stamp_ns) {
+        clock->restarts++;
+        clock->is_known = 0;
+    }
+    /* 200 ppm: more than two crystals drift apart. */
+    int64_t known_ns = clock->offset_ns + (int64_t)((arrived_ns - clock->arrived_ns) / 5000);
+    clock->offset_ns = clock->is_known && known_ns < found_ns ? known_ns : found_ns;
+    clock->is_known = 1;
+    clock->stamp_ns = stamp_ns;
+    clock->arrived_ns = arrived_ns;
+    return stamp_ns + (uint64_t)clock->offset_ns;
+}
+
+/* A pose that is given from `origin`, in the frame of `origin`. */
+static struct pose from(const struct pose *origin, const struct pose *pose) {
+    double c = cos(origin->yaw_rad), s = sin(origin->yaw_rad);
+    return (struct pose){origin->x_m + c * pose->x_m - s * pose->y_m, origin->y_m + s * pose->x_m + c * pose->y_m,
+                         wrap(origin->yaw_rad + pose->yaw_rad), pose->speed_mps};
+}
+
+/* Adds a state. After a restart the base counts from zero again; the robot has not moved by that. */
+static void add_state(struct driver *driver, uint64_t time_ns, const struct pose *reported, int restarted) {
+    const struct state *last = driver->count > 0 ? &driver->states[(driver->count - 1) % MAX_STATES] : NULL;
+    if (restarted && last != NULL) {
+        struct pose turn = {0.0, 0.0, last->pose.yaw_rad - reported->yaw_rad, 0.0};
+        struct pose moved = from(&turn, reported);
+        driver->origin =
+            (struct pose){last->pose.x_m - moved.x_m, last->pose.y_m - moved.y_m, turn.yaw_rad, 0.0};
+    }
+    if (last == NULL || time_ns > last->time_ns) {
+        driver->states[driver->count++ % MAX_STATES] = (struct state){time_ns, from(&driver->origin, reported)};
+    }
+}
+
+/* The pose at a time between two states; 0 when there are none, or when they are too far apart. */
+static int pose_at(const struct driver *driver, uint64_t time_ns, struct pose *pose) {
+    for (unsigned index = driver->count; index > 1 && index + MAX_STATES > driver->count + 1; index--) {
+        const struct state *late = &driver->states[(index - 1) % MAX_STATES];
+        const struct state *early = &driver->states[(index - 2) % MAX_STATES];
+        if (time_ns > late->time_ns) {
+            return 0;
+        }
+        if (time_ns > early->time_ns) {
+            uint64_t apart_ns = late->time_ns - early->time_ns;
+            double share = (double)(time_ns - early->time_ns) / (double)apart_ns;
+            const struct pose *one = &early->pose, *other = &late->pose;
+            pose->x_m = one->x_m + share * (other->x_m - one->x_m);
+            pose->y_m = one->y_m + share * (other->y_m - one->y_m);
+            pose->yaw_rad = wrap(one->yaw_rad + share * wrap(other->yaw_rad - one->yaw_rad));
+            pose->speed_mps = one->speed_mps + share * (other->speed_mps - one->speed_mps);
+            return apart_ns <= driver->period_ns * 3 / 2;
+        }
+    }
+    return 0;
+}
+
+static void block(struct driver *driver, uint64_t now_ns) {
+    write_wheels(&driver->device, now_ns, 0, 0.0, 0.0);
+    driver->drives = 0;
+}
+
+/* Whether a velocity and an angle can be meant; NaN is in no range. */
+static int is_possible(const scanloop_actuation *actuation) {
+    return actuation->sent_velocity_mps >= -SLACK && actuation->sent_velocity_mps <= VELOCITY_MAX_MPS + SLACK &&
+           fabs(actuation->sent_steering_rad) <= STEERING_MAX_RAD + SLACK;
+}
+
+/* Writes what the actuator commands. The dead man: without it for two periods the wheels are blocked. */
+static int obey(struct driver *driver, const scanloop_directive *directive) {
+    uint64_t now_ns = scanloop_now_ns(driver->process);
+    const void *sample;
+    int result;
+    while ((result = scanloop_read(driver->process, SCANLOOP_TOPIC_ACTUATION, &sample)) == SCANLOOP_YES) {
+        const scanloop_actuation *actuation = sample;
+        if (actuation->kind == SCANLOOP_ACTUATION_KIND_BLOCK) {
+            block(driver, now_ns);
+        } else if (actuation->kind == SCANLOOP_ACTUATION_KIND_DRIVE && is_possible(actuation)) {
+            write_wheels(&driver->device, now_ns, 1, actuation->sent_velocity_mps, actuation->sent_steering_rad);
+            driver->drives = 1;
+            driver->told_ns = now_ns;
+        }
+    }
+    if (directive->stop != 0 || (driver->drives && now_ns - driver->told_ns >= 2 * driver->period_ns)) {
+        block(driver, now_ns);
+    }
+    return result;
+}
+
+/* Reports to `scanloop stop` what the wheels do. */
+static void report(const struct driver *driver) {
+    uint32_t standing = fabs(driver->speed_mps) > REST_MPS ? SCANLOOP_BLOCKED : SCANLOOP_RESTING;
+    scanloop_report_wheels(driver->process, driver->drives ? SCANLOOP_TURNING : standing);
+}
+
+/* Whether a front beam is after the one before; logs a gap. */
+static int is_next(const struct driver *driver, uint64_t front_ns) {
+    uint64_t last_ns = driver->last.header.acquired_ns;
+    if (last_ns > 0 && front_ns > last_ns + driver->period_ns * 3 / 2) {
+        scanloop_log(SCANLOOP_WARN, "a gap between two sweeps");
+    }
+    return last_ns == 0 || front_ns >= last_ns + driver->period_ns / 4;
+}
+
+/* Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC. */
+static void read_device(struct driver *driver) {
+    uint64_t now_ns = scanloop_now_ns(driver->process), stamp_ns;
+    struct pose pose;
+    if (read_odometry(&driver->device, now_ns, &stamp_ns, &pose)) {
+        unsigned restarts = driver->base_clock.restarts;
+        uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns) - base_delay_ns(&driver->device);
+        add_state(driver, time_ns, &pose, driver->base_clock.restarts > restarts);
+        driver->speed_mps = pose.speed_mps;
+    }
+    if (read_scan(&driver->device, now_ns, &driver->sweep)) {
+        driver->front_ns =
+            map_stamp(&driver->scanner_clock, driver->sweep.stamp_ns, now_ns) - scan_delay_ns(&driver->device);
+        driver->waits = is_next(driver, driver->front_ns);
+    }
+}
+
+/* The odometry, with what has changed since the sample before. */
+static void set_odometry(scanloop_odometry *odometry, const scanloop_header *header, const struct pose *pose) {
+    scanloop_odometry before = *odometry;
+    *odometry = (scanloop_odometry){.header = *header, .x_m = pose->x_m, .y_m = pose->y_m, .yaw_rad = pose->yaw_rad,
+                                    .speed_mps = pose->speed_mps};
+    if (before.header.scan_id > 0) {
+        odometry->dx_m = pose->x_m - before.x_m;
+        odometry->dy_m = pose->y_m - before.y_m;
+        odometry->dyaw_rad = wrap(pose->yaw_rad - before.yaw_rad);
+        odometry->dt_s = (double)(header->acquired_ns - before.header.acquired_ns) * 1e-9;
+    }
+}
+
+/* Publishes the sweep that waits, when the odometry at its front beam is known. */
+static int publish(struct driver *driver, const scanloop_directive *directive) {
+    struct pose pose;
+    if (!driver->waits) {
+        return SCANLOOP_YES;
+    }
+    int is_old = scanloop_now_ns(driver->process) > driver->front_ns + 2 * driver->period_ns;
+    if (is_old || directive->phase == SCANLOOP_PHASE_STOPPING) {
+        driver->waits = 0;
+        return SCANLOOP_YES;
+    }
+    if (!pose_at(driver, driver->front_ns, &pose)) {
+        return SCANLOOP_YES;
+    }
+    driver->waits = 0;
+    scanloop_header header = {.scan_id = driver->last.header.scan_id + 1, .acquired_ns = driver->front_ns};
+    scanloop_scan scan = {.header = header, .sweep_ns = driver->period_ns * 2 / 3, .period_ns = driver->period_ns};
+    /* A sweep that broke off is marked as missing, with zeros only. */
+    scan.missing = driver->sweep.beams != SCANLOOP_BEAMS;
+    if (!scan.missing) {
+        memcpy(scan.ranges_mm, driver->sweep.ranges_mm, sizeof scan.ranges_mm);
+    }
+    set_odometry(&driver->last, &header, &pose);
+    int result = scanloop_begin(driver->process);
+    if (result >= 0) {
+        result = scanloop_publish(driver->process, SCANLOOP_TOPIC_SCAN, &scan, sizeof scan);
+    }
+    return result < 0 ? result
+                      : scanloop_publish(driver->process, SCANLOOP_TOPIC_ODOMETRY, &driver->last, sizeof driver->last);
+}
+
+/* All that is due: wheels first, then what was measured. */
+static int turn(struct driver *driver) {
+    scanloop_directive directive;
+    int result = scanloop_status(driver->process, NULL, &directive);
+    if (result < 0 || (result = obey(driver, &directive)) < 0) {
+        return result;
+    }
+    read_device(driver);
+    report(driver);
+    return publish(driver, &directive);
+}
+
+/* Blocks the wheels, and waits for as long as an end may take until the robot rests. */
+static void come_to_rest(struct driver *driver) {
+    uint64_t now_ns = scanloop_now_ns(driver->process), until_ns = now_ns + END_NS;
+    do {
+        block(driver, now_ns);
+        read_device(driver);
+        report(driver);
+        scanloop_wait(driver->process, now_ns + POLL_NS);
+        now_ns = scanloop_now_ns(driver->process);
+    } while (fabs(driver->speed_mps) > REST_MPS && now_ns < until_ns);
+    report(driver);
+}
+
+static int wait_for_poll(struct driver *driver) {
+    return scanloop_wait(driver->process, scanloop_now_ns(driver->process) + POLL_NS);
+}
+
+int main(void) {
+    static struct driver driver;
+    int result = scanloop_open(SCANLOOP_ROLE_ROBOT, SCANLOOP_LAYOUTS, &driver.process);
+    if (result == SCANLOOP_YES) {
+        driver.period_ns = scanloop_period_ns(driver.process);
+        open_device(&driver.device, scanloop_now_ns(driver.process), driver.period_ns);
+        scanloop_report_wheels(driver.process, SCANLOOP_RESTING);
+        result = scanloop_start(driver.process);
+        while (result == SCANLOOP_YES && (result = wait_for_poll(&driver)) == SCANLOOP_YES) {
+            if ((result = turn(&driver)) == SCANLOOP_NO) {
+                result = SCANLOOP_YES;
+            }
+        }
+        come_to_rest(&driver);
+        scanloop_close(driver.process);
+    }
+    if (result < 0) {
+        fprintf(stderr, "%s\n", scanloop_last_error());
+        return result == SCANLOOP_OTHER_LAYOUT || result == SCANLOOP_NOT_IN_A_SYSTEM ? 2 : 1;
+    }
+    return 0;
+}

@@ -1,0 +1,193 @@
+//! What every driver of a robot must do: stamps on CLOCK_MONOTONIC, whole scans only, wheels that stop by themselves.
+
+use std::rc::Rc;
+
+use runtime::{Input, Output, Process, RuntimeError, Wheels};
+use shared_types::{Actuation, ActuationKind, BEAMS, Header, Odometry, Phase, Scan};
+
+use crate::device::{Device, Sweep};
+use crate::device_clock::DeviceClock;
+use crate::odometry::{History, Pose, wrap};
+
+/// The device is polled this often, also when no actuation comes [ns].
+pub(crate) const POLL_NS: u64 = 5_000_000;
+/// What the actuator may send: velocity [m/s] and steering angle [rad]. Anything else is not obeyed.
+const SENT_MAX: [f64; 2] = [2.0, 0.12];
+/// Rounding of what was limited to these values.
+const SLACK: f64 = 1e-9;
+/// A process that is asked to end is killed after one second [ns].
+const END_NS: u64 = 800_000_000;
+/// Below this speed the wheels rest [m/s].
+const REST_MPS: f64 = 1e-3;
+
+/// A robot with its place in the run.
+pub(crate) struct Driver {
+    device: Device,
+    scanner_clock: DeviceClock,
+    base_clock: DeviceClock,
+    history: History,
+    /// A sweep with the time of its front beam [ns]; it waits for the odometry after it.
+    waiting: Option<(u64, Sweep)>,
+    /// The odometry published last.
+    last: Odometry,
+    /// When the wheels were told to drive last; `None` while they are blocked [ns].
+    told_ns: Option<u64>,
+    speed_mps: f64,
+    actuations: Input<Actuation>,
+    scans: Rc<Output<Scan>>,
+    odometries: Rc<Output<Odometry>>,
+}
+
+impl Driver {
+    /// Opens topics and device.
+    pub(crate) fn new(process: &mut Process) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            device: Device::open(process.clock().now_ns(), process.period_ns()),
+            scanner_clock: DeviceClock::default(),
+            base_clock: DeviceClock::default(),
+            history: History::default(),
+            waiting: None,
+            last: Odometry::default(),
+            told_ns: None,
+            speed_mps: 0.0,
+            actuations: process.input()?,
+            scans: process.output()?,
+            odometries: process.output()?,
+        })
+    }
+
+    /// All that is due: wheels first, then what was measured.
+    pub(crate) fn turn(&mut self, process: &mut Process) -> Result<(), RuntimeError> {
+        self.obey(process);
+        self.read(process);
+        self.report(process);
+        self.publish(process)
+    }
+
+    /// Blocks the wheels, and waits for as long as an end may take until the robot rests.
+    pub(crate) fn end(&mut self, process: &mut Process) -> Result<(), RuntimeError> {
+        let until_ns = process.clock().now_ns() + END_NS;
+        loop {
+            let now_ns = process.clock().now_ns();
+            self.block(now_ns);
+            self.read(process);
+            self.report(process);
+            if self.speed_mps.abs() <= REST_MPS || now_ns > until_ns {
+                return Ok(());
+            }
+            process.wait(Some(now_ns + POLL_NS))?;
+        }
+    }
+
+    /// Writes what the actuator commands. The dead man: without it for two periods the wheels are blocked.
+    fn obey(&mut self, process: &Process) {
+        let now_ns = process.clock().now_ns();
+        while let Some(actuation) = self.actuations.take() {
+            match ActuationKind::try_from(actuation.kind) {
+                Ok(ActuationKind::Drive) if is_possible(&actuation) => {
+                    let (velocity, steering) = (actuation.sent_velocity_mps, actuation.sent_steering_rad);
+                    self.device.write_wheels(now_ns, Some((velocity, steering)));
+                    self.told_ns = Some(now_ns);
+                }
+                Ok(ActuationKind::Block) => self.block(now_ns),
+                _ => {}
+            }
+        }
+        let silent = |told_ns: u64| now_ns.saturating_sub(told_ns) >= 2 * process.period_ns();
+        if process.must_stop() || self.told_ns.is_some_and(silent) {
+            self.block(now_ns);
+        }
+    }
+
+    fn block(&mut self, now_ns: u64) {
+        self.device.write_wheels(now_ns, None);
+        self.told_ns = None;
+    }
+
+    /// Reports to `scanloop stop` what the wheels do.
+    fn report(&self, process: &Process) {
+        process.report_wheels(match self.told_ns {
+            Some(_) => Wheels::Turning,
+            None if self.speed_mps.abs() > REST_MPS => Wheels::Blocked,
+            None => Wheels::Resting,
+        });
+    }
+
+    /// Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC.
+    fn read(&mut self, process: &Process) {
+        let now_ns = process.clock().now_ns();
+        if let Some((stamp_ns, pose)) = self.device.read_odometry(now_ns) {
+            let restarts = self.base_clock.restarts;
+            let time_ns = self.base_clock.map(stamp_ns, now_ns) - self.device.base_delay_ns();
+            self.history.add(time_ns, pose, self.base_clock.restarts > restarts);
+            self.speed_mps = pose.speed_mps;
+        }
+        if let Some(sweep) = self.device.read_scan(now_ns) {
+            let front_ns = self.scanner_clock.map(sweep.stamp_ns, now_ns) - self.device.scan_delay_ns();
+            self.waiting = self.is_next(front_ns, process.period_ns()).then_some((front_ns, sweep));
+        }
+    }
+
+    /// Whether a front beam is after the one before; logs a gap.
+    fn is_next(&self, front_ns: u64, period_ns: u64) -> bool {
+        let last_ns = self.last.header.acquired_ns;
+        let since_ns = front_ns.saturating_sub(last_ns);
+        if last_ns > 0 && since_ns > period_ns + period_ns / 2 {
+            tracing::warn!(ms = since_ns / 1_000_000, "a gap between two sweeps");
+        }
+        last_ns == 0 || since_ns >= period_ns / 4
+    }
+
+    /// Publishes the sweep that waits, when the odometry at its front beam is known.
+    fn publish(&mut self, process: &mut Process) -> Result<(), RuntimeError> {
+        let period_ns = process.period_ns();
+        let Some((front_ns, _)) = self.waiting else { return Ok(()) };
+        let is_old = process.clock().now_ns().saturating_sub(front_ns) > 2 * period_ns;
+        if is_old || process.directive().phase == Phase::Stopping.wire() {
+            self.waiting = None;
+            return Ok(());
+        }
+        let Some(pose) = self.history.at(front_ns, period_ns + period_ns / 2) else { return Ok(()) };
+        let Some((_, sweep)) = self.waiting.take() else { return Ok(()) };
+        process.begin();
+        let scan_id = self.last.header.scan_id + 1;
+        let header = Header { scan_id, acquired_ns: front_ns, ..Header::default() };
+        self.scans.publish(&mut scan_of(&sweep, header, period_ns))?;
+        self.last = increments(pose, header, &self.last);
+        self.odometries.publish(&mut self.last)
+    }
+}
+
+/// Whether a velocity and an angle can be meant; NaN is in no range.
+fn is_possible(actuation: &Actuation) -> bool {
+    (-SLACK..=SENT_MAX[0] + SLACK).contains(&actuation.sent_velocity_mps)
+        && actuation.sent_steering_rad.abs() <= SENT_MAX[1] + SLACK
+}
+
+/// The scan; a sweep that broke off is marked as missing, with zeros only.
+fn scan_of(sweep: &Sweep, header: Header, period_ns: u64) -> Scan {
+    let is_whole = sweep.beams == BEAMS;
+    Scan {
+        header,
+        sweep_ns: period_ns * 2 / 3,
+        period_ns,
+        ranges_mm: if is_whole { sweep.ranges_mm } else { [0; BEAMS] },
+        missing: (!is_whole).into(),
+    }
+}
+
+/// The odometry, with what has changed since the sample before.
+fn increments(pose: Pose, header: Header, before: &Odometry) -> Odometry {
+    let Pose { x_m, y_m, yaw_rad, speed_mps } = pose;
+    let now = Odometry { header, x_m, y_m, yaw_rad, speed_mps, ..Odometry::default() };
+    if before.header.scan_id == 0 {
+        return now;
+    }
+    Odometry {
+        dx_m: x_m - before.x_m,
+        dy_m: y_m - before.y_m,
+        dyaw_rad: wrap(yaw_rad - before.yaw_rad),
+        dt_s: (header.acquired_ns - before.header.acquired_ns) as f64 * 1e-9,
+        ..now
+    }
+}

@@ -1,0 +1,164 @@
+//! The samples of a robot, received and reduced to what the checks need.
+
+use runtime::{Bus, Observer, RuntimeError};
+use shared_types::{Obstacles, Odometry, Scan, ScannerHealth, WINDOW};
+use vehicle::Description;
+
+/// Observers of scan, odometry and obstacles.
+pub(super) struct Feed {
+    scans: Observer<Scan>,
+    odometries: Observer<Odometry>,
+    obstacles: Observer<Obstacles>,
+    /// All that came.
+    pub(super) observed: Observed,
+    /// The newest odometry.
+    pub(super) newest: Option<Odometry>,
+    /// The newest scan with ranges.
+    pub(super) newest_scan: Option<Box<Scan>>,
+}
+
+/// What came so far.
+#[derive(Debug, Default)]
+pub(super) struct Observed {
+    /// One entry per scan.
+    pub(super) sweeps: Vec<Sweep>,
+    /// Number of odometry samples.
+    pub(super) odometries: usize,
+    /// Samples with impossible content.
+    pub(super) invalid: u64,
+    /// The newest state of the scanner.
+    pub(super) health: Option<ScannerHealth>,
+    /// Distance and turn by the odometry.
+    pub(super) way: Vec<Point>,
+}
+
+/// What is kept of a scan.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Sweep {
+    /// Time of the front beam [ns].
+    pub(super) acquired_ns: u64,
+    /// When it was published [ns].
+    pub(super) published_ns: u64,
+    /// Share of the beams ahead with a return; `None` for a scan without ranges.
+    pub(super) returns: Option<f64>,
+}
+
+/// Where the robot is by its odometry.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Point {
+    /// Time of the front beam [ns].
+    pub(super) at_ns: u64,
+    /// Distance driven ahead, backwards negative [m].
+    pub(super) ahead_m: f64,
+    /// Angle turned, to the left positive [rad].
+    pub(super) left_rad: f64,
+}
+
+impl Feed {
+    /// Observes from now on.
+    pub(super) fn open(bus: &Bus) -> Result<Self, RuntimeError> {
+        Ok(Self {
+            scans: Observer::new(bus)?,
+            odometries: Observer::new(bus)?,
+            obstacles: Observer::new(bus)?,
+            observed: Observed::default(),
+            newest: None,
+            newest_scan: None,
+        })
+    }
+
+    /// Makes this end of all connections.
+    pub(super) fn connect(&self) {
+        self.scans.connect();
+        self.odometries.connect();
+        self.obstacles.connect();
+    }
+
+    /// Takes all that came; returns whether odometry did.
+    pub(super) fn poll(&mut self) -> Result<bool, RuntimeError> {
+        let Observed { sweeps, odometries, invalid, health, way } = &mut self.observed;
+        let before = *odometries;
+        *invalid += self.scans.poll(|scan| {
+            sweeps.push(Sweep::of(scan));
+            if !scan.missing.is_set() {
+                self.newest_scan = Some(Box::new(*scan));
+            }
+        })?;
+        *invalid += self.odometries.poll(|odometry| {
+            *odometries += 1;
+            way.push(way.last().copied().unwrap_or_default().next(odometry));
+            self.newest = Some(*odometry);
+        })?;
+        *invalid += self.obstacles.poll(|obstacles| *health = Some(obstacles.scanner))?;
+        Ok(*odometries > before)
+    }
+}
+
+impl Sweep {
+    fn of(scan: &Scan) -> Self {
+        let (acquired_ns, published_ns) = (scan.header.acquired_ns, scan.header.scan_published_ns());
+        let returned = WINDOW.filter(|beam| scan.range_m(*beam).is_some()).count();
+        let share = returned as f64 / WINDOW.count() as f64;
+        Self { acquired_ns, published_ns, returns: (!scan.missing.is_set()).then_some(share) }
+    }
+}
+
+impl Point {
+    /// The next point: the increment counts in the direction of the body halfway.
+    fn next(self, odometry: &Odometry) -> Self {
+        let Odometry { dx_m, dy_m, dyaw_rad, yaw_rad, .. } = *odometry;
+        let (sin, cos) = (yaw_rad - dyaw_rad / 2.0).sin_cos();
+        Self {
+            at_ns: odometry.header.acquired_ns,
+            ahead_m: self.ahead_m + dx_m * cos + dy_m * sin,
+            left_rad: self.left_rad + wrapped(dyaw_rad),
+        }
+    }
+}
+
+/// An angle in (-pi, pi]: increments of the reported yaw may jump by a turn.
+fn wrapped(angle_rad: f64) -> f64 {
+    angle_rad.sin().atan2(angle_rad.cos())
+}
+
+/// Distance from the front of the body to the nearest return in its way [m]; infinite when there is none.
+pub(super) fn free_ahead_m(scan: &Scan, vehicle: &Description) -> f64 {
+    let half_m = vehicle.width_m / 2.0 + SIDE_M;
+    let returns = WINDOW.filter_map(|beam| {
+        let (range_m, yaw_rad) = (scan.range_m(beam)?, Scan::beam_yaw_rad(beam) + vehicle.scanner_yaw_rad);
+        let (x_m, y_m) = (range_m * yaw_rad.cos(), range_m * yaw_rad.sin());
+        let (x_m, y_m) = (vehicle.scanner_x_m + x_m, vehicle.scanner_y_m + y_m);
+        (y_m.abs() <= half_m).then_some(x_m - vehicle.length_m / 2.0)
+    });
+    returns.fold(f64::INFINITY, f64::min)
+}
+
+/// Free width that is wanted to each side of the body [m].
+const SIDE_M: f64 = 0.2;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distance_ahead_is_counted_along_the_body() {
+        let east = Odometry { dx_m: 0.5, ..Odometry::default() };
+        let north = Odometry { dy_m: -0.2, yaw_rad: std::f64::consts::FRAC_PI_2, ..Odometry::default() };
+        let end = Point::default().next(&east).next(&north);
+        assert!((end.ahead_m - 0.3).abs() < 1e-12, "{end:?}");
+        let jump = Odometry { dyaw_rad: 0.1 - std::f64::consts::TAU, ..Odometry::default() };
+        assert!((Point::default().next(&jump).left_rad - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn only_returns_in_the_way_of_the_body_count() {
+        let vehicle = Description::default();
+        let mut scan = Scan::default();
+        assert_eq!(free_ahead_m(&scan, &vehicle), f64::INFINITY);
+        // 59.8 degrees to the right at 2 m: beside the way.
+        scan.ranges_mm[*WINDOW.start()] = 2000;
+        assert_eq!(free_ahead_m(&scan, &vehicle), f64::INFINITY);
+        scan.ranges_mm[shared_types::FRONT_BEAM] = 1280;
+        assert!((free_ahead_m(&scan, &vehicle) - 1.0).abs() < 1e-12);
+    }
+}

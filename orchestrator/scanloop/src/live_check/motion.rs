@@ -1,0 +1,210 @@
+//! Checks in which the robot moves: rolled by hand, or driven slowly, and stopped.
+
+mod halt;
+
+use console::note;
+use plan::System;
+use vehicle::Description;
+
+use super::LiveArguments;
+use super::bench::{Bench, Order};
+use super::feed::{Point, free_ahead_m};
+use super::finding::{Finding, Outcome};
+
+/// Names of these checks.
+pub(super) const NAMES: [&str; 3] = ["ahead", "left", "stop"];
+/// A distance that the odometry of any robot resolves [m].
+const MIN_AHEAD_M: f64 = 0.2;
+/// A turn by hand [rad].
+const MIN_LEFT_RAD: f64 = 0.2;
+/// A turn within the second leg of a drive: on the tightest circle the robot turns by four times this [rad].
+const MIN_DRIVEN_LEFT_RAD: f64 = 0.03;
+/// Length of both legs [m].
+const LEGS_M: [f64; 2] = [0.5, 0.4];
+/// Steering angle of the second leg; the actuator may send up to 0.12 [rad].
+const LEFT_RAD: f64 = 0.08;
+/// Both legs, the way to stop and a reserve must be free in front of the body at the start [m].
+const FREE_M: f64 = 1.5;
+/// The drive ends when the newest scan with ranges is older than this many periods.
+const MAX_SCAN_PERIODS: u64 = 3;
+/// A way by the odometry against the order that is no noise [m].
+const MIN_BACK_M: f64 = 0.05;
+/// Why the drive ended early.
+const NOT_FREE: &str = "something is near, or the scanner does not see: the wheels are blocked";
+/// The drive ends when something is nearer to the front of the body [m].
+const NEAR_M: f64 = 0.4;
+/// Blocked wheels rest within this time [ns].
+const REST_NS: u64 = 3_000_000_000;
+/// Time between the warning and the drive [ns].
+const WARNING_NS: u64 = 3_000_000_000;
+
+/// What the motion has shown.
+pub(super) struct Moved {
+    pub(super) findings: Vec<Finding>,
+    /// The deceleration to be entered in `[vehicle]`.
+    pub(super) deceleration_mps2: Option<f64>,
+}
+
+/// Moves the robot as the arguments allow; `before` are the findings of scanner and odometry.
+///
+/// # Errors
+/// Those of [`Bench::until`].
+pub(super) fn findings(
+    bench: &mut Bench,
+    system: &System,
+    arguments: &LiveArguments,
+    before: &[Finding],
+) -> anyhow::Result<Moved> {
+    let mut moved = Moved { findings: Vec::new(), deceleration_mps2: None };
+    let obstacle = before.iter().find(|finding| finding.outcome == Outcome::Failed);
+    if arguments.drive {
+        match obstacle.map(|finding| format!("`{}` failed", finding.name)).or_else(|| blocked(bench, system))
+        {
+            Some(reason) => moved.skip(&reason),
+            None => drive(bench, system, arguments.speed, &mut moved)?,
+        }
+    } else if bench.feed.newest.is_none() {
+        moved.skip("no odometry");
+    } else if arguments.by_hand > 0.0 {
+        by_hand(bench, arguments.by_hand, &mut moved)?;
+        moved.skip("needs --drive");
+    } else {
+        moved.skip("needs --by-hand above 0, or --drive");
+    }
+    Ok(moved)
+}
+
+impl Moved {
+    fn add(&mut self, finding: Finding) {
+        note!("{finding}");
+        self.findings.push(finding);
+    }
+
+    /// Skips all checks that were not made.
+    fn skip(&mut self, reason: &str) {
+        for name in &NAMES[self.findings.len()..] {
+            self.add(Finding::skipped(name, reason));
+        }
+    }
+}
+
+/// Asks the operator to move the robot.
+fn by_hand(bench: &mut Bench, limit_s: f64, moved: &mut Moved) -> anyhow::Result<()> {
+    let limit_ns = (limit_s * 1e9) as u64;
+    note!("roll the robot ahead by hand, half a metre (within {limit_s} s)");
+    let start = place(bench);
+    bench.until(limit_ns, |bench| (place(bench).ahead_m - start.ahead_m).abs() >= MIN_AHEAD_M)?;
+    moved.add(ahead(place(bench).ahead_m - start.ahead_m));
+    note!("turn the robot to the left by hand, 30 degrees (within {limit_s} s)");
+    let start = place(bench);
+    bench.until(limit_ns, |bench| (place(bench).left_rad - start.left_rad).abs() >= MIN_LEFT_RAD)?;
+    moved.add(left(place(bench).left_rad - start.left_rad, MIN_LEFT_RAD));
+    Ok(())
+}
+
+/// Drives straight on, then to the left, and blocks the wheels.
+fn drive(bench: &mut Bench, system: &System, speed_mps: f64, moved: &mut Moved) -> anyhow::Result<()> {
+    let [straight_m, left_m] = LEGS_M;
+    note!(
+        "the robot drives {:.1} m at {speed_mps} m/s in {} s; Ctrl-C blocks its wheels",
+        straight_m + left_m,
+        WARNING_NS / 1_000_000_000
+    );
+    bench.until(WARNING_NS, |_| false)?;
+    if !is_seen_free(bench, system) {
+        moved.skip(NOT_FREE);
+        return Ok(());
+    }
+    let start = place(bench);
+    let is_free = leg(bench, system, Order::Drive(speed_mps, 0.0), straight_m)?;
+    let moved_m = place(bench).ahead_m - start.ahead_m;
+    // The way of a robot that was stopped early is too short to be judged, but its direction is not.
+    if is_free || moved_m < -MIN_BACK_M {
+        moved.add(ahead(moved_m));
+    }
+    if !is_free || moved_m < MIN_AHEAD_M {
+        bench.order(Order::Block);
+        bench.until(REST_NS, |bench| halt::rests(&bench.feed.observed.way))?;
+        moved.skip(if is_free { "`ahead` failed" } else { NOT_FREE });
+        return Ok(());
+    }
+    let start = place(bench);
+    let is_free = leg(bench, system, Order::Drive(speed_mps, LEFT_RAD), left_m)?;
+    let end = place(bench);
+    if is_free {
+        moved.add(left(end.left_rad - start.left_rad, MIN_DRIVEN_LEFT_RAD));
+    } else {
+        moved.add(Finding::skipped("left", NOT_FREE));
+    }
+    stop(bench, &system.vehicle, moved)
+}
+
+/// Drives until the distance is covered, in whichever direction; false when the way is not free any more.
+fn leg(bench: &mut Bench, system: &System, order: Order, length_m: f64) -> anyhow::Result<bool> {
+    let Order::Drive(speed_mps, _) = order else { return Ok(true) };
+    let start_m = place(bench).ahead_m;
+    // Three times as long as at this speed, and the time to accelerate: a robot may be slower before its calibration.
+    let limit_ns = ((3.0 * length_m / speed_mps + 1.0) * 1e9) as u64;
+    let mut is_free = true;
+    bench.order(order);
+    bench.until(limit_ns, |bench| {
+        is_free = is_seen_free(bench, system);
+        !is_free || (place(bench).ahead_m - start_m).abs() >= length_m
+    })?;
+    Ok(is_free)
+}
+
+/// Whether a scanner that works sees nothing near in the way of the robot.
+fn is_seen_free(bench: &Bench, system: &System) -> bool {
+    let feed = &bench.feed;
+    let oldest_ns = place(bench).at_ns.saturating_sub(MAX_SCAN_PERIODS * system.period_ns());
+    let is_stop = feed.observed.health.is_some_and(|health| health.state().is_stop());
+    let scan = feed.newest_scan.as_ref().filter(|scan| scan.header.acquired_ns >= oldest_ns);
+    !is_stop && scan.is_some_and(|scan| free_ahead_m(scan, &system.vehicle) >= NEAR_M)
+}
+
+/// Blocks the wheels and measures how the robot comes to rest.
+fn stop(bench: &mut Bench, vehicle: &Description, moved: &mut Moved) -> anyhow::Result<()> {
+    bench.order(Order::Block);
+    bench.until(REST_NS, |bench| bench.ordered_ns().is_some())?;
+    let blocked_ns = bench.ordered_ns().unwrap_or(u64::MAX);
+    let has_rested = bench.until(REST_NS, |bench| {
+        let way = &bench.feed.observed.way;
+        halt::rests(way) && way.last().is_some_and(|point| point.at_ns > blocked_ns)
+    })?;
+    let measured = halt::measure(&bench.feed.observed.way, blocked_ns, vehicle.command_delay_s);
+    match measured {
+        Some(halt) if has_rested => {
+            moved.deceleration_mps2 = Some(halt.deceleration_mps2());
+            moved.add(halt.finding(vehicle.blocked_deceleration_mps2));
+        }
+        _ => moved.add(Finding::of(
+            "stop",
+            false,
+            format!("the robot does not rest {} s after the block", REST_NS / 1_000_000_000),
+            "at rest",
+        )),
+    }
+    Ok(())
+}
+
+/// Why the robot must not be driven; `None` when its way is free.
+fn blocked(bench: &Bench, system: &System) -> Option<String> {
+    let Some(scan) = &bench.feed.newest_scan else { return Some("no scan has ranges".to_owned()) };
+    let free_m = free_ahead_m(scan, &system.vehicle);
+    (free_m < FREE_M).then(|| format!("{free_m:.2} m are free ahead, the drive needs {FREE_M} m"))
+}
+
+fn place(bench: &Bench) -> Point {
+    bench.feed.observed.way.last().copied().unwrap_or_default()
+}
+
+fn ahead(moved_m: f64) -> Finding {
+    let allowed = format!("at least {MIN_AHEAD_M:+} m");
+    Finding::of("ahead", moved_m >= MIN_AHEAD_M, format!("odometry moved by {moved_m:+.2} m"), allowed)
+}
+
+fn left(turned_rad: f64, min_rad: f64) -> Finding {
+    let allowed = format!("at least {min_rad:+} rad");
+    Finding::of("left", turned_rad >= min_rad, format!("odometry turned by {turned_rad:+.2} rad"), allowed)
+}

@@ -1,0 +1,46 @@
+//! Maps the stamps of a device to CLOCK_MONOTONIC, with an error bound.
+//!
+//! A scanner or a robot stamps its data with a clock of its own. The stages need the stamps on CLOCK_MONOTONIC. All
+//! drivers use [`DeviceClock`] for that: it gets a stamp and the time at which it arrived, and returns the time of the
+//! stamp on CLOCK_MONOTONIC.
+//!
+//! ```
+//! use device_clock::{DeviceClock, Settings};
+//!
+//! // A counter of milliseconds with 24 bits, as Hokuyo scanners have.
+//! let mut clock = DeviceClock::new(Settings::milliseconds_of_24_bits());
+//! // The device answered 136 to a question asked at 2.000 s whose answer arrived at 2.004 s.
+//! clock.round_trip(136, 2_000_000_000, 2_004_000_000);
+//! // Data stamped 236 arrive 70 ms later than they were stamped.
+//! let mapped = clock.arrival(236, 2_172_000_000);
+//! assert!(mapped.time_ns.abs_diff(2_102_000_000) <= mapped.error_ns);
+//! assert!(mapped.error_ns < 4_000_000);
+//! ```
+//!
+//! # Method
+//! Data arrive later than they are stamped, never earlier. So arrival minus stamp is the offset between the clocks plus
+//! a delay, and its smallest values have the smallest delay. The newest of them gives the mapping ([`Envelope`]). The
+//! smallest delay itself is not seen in these values. A round trip, in which the device answers with its time, gives
+//! the offset alone, with an error of half of the round trip; the difference of both is the smallest delay. Without
+//! round trips it is a setting.
+//!
+//! The error bound is half of the round trip, plus the resolution of the stamps (1 ms), plus 200 ppm of the age of the
+//! values that are used: that is more than the drift between two crystals. When even the fastest samples differ, as on
+//! a busy machine, twice their mean difference is added.
+//!
+//! # Assumptions
+//! * The smallest delay does not change while the device is in use.
+//! * The clocks drift by at most [`Settings::max_drift_ppm`]. The drift is estimated, so that older values remain useful.
+//! * Some samples arrive without additional delay: at least one within some seconds at 10 Hz.
+//!
+//! A stamp that counts backwards, and one that differs from its expected value, start the mapping anew ([`Event`]). A
+//! jump back by less than [`Settings::jump_ns`] is not seen as one; the mapping follows it within three minutes.
+
+mod clock;
+mod counter;
+mod envelope;
+mod settings;
+
+pub use clock::{DeviceClock, Event, Mapped};
+pub use envelope::{Envelope, Line};
+pub use settings::Settings;

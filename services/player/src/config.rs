@@ -1,0 +1,167 @@
+//! Settings of the driver, the table `[player]` of the system file.
+
+use key_table::{Invalid, Setting, settings};
+use serde::{Deserialize, Serialize};
+use urg::Place;
+
+use crate::header::{Device, interface};
+
+/// Where the scans come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ScanSource {
+    /// From a scanner of the Player server.
+    Player,
+    /// From a Hokuyo scanner that is connected to this computer.
+    Urg,
+}
+
+/// Which interface of a scanner is used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scanner {
+    /// `ranger` where the server has one, else `laser`.
+    Auto,
+    /// The interface ranger.
+    Ranger,
+    /// The older interface laser.
+    Laser,
+}
+
+/// How the server delivers data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Delivery {
+    /// At once.
+    Push,
+    /// When the driver asks.
+    Pull,
+}
+
+/// Which command drives the wheels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DriveCommand {
+    /// Velocity and steering angle.
+    Car,
+    /// Velocity and yaw rate.
+    Velocity,
+}
+
+impl Setting for ScanSource {}
+impl Setting for Scanner {}
+impl Setting for Delivery {}
+impl Setting for DriveCommand {}
+
+/// What a sign may be.
+const SIGN: &str = "1 or -1";
+
+settings! {
+    /// Settings of the driver for Player servers, implementation `player` of role `robot`.
+    pub struct Config {
+        /// Host name or address of the server.
+        pub host: String = "127.0.0.1".to_owned(), "not empty";
+        /// Port of the server, which selects the robot.
+        pub port: u32 = 6665, 1.0..=65535.0;
+        /// Index of the base among the devices of interface position2d.
+        pub position2d: u32 = 0, 0.0..=65535.0;
+        /// Where the scans come from: a scanner of the server, or a Hokuyo scanner at this computer.
+        pub scan: ScanSource = ScanSource::Player;
+        /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
+        pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
+        /// Interface of the server's scanner; `auto` is ranger, or laser where there is no ranger.
+        pub scanner: Scanner = Scanner::Auto;
+        /// Index of the scanner among the devices of its interface.
+        pub scanner_index: u32 = 0, 0.0..=65535.0;
+        /// Whether the server sends data at once, or when the driver asks.
+        pub delivery: Delivery = Delivery::Push;
+        /// Command for the wheels: CAR has velocity and steering angle, VEL has velocity and yaw rate.
+        pub command: DriveCommand = DriveCommand::Car;
+        /// Wheelbase that the server's steering angle refers to: angle = atan(wheelbase x curvature) [m].
+        // A robot that steers both axles by the same angle turns like a car with half its axle distance.
+        pub wheelbase_m: f64 = 0.185, 0.01..=10.0;
+        /// Sign of the velocity that is sent.
+        pub velocity_sign: f64 = 1.0, SIGN;
+        /// Sign of the steering angle, or of the yaw rate, that is sent; 1 if left is positive.
+        pub steering_sign: f64 = 1.0, SIGN;
+        /// Signs of the reported x, y and yaw; 1 if ahead, left and counter-clockwise are positive.
+        pub odometry_signs: [f64; 3] = [1.0, 1.0, 1.0], "1 or -1 each";
+        /// Sign of the beam angles; -1 for a scanner that is mounted upside down.
+        pub scan_sign: f64 = 1.0, SIGN;
+        /// Duration of a sweep over all beams: 0 in Stage, 0.0667 for a Hokuyo URG-04LX [s].
+        pub sweep_s: f64 = 0.0, 0.0..=1.0;
+        /// Time stamp of a scan minus the time of its front beam, on the server [s].
+        pub stamp_offset_s: f64 = 0.0, -1.0..=1.0;
+        /// Smallest time from the stamp of a state of the base to its arrival here [s].
+        pub delay_s: f64 = 0.0, 0.0..=0.1;
+        /// At the start, the driver tries to connect for this long [s].
+        pub connect_timeout_s: f64 = 5.0, 0.1..=8.0;
+        /// The connection is renewed when no data have come for this long [s].
+        pub silence_s: f64 = 1.0, 0.2..=60.0;
+    }
+}
+
+impl Config {
+    /// Passes when all settings are allowed.
+    ///
+    /// # Errors
+    /// The first key that is not, with its value and what is allowed.
+    pub fn validate(&self) -> Result<(), Invalid> {
+        self.require_ranges()?;
+        if self.host.trim().is_empty() {
+            return Err(Invalid::new("host", "\"\"", "the name or address of a host"));
+        }
+        if Place::parse(&self.urg).is_err() {
+            return Err(Invalid::new(
+                "urg",
+                format!("{:?}", self.urg),
+                "a device such as /dev/ttyACM0, or HOST:PORT",
+            ));
+        }
+        let signs = [("velocity_sign", self.velocity_sign), ("steering_sign", self.steering_sign)];
+        let signs = signs.into_iter().chain([("scan_sign", self.scan_sign)]);
+        let signs = signs.chain(self.odometry_signs.map(|sign| ("odometry_signs", sign)));
+        for (key, sign) in signs {
+            if sign.abs() != 1.0 {
+                return Err(Invalid::new(key, sign, SIGN));
+            }
+        }
+        Ok(())
+    }
+
+    /// The base.
+    pub fn base(&self) -> Device {
+        Device { interface: interface::POSITION2D, index: self.position2d }
+    }
+
+    /// The server as messages name it.
+    pub fn server(&self) -> String {
+        format!("{}:{}", self.host, self.port)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(text: &str) -> String {
+        let config: Config = toml::from_str(text).unwrap();
+        config.validate().map_err(|invalid| invalid.within("player")).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_value_that_is_not_allowed_is_named_with_its_range() {
+        assert_eq!(Config::default().validate(), Ok(()));
+        assert_eq!(refusal("port = 70000"), "player.port = 70000 is not allowed: 1 to 65535");
+        assert_eq!(
+            refusal("host = \" \""),
+            "player.host = \"\" is not allowed: the name or address of a host"
+        );
+        assert_eq!(refusal("steering_sign = 0.5"), "player.steering_sign = 0.5 is not allowed: 1 or -1");
+        assert_eq!(
+            refusal("odometry_signs = [1, nan, 1]"),
+            "player.odometry_signs = NaN is not allowed: 1 or -1"
+        );
+        assert_eq!(refusal("wheelbase_m = 0"), "player.wheelbase_m = 0 is not allowed: 0.01 to 10");
+    }
+}

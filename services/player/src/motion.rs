@@ -1,0 +1,158 @@
+//! The base and its frame: what is sent to it, and where its odometry places it on the track.
+
+use std::f64::consts::TAU;
+
+use crate::config::{Config, DriveCommand};
+use crate::message::State;
+
+/// What drives the wheels: a velocity [m/s], and a steering angle [rad] or a yaw rate [rad/s].
+///
+/// `steering_rad` is the angle of both axles of the robot; its path has the curvature 2 tan(angle) / axle distance. A
+/// car with this path steers by atan(wheelbase x curvature).
+pub fn sent(config: &Config, axle_distance_m: f64, velocity_mps: f64, steering_rad: f64) -> [f64; 2] {
+    let curvature = 2.0 * steering_rad.tan() / axle_distance_m;
+    let turn = match config.command {
+        DriveCommand::Car => (config.wheelbase_m * curvature).atan(),
+        DriveCommand::Velocity => velocity_mps * curvature,
+    };
+    [config.velocity_sign * velocity_mps, config.steering_sign * turn]
+}
+
+/// A pose and the velocities there, at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Motion {
+    /// When, on CLOCK_MONOTONIC [ns].
+    pub time_ns: u64,
+    /// Position and yaw [m, m, rad].
+    pub pose: [f64; 3],
+    /// Velocity ahead [m/s].
+    pub speed_mps: f64,
+    /// Yaw rate [rad/s].
+    pub yaw_rate_radps: f64,
+}
+
+impl Motion {
+    /// A reported state in the frame of the robot, with ahead, left and counter-clockwise positive. `None` when a number
+    /// is not finite.
+    pub fn of(config: &Config, state: &State, time_ns: u64) -> Option<Self> {
+        let [x, y, yaw] = config.odometry_signs;
+        let pose = [x * state.pose[0], y * state.pose[1], yaw * state.pose[2]];
+        let speed_mps = config.velocity_sign * state.velocity[0];
+        let yaw_rate_radps = yaw * state.velocity[2];
+        let is_finite = pose.iter().chain([&speed_mps, &yaw_rate_radps]).all(|number| number.is_finite());
+        is_finite.then_some(Self { time_ns, pose, speed_mps, yaw_rate_radps })
+    }
+
+    /// The motion at another time, with the same velocities.
+    pub fn at(&self, time_ns: u64) -> Self {
+        let elapsed_s = (time_ns as f64 - self.time_ns as f64) * 1e-9;
+        let turned = self.yaw_rate_radps * elapsed_s;
+        let (sin, cos) = (self.pose[2] + turned / 2.0).sin_cos();
+        let way_m = self.speed_mps * elapsed_s;
+        let [x_m, y_m, yaw_rad] = self.pose;
+        Self { time_ns, pose: [x_m + way_m * cos, y_m + way_m * sin, yaw_rad + turned], ..*self }
+    }
+
+    /// The motion between two at a time between theirs.
+    pub fn between(one: &Self, other: &Self, time_ns: u64) -> Self {
+        let span_ns = other.time_ns.saturating_sub(one.time_ns).max(1);
+        let share = time_ns.saturating_sub(one.time_ns) as f64 / span_ns as f64;
+        let mix = |from: f64, to: f64| from + share * (to - from);
+        let yaw_rad = one.pose[2] + share * wrapped(other.pose[2] - one.pose[2]);
+        Self {
+            time_ns,
+            pose: [mix(one.pose[0], other.pose[0]), mix(one.pose[1], other.pose[1]), yaw_rad],
+            speed_mps: mix(one.speed_mps, other.speed_mps),
+            yaw_rate_radps: mix(one.yaw_rate_radps, other.yaw_rate_radps),
+        }
+    }
+}
+
+/// Moves poses of the odometry onto the track: the first one is the start of the scenario.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Anchor {
+    origin: [f64; 3],
+    start: [f64; 3],
+}
+
+impl Anchor {
+    /// The odometry reports `origin` while the robot is at `start` of the track.
+    pub fn new(origin: [f64; 3], start: [f64; 3]) -> Self {
+        Self { origin, start }
+    }
+
+    /// A pose on the track, with its yaw in (-pi, pi].
+    pub fn on_track(&self, pose: [f64; 3]) -> [f64; 3] {
+        let (dx, dy) = (pose[0] - self.origin[0], pose[1] - self.origin[1]);
+        let turn = self.start[2] - self.origin[2];
+        let (sin, cos) = turn.sin_cos();
+        [self.start[0] + dx * cos - dy * sin, self.start[1] + dx * sin + dy * cos, wrapped(pose[2] + turn)]
+    }
+}
+
+/// An angle in (-pi, pi] [rad].
+pub fn wrapped(angle: f64) -> f64 {
+    let rest = angle.rem_euclid(TAU);
+    if rest > TAU / 2.0 { rest - TAU } else { rest }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use super::*;
+
+    const AXLES_M: f64 = 0.37;
+
+    #[test]
+    fn a_car_with_half_the_axle_distance_steers_by_the_same_angle() {
+        let [velocity, angle] = sent(&Config::default(), AXLES_M, 0.8, 0.06);
+        assert_eq!(velocity, 0.8);
+        assert!((angle - 0.06).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_longer_car_steers_more_and_a_base_without_steering_gets_its_yaw_rate() {
+        let curvature = 2.0 * 0.06_f64.tan() / AXLES_M;
+        let config = Config { wheelbase_m: 0.37, steering_sign: -1.0, ..Config::default() };
+        assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, -(0.37 * curvature).atan()]);
+        let config = Config { command: DriveCommand::Velocity, ..Config::default() };
+        assert_eq!(sent(&config, AXLES_M, 0.8, 0.06), [0.8, 0.8 * curvature]);
+    }
+
+    #[test]
+    fn the_first_pose_is_the_start_and_the_rest_follows() {
+        // The odometry has the robot at (3, 4) and looking to the left, the track at (1, 0) and looking ahead.
+        let anchor = Anchor::new([3.0, 4.0, FRAC_PI_2], [1.0, 0.0, 0.0]);
+        assert_eq!(anchor.on_track([3.0, 4.0, FRAC_PI_2]), [1.0, 0.0, 0.0]);
+        let [x, y, yaw] = anchor.on_track([2.5, 6.0, FRAC_PI_2 + 0.1]);
+        assert!((x - 3.0).abs() < 1e-12 && (y - 0.5).abs() < 1e-12 && (yaw - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_pose_between_two_turns_the_short_way() {
+        let motion =
+            |time_ns, yaw: f64| Motion { time_ns, pose: [time_ns as f64, 0.0, yaw], ..Motion::default() };
+        let middle = Motion::between(&motion(10, PI - 0.1), &motion(20, -PI + 0.1), 15);
+        assert!((middle.pose[2] - PI).abs() < 1e-12 && middle.pose[0] == 15.0);
+    }
+
+    #[test]
+    fn a_pose_is_moved_on_along_its_arc() {
+        let motion = Motion { time_ns: 0, pose: [0.0; 3], speed_mps: 1.0, yaw_rate_radps: 0.5 };
+        let moved = motion.at(100_000_000);
+        assert!((moved.pose[0] - 0.1).abs() < 1e-4 && (moved.pose[2] - 0.05).abs() < 1e-12);
+        assert!((moved.pose[1] - 0.0025).abs() < 1e-5);
+        assert_eq!(moved.at(0).pose[2], 0.0);
+    }
+
+    #[test]
+    fn signs_turn_the_frame_and_numbers_that_are_none_are_dropped() {
+        let config = Config { odometry_signs: [1.0, -1.0, -1.0], ..Config::default() };
+        let state = State { pose: [1.0, 2.0, 0.3], velocity: [0.5, 0.0, 0.2], stalled: false };
+        let motion = Motion::of(&config, &state, 7).unwrap();
+        assert_eq!((motion.pose, motion.yaw_rate_radps), ([1.0, -2.0, -0.3], -0.2));
+        let broken = State { pose: [1.0, f64::NAN, 0.0], ..state };
+        assert_eq!(Motion::of(&config, &broken, 7), None);
+    }
+}

@@ -1,0 +1,214 @@
+//! From states and sweeps, each with a stamp of the server, to samples: ranges, and the motion at the front beam.
+//!
+//! Stamps of the server are mapped to CLOCK_MONOTONIC by the states of the base, which are small and come first. A sweep
+//! waits for the state of its time; without one it is published with the newest state, moved on by its velocities.
+
+use shared_types::BEAMS;
+
+use crate::clock::ServerClock;
+use crate::config::Config;
+use crate::join::Motions;
+use crate::message::State;
+use crate::motion::Motion;
+
+/// A sweep waits for the state of its time for this share of a period.
+const WAIT_SHARE: u64 = 4;
+/// The front beam is at most this many periods older than the arrival of its sweep; an older stamp is wrong.
+const MAX_AGE_PERIODS: u64 = 1;
+/// A state is moved on by at most this many periods: the base is silent, or the connection is lost.
+const MAX_AHEAD_PERIODS: u64 = 2;
+/// Sweeps that are closer together than this share of a period are one too many.
+const MIN_SPACING_SHARE: u64 = 4;
+
+/// A sweep with its motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// Ranges by beam of a scan [mm].
+    pub ranges_mm: [u16; BEAMS],
+    /// The motion at the time of the front beam.
+    pub motion: Motion,
+}
+
+/// A sweep that waits.
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    ranges_mm: [u16; BEAMS],
+    front_ns: u64,
+    until_ns: u64,
+}
+
+/// The newest data.
+#[derive(Debug)]
+pub struct Sensing {
+    config: Config,
+    period_ns: u64,
+    clock: ServerClock,
+    motions: Motions,
+    waiting: Option<Waiting>,
+    /// Time of the newest front beam [ns].
+    front_ns: u64,
+    /// Sweeps that were not used: too close to the one before, or replaced before there was a state.
+    dropped: u64,
+}
+
+impl Sensing {
+    /// Knows nothing yet.
+    pub fn new(config: &Config, period_ns: u64) -> Self {
+        Self {
+            config: config.clone(),
+            period_ns,
+            clock: ServerClock::new(config.delay_s),
+            motions: Motions::default(),
+            waiting: None,
+            front_ns: 0,
+            dropped: 0,
+        }
+    }
+
+    /// Forgets what a server reported: the connection is new.
+    pub fn restart(&mut self) {
+        self.clock = ServerClock::new(self.config.delay_s);
+        self.motions.clear();
+        self.waiting = None;
+    }
+
+    /// Takes a state of the base; false when a number in it is not finite.
+    pub fn state(&mut self, state: &State, time_s: f64, arrived_ns: u64) -> bool {
+        let time_ns = self.clock.arrival(time_s, arrived_ns);
+        let motion = Motion::of(&self.config, state, time_ns);
+        motion.inspect(|motion| self.motions.add(*motion)).is_some()
+    }
+
+    /// Takes a sweep of the server.
+    pub fn sweep(&mut self, ranges_mm: [u16; BEAMS], time_s: f64, arrived_ns: u64) {
+        let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
+        let offset_ns = (self.config.stamp_offset_s * 1e9) as i64;
+        self.sweep_at(ranges_mm, stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
+    }
+
+    /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC.
+    pub fn sweep_at(&mut self, ranges_mm: [u16; BEAMS], front_ns: u64, arrived_ns: u64) {
+        let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
+        let front_ns = front_ns.clamp(oldest_ns, arrived_ns);
+        if front_ns < self.front_ns + self.period_ns / MIN_SPACING_SHARE || self.waiting.is_some() {
+            self.dropped += 1;
+        }
+        if front_ns >= self.front_ns + self.period_ns / MIN_SPACING_SHARE {
+            let until_ns = arrived_ns + self.period_ns / WAIT_SHARE;
+            self.waiting = Some(Waiting { ranges_mm, front_ns, until_ns });
+        }
+    }
+
+    /// The sweep that waits, if its motion is known or it has waited long enough.
+    pub fn next(&mut self, now_ns: u64) -> Option<Measured> {
+        let Waiting { ranges_mm, front_ns, until_ns } = self.waiting?;
+        if !self.motions.covers(front_ns) && now_ns < until_ns {
+            return None;
+        }
+        self.waiting = None;
+        let is_known = |newest: &Motion| newest.time_ns + MAX_AHEAD_PERIODS * self.period_ns >= front_ns;
+        if !self.motions.newest().is_some_and(is_known) {
+            self.dropped += 1;
+            return None;
+        }
+        self.front_ns = front_ns;
+        self.motions.at(front_ns).map(|motion| Measured { ranges_mm, motion })
+    }
+
+    /// When [`Self::next`] gives a sweep at the latest [ns].
+    pub fn due_ns(&self) -> Option<u64> {
+        self.waiting.map(|waiting| waiting.until_ns)
+    }
+
+    /// The newest motion.
+    pub fn newest(&self) -> Option<&Motion> {
+        self.motions.newest()
+    }
+
+    /// Sweeps that were not used.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const T_NS: u64 = 100_000_000;
+    const MS: u64 = 1_000_000;
+
+    fn state(x_m: f64) -> State {
+        State { pose: [x_m, 0.0, 0.0], velocity: [1.0, 0.0, 0.0], stalled: false }
+    }
+
+    /// A server whose clock shows 3.8 s at 1000 ms here, and whose states arrive after 2 ms.
+    fn running() -> Sensing {
+        let mut sensing = Sensing::new(&Config::default(), T_NS);
+        for step in 0..20_u64 {
+            let arrived_ns = (1000 + 100 * step) * MS + 2 * MS;
+            assert!(sensing.state(&state(0.1 * step as f64), 3.8 + 0.1 * step as f64, arrived_ns));
+        }
+        sensing
+    }
+
+    #[test]
+    fn a_sweep_gets_the_state_with_its_stamp_however_late_it_arrives() {
+        let mut sensing = running();
+        sensing.sweep([700; BEAMS], 3.8 + 1.9, 2942 * MS);
+        let measured = sensing.next(2942 * MS).unwrap();
+        assert!((measured.motion.pose[0] - 1.9).abs() < 1e-4, "{:?}", measured.motion);
+        let age_ms = (2942 * MS - measured.motion.time_ns) / MS;
+        assert!((39..=41).contains(&age_ms), "{age_ms}");
+        assert_eq!(sensing.next(2943 * MS), None);
+    }
+
+    #[test]
+    fn a_sweep_waits_for_its_state_but_not_for_long() {
+        let mut sensing = running();
+        sensing.sweep([700; BEAMS], 3.8 + 1.95, 2955 * MS);
+        assert_eq!((sensing.next(2956 * MS), sensing.due_ns()), (None, Some(2980 * MS)));
+        let moved_on = sensing.next(2980 * MS).unwrap();
+        assert!((moved_on.motion.pose[0] - 1.95).abs() < 1e-3);
+        sensing.sweep([700; BEAMS], 3.8 + 2.09, 3095 * MS);
+        assert!(sensing.state(&state(2.2), 3.8 + 2.1, 3102 * MS));
+        let between = sensing.next(3102 * MS).unwrap();
+        // Interpolation places it there, the velocity of 1 m/s at 2.09 m.
+        let expected = 1.9 + 0.3 * 0.19 / 0.2;
+        assert!((between.motion.pose[0] - expected).abs() < 1e-3, "{between:?}");
+    }
+
+    #[test]
+    fn a_scan_without_a_recent_state_is_dropped_and_nothing_waits_for_it() {
+        let mut sensing = running();
+        sensing.sweep_at([700; BEAMS], 3000 * MS, 3000 * MS);
+        assert!(sensing.next(3100 * MS).is_some(), "two periods at most");
+        sensing.sweep_at([700; BEAMS], 3210 * MS, 3210 * MS);
+        assert_eq!((sensing.next(3300 * MS), sensing.due_ns(), sensing.dropped()), (None, None, 1));
+        sensing.restart();
+        sensing.sweep_at([700; BEAMS], 3400 * MS, 3400 * MS);
+        assert_eq!((sensing.next(3500 * MS), sensing.due_ns()), (None, None));
+    }
+
+    #[test]
+    fn sweeps_in_a_burst_and_stamps_of_another_clock_do_no_harm() {
+        let mut sensing = running();
+        sensing.sweep([700; BEAMS], 3.8 + 1.9, 2942 * MS);
+        assert!(sensing.next(2942 * MS).is_some());
+        sensing.sweep([700; BEAMS], 3.8 + 1.905, 2943 * MS);
+        assert_eq!((sensing.next(2990 * MS), sensing.dropped()), (None, 1));
+        for stamp_s in [1e9, -1e9, f64::NAN, f64::INFINITY, 0.0] {
+            sensing.sweep([700; BEAMS], stamp_s, 3200 * MS);
+        }
+        assert!(sensing.state(&state(2.2), 3.8 + 2.15, 3152 * MS));
+        let front_ns = sensing.next(3300 * MS).unwrap().motion.time_ns;
+        assert!((3100 * MS..=3200 * MS).contains(&front_ns), "{front_ns}");
+    }
+
+    #[test]
+    fn a_state_that_is_no_number_is_not_used() {
+        let mut sensing = running();
+        assert!(!sensing.state(&state(f64::NAN), 5.8, 3002 * MS));
+        assert!((sensing.newest().unwrap().pose[0] - 1.9).abs() < 1e-9);
+    }
+}

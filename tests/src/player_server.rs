@@ -1,0 +1,164 @@
+//! A Player 3 server with an emulated robot, written from the description of the protocol.
+//!
+//! As Stage, it has no watchdog: the robot follows the last command until another one comes, or until no client has the
+//! base open. Its scanner and its odometry are those of the emulator, without the imperfections that a calibration
+//! undoes. Faults of a server can be switched on.
+
+mod client;
+mod world;
+
+use std::net::{Ipv4Addr, TcpListener};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use emulator::Scenario;
+use runtime::{monotonic_ns, wait_for};
+use shared_types::Truth;
+
+use client::Client;
+use world::World;
+
+pub use world::Received;
+
+/// Time between two turns of the server [ns].
+const TURN_NS: u64 = 2_000_000;
+/// Bytes that are no message.
+const GARBAGE: [u8; 400] = [0xa5; 400];
+/// Messages in a turn of a server that floods.
+const FLOOD: usize = 400;
+
+/// What is wrong with the server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Fault {
+    /// Nothing.
+    None = 0,
+    /// It sends nothing more.
+    Stalls = 1,
+    /// It sends bytes that are no messages.
+    Garbage = 2,
+    /// It sends far too much.
+    Floods = 3,
+    /// It stops in the middle of a sweep.
+    HalfSweep = 4,
+}
+
+/// A running server; it ends when it is dropped.
+#[derive(Debug)]
+pub struct PlayerServer {
+    port: u16,
+    world: Arc<Mutex<World>>,
+    fault: Arc<AtomicU8>,
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl PlayerServer {
+    /// Starts a server on the loopback interface; `port` 0 takes a free one.
+    ///
+    /// # Errors
+    /// A port that is in use.
+    pub fn start(scenario: &Scenario, period_ns: u64, port: u16) -> std::io::Result<Self> {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+        listener.set_nonblocking(true)?;
+        let port = listener.local_addr()?.port();
+        let world = Arc::new(Mutex::new(World::new(scenario, period_ns)));
+        let (fault, ends) = (Arc::new(AtomicU8::new(0)), Arc::new(AtomicBool::new(false)));
+        let server = Server {
+            port,
+            listener,
+            world: Arc::clone(&world),
+            fault: Arc::clone(&fault),
+            clients: Vec::new(),
+        };
+        let its_end = Arc::clone(&ends);
+        let thread = std::thread::Builder::new().spawn(move || server.run(&its_end))?;
+        Ok(Self { port, world, fault, ends, thread: Some(thread) })
+    }
+
+    /// The port that it listens on.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// The true state at the newest scan.
+    pub fn truth(&self) -> Truth {
+        locked(&self.world).truth
+    }
+
+    /// The true speed now [m/s].
+    pub fn speed_mps(&self) -> f64 {
+        locked(&self.world).speed_mps()
+    }
+
+    /// What was received since the start, with the time on CLOCK_MONOTONIC [ns].
+    pub fn received(&self) -> Vec<(u64, Received)> {
+        locked(&self.world).received.clone()
+    }
+
+    /// Switches a fault on, or all off.
+    pub fn set_fault(&self, fault: Fault) {
+        self.fault.store(fault as u8, Ordering::SeqCst);
+    }
+}
+
+impl Drop for PlayerServer {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::SeqCst);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+fn locked(world: &Mutex<World>) -> MutexGuard<'_, World> {
+    world.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The thread of a server.
+struct Server {
+    port: u16,
+    listener: TcpListener,
+    world: Arc<Mutex<World>>,
+    fault: Arc<AtomicU8>,
+    clients: Vec<Client>,
+}
+
+impl Server {
+    fn run(mut self, ends: &AtomicBool) {
+        while !ends.load(Ordering::SeqCst) {
+            wait_for(&[], TURN_NS);
+            self.turn();
+        }
+    }
+
+    fn turn(&mut self) {
+        let mut world = locked(&self.world);
+        if let Ok((stream, _)) = self.listener.accept() {
+            self.clients.extend(Client::new(stream, self.port, world.time_s()));
+        }
+        let fault = self.fault.load(Ordering::SeqCst);
+        self.clients.retain_mut(|client| client.serve(&mut world).is_ok());
+        world.is_open = self.clients.iter().any(Client::has_base);
+        let data = world.advance(monotonic_ns());
+        drop(world);
+        for client in &mut self.clients {
+            match (&data, fault) {
+                (Some(data), 0) => client.deliver(data),
+                (Some(data), 4) => {
+                    client.deliver_half(data);
+                    self.fault.store(Fault::Stalls as u8, Ordering::SeqCst);
+                }
+                (_, 2) => client.send(&GARBAGE),
+                (_, 3) => (0..FLOOD).for_each(|_| client.send(&GARBAGE_FREE)),
+                _ => {}
+            }
+        }
+    }
+}
+
+/// A header of a message without payload, of an interface that no client knows.
+const GARBAGE_FREE: [u8; 40] = {
+    let mut bytes = [0; 40];
+    (bytes[11], bytes[19], bytes[23]) = (99, 1, 1);
+    bytes
+};

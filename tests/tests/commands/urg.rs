@@ -1,0 +1,102 @@
+//! `scanloop urg` with its own emulated scanner at the other end of the line.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::process::{Child, Stdio};
+
+use scanloop_tests::System;
+use serde_json::Value;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// An emulated scanner; dropping it ends it.
+struct Scanner {
+    process: Child,
+    place: String,
+}
+
+impl Scanner {
+    fn start(system: &System, arguments: &[&str]) -> Self {
+        let mut command = system.command(&[&["urg", "emulate", "--duration", "60"], arguments].concat());
+        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut place = String::new();
+        BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut place).unwrap();
+        Self { process, place: place.trim().to_owned() }
+    }
+}
+
+impl Drop for Scanner {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[test]
+fn info_prints_what_a_scanner_tells_about_itself() {
+    let system = System::new(EXECUTABLE);
+    let scanner = Scanner::start(&system, &["--tcp", "127.0.0.1:0"]);
+    let output = system.run(&["urg", "info", "--json", "--tcp", &scanner.place]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let info: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&info["model"], &info["fits"]), (&"URG-04LX(emulated)".into(), &true.into()));
+    assert_eq!((&info["version"]["SERI"], &info["state"]["LASR"]), (&"E0000001".into(), &"OFF".into()));
+}
+
+#[test]
+fn a_log_has_the_columns_of_the_coreslam_logs() {
+    let system = System::new(EXECUTABLE);
+    let scanner = Scanner::start(&system, &["--fault", "checksum@0"]);
+    let arguments = ["urg", "log", "--device", &scanner.place, "-n", "6", "scans.dat"];
+    let output = system.run(&arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{message}");
+    let text = std::fs::read_to_string(system.folder().join("scans.dat")).unwrap();
+    let rows: Vec<Vec<u64>> =
+        text.lines().map(|line| line.split(' ').map(|value| value.parse().unwrap()).collect()).collect();
+    assert_eq!((rows.len(), rows[0].len()), (6, 707));
+    assert!(rows.iter().all(|row| row[24 + 340] == 3000 || row[6] == 1), "{message}");
+    assert_eq!(rows.iter().map(|row| row[6]).sum::<u64>(), 1, "the damaged one is marked: {message}");
+    for pair in rows.windows(2) {
+        let (stamped_us, mapped_us) = ((pair[1][4] - pair[0][4]) * 1000, pair[1][0] - pair[0][0]);
+        assert!(stamped_us.abs_diff(mapped_us) <= pair[0][5] + pair[1][5], "{stamped_us} {mapped_us}");
+    }
+}
+
+#[test]
+fn a_plot_shows_the_room() {
+    let system = System::new(EXECUTABLE);
+    let scanner = Scanner::start(&system, &[]);
+    let output = system.run(&["urg", "plot", "--device", &scanner.place, "-n", "1"]);
+    let picture = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success() && picture.starts_with("scan 1: 3.000 m ahead, 100 %"), "{picture}");
+    assert!(picture.contains('o') && picture.contains('\u{2809}'), "{picture}");
+}
+
+#[test]
+fn a_scanner_that_is_not_there_or_does_not_answer_is_named() {
+    let system = System::new(EXECUTABLE);
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let silent_place = silent.local_addr().unwrap().to_string();
+    let closed = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    for (arguments, exit, names) in [
+        (&["urg", "info", "--tcp", &closed][..], 2, &[closed.as_str(), "Connection refused"][..]),
+        (&["urg", "plot", "--device", "/dev/no-scanner"], 2, &["/dev/no-scanner", "No such file"]),
+        (&["urg", "log", "--device", "/dev/null", "file"], 2, &["/dev/null", "is no serial line"]),
+        (&["urg", "info", "--tcp", "nowhere"], 2, &["nowhere", "HOST:PORT"]),
+        (&["urg", "info"], 2, &["--device", "--tcp"]),
+        (&["urg", "plot", "--tcp", &closed, "--range", "0"], 2, &["--range 0", "0.1 to 100"]),
+        (&["urg", "log", "--tcp", &closed, "--duration", "0", "file"], 2, &["--duration 0"]),
+        (&["urg", "emulate", "--fault", "fire@3"], 2, &["fire@3", "half-scan"]),
+        (&["urg", "info", "--tcp", &silent_place], 2, &["does not answer QT"]),
+    ] {
+        let output = system.run(arguments);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(exit), "{arguments:?}: {message}");
+        for name in names {
+            assert!(message.contains(name), "{arguments:?}: `{name}` is missing in: {message}");
+        }
+    }
+    assert!(!system.folder().join("file").exists());
+}
