@@ -1,11 +1,13 @@
 //! `soak`: thousands of swaps, kills and stops in several systems at once, until one of them shows a fault.
 //! `soak operator`: random actions of an operator, one live drive after the other.
+//! `soak long`: hours of driving with scanner faults, swaps and, in real time, kills.
 //!
 //! The program is its own `scanloop`: the processes that it starts are itself.
 
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
+use scanloop_tests::long_drive::{LONGEST_S, LongTally, Plan, drive};
 use scanloop_tests::operator::{place, quantile, trial};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
@@ -46,6 +48,25 @@ struct Arguments {
 enum Campaign {
     /// Random actions of an operator during live drives; exit code 1 when one does not end as it must.
     Operator(OperatorArguments),
+    /// Hours of driving with faults under way; exit code 1 when something grows or is unexplained.
+    Long(LongArguments),
+}
+
+/// Arguments of `long`.
+#[derive(Debug, Args)]
+struct LongArguments {
+    /// Driven time in all [h].
+    #[arg(long, value_name = "H", default_value_t = 24.0)]
+    hours: f64,
+    /// Scans per second; without it 10, or 100 with `--live` [Hz].
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// In real time, with kills and stops of processes.
+    #[arg(long)]
+    live: bool,
+    /// Seed of the first drive; the others count on from it.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
 }
 
 /// Arguments of `operator`.
@@ -72,8 +93,10 @@ fn main() -> std::process::ExitCode {
         return std::process::ExitCode::FAILURE;
     };
     let executable = executable.to_string_lossy().into_owned();
-    if let Some(Campaign::Operator(arguments)) = &arguments.campaign {
-        return operator(arguments, &executable);
+    match &arguments.campaign {
+        Some(Campaign::Operator(arguments)) => return operator(arguments, &executable),
+        Some(Campaign::Long(arguments)) => return long(arguments, &executable),
+        None => {}
     }
     for _ in 0..arguments.load {
         std::thread::spawn(|| {
@@ -111,6 +134,27 @@ fn operator(arguments: &OperatorArguments, executable: &str) -> std::process::Ex
     }
     println!("{} trials, {failed} failed", arguments.trials);
     if failed > 0 { std::process::ExitCode::FAILURE } else { std::process::ExitCode::SUCCESS }
+}
+
+/// Drives until the hours are over, with a line for each drive.
+fn long(arguments: &LongArguments, executable: &str) -> std::process::ExitCode {
+    let LongArguments { hours, live, .. } = *arguments;
+    let rate_hz = arguments.rate.unwrap_or(if live { 100.0 } else { 10.0 });
+    let mut tally = LongTally::default();
+    for seed in arguments.seed.. {
+        let left_s = hours * 3600.0 - tally.driven_s;
+        if left_s < 1.0 {
+            break;
+        }
+        drive(
+            executable,
+            &Plan { seed, duration_s: left_s.clamp(30.0, LONGEST_S), rate_hz, live },
+            &mut tally,
+        );
+        println!("seed {seed}: {tally}");
+    }
+    tally.problems.iter().for_each(|problem| eprintln!("error: {problem}"));
+    if tally.problems.is_empty() { std::process::ExitCode::SUCCESS } else { std::process::ExitCode::FAILURE }
 }
 
 /// All systems; what was done, and how many of them showed a fault.

@@ -2,6 +2,7 @@
 
 pub mod audit;
 mod delays;
+pub mod long_drive;
 pub mod namespace;
 pub mod operator;
 pub mod player_server;

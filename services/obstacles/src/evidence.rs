@@ -36,6 +36,8 @@ const COMPARISON_S: f64 = 0.045;
 const LATELY_S: f64 = 1.0;
 /// Way and turn after which what does not move is kept anew for comparison [m, rad].
 const KEYFRAME: (f64, f64) = (0.25, 0.06);
+/// Most returns of a scan are missing when another one has this many times as many.
+const OUTAGE: usize = 2;
 /// A scan with less than this share of the predicted ranges contradicts the one before ...
 const CONTRADICTION: f64 = 0.2;
 /// ... when so many returns came where some were predicted.
@@ -227,7 +229,12 @@ impl Evidence {
         let (way, turn) = self.keyframe.moved(place);
         // A scan in which something seems to fail is no base for comparison before that was judged.
         let limit = if sectors::may_fail(&counts) { 2.0 } else { 1.0 };
-        if (way > limit * KEYFRAME.0 || turn > limit * KEYFRAME.1) && !self.is_empty {
+        let (returns, kept) = (points.len(), self.keyframe.points().len());
+        // Nor is one in which most returns are missing suddenly: the robot may come to rest before they come again, and
+        // would then find no evidence in any direction of which that scan showed nothing.
+        let limit = if OUTAGE * returns < kept { 3.0 } else { limit };
+        let has_recovered = returns > OUTAGE * kept;
+        if (way > limit * KEYFRAME.0 || turn > limit * KEYFRAME.1 || has_recovered) && !self.is_empty {
             if way < 3.0 * KEYFRAME.0 && turn < 4.0 * KEYFRAME.1 {
                 index_beams(points, &mut self.index_of);
                 self.calibration.add(&self.keyframe, beams, (place, points), &self.index_of);

@@ -1,5 +1,6 @@
 //! A short soak in every run of the tests; the long one is the program `soak`.
 
+use scanloop_tests::long_drive::{LongTally, Plan, drive};
 use scanloop_tests::soak::{faults, swap_in_lockstep, swap_live};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -20,4 +21,12 @@ fn whatever_is_killed_or_stopped_the_robot_drives_on_or_rests() {
     assert_eq!((tally.kills, tally.stops), (24, 10));
     assert_eq!(tally.went_on + tally.came_to_rest, 34);
     assert!(tally.adopted > 0 && tally.alone > 0, "{tally:?}");
+}
+
+#[test]
+fn nothing_grows_or_is_unexplained_in_a_drive_with_scanner_faults_and_swaps() {
+    let mut tally = LongTally::default();
+    drive(EXECUTABLE, &Plan { seed: 9, duration_s: 1800.0, rate_hz: 10.0, live: false }, &mut tally);
+    assert_eq!(tally.problems, Vec::<String>::new(), "{tally}");
+    assert!(tally.scanner_faults > 15 && tally.swaps > 0 && tally.stopped_by_scanner == 0, "{tally}");
 }

@@ -121,6 +121,24 @@ fn a_blind_scanner_is_the_reason_of_the_stop_and_does_not_last() {
 }
 
 #[test]
+fn an_outage_that_leaves_some_returns_is_over_when_they_come_again() {
+    for (from_s, to_s, share) in [(2.6, 3.1, 0.8), (3.0, 5.0, 0.9), (4.1, 4.5, 0.95), (5.3, 8.0, 0.85)] {
+        let keys = format!("dropout_steps = [[{from_s}, {share}], [{to_s}, 0]]");
+        let end = with_scanner("corridor", "summit", 1, &keys);
+        assert_eq!(end.outcome, Outcome::Reached, "{keys}: {}", end.reason);
+    }
+}
+
+#[test]
+fn a_front_that_is_covered_during_an_outage_stays_unseen() {
+    for seed in [508_713, 2, 3, 4, 5, 6] {
+        let keys = "dead_rad = [[-0.780, 0.749]]\nfrom_s = 3.3\ndropout_steps = [[3.3, 0.9], [6, 0]]";
+        let covered = with_scanner("sudden", "ideal", seed, keys);
+        assert!(covered.is_untouched(), "seed {seed}: {covered:?}");
+    }
+}
+
+#[test]
 fn in_open_surroundings_the_robot_is_careful() {
     let text = "name = \"open\"\ntimeout_s = 90\n[track]\nsurroundings = \"open\"\n[goal]\nx_m = 4\n";
     let (mut fastest, mut scans) = (0.0_f64, 0);

@@ -1,0 +1,305 @@
+//! Hours of driving with faults, kills and swaps under way: nothing grows, and everything that happened is reported.
+//!
+//! A *drive* is one run of `endless` whose scanner fails again and again. In lock-step its processes are swapped; in real
+//! time they are also killed and stopped. A seed decides what happens; the exact moments depend on the machine.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use emulator::Outcome;
+use handover::swap::{Certificate, SwapOutcome};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use report::Report;
+use rustix::process::Signal;
+use shared_types::Role;
+
+use crate::swaps::BUILT_IN;
+use crate::{System, Watch};
+
+/// One drive is at most this long: it has to end before the track of 10 km does [s].
+pub const LONGEST_S: f64 = 9500.0;
+/// Scanner faults are this far apart on average [s].
+const FAULT_EVERY_S: f64 = 73.0;
+/// Roles that are killed: the run goes on without them for a moment.
+const KILLED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
+/// Growth of memory, descriptors and files that is allowed from the first to the last quarter of a drive.
+const GROWTH_MAX: f64 = 1.05;
+/// Time between two samples of what the processes use.
+const SAMPLE_EVERY: Duration = Duration::from_secs(1);
+
+/// What happens in one drive.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Seed of the drive.
+    pub seed: u64,
+    /// Driven time [s].
+    pub duration_s: f64,
+    /// Scans per second [Hz].
+    pub rate_hz: f64,
+    /// Whether processes run in real time and die.
+    pub live: bool,
+}
+
+impl Plan {
+    /// Keys of the scenario that give the scanner its faults, and how many of these there are.
+    pub fn faults(&self) -> (Vec<String>, usize) {
+        let mut dice = Pcg64::seed_from_u64(self.seed);
+        let mut steps = Vec::new();
+        let mut at_s = dice.random_range(5.0..FAULT_EVERY_S);
+        while at_s + 5.0 < self.duration_s {
+            let share = [0.3, 0.6, 0.9, 1.0][dice.random_range(0..4)];
+            let lasts_s = dice.random_range(0.3..3.0);
+            steps.push(format!("[{at_s:.2}, {share}], [{:.2}, 0]", at_s + lasts_s));
+            at_s += dice.random_range(0.5..1.5) * FAULT_EVERY_S;
+        }
+        let count = steps.len();
+        let mut keys = vec![format!("scanner.dropout_steps=[{}]", steps.join(", "))];
+        keys.extend(match dice.random_range(0..5) {
+            0 => Some("scanner.missing_every=50".to_owned()),
+            1 => Some("scanner.dust=0.005".to_owned()),
+            2 => Some("scanner.salt=0.005".to_owned()),
+            3 => Some(format!("scanner.stamp_jitter_s={}", 0.1 / self.rate_hz)),
+            _ => None,
+        });
+        (keys, count)
+    }
+}
+
+/// What was done and seen in all drives.
+#[derive(Debug, Clone, Default)]
+pub struct LongTally {
+    /// Drives.
+    pub drives: usize,
+    /// Driven time [s].
+    pub driven_s: f64,
+    /// Scanner faults.
+    pub scanner_faults: usize,
+    /// Drives that the robot ended at rest because of its scanner.
+    pub stopped_by_scanner: usize,
+    /// Swaps that were completed.
+    pub swaps: usize,
+    /// Processes that were killed or stopped.
+    pub kills: usize,
+    /// Scans that were published, and those without a command by reason.
+    pub scans: u64,
+    /// See `scans`.
+    pub lost: BTreeMap<String, u64>,
+    /// Largest growth of resident memory, of open descriptors and of files in shared memory over a drive.
+    pub growth: [f64; 3],
+    /// What must not happen, by the seed of the drive.
+    pub problems: Vec<String>,
+}
+
+impl fmt::Display for LongTally {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { drives, driven_s, scanner_faults, stopped_by_scanner, swaps, kills, scans, lost, .. } =
+            self;
+        let [memory, descriptors, files] = self.growth;
+        write!(
+            out,
+            "{drives} drives, {driven_s:.0} s, {scans} scans, {lost:?} lost; {scanner_faults} scanner faults, \
+             {stopped_by_scanner} stops by them; {swaps} swaps, {kills} kills; growth of memory {memory:.3}, \
+             descriptors {descriptors:.3}, files {files:.3}; {} problems",
+            self.problems.len()
+        )
+    }
+}
+
+/// Drives once and adds what happened.
+///
+/// # Panics
+/// When the system can't be started or asked.
+pub fn drive(executable: &str, plan: &Plan, tally: &mut LongTally) {
+    let (keys, faults) = plan.faults();
+    let mut system = System::new(executable);
+    let (duration, rate) = (format!("{:.0}", plan.duration_s), format!("rate_hz={}", plan.rate_hz));
+    let mut arguments = vec!["endless", "--duration", &duration, "--set", &rate];
+    for key in &keys {
+        arguments.extend(["--set", key]);
+    }
+    if !plan.live {
+        arguments.push("--lockstep");
+    }
+    let seed = plan.seed.to_string();
+    arguments.extend(["--seed", &seed]);
+    system.start(&arguments);
+    let mut use_of_machine = Vec::new();
+    let (mut swaps, mut kills) = (0, BTreeMap::new());
+    let mut dice = Pcg64::seed_from_u64(plan.seed ^ 0x5a5a);
+    let watch = plan.live.then(|| Watch::new(&system));
+    let mut sampled = Instant::now();
+    let mut strike_at = Instant::now() + Duration::from_secs(5);
+    let mut problems = Vec::new();
+    while let Some(usage) = usage(&system) {
+        if sampled.elapsed() > SAMPLE_EVERY {
+            use_of_machine.push(usage);
+            sampled = Instant::now();
+        }
+        if let Some(watch) = watch.as_ref().filter(|_| strike_at.elapsed() > Duration::ZERO) {
+            strike_at = Instant::now() + Duration::from_millis(dice.random_range(4_000..12_000));
+            let role = KILLED[dice.random_range(0..KILLED.len())];
+            let signal = if dice.random_range(0..3) == 0 { Signal::STOP } else { Signal::KILL };
+            if strike(&system, watch, role, signal) {
+                *kills.entry(role).or_insert(0_u32) += 1;
+            }
+        }
+        let (role, implementation) = BUILT_IN[dice.random_range(0..BUILT_IN.len())];
+        let shadow = dice.random_range(1..20).to_string();
+        let arguments = [role.name(), "--to", implementation, "--shadow-scans", &shadow];
+        if system.status().is_none_or(|status| status.state != "driving") {
+            break;
+        }
+        match try_swap(&system, &arguments) {
+            Ok(true) => swaps += 1,
+            Ok(false) => {}
+            Err(problem) => problems.push(problem),
+        }
+        std::thread::park_timeout(Duration::from_millis(500));
+    }
+    let code = system.wait().code();
+    let report = system.report();
+    problems.extend(judge(&report, code, swaps, &kills));
+    if let Some(watch) = &watch {
+        problems
+            .extend(watch.all().iter().find(|truth| truth.collided != 0).map(|truth| format!("{truth:?}")));
+    }
+    drop(watch);
+    system.assert_nothing_left();
+    let growth = growth(&use_of_machine);
+    for (index, what) in ["memory", "descriptors", "files"].iter().enumerate() {
+        tally.growth[index] = tally.growth[index].max(growth[index]);
+        if growth[index] > GROWTH_MAX {
+            problems.push(format!("{what} grew to {:.3} times", growth[index]));
+        }
+    }
+    tally.drives += 1;
+    tally.driven_s += report.duration_s;
+    tally.scanner_faults += faults * usize::from(report.outcome != Outcome::Stopped);
+    tally.stopped_by_scanner += usize::from(report.outcome == Outcome::Stopped);
+    tally.swaps += swaps;
+    tally.kills += kills.values().map(|count| *count as usize).sum::<usize>();
+    tally.scans += report.scans.published;
+    for (reason, count) in &report.scans.lost_reasons {
+        *tally.lost.entry(reason.clone()).or_default() += count;
+    }
+    tally.problems.extend(problems.into_iter().map(|problem| format!("seed {}: {problem}", plan.seed)));
+}
+
+/// What a report says that must not be.
+fn judge(report: &Report, code: Option<i32>, swaps: usize, kills: &BTreeMap<Role, u32>) -> Vec<String> {
+    let mut problems = Vec::new();
+    let stopped_by_scanner = report.outcome == Outcome::Stopped && report.reason.contains("scanner");
+    if code != Some(1) || (report.outcome != Outcome::Timeout && !stopped_by_scanner) {
+        problems.push(format!("code {code:?}, {:?}: {}", report.outcome, report.reason));
+    }
+    if report.scans.unaccounted != 0 || report.ledger.residual != 0 {
+        let (scans, samples) = (report.scans.unaccounted, report.ledger.residual);
+        problems.push(format!("{scans} scans and {samples} samples unaccounted"));
+    }
+    let reported =
+        report.swaps.iter().filter(|certificate| certificate.outcome == SwapOutcome::Swapped).count();
+    // The run may end before the command of its last swap has its answer.
+    if !(swaps..=swaps + 1).contains(&reported) {
+        problems.push(format!("{swaps} swaps, {reported} in the report"));
+    }
+    for process in &report.processes {
+        let killed =
+            kills.iter().find(|(role, _)| role.name() == process.role).map_or(0, |(_, count)| *count);
+        if process.restarts != killed {
+            problems.push(format!("{}: {killed} kills, {} restarts", process.role, process.restarts));
+        }
+    }
+    let blind_s = report.drive.truth.map_or(0.0, |truth| truth.longest_blind_s);
+    let period_s = report.duration_s / (report.scans.published.max(1) as f64);
+    if blind_s > 3.0 * period_s * 1.01 {
+        problems.push(format!("wheels turned for {blind_s} s without an actuation"));
+    }
+    problems
+}
+
+/// Kills or stops a process and waits until another one answers; false when the run ended before.
+fn strike(system: &System, watch: &Watch, role: Role, signal: Signal) -> bool {
+    let Some(status) = system.status() else { return false };
+    let Some(row) = status.processes.iter().find(|row| row.role == role && row.pid != 0) else {
+        return false;
+    };
+    let (pid, before) = (row.pid, watch.newest());
+    system.signal(pid, signal);
+    let before = before.map_or(0, |truth| truth.header.scan_id);
+    system.wait_until("another one answers", |system| {
+        let status = system.status();
+        let is_new = status.as_ref().is_some_and(|status| {
+            let mut rows = status.processes.iter().filter(|row| row.role == role);
+            rows.any(|row| row.pid != pid && row.pid != 0 && row.state.name() == "ready")
+        });
+        system.find().is_none() || is_new && watch.newest().is_some_and(|now| now.actuation_scan > before + 2)
+    });
+    system.find().is_some()
+}
+
+/// Whether a swap was completed; an error when it missed a scan. A run that ended has no answer.
+fn try_swap(system: &System, arguments: &[&str]) -> Result<bool, String> {
+    let output = system.run(&[&["swap", "--json"], arguments].concat());
+    let Ok(certificate) = serde_json::from_slice::<Certificate>(&output.stdout) else {
+        return Ok(false);
+    };
+    if (certificate.missed_scans, certificate.duplicate_scans) != (0, 0) {
+        return Err(format!("a swap was not seamless: {certificate:?}"));
+    }
+    Ok(certificate.outcome == SwapOutcome::Swapped)
+}
+
+/// Resident memory of all processes of the system [KiB], their open descriptors, and the files of its run in shared memory.
+fn usage(system: &System) -> Option<[f64; 3]> {
+    let domain = system.find()?;
+    let pids = system.processes();
+    let memory_kib = |pid: &i32| -> Option<u64> {
+        let text = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+        let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
+        line.split_whitespace().next()?.parse().ok()
+    };
+    let descriptors = |pid: &i32| std::fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, Iterator::count);
+    let files = std::fs::read_dir("/dev/shm").ok()?.flatten();
+    let files = files.filter(|entry| entry.file_name().to_string_lossy().contains(domain.run_id())).count();
+    let memory: u64 = pids.iter().filter_map(memory_kib).sum();
+    let descriptors: usize = pids.iter().map(descriptors).sum();
+    Some([memory as f64, descriptors as f64, files as f64])
+}
+
+/// Median of the last quarter over that of the second one, after which everything has been used once; 1 without samples.
+fn growth(samples: &[[f64; 3]]) -> [f64; 3] {
+    let quarter = samples.len() / 4;
+    if quarter < 3 {
+        return [1.0; 3];
+    }
+    let median = |range: &[[f64; 3]], index: usize| {
+        let mut values: Vec<f64> = range.iter().map(|sample| sample[index]).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    let (early, late) = (&samples[quarter..2 * quarter], &samples[samples.len() - quarter..]);
+    [0, 1, 2].map(|index| median(late, index) / median(early, index).max(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn growth_is_the_late_median_over_the_early_one() {
+        let samples: Vec<[f64; 3]> =
+            (0..40).map(|n| [100.0, if n < 20 { 10.0 } else { 12.0 }, 5.0]).collect();
+        assert_eq!(growth(&samples), [1.0, 1.2, 1.0]);
+        assert_eq!(growth(&samples[..8]), [1.0; 3], "too few to tell");
+    }
+
+    #[test]
+    fn a_seed_gives_its_faults_and_they_end_before_the_drive() {
+        let plan = Plan { seed: 3, duration_s: 1000.0, rate_hz: 10.0, live: false };
+        let (keys, count) = plan.faults();
+        assert_eq!((keys.clone(), count), plan.faults());
+        assert!((8..30).contains(&count), "{keys:?}");
+    }
+}
