@@ -13,7 +13,7 @@
 //!
 //! What a reader that was killed did after its last heartbeat is not known: those samples count as lost.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
 use shared_types::{Header, InputAccount, Role, Span, Topic};
@@ -22,6 +22,9 @@ use super::TIMEOUT_NS;
 use super::fault::{Fault, Kind};
 use super::rows::LedgerRow;
 use super::stream::{NAMED, Seen, Stream};
+
+/// This long after the end of a process nothing of it can come any more [ns].
+const SETTLED_NS: u64 = 25 * TIMEOUT_NS;
 
 /// The ledger of one topic.
 #[derive(Debug, Clone)]
@@ -32,6 +35,7 @@ pub struct TopicLedger {
     readers: BTreeMap<u32, Reader>,
     /// Processes that read the topic and send no counters.
     silent: BTreeMap<u32, SilentReader>,
+    settled: Settled,
     before_ns: u64,
     now_ns: u64,
 }
@@ -68,6 +72,17 @@ struct SilentReader {
 struct ReaderEnd {
     newest: BTreeMap<u32, u64>,
     is_death: bool,
+    ended_ns: u64,
+}
+
+/// What can't change any more.
+#[derive(Debug, Clone, Default)]
+struct Settled {
+    rows: BTreeMap<Role, LedgerRow>,
+    /// The largest number of a writer that was for a reader of the role that is settled.
+    covered: BTreeMap<(Role, u32), u64>,
+    writers: BTreeSet<u32>,
+    unobserved: u64,
 }
 
 /// The counters of one input in a heartbeat.
@@ -99,6 +114,7 @@ impl TopicLedger {
             streams: BTreeMap::new(),
             readers: BTreeMap::new(),
             silent: BTreeMap::new(),
+            settled: Settled::default(),
             before_ns: 0,
             now_ns: 0,
         }
@@ -166,7 +182,9 @@ impl TopicLedger {
         (reader.polled_ns, reader.counters) = (polled_ns, *counters);
         reader.notice();
         (reader.from_start, reader.connected_ns) = (from_start, connected_ns);
-        for span in counters.writers.iter().filter(|span| span.incarnation != 0) {
+        let is_open =
+            |span: &&Span| span.incarnation != 0 && !self.settled.writers.contains(&span.incarnation);
+        for span in counters.writers.iter().filter(is_open) {
             let Reader { spans, begun, .. } = &mut *reader;
             let known = spans.entry(span.incarnation).or_insert_with(|| {
                 if span.first > 1 && span.count() < self.capacity {
@@ -189,7 +207,7 @@ impl TopicLedger {
             stream.ended(now_ns, is_death);
         }
         let newest = self.streams.iter().map(|(writer, stream)| (*writer, stream.newest())).collect();
-        let end = ReaderEnd { newest, is_death };
+        let end = ReaderEnd { newest, is_death, ended_ns: now_ns };
         if let Some(reader) = self.silent.get_mut(&incarnation) {
             reader.end.get_or_insert(end);
         } else if let Some(reader) = self.readers.get_mut(&incarnation) {
@@ -208,12 +226,14 @@ impl TopicLedger {
         for reader in readers.values_mut() {
             reader.reconcile(*topic, streams, &mut faults);
         }
+        self.settle();
         faults
     }
 
     /// Counts per role that reads the topic, as if the run had ended now.
     pub fn rows(&self) -> Vec<LedgerRow> {
         let mut roles: Vec<Role> = self.readers.values().map(|reader| reader.role).collect();
+        roles.extend(self.settled.rows.keys());
         roles.sort_unstable();
         roles.dedup();
         roles.into_iter().map(|role| self.row(role)).collect()
@@ -221,46 +241,87 @@ impl TopicLedger {
 
     /// Samples that only their readers counted, because the orchestrator polled too late.
     pub fn unobserved(&self) -> u64 {
-        self.streams.values().map(|stream| stream.unobserved).sum()
+        self.settled.unobserved + self.streams.values().map(|stream| stream.unobserved).sum::<u64>()
     }
 
     fn row(&self, role: Role) -> LedgerRow {
-        let mut row = LedgerRow {
-            topic: self.topic.name().to_owned(),
-            reader: role.name().to_owned(),
-            ..LedgerRow::default()
-        };
-        let mut covered: BTreeMap<u32, u64> = BTreeMap::new();
+        let mut row = self.settled.rows.get(&role).cloned().unwrap_or_default();
+        (row.topic, row.reader) = (self.topic.name().to_owned(), role.name().to_owned());
+        let mut covered = self.settled.covered.clone();
         for (&incarnation, reader) in self.readers.iter().filter(|(_, reader)| reader.role == role) {
-            let counters = &reader.counters;
-            row.published += reader.spans.values().map(Span::count).sum::<u64>();
-            row.used += counters.used;
-            row.replaced += counters.by_policy();
-            row.duplicates += counters.duplicate;
-            row.reordered += counters.reordered;
-            let mut waiting = [0, counters.waiting];
-            for (&writer, stream) in &self.streams {
-                let span = reader.spans.get(&writer);
-                // Samples that a dead reader had not received may have been published before its successor came.
-                if let (Some(span), Some(end)) = (span, covered.get(&writer)) {
-                    let end = self.silent_until(role, incarnation, writer, stream).max(*end);
-                    let gap = span.first.saturating_sub(end + 1);
-                    (row.published, row.lost) = (row.published + gap, row.lost + gap);
-                }
-                let newest = newest_for(reader.end.as_ref(), writer, stream);
-                let tail = reader.last(writer, stream).map_or(0, |last| newest.saturating_sub(last));
-                row.published += tail;
-                let is_lost = stream.ended_ns.is_some_and(|ended_ns| reader.polled_ns > ended_ns);
-                waiting[usize::from(!is_lost)] += tail;
-                let end = span.map_or(0, |span| span.last).max(newest);
-                covered.entry(writer).and_modify(|known| *known = end.max(*known)).or_insert(end);
-            }
-            let is_death = reader.end.as_ref().is_some_and(|end| end.is_death);
-            row.lost += waiting[0] + if is_death { waiting[1] } else { 0 };
-            row.in_flight += if is_death { 0 } else { waiting[1] };
+            self.account(incarnation, reader, self.streams.iter(), &mut covered, &mut row);
+            reader.account(&self.streams, &mut row);
         }
         row.residual = row.published.saturating_sub(row.used + row.replaced + row.lost + row.in_flight);
         row
+    }
+
+    /// Adds what became of the samples of these writers at one reader. `covered` are the largest numbers of each writer that
+    /// were for earlier readers of the role.
+    fn account<'a>(
+        &self,
+        incarnation: u32,
+        reader: &Reader,
+        streams: impl Iterator<Item = (&'a u32, &'a Stream)>,
+        covered: &mut BTreeMap<(Role, u32), u64>,
+        row: &mut LedgerRow,
+    ) {
+        let role = reader.role;
+        let is_death = reader.end.as_ref().is_some_and(|end| end.is_death);
+        for (&writer, stream) in streams {
+            let span = reader.spans.get(&writer);
+            row.published += span.map_or(0, Span::count);
+            // Samples that a dead reader had not received may have been published before its successor came.
+            if let (Some(span), Some(end)) = (span, covered.get(&(role, writer))) {
+                let end = self.silent_until(role, incarnation, writer, stream).max(*end);
+                let gap = span.first.saturating_sub(end + 1);
+                (row.published, row.lost) = (row.published + gap, row.lost + gap);
+            }
+            let newest = newest_for(reader.end.as_ref(), writer, stream);
+            let tail = reader.last(writer, stream).map_or(0, |last| newest.saturating_sub(last));
+            row.published += tail;
+            let is_lost = stream.ended_ns.is_some_and(|ended_ns| reader.polled_ns > ended_ns);
+            *(if is_lost || is_death { &mut row.lost } else { &mut row.in_flight }) += tail;
+            let end = span.map_or(0, |span| span.last).max(newest);
+            covered.entry((role, writer)).and_modify(|known| *known = end.max(*known)).or_insert(end);
+        }
+    }
+
+    /// Adds up what can't change any more, so that a run with any number of swaps needs no more memory: readers that ended
+    /// after all those before them, then writers that ended.
+    fn settle(&mut self) {
+        let is_old = |ended_ns: u64, now_ns: u64| now_ns > ended_ns.saturating_add(SETTLED_NS);
+        let mut settled = std::mem::take(&mut self.settled);
+        let mut first_of = BTreeMap::new();
+        self.readers.iter().for_each(|(incarnation, reader)| {
+            first_of.entry(reader.role).or_insert(*incarnation);
+        });
+        for (role, incarnation) in first_of {
+            let reader = &self.readers[&incarnation];
+            if reader.end.as_ref().is_some_and(|end| is_old(end.ended_ns, self.now_ns)) {
+                let row = settled.rows.entry(role).or_default();
+                self.account(incarnation, reader, self.streams.iter(), &mut settled.covered, row);
+                reader.account(&self.streams, row);
+                self.readers.remove(&incarnation);
+            }
+        }
+        let is_settled =
+            |stream: &Stream| stream.ended_ns.is_some_and(|ended_ns| is_old(ended_ns, self.now_ns));
+        let writers = self.streams.iter().filter(|(_, stream)| is_settled(stream)).map(|(writer, _)| *writer);
+        for writer in writers.collect::<Vec<_>>() {
+            for (&incarnation, reader) in &self.readers {
+                let row = settled.rows.entry(reader.role).or_default();
+                let stream = self.streams.get_key_value(&writer);
+                self.account(incarnation, reader, stream.into_iter(), &mut settled.covered, row);
+            }
+            settled.unobserved += self.streams.remove(&writer).map_or(0, |stream| stream.unobserved);
+            settled.covered.retain(|(_, of), _| *of != writer);
+            settled.writers.insert(writer);
+            self.readers.values_mut().for_each(|reader| reader.forget(writer));
+            let ends = self.silent.values_mut().filter_map(|reader| reader.end.as_mut());
+            ends.for_each(|end| _ = end.newest.remove(&writer));
+        }
+        self.settled = settled;
     }
 
     /// The largest number of a writer that was for a reader without counters before `incarnation`.
@@ -276,6 +337,28 @@ fn newest_for(end: Option<&ReaderEnd>, writer: u32, stream: &Stream) -> u64 {
 }
 
 impl Reader {
+    /// Adds what this reader counted, and the samples of writers that are not among `streams`.
+    fn account(&self, streams: &BTreeMap<u32, Stream>, row: &mut LedgerRow) {
+        let Self { counters, spans, end, .. } = self;
+        let unknown = spans.iter().filter(|(writer, _)| !streams.contains_key(writer));
+        row.published += unknown.map(|(_, span)| span.count()).sum::<u64>();
+        row.used += counters.used;
+        row.replaced += counters.by_policy();
+        row.duplicates += counters.duplicate;
+        row.reordered += counters.reordered;
+        let is_death = end.as_ref().is_some_and(|end| end.is_death);
+        *(if is_death { &mut row.lost } else { &mut row.in_flight }) += counters.waiting;
+    }
+
+    /// Forgets a writer that is settled.
+    fn forget(&mut self, writer: u32) {
+        self.spans.remove(&writer);
+        self.beyond.remove(&writer);
+        if let Some(end) = &mut self.end {
+            end.newest.remove(&writer);
+        }
+    }
+
     /// The largest number of a writer that arrived at this reader; `None` when its first number is not known.
     fn last(&self, writer: u32, stream: &Stream) -> Option<u64> {
         let from_start = self.from_start && stream.from_start;
@@ -403,6 +486,46 @@ mod tests {
             let row = rows.first().unwrap();
             assert_eq!((row.lost, row.used, row.residual), (lost, 8, 0), "{row:?}");
         }
+    }
+
+    /// Writers and readers that take over from each other, every second, with a reader that dies with five samples unread
+    /// and one that starts ten samples later.
+    fn swapped(count: u32, settle: bool) -> TopicLedger {
+        let mut ledger = TopicLedger::new(Topic::Pose, 16);
+        for index in 1..=count {
+            let now_ns = u64::from(index) * 1_000_000_000;
+            ledger.poll(now_ns);
+            let (writer, reader) = (10 * index, 10 * index + 1);
+            for sequence in 1..=40 {
+                let header = Header { incarnation: writer, ..header(sequence) };
+                ledger.see(&header, false, index == 1);
+            }
+            let mut counters = InputAccount { used: 25, arrived: 25, ..InputAccount::default() };
+            counters.writers[0] = Span { incarnation: writer, ..span(11, 35) };
+            counters.writers[1] = Span { incarnation: writer - 10, ..span(36, 40) };
+            counters.used += if index == 1 { 0 } else { 5 };
+            ledger.receive(InputReport {
+                incarnation: reader,
+                from_start: index == 1,
+                ..report(&counters, now_ns + 1)
+            });
+            if settle {
+                ledger.reconcile(false);
+            }
+            ledger.ended(writer, now_ns + 2, true);
+            ledger.ended(reader, now_ns + 3, true);
+        }
+        ledger
+    }
+
+    #[test]
+    fn what_is_settled_counts_as_before_and_takes_no_memory() {
+        let (kept, settled) = (swapped(100, false), swapped(100, true));
+        assert_eq!(kept.rows(), settled.rows());
+        assert!(kept.rows()[0].lost > 0 && kept.rows()[0].used > 2500, "{:?}", kept.rows());
+        assert_eq!((kept.streams.len(), kept.readers.len()), (100, 100));
+        assert!(settled.streams.len() < 13 && settled.readers.len() < 13, "{}", settled.readers.len());
+        assert!(settled.readers.values().all(|reader| reader.spans.len() < 13));
     }
 
     #[test]
