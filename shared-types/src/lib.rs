@@ -13,6 +13,7 @@ mod checkpoint;
 mod command;
 mod constants;
 mod describe;
+mod device;
 mod fault;
 mod header;
 mod health;
@@ -39,6 +40,7 @@ pub use command::{
     Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, Sides, SolveStatus, StopReason,
 };
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
+pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};

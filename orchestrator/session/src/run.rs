@@ -63,7 +63,9 @@ fn announce(plan: &Plan, quiet: bool) {
     let warn = |text: &str| runtime::print(runtime::Priority::Warning, &format!("warning: {text}"));
     plan.warnings.iter().for_each(|warning| warn(warning));
     if !quiet {
-        let lines = difference::summary(&plan.differences()).into_iter().chain(plan.careful());
+        // The scenario tells nothing about a robot that is not emulated.
+        let found = if plan.system.emulates_robot() { plan.differences() } else { Vec::new() };
+        let lines = difference::summary(&found).into_iter().chain(plan.careful());
         lines.for_each(|line| runtime::print(runtime::Priority::Notice, &line));
     }
 }

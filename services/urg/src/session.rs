@@ -205,7 +205,12 @@ impl Session {
         if self.phase != Phase::Measuring || !measurement.is_same(&self.measurement) {
             return None;
         }
-        self.counters.broken += u64::from(is_missing);
+        if let Some(fault) = fault {
+            self.counters.broken += 1;
+            self.message.clear();
+            // Writing to a text does not fail.
+            let _ = write!(self.message, "a scan was damaged on the way: {fault}");
+        }
         let stamp_ms = self.parser.stamp()?;
         let (Some(parameters), Some(clock), Some(resampling)) =
             (&self.identity.parameters, &mut self.clock, &self.resampling)
@@ -224,11 +229,8 @@ impl Session {
         }
         self.deadline_ns = arrived_ns.saturating_add(SILENT_PERIODS * scan.period_ns);
         self.counters.clock_jumps += u64::from(mapped.event != Event::Regular);
-        self.message.clear();
-        if let Some(fault) = fault {
-            // Writing to a text does not fail.
-            let _ = write!(self.message, "a scan was damaged on the way: {fault}");
-        } else {
+        if !is_missing {
+            self.message.clear();
             (self.attempts, self.state) = (0, SourceState::Measuring);
             self.counters.scans += 1;
         }
@@ -309,12 +311,12 @@ impl Session {
 
     /// Prepares the measurement of a model.
     fn prepare(&mut self, parameters: Parameters) -> Result<(), UrgError> {
-        let Config { rate_hz, skip, coding, identify_only, .. } = self.config;
+        let Config { rate_hz, skip, cluster, coding, identify_only, .. } = self.config;
         if !identify_only {
             parameters.require_fit(rate_hz, skip)?;
         }
         let (first, last) = parameters.steps_of_beams();
-        self.measurement = Measurement { coding, first, last, cluster: 1, skip, count: 0, single: false };
+        self.measurement = Measurement { coding, first, last, cluster, skip, count: 0, single: false };
         self.resampling = Some(Resampling::new(&parameters, &self.measurement));
         let settings = Settings {
             delay_ns: parameters.step_ns(u32::from(last)),

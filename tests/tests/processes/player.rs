@@ -85,7 +85,7 @@ impl Link {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                Event::State { .. } | Event::Scan { .. } => {}
+                Event::State { .. } | Event::Scan { .. } | Event::Scanner(_) => {}
             }
         }
     }
