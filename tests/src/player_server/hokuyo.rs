@@ -1,0 +1,52 @@
+//! A Hokuyo scanner on the robot behind the server, at a TCP port of its own.
+
+use std::io;
+
+use runtime::monotonic_ns;
+use shared_types::FRONT_BEAM;
+use urg::{DeviceFault, Emulator, Port};
+
+/// First step of the scanner that is a beam of a scan.
+const FIRST_STEP: usize = 44;
+/// Steps of a turn, and time of a turn [ns].
+const STEPS: u64 = 1024;
+const TURN_NS: u64 = 100_000_000;
+/// The scanner ends its sweep this much after the server has measured, so that it never sends the sweep before [ns].
+const AFTER_NS: u64 = 1_000_000;
+
+/// The scanner.
+#[derive(Debug)]
+pub(super) struct Hokuyo {
+    port: Port,
+    /// What happens to each scan.
+    pub(super) damage: Option<DeviceFault>,
+}
+
+impl Hokuyo {
+    /// A scanner whose front beam is taken together with that of the server, at `front_ns` and every period after.
+    pub(super) fn new(front_ns: u64) -> io::Result<Self> {
+        let to_front_ns = (FIRST_STEP + FRONT_BEAM) as u64 * TURN_NS / STEPS;
+        let emulator = Emulator::new(front_ns + AFTER_NS - to_front_ns, 0);
+        Ok(Self { port: Port::tcp("127.0.0.1:0", emulator)?, damage: None })
+    }
+
+    /// Its address.
+    pub(super) fn place(&self) -> String {
+        self.port.address().map(|address| address.to_string()).unwrap_or_default()
+    }
+
+    /// Stands before these ranges, by beam [m].
+    pub(super) fn show(&mut self, ranges_m: &[f64]) {
+        let steps = self.port.emulator.scene().iter_mut().skip(FIRST_STEP);
+        steps.zip(ranges_m).for_each(|(step, range_m)| *step = (range_m * 1e3).round() as u32);
+        if let Some(fault) = self.damage {
+            self.port.emulator.inject(fault, monotonic_ns());
+        }
+    }
+
+    /// Answers what has come, and sends the scan that is complete.
+    pub(super) fn serve(&mut self) {
+        // A connection that has ended is made anew by the host.
+        let _ = self.port.serve(0, monotonic_ns);
+    }
+}
