@@ -1,9 +1,10 @@
 //! The enumerations and constants that a process in another language needs to read and write samples.
 
 use crate::{
-    ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES, DeviceState, Enumeration, FIRST_BEAM_YAW_RAD,
-    FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role,
-    Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
+    ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES,
+    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD,
+    PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason,
+    Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.

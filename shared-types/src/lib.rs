@@ -40,8 +40,8 @@ pub use command::{
     Blocking, Command, CommandKind, Level, Margin, PLAN_NODES, PlanNode, Sides, SolveStatus, StopReason,
 };
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
-pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
+pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};

@@ -2,7 +2,9 @@
 
 use crate::named::wire_enum;
 use crate::sample::sample;
-use crate::{Authority, Device, DeviceState, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic};
+use crate::{
+    Authority, Device, DeviceState, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic,
+};
 
 wire_enum! {
     /// What the whole system is doing.

@@ -63,9 +63,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
 /// Prints the warnings of a plan, where its scenario differs from the description, and what limits the speed.
 fn remark(plan: &Plan, shown: &mut BTreeSet<String>) {
     warn(plan, shown);
-    // The scenario tells nothing about a robot that is not emulated.
-    let found = if plan.system.emulates_robot() { plan.differences() } else { Vec::new() };
-    let lines = difference::list(&found).into_iter().chain(plan.careful());
+    let lines = difference::list(&plan.differences_of_truth()).into_iter().chain(plan.careful());
     lines.for_each(|line| note!("  {line}"));
 }
 

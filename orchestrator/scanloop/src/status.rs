@@ -158,7 +158,9 @@ mod tests {
     #[test]
     fn a_run_without_truth_is_shown_as_judged_by_the_estimate() {
         let heading = |judged_by| table(&Status { judged_by, ..Status::default() });
-        assert!(heading(Some(JudgedBy::Estimate)).lines().next().unwrap().ends_with(", judged by the estimate"));
+        assert!(
+            heading(Some(JudgedBy::Estimate)).lines().next().unwrap().ends_with(", judged by the estimate")
+        );
         assert!(!heading(Some(JudgedBy::Truth)).contains("judged") && !heading(None).contains("judged"));
         let status = Status { judged_by: Some(JudgedBy::Estimate), ..Status::default() };
         assert_eq!(serde_json::to_value(status).unwrap()["judged_by"], "estimate");

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use console::exit::Exit;
-use emulator::{JudgedBy, Scenario};
 use emulator::scenario::{Obstacle, Shape};
+use emulator::{JudgedBy, Scenario};
 use plan::Plan;
 use plan::difference::Property;
 use report::recorder::Recorder;

@@ -112,7 +112,8 @@ impl Vitals {
     pub(crate) fn row(&self, role: Role, state: VisibleState, incarnation: u32) -> ProcessStatus {
         let (rate_hz, last_sample_age_ms) = self.rate_and_age(incarnation);
         let obeys_stop = self.obeys_stop(incarnation);
-        let mut row = ProcessStatus { rate_hz, last_sample_age_ms, obeys_stop, ..ProcessStatus::new(role, state) };
+        let mut row =
+            ProcessStatus { rate_hz, last_sample_age_ms, obeys_stop, ..ProcessStatus::new(role, state) };
         if let Some(pulse) = self.pulses.get(&incarnation) {
             row.set_device(&pulse.device, monotonic_ns());
         }

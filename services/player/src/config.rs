@@ -76,7 +76,7 @@ settings! {
         /// Whether the Hokuyo scanner sends two characters per range instead of three: a third less, up to 4.09 m.
         pub urg_two_characters: bool = false;
         /// Bit rate of a serial line to the Hokuyo scanner; without effect over USB and TCP [bit/s].
-        pub urg_bit_rate: u32 = 115_200, 19_200.0..=750_000.0;
+        pub urg_bit_rate: u32 = 115_200, 9_600.0..=4_000_000.0;
         /// Interface of the server's scanner; `auto` is ranger, or laser where there is no ranger.
         pub scanner: Scanner = Scanner::Auto;
         /// Index of the scanner among the devices of its interface.

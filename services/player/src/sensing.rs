@@ -91,7 +91,12 @@ impl Sensing {
 
     /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC: its ranges, and
     /// whether they were damaged on the way.
-    pub fn sweep_at(&mut self, (ranges_mm, is_missing): ([u16; BEAMS], bool), front_ns: u64, arrived_ns: u64) {
+    pub fn sweep_at(
+        &mut self,
+        (ranges_mm, is_missing): ([u16; BEAMS], bool),
+        front_ns: u64,
+        arrived_ns: u64,
+    ) {
         let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
         let front_ns = front_ns.clamp(oldest_ns, arrived_ns);
         if front_ns < self.front_ns + self.period_ns / MIN_SPACING_SHARE || self.waiting.is_some() {

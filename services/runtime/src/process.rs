@@ -10,8 +10,8 @@ use std::sync::Arc;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Device, DeviceState, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
-    StageStamps, Topic,
+    Actuation, Checkpoint, Device, DeviceState, Directive, Heartbeat, Layouts, Phase, ProcessState, Role,
+    Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;

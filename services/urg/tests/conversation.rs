@@ -271,7 +271,8 @@ fn commands_of_start(fault: Option<DeviceFault>) -> (Vec<String>, Pair) {
     let mut commands = Vec::new();
     for _ in 0..3_000 {
         pair.session.poll(pair.now_ns + MS);
-        commands.extend(String::from_utf8(pair.session.output().to_vec()).unwrap().lines().map(str::to_owned));
+        commands
+            .extend(String::from_utf8(pair.session.output().to_vec()).unwrap().lines().map(str::to_owned));
         pair.run(1);
     }
     (commands, pair)
@@ -292,7 +293,8 @@ fn the_laser_is_off_while_the_time_is_read() {
 #[test]
 fn a_scanner_that_refuses_time_mode_measures_with_a_wider_error_bound() {
     let [unknown, command, off] = [Status(*b"0E"), Status(*b"04"), Status(*b"10")];
-    let cases = [[unknown, unknown], [command, command], [off, off], [Status::DONE, command], [Status::DONE, off]];
+    let cases =
+        [[unknown, unknown], [command, command], [off, off], [Status::DONE, command], [Status::DONE, off]];
     for statuses in cases {
         let (commands, pair) = commands_of_start(Some(DeviceFault::TimeStatus(statuses)));
         assert_eq!(pair.states, [SourceState::Starting, SourceState::Measuring], "{statuses:?} {commands:?}");

@@ -358,8 +358,12 @@ fn survives_damage(damage: DeviceFault, reason: &str) {
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
     assert_eq!(server.truth().collided, 0);
     let scans = scans.into_inner();
-    let (missing, whole): (Vec<_>, Vec<_>) = scans.iter().partition(|scan| scan.missing.is_set());
-    assert!(!missing.is_empty() && missing.iter().all(|scan| scan.ranges_mm == [0; BEAMS]), "{}", missing.len());
+    let (missing, whole): (Vec<&Scan>, Vec<&Scan>) = scans.iter().partition(|scan| scan.missing.is_set());
+    assert!(
+        !missing.is_empty() && missing.iter().all(|scan| scan.ranges_mm == [0; BEAMS]),
+        "{}",
+        missing.len()
+    );
     // The hall around the track: a damaged scan would have beams without a range, or at the wrong place.
     let has_walls = |scan: &Scan| scan.ranges_mm.iter().filter(|range| **range >= 20).count() > 100;
     assert!(whole.len() > 30 && whole.into_iter().all(has_walls));

@@ -133,7 +133,9 @@ impl Driver {
             [None, _] => (DeviceState::Connecting, "base: no data yet"),
             [_, None] => (DeviceState::Connecting, "scanner: no sweep yet"),
             [Some(base_ns), _] if is_silent(base_ns) => (DeviceState::Fault, "base: sends no data"),
-            [_, Some(scanner_ns)] if is_silent(scanner_ns) => (DeviceState::Fault, "scanner: sends no sweeps"),
+            [_, Some(scanner_ns)] if is_silent(scanner_ns) => {
+                (DeviceState::Fault, "scanner: sends no sweeps")
+            }
             _ if self.broken >= MAX_MISSING => (DeviceState::Fault, "scanner: all sweeps break off"),
             _ => (DeviceState::Running, ""),
         }

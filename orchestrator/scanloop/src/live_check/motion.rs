@@ -91,7 +91,8 @@ impl Moved {
     fn judge_stops(&mut self, halts: &[Halt], vehicle: &Description) {
         let described_mps2 = vehicle.blocked_deceleration_mps2;
         let sum = |of: &dyn Fn(&Halt) -> f64| halts.iter().map(of).sum::<f64>();
-        let (covered_m, allowed_m) = (sum(&|halt| halt.distance_m), sum(&|halt| halt.allowed_m(described_mps2)));
+        let (covered_m, allowed_m) =
+            (sum(&|halt| halt.distance_m), sum(&|halt| halt.allowed_m(described_mps2)));
         let found = deceleration::fit(halts);
         let Deceleration { estimate_mps2, entered_mps2 } = found;
         let (count, fastest) = (halts.len(), halts.iter().map(|halt| halt.speed_mps).fold(0.0, f64::max));
@@ -204,16 +205,23 @@ fn is_seen_free(bench: &Bench, system: &System) -> bool {
 }
 
 /// Stops from the speed, and from half of it in turn, as long as the way is free; compares the stops with the description.
-fn stops(bench: &mut Bench, system: &System, arguments: &LiveArguments, moved: &mut Moved) -> anyhow::Result<()> {
+fn stops(
+    bench: &mut Bench,
+    system: &System,
+    arguments: &LiveArguments,
+    moved: &mut Moved,
+) -> anyhow::Result<()> {
     let vehicle = &system.vehicle;
     let mut halts = Vec::new();
     while let Some(halt) = stop(bench, vehicle)? {
         halts.push(halt);
         let speed_mps = if halts.len() % 2 == 1 { arguments.speed / 2.0 } else { arguments.speed };
         let length_m = RUN_UP_S * speed_mps;
-        let has_room = bench.feed.newest_scan.as_ref().is_some_and(|scan| {
-            free_ahead_m(scan, vehicle) >= length_m + NEAR_M + STOP_M
-        });
+        let has_room = bench
+            .feed
+            .newest_scan
+            .as_ref()
+            .is_some_and(|scan| free_ahead_m(scan, vehicle) >= length_m + NEAR_M + STOP_M);
         if halts.len() >= arguments.stops || !has_room {
             moved.judge_stops(&halts, vehicle);
             return Ok(());
