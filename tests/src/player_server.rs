@@ -96,9 +96,9 @@ impl PlayerServer {
         &self.scanner
     }
 
-    /// Damages each scan of the Hokuyo scanner from now on, or none.
-    pub fn damage_scans(&self, damage: Option<DeviceFault>) {
-        locked(&self.hokuyo).damage = damage;
+    /// Damages this many of the next scans of the Hokuyo scanner.
+    pub fn damage_scans(&self, fault: DeviceFault, count: usize) {
+        locked(&self.hokuyo).damage = (fault, count);
     }
 
     /// The true state at the newest scan.

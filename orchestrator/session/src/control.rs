@@ -69,7 +69,7 @@ pub struct Status {
     pub scenario: String,
     /// The newest scan.
     pub scan: u64,
-    /// What judges the run: `truth` or `estimate`; null before the drive begins, and without an orchestrator.
+    /// What judges the run: `truth` or `estimate`; null before the drive begins.
     #[serde(default)]
     pub judged_by: Option<JudgedBy>,
     /// Whether time is simulated.

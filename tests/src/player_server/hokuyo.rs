@@ -6,6 +6,8 @@ use runtime::monotonic_ns;
 use shared_types::FRONT_BEAM;
 use urg::{DeviceFault, Emulator, Port};
 
+use super::world::MAX_RANGE_M;
+
 /// First step of the scanner that is a beam of a scan.
 const FIRST_STEP: usize = 44;
 /// Steps of a turn, and time of a turn [ns].
@@ -14,12 +16,15 @@ const TURN_NS: u64 = 100_000_000;
 /// The scanner ends its sweep this much after the server has measured, so that it never sends the sweep before [ns].
 const AFTER_NS: u64 = 1_000_000;
 
+/// Error code of a beam without a return.
+const NO_RETURN: u32 = 0;
+
 /// The scanner.
 #[derive(Debug)]
 pub(super) struct Hokuyo {
     port: Port,
-    /// What happens to each scan.
-    pub(super) damage: Option<DeviceFault>,
+    /// What happens to scans, and to how many.
+    pub(super) damage: (DeviceFault, usize),
 }
 
 impl Hokuyo {
@@ -27,7 +32,7 @@ impl Hokuyo {
     pub(super) fn new(front_ns: u64) -> io::Result<Self> {
         let to_front_ns = (FIRST_STEP + FRONT_BEAM) as u64 * TURN_NS / STEPS;
         let emulator = Emulator::new(front_ns + AFTER_NS - to_front_ns, 0);
-        Ok(Self { port: Port::tcp("127.0.0.1:0", emulator)?, damage: None })
+        Ok(Self { port: Port::tcp("127.0.0.1:0", emulator)?, damage: (DeviceFault::Checksum, 0) })
     }
 
     /// Its address.
@@ -38,9 +43,13 @@ impl Hokuyo {
     /// Stands before these ranges, by beam [m].
     pub(super) fn show(&mut self, ranges_m: &[f64]) {
         let steps = self.port.emulator.scene().iter_mut().skip(FIRST_STEP);
-        steps.zip(ranges_m).for_each(|(step, range_m)| *step = (range_m * 1e3).round() as u32);
-        if let Some(fault) = self.damage {
+        for (step, range_m) in steps.zip(ranges_m) {
+            *step = if *range_m < MAX_RANGE_M { (range_m * 1e3).round() as u32 } else { NO_RETURN };
+        }
+        let (fault, count) = self.damage;
+        if count > 0 {
             self.port.emulator.inject(fault, monotonic_ns());
+            self.damage = (fault, count - 1);
         }
     }
 
