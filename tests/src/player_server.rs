@@ -96,6 +96,11 @@ impl PlayerServer {
         &self.scanner
     }
 
+    /// What the Hokuyo scanner has measured so far, by beam [mm].
+    pub fn measured(&self) -> Vec<Vec<u16>> {
+        locked(&self.hokuyo).shown.clone()
+    }
+
     /// Damages this many of the next scans of the Hokuyo scanner.
     pub fn damage_scans(&self, fault: DeviceFault, count: usize) {
         locked(&self.hokuyo).damage = (fault, count);

@@ -17,7 +17,7 @@ const TURN_NS: u64 = 100_000_000;
 const AFTER_NS: u64 = 1_000_000;
 
 /// Error code of a beam without a return.
-const NO_RETURN: u32 = 0;
+const NO_RETURN: u16 = 0;
 
 /// The scanner.
 #[derive(Debug)]
@@ -25,6 +25,8 @@ pub(super) struct Hokuyo {
     port: Port,
     /// What happens to scans, and to how many.
     pub(super) damage: (DeviceFault, usize),
+    /// What it has measured, by beam [mm].
+    pub(super) shown: Vec<Vec<u16>>,
 }
 
 impl Hokuyo {
@@ -32,7 +34,11 @@ impl Hokuyo {
     pub(super) fn new(front_ns: u64) -> io::Result<Self> {
         let to_front_ns = (FIRST_STEP + FRONT_BEAM) as u64 * TURN_NS / STEPS;
         let emulator = Emulator::new(front_ns + AFTER_NS - to_front_ns, 0);
-        Ok(Self { port: Port::tcp("127.0.0.1:0", emulator)?, damage: (DeviceFault::Checksum, 0) })
+        Ok(Self {
+            port: Port::tcp("127.0.0.1:0", emulator)?,
+            damage: (DeviceFault::Checksum, 0),
+            shown: Vec::new(),
+        })
     }
 
     /// Its address.
@@ -42,10 +48,12 @@ impl Hokuyo {
 
     /// Stands before these ranges, by beam [m].
     pub(super) fn show(&mut self, ranges_m: &[f64]) {
+        let in_mm =
+            |range_m: &f64| if *range_m < MAX_RANGE_M { (range_m * 1e3).round() as u16 } else { NO_RETURN };
+        let ranges_mm: Vec<u16> = ranges_m.iter().map(in_mm).collect();
         let steps = self.port.emulator.scene().iter_mut().skip(FIRST_STEP);
-        for (step, range_m) in steps.zip(ranges_m) {
-            *step = if *range_m < MAX_RANGE_M { (range_m * 1e3).round() as u32 } else { NO_RETURN };
-        }
+        steps.zip(&ranges_mm).for_each(|(step, range_mm)| *step = u32::from(*range_mm));
+        self.shown.push(ranges_mm);
         let (fault, count) = self.damage;
         if count > 0 {
             self.port.emulator.inject(fault, monotonic_ns());
