@@ -200,18 +200,19 @@ impl Session {
 
     /// A scan has come, with ranges or without.
     fn measured(&mut self, arrived_ns: u64, scan: &mut Scan, fault: Option<ReplyFault>) -> Option<Reading> {
-        let is_missing = fault.is_some();
-        let measurement = self.parser.measurement()?;
-        if self.phase != Phase::Measuring || !measurement.is_same(&self.measurement) {
+        if self.phase != Phase::Measuring {
             return None;
         }
+        let is_own = self.parser.measurement().is_some_and(|its| its.is_same(&self.measurement));
+        let fault = fault.or((!is_own).then_some(ReplyFault::Echo));
+        let is_missing = fault.is_some();
         if let Some(fault) = fault {
             self.counters.broken += 1;
             self.message.clear();
             // Writing to a text does not fail.
             let _ = write!(self.message, "a scan was damaged on the way: {fault}");
         }
-        let stamp_ms = self.parser.stamp()?;
+        let stamp_ms = self.parser.stamp().filter(|_| is_own)?;
         let (Some(parameters), Some(clock), Some(resampling)) =
             (&self.identity.parameters, &mut self.clock, &self.resampling)
         else {
@@ -245,6 +246,8 @@ impl Session {
                 self.advance(step, arrived_ns)?;
             }
             Phase::Measuring if self.is_of_measurement() => self.interrupted(arrived_ns),
+            // A reply to no command: the echo of a scan was damaged.
+            Phase::Measuring => self.counters.garbage += 1,
             _ => {}
         }
         Ok(None)
