@@ -21,6 +21,7 @@
 #define SCANLOOP_MAX_OBSTACLES 16 /* How many ellipses a description can hold */
 #define SCANLOOP_PLAN_NODES 25 /* How many nodes of the plan a command carries */
 #define SCANLOOP_CHECKPOINT_BYTES 12800 /* How many bytes of state a checkpoint can hold */
+#define SCANLOOP_DEVICE_REASON_BYTES 96 /* How many bytes the reason of a device can have */
 
 #define SCANLOOP_TOPIC_SCAN "scan"
 #define SCANLOOP_TOPIC_ODOMETRY "odometry"
@@ -56,6 +57,14 @@ enum scanloop_process_state {
     SCANLOOP_PROCESS_STATE_CONNECTED = 1, /* Its connections are made, samples will arrive. */
     SCANLOOP_PROCESS_STATE_READY = 2, /* It has published its first output. */
     SCANLOOP_PROCESS_STATE_ENDING = 3, /* It is about to end. */
+};
+
+/* What the devices behind a process do. */
+enum scanloop_device_state {
+    SCANLOOP_DEVICE_STATE_NONE = 0, /* The process has none, or does not report them. */
+    SCANLOOP_DEVICE_STATE_CONNECTING = 1, /* One of them is being connected or started. */
+    SCANLOOP_DEVICE_STATE_RUNNING = 2, /* All of them deliver data. */
+    SCANLOOP_DEVICE_STATE_FAULT = 3, /* One of them can't be used, or has stopped delivering data. */
 };
 
 /* What the estimator suspects to be calibrated wrongly. */
@@ -386,6 +395,19 @@ _Static_assert(offsetof(scanloop_refusal, rule) == 28, "scanloop_refusal.rule");
 _Static_assert(offsetof(scanloop_refusal, field) == 32, "scanloop_refusal.field");
 
 /* A part of samples. */
+typedef struct scanloop_device {
+    uint32_t state; /* What they do, `DeviceState` */
+    uint32_t reserved; /* Unused, zero */
+    uint64_t since_ns; /* Since when they do it; 0 while it is not known [ns of CLOCK_MONOTONIC] */
+    uint8_t reason[96]; /* Why, in a few words of UTF-8, padded with zeros */
+} scanloop_device;
+_Static_assert(sizeof(scanloop_device) == 112, "scanloop_device");
+_Static_assert(offsetof(scanloop_device, state) == 0, "scanloop_device.state");
+_Static_assert(offsetof(scanloop_device, reserved) == 4, "scanloop_device.reserved");
+_Static_assert(offsetof(scanloop_device, since_ns) == 8, "scanloop_device.since_ns");
+_Static_assert(offsetof(scanloop_device, reason) == 16, "scanloop_device.reason");
+
+/* A part of samples. */
 typedef struct scanloop_authority {
     uint32_t incarnation; /* The incarnation whose samples count from `from_scan` on; 0 accepts none */
     uint32_t previous; /* The incarnation whose samples count before `from_scan` */
@@ -609,8 +631,9 @@ typedef struct scanloop_heartbeat {
     uint64_t written[2]; /* Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes` */
     scanloop_input_account inputs[2]; /* What became of the samples per topic that the role reads, in the order of `Role::reads` */
     scanloop_refusal refused[2]; /* Samples dropped or refused because of their content, per topic that the role reads */
+    scanloop_device device; /* What the devices behind the process do */
 } scanloop_heartbeat;
-_Static_assert(sizeof(scanloop_heartbeat) == 1080, "scanloop_heartbeat");
+_Static_assert(sizeof(scanloop_heartbeat) == 1192, "scanloop_heartbeat");
 _Static_assert(offsetof(scanloop_heartbeat, header) == 0, "scanloop_heartbeat.header");
 _Static_assert(offsetof(scanloop_heartbeat, role) == 192, "scanloop_heartbeat.role");
 _Static_assert(offsetof(scanloop_heartbeat, state) == 196, "scanloop_heartbeat.state");
@@ -638,6 +661,7 @@ _Static_assert(offsetof(scanloop_heartbeat, answered_scans) == 352, "scanloop_he
 _Static_assert(offsetof(scanloop_heartbeat, written) == 360, "scanloop_heartbeat.written");
 _Static_assert(offsetof(scanloop_heartbeat, inputs) == 376, "scanloop_heartbeat.inputs");
 _Static_assert(offsetof(scanloop_heartbeat, refused) == 952, "scanloop_heartbeat.refused");
+_Static_assert(offsetof(scanloop_heartbeat, device) == 1080, "scanloop_heartbeat.device");
 
 /* Topic directive, published ten times a second by the orchestrator, and at each change. */
 typedef struct scanloop_directive {
@@ -947,7 +971,7 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("actuation", scanloop_actuation, "sent_steering_rad", sent_steering_rad),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "refused", refused),
     SCANLOOP_VALUE("actuation", scanloop_actuation, "gaps", gaps),
-    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v3"),
+    SCANLOOP_SAMPLE("heartbeat", scanloop_heartbeat, "scanloop.Heartbeat.v4"),
     SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "header", "Header", header),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.layout", header.layout),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "header.incarnation", header.incarnation),
@@ -1026,6 +1050,11 @@ static const scanloop_layout_row scanloop_layouts[] = {
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.incarnation", refused[0].incarnation),
     SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "refused.rule", refused[0].rule),
     SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "refused.field", refused[0].field),
+    SCANLOOP_STRUCT("heartbeat", scanloop_heartbeat, "device", "Device", device),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.state", device.state),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.reserved", device.reserved),
+    SCANLOOP_VALUE("heartbeat", scanloop_heartbeat, "device.since_ns", device.since_ns),
+    SCANLOOP_VALUES("heartbeat", scanloop_heartbeat, "device.reason", device.reason),
     SCANLOOP_SAMPLE("directive", scanloop_directive, "scanloop.Directive.v1"),
     SCANLOOP_STRUCT("directive", scanloop_directive, "header", "Header", header),
     SCANLOOP_VALUE("directive", scanloop_directive, "header.layout", header.layout),

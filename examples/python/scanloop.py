@@ -42,6 +42,7 @@ from scanloop_types import (
     BlockReason,
     Checkpoint,
     CommandKind,
+    Device,
     Directive,
     Header,
     Heartbeat,
@@ -359,7 +360,7 @@ class Process:
         self.period_ns, self.simulated = run["period_ns"], run["clock"] == "simulated"
         self._orphan_stop_ns, self._orphan_timeout_ns = run["orphan_stop_ns"], run["orphan_timeout_ns"]
         self._stop_word, self._wheels = StopWord(self.role), Wheels.UNKNOWN
-        self.counters = collections.Counter()
+        self.counters, self._device = collections.Counter(), Device()
         self.directive = Directive()
         self.handed_actuations = []
         self._simulated_ns = self._woken_ns = self._taken_ns = self._last_scan = 0
@@ -486,6 +487,20 @@ class Process:
         if self.directive.authority[self.role].incarnation == self.incarnation:
             self._stop_word.report(wheels)
 
+    def report_device(self, state, reason=""):
+        """Reports to `scanloop status` what the devices behind this process do, and why in a few words.
+
+        `state` is a DeviceState. A driver calls this each time it is awake.
+        """
+        device = self._device
+        # Of a character that does not fit, no byte stays.
+        text = reason.encode()[: types.DEVICE_REASON_BYTES].decode(errors="ignore").encode()
+        if (device.state, bytes(device.reason).rstrip(b"\0")) != (state, text):
+            since_ns = device.since_ns if device.state == state else time.monotonic_ns()
+            self._device = Device(state=state, since_ns=since_ns)
+            ctypes.memmove(self._device.reason, text, len(text))
+            self._next_heartbeat_ns = 0
+
     def _hold_back(self, actuation):
         if actuation.kind == ActuationKind.DRIVE and self.must_stop():
             actuation.kind, actuation.reason = ActuationKind.BLOCK, BlockReason.STOP_REQUESTED
@@ -567,6 +582,7 @@ class Process:
         self._next_heartbeat_ns = now + HEARTBEAT_NS
         beat = Heartbeat(role=self.role, state=self._state, pid=os.getpid(), issued_ns=now)
         beat.obeys_stop = self._stop_word._page is not None
+        beat.device = self._device
         for name, value in self.counters.items():
             setattr(beat, name, value)
         for reader in self._inputs:

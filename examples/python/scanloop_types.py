@@ -18,6 +18,7 @@ SECTOR_BEAMS = 11  # Beams of one sector of evidence
 MAX_OBSTACLES = 16  # How many ellipses a description can hold
 PLAN_NODES = 25  # How many nodes of the plan a command carries
 CHECKPOINT_BYTES = 12800  # How many bytes of state a checkpoint can hold
+DEVICE_REASON_BYTES = 96  # How many bytes the reason of a device can have
 
 
 class Role(enum.IntEnum):
@@ -46,6 +47,15 @@ class ProcessState(enum.IntEnum):
     CONNECTED = 1  # Its connections are made, samples will arrive.
     READY = 2  # It has published its first output.
     ENDING = 3  # It is about to end.
+
+
+class DeviceState(enum.IntEnum):
+    """What the devices behind a process do."""
+
+    NONE = 0  # The process has none, or does not report them.
+    CONNECTING = 1  # One of them is being connected or started.
+    RUNNING = 2  # All of them deliver data.
+    FAULT = 3  # One of them can't be used, or has stopped delivering data.
 
 
 class Suspect(enum.IntEnum):
@@ -320,6 +330,17 @@ class Refusal(ctypes.Structure):
     ]
 
 
+class Device(ctypes.Structure):
+    """A part of samples."""
+
+    _fields_ = [
+        ("state", ctypes.c_uint32),  # What they do, `DeviceState`
+        ("reserved", ctypes.c_uint32),  # Unused, zero
+        ("since_ns", ctypes.c_uint64),  # Since when they do it; 0 while it is not known [ns of CLOCK_MONOTONIC]
+        ("reason", ctypes.c_uint8 * 96),  # Why, in a few words of UTF-8, padded with zeros
+    ]
+
+
 class Authority(ctypes.Structure):
     """A part of samples."""
 
@@ -489,7 +510,7 @@ class Heartbeat(ctypes.Structure):
     """Topic heartbeat, published ten times a second by each process, and at each change of its state."""
 
     TOPIC = "heartbeat"
-    LAYOUT = 0x6f856755
+    LAYOUT = 0x8d1ffb80
     _fields_ = [
         ("header", Header),  # Identity; scan id is the last one worked on, the chain is unused
         ("role", ctypes.c_uint32),  # Role of the process, `Role`
@@ -518,11 +539,12 @@ class Heartbeat(ctypes.Structure):
         ("written", ctypes.c_uint64 * 2),  # Sequence number of the newest sample per topic that the role writes, in the order of `Role::writes`
         ("inputs", InputAccount * 2),  # What became of the samples per topic that the role reads, in the order of `Role::reads`
         ("refused", Refusal * 2),  # Samples dropped or refused because of their content, per topic that the role reads
+        ("device", Device),  # What the devices behind the process do
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "scanloop.Heartbeat.v3"
+        return "scanloop.Heartbeat.v4"
 
 
 class Directive(ctypes.Structure):

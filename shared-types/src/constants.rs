@@ -1,16 +1,18 @@
 //! The enumerations and constants that a process in another language needs to read and write samples.
 
 use crate::{
-    ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, Enumeration, FIRST_BEAM_YAW_RAD,
-    FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD, PLAN_NODES, Phase, ProcessState, ROLES, Role,
-    Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason, Suspect, WINDOW,
+    ActuationKind, Alarm, BEAMS, BlockReason, CHECKPOINT_BYTES, CommandKind, DEVICE_REASON_BYTES,
+    DeviceState, Enumeration, FIRST_BEAM_YAW_RAD, FRONT_BEAM, Level, MAX_OBSTACLES, MIN_RANGE_MM, PITCH_RAD,
+    PLAN_NODES, Phase, ProcessState, ROLES, Role, Rule, SECTOR_BEAMS, ScannerState, SolveStatus, StopReason,
+    Suspect, WINDOW,
 };
 
 /// All enumerations of the samples.
-pub const ENUMERATIONS: [Enumeration; 13] = [
+pub const ENUMERATIONS: [Enumeration; 14] = [
     Role::ENUMERATION,
     Phase::ENUMERATION,
     ProcessState::ENUMERATION,
+    DeviceState::ENUMERATION,
     Suspect::ENUMERATION,
     ScannerState::ENUMERATION,
     Alarm::ENUMERATION,
@@ -44,7 +46,7 @@ pub enum Number {
 }
 
 /// All constants of the samples.
-pub const CONSTANTS: [Constant; 12] = [
+pub const CONSTANTS: [Constant; 13] = [
     integer("ROLES", "Number of roles", ROLES),
     integer("BEAMS", "Number of beams of a sweep", BEAMS),
     integer("FRONT_BEAM", "Index of the beam that looks straight ahead", FRONT_BEAM),
@@ -61,6 +63,7 @@ pub const CONSTANTS: [Constant; 12] = [
     integer("MAX_OBSTACLES", "How many ellipses a description can hold", MAX_OBSTACLES),
     integer("PLAN_NODES", "How many nodes of the plan a command carries", PLAN_NODES),
     integer("CHECKPOINT_BYTES", "How many bytes of state a checkpoint can hold", CHECKPOINT_BYTES),
+    integer("DEVICE_REASON_BYTES", "How many bytes the reason of a device can have", DEVICE_REASON_BYTES),
 ];
 
 const fn integer(name: &'static str, doc: &'static str, value: usize) -> Constant {

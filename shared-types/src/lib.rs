@@ -13,6 +13,7 @@ mod checkpoint;
 mod command;
 mod constants;
 mod describe;
+mod device;
 mod fault;
 mod header;
 mod health;
@@ -40,6 +41,7 @@ pub use command::{
 };
 pub use constants::{CONSTANTS, Constant, ENUMERATIONS, Number};
 pub use describe::{Described, Enumeration, EnumerationValue, Field, Flag, Kind};
+pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};

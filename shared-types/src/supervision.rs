@@ -2,7 +2,9 @@
 
 use crate::named::wire_enum;
 use crate::sample::sample;
-use crate::{Authority, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic};
+use crate::{
+    Authority, Device, DeviceState, Fault, Header, InputAccount, PORTS, ROLES, Refusal, Role, Topic,
+};
 
 wire_enum! {
     /// What the whole system is doing.
@@ -67,7 +69,7 @@ impl Directive {
 
 sample! {
     /// State and counters of one process.
-    pub struct Heartbeat(1080, Heartbeat, 0x6f85_6755, "scanloop.Heartbeat.v3", check_heartbeat) {
+    pub struct Heartbeat(1192, Heartbeat, 0x8d1f_fb80, "scanloop.Heartbeat.v4", check_heartbeat) {
         /// Identity; scan id is the last one worked on, the chain is unused
         pub header: Header,
         /// Role of the process, `Role`
@@ -122,6 +124,8 @@ sample! {
         pub inputs: [InputAccount; PORTS],
         /// Samples dropped or refused because of their content, per topic that the role reads
         pub refused: [Refusal; PORTS],
+        /// What the devices behind the process do
+        pub device: Device,
     }
 }
 
@@ -133,5 +137,6 @@ fn check(directive: &Directive) -> Result<(), Fault> {
 fn check_heartbeat(heartbeat: &Heartbeat) -> Result<(), Fault> {
     heartbeat.header.check::<Heartbeat>()?;
     Role::try_from(heartbeat.role)?;
-    ProcessState::try_from(heartbeat.state).map(|_| ())
+    ProcessState::try_from(heartbeat.state)?;
+    DeviceState::try_from(heartbeat.device.state).map(|_| ())
 }

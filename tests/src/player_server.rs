@@ -2,9 +2,10 @@
 //!
 //! As Stage, it has no watchdog: the robot follows the last command until another one comes, or until no client has the
 //! base open. Its scanner and its odometry are those of the emulator, without the imperfections that a calibration
-//! undoes. Faults of a server can be switched on.
+//! undoes. A Hokuyo scanner stands on the robot too, at a port of its own. Faults of both can be switched on.
 
 mod client;
+mod hokuyo;
 mod world;
 
 use std::net::{Ipv4Addr, TcpListener};
@@ -15,8 +16,10 @@ use std::thread::JoinHandle;
 use emulator::Scenario;
 use runtime::{monotonic_ns, wait_for};
 use shared_types::Truth;
+use urg::DeviceFault;
 
 use client::Client;
+use hokuyo::Hokuyo;
 use world::World;
 
 pub use world::Received;
@@ -48,7 +51,9 @@ pub enum Fault {
 #[derive(Debug)]
 pub struct PlayerServer {
     port: u16,
+    scanner: String,
     world: Arc<Mutex<World>>,
+    hokuyo: Arc<Mutex<Hokuyo>>,
     fault: Arc<AtomicU8>,
     ends: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -63,23 +68,42 @@ impl PlayerServer {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         listener.set_nonblocking(true)?;
         let port = listener.local_addr()?.port();
-        let world = Arc::new(Mutex::new(World::new(scenario, period_ns)));
+        let world = World::new(scenario, period_ns);
+        let hokuyo = Hokuyo::new(world.front_ns())?;
+        let scanner = hokuyo.place();
+        let (world, hokuyo) = (Arc::new(Mutex::new(world)), Arc::new(Mutex::new(hokuyo)));
         let (fault, ends) = (Arc::new(AtomicU8::new(0)), Arc::new(AtomicBool::new(false)));
         let server = Server {
             port,
             listener,
             world: Arc::clone(&world),
+            hokuyo: Arc::clone(&hokuyo),
             fault: Arc::clone(&fault),
             clients: Vec::new(),
         };
         let its_end = Arc::clone(&ends);
         let thread = std::thread::Builder::new().spawn(move || server.run(&its_end))?;
-        Ok(Self { port, world, fault, ends, thread: Some(thread) })
+        Ok(Self { port, scanner, world, hokuyo, fault, ends, thread: Some(thread) })
     }
 
     /// The port that it listens on.
     pub fn port(&self) -> u16 {
         self.port
+    }
+
+    /// Address of the Hokuyo scanner.
+    pub fn scanner(&self) -> &str {
+        &self.scanner
+    }
+
+    /// What the Hokuyo scanner has measured so far, by beam [mm].
+    pub fn measured(&self) -> Vec<Vec<u16>> {
+        locked(&self.hokuyo).shown.clone()
+    }
+
+    /// Damages this many of the next scans of the Hokuyo scanner.
+    pub fn damage_scans(&self, fault: DeviceFault, count: usize) {
+        locked(&self.hokuyo).damage = (fault, count);
     }
 
     /// The true state at the newest scan.
@@ -110,8 +134,8 @@ impl Drop for PlayerServer {
     }
 }
 
-fn locked(world: &Mutex<World>) -> MutexGuard<'_, World> {
-    world.lock().unwrap_or_else(PoisonError::into_inner)
+fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The thread of a server.
@@ -119,6 +143,7 @@ struct Server {
     port: u16,
     listener: TcpListener,
     world: Arc<Mutex<World>>,
+    hokuyo: Arc<Mutex<Hokuyo>>,
     fault: Arc<AtomicU8>,
     clients: Vec<Client>,
 }
@@ -141,6 +166,12 @@ impl Server {
         world.is_open = self.clients.iter().any(Client::has_base);
         let data = world.advance(monotonic_ns());
         drop(world);
+        let mut hokuyo = locked(&self.hokuyo);
+        if let Some(data) = &data {
+            hokuyo.show(&data.ranges_m);
+        }
+        hokuyo.serve();
+        drop(hokuyo);
         for client in &mut self.clients {
             match (&data, fault) {
                 (Some(data), 0) => client.deliver(data),

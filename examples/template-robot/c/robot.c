@@ -17,6 +17,7 @@
 #define SLACK 1e-9           /* rounding of what was limited to these values */
 #define REST_MPS 1e-3        /* below this speed the wheels rest */
 #define TURN 6.283185307179586
+#define MAX_MISSING 3              /* periods without data, or broken sweeps in a row, that are a fault */
 #define MAX_STATES 64              /* states of the base, more than it sends in two scan periods */
 
 /* The clock of one device. A restart of the device starts the mapping anew. */
@@ -42,6 +43,8 @@ struct driver {
     int waits;          /* a sweep that waits for the odometry after it */
     uint64_t front_ns;
     struct sweep sweep;
+    uint64_t base_ns, scanner_ns; /* when they sent data last; 0 before the first */
+    unsigned broken;              /* sweeps that broke off since the last whole one */
     scanloop_odometry last;
     int drives;
     uint64_t told_ns, period_ns;
@@ -144,10 +147,31 @@ static int obey(struct driver *driver, const scanloop_directive *directive) {
     return result;
 }
 
+/* Reports to `scanloop status` what base and scanner do. */
+static void report_devices(const struct driver *driver) {
+    uint64_t now_ns = scanloop_now_ns(driver->process), limit_ns = MAX_MISSING * driver->period_ns;
+    uint32_t state = SCANLOOP_DEVICE_STATE_FAULT;
+    const char *reason = "";
+    if (driver->base_ns == 0 || driver->scanner_ns == 0) {
+        state = SCANLOOP_DEVICE_STATE_CONNECTING;
+        reason = driver->base_ns == 0 ? "base: no data yet" : "scanner: no sweep yet";
+    } else if (now_ns > driver->base_ns + limit_ns) {
+        reason = "base: sends no data";
+    } else if (now_ns > driver->scanner_ns + limit_ns) {
+        reason = "scanner: sends no sweeps";
+    } else if (driver->broken >= MAX_MISSING) {
+        reason = "scanner: all sweeps break off";
+    } else {
+        state = SCANLOOP_DEVICE_STATE_RUNNING;
+    }
+    scanloop_report_device(driver->process, state, reason);
+}
+
 /* Reports to `scanloop stop` what the wheels do. */
 static void report(const struct driver *driver) {
     uint32_t standing = fabs(driver->speed_mps) > REST_MPS ? SCANLOOP_BLOCKED : SCANLOOP_RESTING;
     scanloop_report_wheels(driver->process, driver->drives ? SCANLOOP_TURNING : standing);
+    report_devices(driver);
 }
 
 /* Whether a front beam is after the one before; logs a gap. */
@@ -168,11 +192,14 @@ static void read_device(struct driver *driver) {
         uint64_t time_ns = map_stamp(&driver->base_clock, stamp_ns, now_ns) - base_delay_ns(&driver->device);
         add_state(driver, time_ns, &pose, driver->base_clock.restarts > restarts);
         driver->speed_mps = pose.speed_mps;
+        driver->base_ns = now_ns;
     }
     if (read_scan(&driver->device, now_ns, &driver->sweep)) {
         driver->front_ns =
             map_stamp(&driver->scanner_clock, driver->sweep.stamp_ns, now_ns) - scan_delay_ns(&driver->device);
         driver->waits = is_next(driver, driver->front_ns);
+        driver->scanner_ns = now_ns;
+        driver->broken = driver->sweep.beams == SCANLOOP_BEAMS ? 0 : driver->broken + 1;
     }
 }
 

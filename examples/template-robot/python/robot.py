@@ -16,12 +16,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "python"))
 
 from device import Device, Pose  # noqa: E402
 from scanloop import Process, Role, Wheels  # noqa: E402
-from scanloop_types import BEAMS, Actuation, ActuationKind, Odometry, Phase, Scan  # noqa: E402
+from scanloop_types import BEAMS, Actuation, ActuationKind, DeviceState, Odometry, Phase, Scan  # noqa: E402
 
 POLL_NS = 5_000_000  # the device is polled this often, also when no actuation comes
 END_NS = 800_000_000  # a process that is asked to end is killed after one second
 VELOCITY_MAX_MPS, STEERING_MAX_RAD, SLACK = 2.0, 0.12, 1e-9  # what the actuator may send; else it is not obeyed
 REST_MPS = 1e-3  # below this speed the wheels rest
+MAX_MISSING = 3  # periods without data, or broken sweeps in a row, that are a fault
 MAX_STATES = 64  # states of the base, more than it sends in two scan periods
 
 
@@ -92,6 +93,8 @@ class Driver:
         self._device = Device(process.now_ns(), process.period_ns)
         self._scanner_clock, self._base_clock, self._history = DeviceClock(), DeviceClock(), History()
         self._waiting = None  # a sweep with the time of its front beam; it waits for the odometry after it
+        self._arrived_ns = [None, None]  # when base and scanner sent data last
+        self._broken = 0  # sweeps that broke off since the last whole one
         self._last = Odometry()
         self._told_ns, self._speed_mps = None, 0.0  # when the wheels were told to drive; None while blocked
         process.report_wheels(Wheels.RESTING)
@@ -135,9 +138,24 @@ class Driver:
         self._told_ns = None
 
     def _report(self):
-        """Reports to `scanloop stop` what the wheels do."""
+        """Reports to `scanloop stop` what the wheels do, and to `scanloop status` what base and scanner do."""
         standing = Wheels.BLOCKED if abs(self._speed_mps) > REST_MPS else Wheels.RESTING
         self._process.report_wheels(standing if self._told_ns is None else Wheels.TURNING)
+        self._process.report_device(*self._devices())
+
+    def _devices(self):
+        """What base and scanner do, and why."""
+        limit_ns = self._process.now_ns() - MAX_MISSING * self._process.period_ns
+        base_ns, scanner_ns = self._arrived_ns
+        if base_ns is None or scanner_ns is None:
+            return DeviceState.CONNECTING, "base: no data yet" if base_ns is None else "scanner: no sweep yet"
+        if base_ns < limit_ns:
+            return DeviceState.FAULT, "base: sends no data"
+        if scanner_ns < limit_ns:
+            return DeviceState.FAULT, "scanner: sends no sweeps"
+        if self._broken >= MAX_MISSING:
+            return DeviceState.FAULT, "scanner: all sweeps break off"
+        return DeviceState.RUNNING, ""
 
     def _read(self):
         """Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC."""
@@ -148,8 +166,11 @@ class Driver:
             time_ns = self._base_clock.map(stamp_ns, now_ns) - self._device.base_delay_ns
             self._history.add(time_ns, pose, self._base_clock.restarts > restarts)
             self._speed_mps = pose.speed_mps
+            self._arrived_ns[0] = now_ns
         if sweep := self._device.read_scan(now_ns):
             stamp_ns, ranges = sweep
+            self._arrived_ns[1] = now_ns
+            self._broken = 0 if len(ranges) == BEAMS else self._broken + 1
             front_ns = self._scanner_clock.map(stamp_ns, now_ns) - self._device.scan_delay_ns
             self._waiting = (front_ns, ranges) if self._is_next(front_ns) else None
 

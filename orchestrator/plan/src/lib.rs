@@ -123,6 +123,13 @@ impl Plan {
         difference::sorted(scenario.robot.differences(&system.vehicle), surroundings)
     }
 
+    /// [`Self::differences`] of a robot that publishes its truth. The scenario tells nothing about any other one, as far as
+    /// that is known before it runs.
+    pub fn differences_of_truth(&self) -> Vec<Difference> {
+        let has_truth = self.system.emulates_robot() && self.scenario.robot.publish_truth;
+        if has_truth { self.differences() } else { Vec::new() }
+    }
+
     /// What `run` and `check` print of a speed that the surroundings limit.
     pub fn careful(&self) -> Option<String> {
         let Description { surroundings, careful_mps, .. } = self.system.controller.vehicle;
@@ -194,6 +201,8 @@ mod tests {
         let summit = plan(&["robot.preset=summit"]);
         assert_eq!(summit.scenario.robot.velocity_lag_s, Some(0.15));
         assert_eq!(summit.differences(), []);
+        assert_eq!(ideal.differences_of_truth(), ideal.differences());
+        assert_eq!(plan(&["robot.publish_truth=false"]).differences_of_truth(), []);
         let worn = plan(&["robot.preset=worn"]);
         assert!(keys(&worn).len() > 10);
         assert_ne!(worn.scenario.robot, plan(&["robot.preset=worn", "seed=2"]).scenario.robot);

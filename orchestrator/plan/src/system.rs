@@ -59,6 +59,12 @@ impl System {
         Ok(system)
     }
 
+    /// Whether the built-in emulator is the robot, so that the scenario describes it.
+    pub fn emulates_robot(&self) -> bool {
+        let mut robots = self.processes.iter().filter(|entry| entry.role() == Role::Robot);
+        robots.any(|entry| entry.implementation.as_deref() == Some("emulator"))
+    }
+
     /// The table of a file, or the built-in one.
     ///
     /// # Errors

@@ -63,7 +63,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
 /// Prints the warnings of a plan, where its scenario differs from the description, and what limits the speed.
 fn remark(plan: &Plan, shown: &mut BTreeSet<String>) {
     warn(plan, shown);
-    let lines = difference::list(&plan.differences()).into_iter().chain(plan.careful());
+    let lines = difference::list(&plan.differences_of_truth()).into_iter().chain(plan.careful());
     lines.for_each(|line| note!("  {line}"));
 }
 

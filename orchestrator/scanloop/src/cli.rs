@@ -58,13 +58,16 @@ pub enum Command {
     /// scanner, odometry, its direction when the robot is moved, and the stop. A system that runs is only observed.
     /// Exit code 1 if a check failed, 4 if a process could not be started or ended. JSON keys: `system_id`, `system`
     /// (`running`, `started`), `checks` with `name`, `outcome` (`ok`, `failed`, `skipped`), `measured`, `allowed`; `ok`,
-    /// `failed`, `skipped`, `blocked_deceleration_mps2` (null unless it was measured).
+    /// `failed`, `skipped`, `blocked_deceleration_mps2` (to be entered; null unless it was measured),
+    /// `deceleration_estimate_mps2` (the most probable value).
     Check(CheckArguments),
     /// Show the processes of a running system: pid, state, restarts, rate, age of the newest sample, last log lines.
     ///
     /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
-    /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. JSON keys:
-    /// `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `scanner`, `processes`, `refused`.
+    /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. A driver shows what
+    /// its devices do, since when, and why. JSON keys: `system_id`, `state`, `scenario`, `scan`, `judged_by` (`truth`,
+    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `refused`; per process also `device`
+    /// (`connecting`, `running`, `fault`; null without devices), `device_for_s`, `device_reason`.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]

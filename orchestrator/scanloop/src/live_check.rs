@@ -37,12 +37,15 @@ pub struct LiveArguments {
     /// Check a robot and its scanner: of the running system, or of the given one, which is started with blocked wheels.
     #[arg(long, conflicts_with_all = ["files", "list"])]
     pub live: bool,
-    /// Drive about 1 m, first straight on and then to the left, and measure the stop. Without it the robot never drives.
+    /// Drive about 2 m, first straight on and then to the left, and measure the stops. Without it the robot never drives.
     #[arg(long, requires = "live")]
     pub drive: bool,
     /// Speed of `--drive`, 0.1 to 1 m/s; it is sent without a calibration.
     #[arg(long, value_name = "MPS", default_value_t = 0.3, requires = "drive")]
     pub speed: f64,
+    /// Stops of `--drive`, 1 to 20, from the speed and from half of it in turn, as far as the way is free.
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "drive")]
+    pub stops: usize,
     /// Time to observe scanner and odometry, 1 to 3600 s.
     #[arg(long, value_name = "S", default_value_t = 5.0, requires = "live")]
     pub observe: f64,
@@ -66,6 +69,8 @@ struct LiveReport {
     skipped: usize,
     /// The value to be entered in `[vehicle]`, once it was measured.
     blocked_deceleration_mps2: Option<f64>,
+    /// The most probable deceleration of blocked wheels; the value to be entered is smaller by its error.
+    deceleration_estimate_mps2: Option<f64>,
 }
 
 /// Checks the robot and prints the findings; exit code 1 when a check failed.
@@ -86,11 +91,12 @@ pub(crate) fn check(system_id: &str, arguments: &LiveArguments, choice: &Choice)
         show(&checks);
         let moved = motion::findings(&mut bench, &plan.system, arguments, &checks)?;
         checks.extend(moved.findings);
-        (checks, moved.deceleration_mps2)
+        (checks, moved.deceleration)
     };
     let count = |outcome: Outcome| checks.iter().filter(|finding| finding.outcome == outcome).count();
     let [ok, failed, skipped] = [Outcome::Ok, Outcome::Failed, Outcome::Skipped].map(count);
-    note!("{}", summary(ok, failed, skipped, deceleration));
+    let entered_mps2 = deceleration.map(|found| found.entered_mps2);
+    note!("{}", summary(ok, failed, skipped, entered_mps2));
     let report = LiveReport {
         system_id: system_id.to_owned(),
         system: if is_running { "running" } else { "started" },
@@ -98,16 +104,18 @@ pub(crate) fn check(system_id: &str, arguments: &LiveArguments, choice: &Choice)
         ok,
         failed,
         skipped,
-        blocked_deceleration_mps2: deceleration,
+        blocked_deceleration_mps2: entered_mps2,
+        deceleration_estimate_mps2: deceleration.map(|found| found.estimate_mps2),
     };
     print_json(arguments.json, &report)?;
     Ok(if failed == 0 { Exit::Done } else { Exit::NotReached })
 }
 
 fn validate(arguments: &LiveArguments) -> anyhow::Result<()> {
-    let LiveArguments { speed, observe, by_hand, .. } = *arguments;
+    let LiveArguments { speed, stops, observe, by_hand, .. } = *arguments;
     let ranges = [
         ("--speed", speed, 0.1..=1.0, "0.1 to 1 m/s"),
+        ("--stops", stops as f64, 1.0..=20.0, "1 to 20"),
         ("--observe", observe, 1.0..=3600.0, "1 to 3600 s"),
         ("--by-hand", by_hand, 0.0..=600.0, "0 to 600 s"),
     ];

@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 
 use console::exit::Exit;
 use console::note;
+use emulator::JudgedBy;
 use runtime::{Domain, RuntimeError};
-use session::control::{Reply, Request, Status, ask};
+use session::control::{ProcessStatus, Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
 use shared_types::{Role, ScannerState};
 
@@ -40,11 +41,13 @@ fn is_not_running(error: &anyhow::Error) -> bool {
 
 fn table(status: &Status) -> String {
     let Status { system_id, state, scenario, scan, .. } = status;
+    let judged_by = status.judged_by.filter(|judged_by| *judged_by == JudgedBy::Estimate);
+    let judged_by = judged_by.map_or("", |_| ", judged by the estimate");
     let blocking = status.blocking.map(|blocking| format!("stopped: blocked by {blocking}\n"));
     let scanner = status.scanner.as_ref().filter(|scanner| scanner.state != ScannerState::Healthy.name());
     let scanner = scanner.map(|scanner| format!("scanner {}\n", scanner.explanation));
     let mut text = format!(
-        "system {system_id}: {state}, scenario {scenario}, scan {scan}\n{}{}\
+        "system {system_id}: {state}, scenario {scenario}, scan {scan}{judged_by}\n{}{}\
          {:<11} {:<16} {:>7}  {:<9} {:>8} {:>8} {:>8} {:>6} {:>9}\n",
         blocking.unwrap_or_default(),
         scanner.unwrap_or_default(),
@@ -72,6 +75,9 @@ fn table(status: &Status) -> String {
             process.cpu_percent,
             process.memory_kib
         );
+        if let Some(device) = device(process) {
+            let _ = writeln!(text, "            device {device}");
+        }
         if !process.obeys_stop && matches!(process.role, Role::Robot | Role::Actuator) {
             let _ = writeln!(text, "            ! it does not see the stop word: `scanloop stop` ends it");
         }
@@ -83,6 +89,18 @@ fn table(status: &Status) -> String {
         }
     }
     text
+}
+
+/// The state of the devices behind a process, for how long, and why; `None` when the process reports none.
+fn device(process: &ProcessStatus) -> Option<String> {
+    let mut text = process.device.clone()?;
+    if let Some(for_s) = process.device_for_s {
+        let _ = write!(text, " for {for_s:.1} s");
+    }
+    if let Some(reason) = process.device_reason.as_ref().filter(|reason| !reason.is_empty()) {
+        let _ = write!(text, ": {reason}");
+    }
+    Some(text)
 }
 
 #[cfg(test)]
@@ -114,6 +132,38 @@ mod tests {
         });
         assert_eq!(json["scanner"], keys);
         assert_eq!(ScannerStatus::from(healthy).state, "healthy");
+    }
+
+    #[test]
+    fn a_device_and_its_reason_have_a_line_below_their_process() {
+        let row = |device: serde_json::Value| {
+            let mut row = serde_json::json!({
+                "role": "robot", "implementation": "player", "pid": 7, "state": "ready", "restarts": 0,
+                "rate_hz": 0.0, "last_sample_age_ms": 0.0, "cpu_percent": 0.0, "memory_kib": 0,
+                "obeys_stop": true, "last_words": [],
+            });
+            row.as_object_mut().unwrap().extend(device.as_object().unwrap().clone());
+            let process: ProcessStatus = serde_json::from_value(row).unwrap();
+            table(&Status { processes: vec![process], ..Status::default() })
+        };
+        let fault = serde_json::json!({
+            "device": "fault", "device_for_s": 2.54, "device_reason": "scanner: no scan comes",
+        });
+        assert!(row(fault).ends_with("\n            device fault for 2.5 s: scanner: no scan comes\n"));
+        let running = serde_json::json!({"device": "running", "device_for_s": 0.0, "device_reason": ""});
+        assert!(row(running).ends_with("device running for 0.0 s\n"));
+        assert!(!row(serde_json::json!({})).contains("device"));
+    }
+
+    #[test]
+    fn a_run_without_truth_is_shown_as_judged_by_the_estimate() {
+        let heading = |judged_by| table(&Status { judged_by, ..Status::default() });
+        assert!(
+            heading(Some(JudgedBy::Estimate)).lines().next().unwrap().ends_with(", judged by the estimate")
+        );
+        assert!(!heading(Some(JudgedBy::Truth)).contains("judged") && !heading(None).contains("judged"));
+        let status = Status { judged_by: Some(JudgedBy::Estimate), ..Status::default() };
+        assert_eq!(serde_json::to_value(status).unwrap()["judged_by"], "estimate");
     }
 
     #[test]

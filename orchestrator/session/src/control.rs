@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use audit::ledger::RefusedRow;
+use emulator::JudgedBy;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
 use report::{BlockingReport, ScannerStatus};
@@ -22,7 +23,7 @@ use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
-use shared_types::Role;
+use shared_types::{Device, DeviceState, Role};
 use supervision::entry::role_name;
 use supervision::supervisor::VisibleState;
 
@@ -68,6 +69,9 @@ pub struct Status {
     pub scenario: String,
     /// The newest scan.
     pub scan: u64,
+    /// What judges the run: `truth` or `estimate`; null before the drive begins.
+    #[serde(default)]
+    pub judged_by: Option<JudgedBy>,
     /// Whether time is simulated.
     #[serde(default)]
     pub lockstep: bool,
@@ -109,6 +113,15 @@ pub struct ProcessStatus {
     /// Whether it sees the stop word, and so obeys `scanloop stop` by itself.
     #[serde(default)]
     pub obeys_stop: bool,
+    /// What the devices behind the process do: connecting, running or fault; null when it reports none.
+    #[serde(default)]
+    pub device: Option<String>,
+    /// For how long they have done it [s].
+    #[serde(default)]
+    pub device_for_s: Option<f64>,
+    /// Why they do it, in the words of the process; empty without a reason.
+    #[serde(default)]
+    pub device_reason: Option<String>,
     /// Last log lines of the process before the one that runs.
     pub last_words: Vec<String>,
 }
@@ -127,8 +140,19 @@ impl ProcessStatus {
             cpu_percent: 0.0,
             memory_kib: 0,
             obeys_stop: false,
+            device: None,
+            device_for_s: None,
+            device_reason: None,
             last_words: Vec::new(),
         }
+    }
+
+    /// Shows what the devices behind the process do, if it reports them.
+    pub(crate) fn set_device(&mut self, device: &Device, now_ns: u64) {
+        let state = Some(device.state()).filter(|state| *state != DeviceState::None);
+        self.device = state.map(|state| state.name().to_owned());
+        self.device_for_s = state.map(|_| now_ns.saturating_sub(device.since_ns) as f64 * 1e-9);
+        self.device_reason = state.map(|_| device.reason());
     }
 }
 

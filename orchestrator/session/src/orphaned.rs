@@ -66,6 +66,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
         state: if is_stopped(domain) { STOPPED } else { ORPHANED }.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),
         scan,
+        judged_by: survivors.registry.judged_by,
         // A run in lock-step does not move without an orchestrator.
         lockstep: false,
         // No process records the drive, so neither the obstacle of a stop nor the scanner is known.

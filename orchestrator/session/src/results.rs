@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use console::exit::Exit;
-use emulator::Scenario;
 use emulator::scenario::{Obstacle, Shape};
+use emulator::{JudgedBy, Scenario};
 use plan::Plan;
 use plan::difference::Property;
 use report::recorder::Recorder;
@@ -19,8 +19,10 @@ use crate::session::Session;
 pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow::Result<Exit> {
     let result = session.drive()?;
     let (recorder, digests) = session.finish();
-    let report =
-        Report { digests: digests.texts(), differences: differences(plan), ..recorder.report(&result) };
+    let report = Report { digests: digests.texts(), ..recorder.report(&result) };
+    // The scenario tells nothing about a robot that is not emulated.
+    let has_truth = report.judged_by == JudgedBy::Truth;
+    let report = Report { differences: if has_truth { differences(plan) } else { Vec::new() }, ..report };
     let written = write_results(&report, &plan.scenario, &recorder, out);
     runtime::print(runtime::Priority::Notice, &summary::text(&report, Some(&near(out))));
     if let Err(error) = written {

@@ -63,7 +63,7 @@ fn announce(plan: &Plan, quiet: bool) {
     let warn = |text: &str| runtime::print(runtime::Priority::Warning, &format!("warning: {text}"));
     plan.warnings.iter().for_each(|warning| warn(warning));
     if !quiet {
-        let lines = difference::summary(&plan.differences()).into_iter().chain(plan.careful());
+        let lines = difference::summary(&plan.differences_of_truth()).into_iter().chain(plan.careful());
         lines.for_each(|line| runtime::print(runtime::Priority::Notice, &line));
     }
 }

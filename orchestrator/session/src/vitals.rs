@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use audit::ledger::SampleAudit;
 use runtime::{Bus, Observer, RuntimeError, monotonic_ns};
-use shared_types::{Checkpoint, Heartbeat, ProcessState, Role};
+use shared_types::{Checkpoint, Device, Heartbeat, ProcessState, Role};
 use supervision::supervisor::{Event, VisibleState};
 
 use crate::control::ProcessStatus;
@@ -31,6 +31,7 @@ struct Pulse {
     newest_output_ns: u64,
     scan: u64,
     obeys_stop: bool,
+    device: Device,
 }
 
 impl Vitals {
@@ -111,7 +112,12 @@ impl Vitals {
     pub(crate) fn row(&self, role: Role, state: VisibleState, incarnation: u32) -> ProcessStatus {
         let (rate_hz, last_sample_age_ms) = self.rate_and_age(incarnation);
         let obeys_stop = self.obeys_stop(incarnation);
-        ProcessStatus { rate_hz, last_sample_age_ms, obeys_stop, ..ProcessStatus::new(role, state) }
+        let mut row =
+            ProcessStatus { rate_hz, last_sample_age_ms, obeys_stop, ..ProcessStatus::new(role, state) };
+        if let Some(pulse) = self.pulses.get(&incarnation) {
+            row.set_device(&pulse.device, monotonic_ns());
+        }
+        row
     }
 
     /// Outputs per second of an incarnation, and the age of its newest output [ms].
@@ -139,6 +145,7 @@ impl Pulse {
         }
         self.beat_ns = now;
         self.obeys_stop = heartbeat.obeys_stop == 1;
+        self.device = heartbeat.device;
         self.scan = self.scan.max(heartbeat.header.scan_id);
         self.published.push_back((now, published));
         while self.published.front().is_some_and(|(then, _)| now.saturating_sub(*then) > RATE_WINDOW_NS) {

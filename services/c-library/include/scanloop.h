@@ -111,6 +111,10 @@ uint64_t scanloop_period_ns(scanloop_process *process);
 enum scanloop_wheels { SCANLOOP_TURNING = 1, SCANLOOP_BLOCKED = 2, SCANLOOP_RESTING = 3 };
 int scanloop_report_wheels(scanloop_process *process, uint32_t wheels);
 
+/* Reports what the devices behind this process do, and why in a few words (or NULL), for `scanloop status`: one of enum
+ * scanloop_device_state. A driver calls it each time it wakes; of a long reason the first 96 bytes count. */
+int scanloop_report_device(scanloop_process *process, uint32_t state, const char *reason);
+
 /* The counters of this process and the newest directive; either may be NULL. `stop` of the directive is 1 also when the
  * run was stopped for good, or no directive came for orphan_stop_s. Then an actuator's port sends no actuation that
  * drives, and a robot's port delivers none. */

@@ -15,6 +15,8 @@ pub(crate) enum Refusal {
     NotText(&'static str),
     #[error(transparent)]
     Name(#[from] UnknownName),
+    #[error("state of the device: {0}")]
+    Device(Fault),
     #[error("role {0} is unknown: 0 to 4")]
     RoleNumber(u32),
     #[error("this role does not {verb} topic {topic}")]

@@ -15,7 +15,7 @@ use std::ffi::{CStr, c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use runtime::Wheels;
-use shared_types::{Directive, Header, Heartbeat, LayoutRow, Layouts, Role, Topic};
+use shared_types::{DeviceState, Directive, Header, Heartbeat, LayoutRow, Layouts, Role, Topic};
 
 use error::Refusal;
 pub use process::CProcess;
@@ -218,6 +218,20 @@ pub unsafe extern "C" fn scanloop_period_ns(process: *mut CProcess) -> u64 {
 pub unsafe extern "C" fn scanloop_report_wheels(process: *mut CProcess, wheels: u32) -> c_int {
     with(process, |process| {
         process.process.report_wheels(Wheels::from(u64::from(wheels)));
+        Ok(YES)
+    })
+}
+
+/// See `scanloop.h`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn scanloop_report_device(
+    process: *mut CProcess,
+    state: u32,
+    reason: *const c_char,
+) -> c_int {
+    with(process, |process| {
+        let reason = if reason.is_null() { "" } else { text("reason", reason)? };
+        process.process.report_device(DeviceState::try_from(state).map_err(Refusal::Device)?, reason);
         Ok(YES)
     })
 }

@@ -8,6 +8,7 @@ mod guarded;
 mod lost;
 mod scanner;
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +16,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use shared_types::BEAMS;
+use shared_types::{BEAMS, Device};
 
 use crate::Config;
 use crate::config::ScanSource;
@@ -57,6 +58,8 @@ pub enum Event {
     Scan {
         /// Its ranges, by beam [mm].
         ranges_mm: [u16; BEAMS],
+        /// The ranges were damaged on the way, and are all zero.
+        is_missing: bool,
         /// Time of the front beam, on CLOCK_MONOTONIC [ns].
         front_ns: u64,
         /// Duration of the sweep [ns].
@@ -64,6 +67,8 @@ pub enum Event {
         /// When it arrived, on CLOCK_MONOTONIC [ns].
         arrived_ns: u64,
     },
+    /// The state of a scanner at this computer has changed.
+    Scanner(Device),
     /// There is no connection, and why.
     Lost(Lost),
 }
@@ -72,6 +77,8 @@ pub enum Event {
 #[derive(Debug)]
 pub struct Client {
     events: Receiver<Event>,
+    /// A state of the scanner that came before the first connection.
+    scanner: Cell<Option<Device>>,
     is_ended: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -103,12 +110,12 @@ impl Client {
         }
         let config = config.clone();
         threads.push(named("player").spawn(move || keep_connected(&config, timeout_ns, &outlet))?);
-        Ok(Self { events, is_ended, threads })
+        Ok(Self { events, scanner: Cell::default(), is_ended, threads })
     }
 
     /// The next event, if there is one.
     pub fn next(&self) -> Option<Event> {
-        self.events.try_recv().ok()
+        self.scanner.take().map(Event::Scanner).or_else(|| self.events.try_recv().ok())
     }
 
     /// Waits for the first connection, but not longer than `limit_s` [s].
@@ -121,6 +128,7 @@ impl Client {
             match self.events.recv_timeout(end.saturating_duration_since(Instant::now())) {
                 Ok(Event::Connected(orders, session)) => return Ok((orders, session)),
                 Ok(Event::Lost(lost)) => reason = Some(lost),
+                Ok(Event::Scanner(device)) => self.scanner.set(Some(device)),
                 Ok(_) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return Err(reason),
             }

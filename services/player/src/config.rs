@@ -69,6 +69,14 @@ settings! {
         pub scan: ScanSource = ScanSource::Player;
         /// Device or address of the Hokuyo scanner, with `scan = "urg"`.
         pub urg: String = "/dev/ttyACM0".to_owned(), "a device, or HOST:PORT";
+        /// Scans of the Hokuyo scanner that are left out after each one; the rate falls by as much.
+        pub urg_skip: u32 = 0, 0.0..=9.0;
+        /// Steps of the Hokuyo scanner that are merged to one range, the smallest: fewer bytes on a slow line.
+        pub urg_cluster: u32 = 1, 1.0..=10.0;
+        /// Whether the Hokuyo scanner sends two characters per range instead of three: a third less, up to 4.09 m.
+        pub urg_two_characters: bool = false;
+        /// Bit rate of a serial line to the Hokuyo scanner; without effect over USB and TCP [bit/s].
+        pub urg_bit_rate: u32 = 115_200, 9_600.0..=4_000_000.0;
         /// Interface of the server's scanner; `auto` is ranger, or laser where there is no ranger.
         pub scanner: Scanner = Scanner::Auto;
         /// Index of the scanner among the devices of its interface.

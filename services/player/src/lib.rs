@@ -2,7 +2,7 @@
 //!
 //! The protocol is a codec without input and output: [`stream`] cuts bytes into messages, [`message`] and [`command`]
 //! read and write them, [`handshake`] opens the devices. [`beams`], [`motion`] and [`join`] turn what the server reports
-//! into scan and odometry. [`client`] is the connection, [`guard`] the process that stops the wheels when the driver is
+//! into scan and odometry, [`devices`] into a state for `scanloop status`. [`client`] is the connection, [`guard`] the process that stops the wheels when the driver is
 //! silent, [`service`] the process of the driver.
 
 pub mod beams;
@@ -10,6 +10,7 @@ pub mod client;
 pub mod clock;
 pub mod command;
 pub mod config;
+pub mod devices;
 pub mod guard;
 pub mod handshake;
 pub mod header;

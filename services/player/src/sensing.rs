@@ -25,6 +25,8 @@ const MIN_SPACING_SHARE: u64 = 4;
 pub struct Measured {
     /// Ranges by beam of a scan [mm].
     pub ranges_mm: [u16; BEAMS],
+    /// The ranges were damaged on the way, and are all zero.
+    pub is_missing: bool,
     /// The motion at the time of the front beam.
     pub motion: Motion,
 }
@@ -33,6 +35,7 @@ pub struct Measured {
 #[derive(Debug, Clone, Copy)]
 struct Waiting {
     ranges_mm: [u16; BEAMS],
+    is_missing: bool,
     front_ns: u64,
     until_ns: u64,
 }
@@ -83,11 +86,17 @@ impl Sensing {
     pub fn sweep(&mut self, ranges_mm: [u16; BEAMS], time_s: f64, arrived_ns: u64) {
         let stamped_ns = self.clock.map(time_s, arrived_ns).unwrap_or(arrived_ns);
         let offset_ns = (self.config.stamp_offset_s * 1e9) as i64;
-        self.sweep_at(ranges_mm, stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
+        self.sweep_at((ranges_mm, false), stamped_ns.saturating_add_signed(-offset_ns), arrived_ns);
     }
 
-    /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC.
-    pub fn sweep_at(&mut self, ranges_mm: [u16; BEAMS], front_ns: u64, arrived_ns: u64) {
+    /// Takes a sweep of any scanner, whose front beam was measured at `front_ns` of CLOCK_MONOTONIC: its ranges, and
+    /// whether they were damaged on the way.
+    pub fn sweep_at(
+        &mut self,
+        (ranges_mm, is_missing): ([u16; BEAMS], bool),
+        front_ns: u64,
+        arrived_ns: u64,
+    ) {
         let oldest_ns = arrived_ns.saturating_sub(MAX_AGE_PERIODS * self.period_ns);
         let front_ns = front_ns.clamp(oldest_ns, arrived_ns);
         if front_ns < self.front_ns + self.period_ns / MIN_SPACING_SHARE || self.waiting.is_some() {
@@ -95,13 +104,13 @@ impl Sensing {
         }
         if front_ns >= self.front_ns + self.period_ns / MIN_SPACING_SHARE {
             let until_ns = arrived_ns + self.period_ns / WAIT_SHARE;
-            self.waiting = Some(Waiting { ranges_mm, front_ns, until_ns });
+            self.waiting = Some(Waiting { ranges_mm, is_missing, front_ns, until_ns });
         }
     }
 
     /// The sweep that waits, if its motion is known or it has waited long enough.
     pub fn next(&mut self, now_ns: u64) -> Option<Measured> {
-        let Waiting { ranges_mm, front_ns, until_ns } = self.waiting?;
+        let Waiting { ranges_mm, is_missing, front_ns, until_ns } = self.waiting?;
         if !self.motions.covers(front_ns) && now_ns < until_ns {
             return None;
         }
@@ -112,7 +121,7 @@ impl Sensing {
             return None;
         }
         self.front_ns = front_ns;
-        self.motions.at(front_ns).map(|motion| Measured { ranges_mm, motion })
+        self.motions.at(front_ns).map(|motion| Measured { ranges_mm, is_missing, motion })
     }
 
     /// When [`Self::next`] gives a sweep at the latest [ns].
@@ -181,12 +190,12 @@ mod tests {
     #[test]
     fn a_scan_without_a_recent_state_is_dropped_and_nothing_waits_for_it() {
         let mut sensing = running();
-        sensing.sweep_at([700; BEAMS], 3000 * MS, 3000 * MS);
+        sensing.sweep_at(([700; BEAMS], false), 3000 * MS, 3000 * MS);
         assert!(sensing.next(3100 * MS).is_some(), "two periods at most");
-        sensing.sweep_at([700; BEAMS], 3210 * MS, 3210 * MS);
+        sensing.sweep_at(([700; BEAMS], false), 3210 * MS, 3210 * MS);
         assert_eq!((sensing.next(3300 * MS), sensing.due_ns(), sensing.dropped()), (None, None, 1));
         sensing.restart();
-        sensing.sweep_at([700; BEAMS], 3400 * MS, 3400 * MS);
+        sensing.sweep_at(([700; BEAMS], false), 3400 * MS, 3400 * MS);
         assert_eq!((sensing.next(3500 * MS), sensing.due_ns()), (None, None));
     }
 

@@ -8,12 +8,13 @@ use std::rc::Rc;
 
 use runtime::{CANDIDATE_VARIABLE, Input, Output, Process, Wheels, monotonic_ns};
 use serde::Deserialize;
-use shared_types::{Actuation, ActuationKind, Odometry, Phase, Role, Scan};
+use shared_types::{Actuation, ActuationKind, DeviceState, Odometry, Phase, Role, Scan};
 use vehicle::Description;
 use vehicle::correction::{SENT_STEERING_MAX_RAD, SENT_VELOCITY_MAX_MPS};
 
 use crate::client::{Client, Event, Lost, Orders};
-use crate::config::Config;
+use crate::config::{Config, ScanSource};
+use crate::devices::Devices;
 use crate::handshake::Session;
 use crate::motion::{Anchor, Motion, sent, wrapped};
 use crate::order::Order;
@@ -91,6 +92,7 @@ struct Driver {
     client: Client,
     orders: Option<Orders>,
     sensing: Sensing,
+    devices: Devices,
     anchor: Option<Anchor>,
     /// The pose that the server reported last.
     reported: [f64; 3],
@@ -136,6 +138,7 @@ impl Driver {
             client,
             orders: Some(orders),
             sensing: Sensing::new(&config, period_ns),
+            devices: Devices::new(config.scan == ScanSource::Urg, monotonic_ns()),
             anchor: None,
             reported: [0.0; 3],
             last: None,
@@ -163,6 +166,8 @@ impl Driver {
         self.publish(process)?;
         self.obey(process, ends || process.must_stop());
         process.report_wheels(self.wheels());
+        let (state, reason) = self.devices.shown();
+        process.report_device(state, reason);
         Ok(())
     }
 
@@ -172,24 +177,27 @@ impl Driver {
                 log_devices(&self.config, &self.vehicle, &session);
                 self.orders = Some(orders);
                 self.sensing.restart();
+                self.devices.set_base(DeviceState::Running, "", monotonic_ns());
             }
             Event::State { state, time_s, arrived_ns } => {
                 if !self.sensing.state(&state, time_s, arrived_ns) {
                     tracing::warn!(?state, "a state of the base is not finite");
                 }
             }
-            Event::Scan { ranges_mm, front_ns, sweep_ns, arrived_ns } => {
+            Event::Scan { ranges_mm, is_missing, front_ns, sweep_ns, arrived_ns } => {
                 self.scan.sweep_ns = sweep_ns.clamp(1, self.period_ns);
-                self.sensing.sweep_at(ranges_mm, front_ns, arrived_ns);
+                self.sensing.sweep_at((ranges_mm, is_missing), front_ns, arrived_ns);
             }
             Event::Sweep { ranges_mm, time_s, arrived_ns } => {
                 self.sensing.sweep(ranges_mm, time_s, arrived_ns)
             }
+            Event::Scanner(device) => self.devices.set_scanner(device),
             Event::Lost(lost) => self.lose(&lost),
         }
     }
 
     fn lose(&mut self, lost: &Lost) {
+        self.devices.set_base(DeviceState::Fault, &lost.to_string(), monotonic_ns());
         // The first loss is news, further attempts are not.
         if self.orders.take().is_some() {
             tracing::error!(%lost, "the connection is lost: the wheels are stopped");
@@ -283,6 +291,7 @@ impl Driver {
         let mut odometry = self.odometry(&measured.motion);
         self.scan.header = odometry.header;
         self.scan.ranges_mm = measured.ranges_mm;
+        self.scan.missing = measured.is_missing.into();
         self.scans.publish(&mut self.scan)?;
         self.odometries.publish(&mut odometry)?;
         self.last = Some(odometry);

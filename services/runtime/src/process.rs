@@ -10,8 +10,8 @@ use std::sync::Arc;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
-    StageStamps, Topic,
+    Actuation, Checkpoint, Device, DeviceState, Directive, Heartbeat, Layouts, Phase, ProcessState, Role,
+    Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -111,6 +111,7 @@ impl Process {
             role,
             incarnation,
             guard: Guard::new(role, word),
+            device: RefCell::new(Device::default()),
             clock: run.clock.clock(),
             counters: Counters::default(),
             stamps: Cell::default(),
@@ -197,6 +198,14 @@ impl Process {
     pub fn report_wheels(&self, wheels: Wheels) {
         self.shared.guard.set_wheels(wheels);
         self.publish_wheels();
+    }
+
+    /// Reports what the devices behind this process do, and why in a few words, for `scanloop status`. A driver calls it
+    /// each time it wakes; the next heartbeat follows at once when state or reason are new.
+    pub fn report_device(&self, state: DeviceState, reason: &str) {
+        if self.shared.device.borrow_mut().note(state, reason, monotonic_ns()) {
+            self.shared.counters.is_urgent.set(true);
+        }
     }
 
     pub(crate) fn publish_wheels(&self) {
@@ -319,6 +328,7 @@ impl Process {
             obeys_stop: u32::from(self.shared.guard.word().is_some()),
             issued_ns: monotonic_ns(),
             looked_ns: self.polled_ns,
+            device: *self.shared.device.borrow(),
             ..Heartbeat::default()
         };
         self.shared.counters.fill(&mut heartbeat);

@@ -2,7 +2,7 @@
 
 use std::cell::{Cell, RefCell};
 
-use shared_types::{Directive, Header, Role, StageStamps, Topic, YOUNG_NS};
+use shared_types::{Device, Directive, Header, Role, StageStamps, Topic, YOUNG_NS};
 
 use crate::Clock;
 use crate::counters::Counters;
@@ -20,6 +20,8 @@ pub(crate) struct Shared {
     pub(crate) stamps: Cell<StageStamps>,
     pub(crate) directive: RefCell<Directive>,
     pub(crate) guard: Guard,
+    /// What the devices behind this process do, for the heartbeat.
+    pub(crate) device: RefCell<Device>,
     /// Scan period [ns].
     pub(crate) period_ns: u64,
     pub(crate) produced: Cell<bool>,

@@ -46,6 +46,8 @@ pub struct Emulator {
     is_scip_2: bool,
     is_laser_on: bool,
     is_time_mode: bool,
+    /// Statuses of `TM0` and `TM1` where nothing else is wrong.
+    time_status: [Status; 2],
     job: Option<Job>,
     command: Vec<u8>,
     output: VecDeque<u8>,
@@ -84,6 +86,7 @@ impl Emulator {
             is_scip_2: true,
             is_laser_on: false,
             is_time_mode: false,
+            time_status: [Status::DONE; 2],
             job: None,
             command: Vec::new(),
             output: VecDeque::new(),
@@ -105,6 +108,7 @@ impl Emulator {
                 self.is_scip_2 = false;
                 self.output.clear();
             }
+            DeviceFault::TimeStatus(statuses) => self.time_status = statuses,
             DeviceFault::Backwards(ms) => self.set_back_ms += ms,
             DeviceFault::Status(status) => self.interrupt(status),
             DeviceFault::Garbage(count) => {
@@ -208,6 +212,10 @@ impl Emulator {
     }
 
     fn answer_time(&mut self, command: &[u8], now_ns: u64) {
+        let [enter, read] = self.time_status;
+        if command == b"TM0" && enter != Status::DONE || command == b"TM1" && read != Status::DONE {
+            return self.reply(command, if command == b"TM0" { enter } else { read }, &[]);
+        }
         let (status, lines) = match (command, self.is_time_mode) {
             (b"TM0", false) | (b"TM2", true) => (Status::DONE, None),
             (b"TM0", true) => (Status(*b"02"), None),

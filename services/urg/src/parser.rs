@@ -31,6 +31,9 @@ pub enum ReplyFault {
     /// A scan has more or fewer ranges than its echo announces.
     #[error("wrong number of ranges")]
     Count,
+    /// The echo of a scan names another measurement.
+    #[error("wrong echo")]
+    Echo,
 }
 
 /// What a byte has completed.
@@ -96,6 +99,8 @@ pub struct Parser {
     /// Of a reply with ranges.
     measurement: Option<Measurement>,
     stamp: Option<u32>,
+    /// Measurement and stamp of a scan that the echo of the next one has cut short, until the next line.
+    cut: Option<(Option<Measurement>, Option<u32>)>,
     ranges: Vec<u32>,
     /// A range of which only the first characters have come, and their number.
     partial: (u32, u8),
@@ -112,6 +117,7 @@ impl Default for Parser {
             status: Status::default(),
             measurement: None,
             stamp: None,
+            cut: None,
             ranges: Vec::with_capacity(MAX_RANGES),
             partial: (0, 0),
             fault: None,
@@ -143,12 +149,12 @@ impl Parser {
 
     /// What the scan is, with the number of scans that are left.
     pub fn measurement(&self) -> Option<Measurement> {
-        self.measurement
+        self.cut.map_or(self.measurement, |(measurement, _)| measurement)
     }
 
     /// Time stamp of the scan [ms, 24 bits].
     pub fn stamp(&self) -> Option<u32> {
-        self.stamp
+        self.cut.map_or(self.stamp, |(_, stamp)| stamp)
     }
 
     /// Ranges of the scan; small ones are error codes [mm].
@@ -169,6 +175,7 @@ impl Parser {
     }
 
     fn end_line(&mut self) -> Option<Completed> {
+        self.cut = None;
         if self.line.get().is_empty() {
             return self.end_reply();
         }
@@ -176,9 +183,10 @@ impl Parser {
             return self.refuse(ReplyFault::TooLong);
         }
         if self.expected != Expected::Echo && self.is_next_echo() {
-            let cut = self.end_early();
+            let (completed, cut) = (self.end_early(), (self.measurement, self.stamp));
             self.begin();
-            return cut;
+            self.cut = Some(cut);
+            return completed;
         }
         match self.expected {
             Expected::Echo => self.begin(),

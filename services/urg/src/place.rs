@@ -50,6 +50,8 @@ pub struct Config {
     pub coding: Coding,
     /// Scans left out after each one, 0 to 9.
     pub skip: u8,
+    /// Steps that are merged to one range, the smallest of theirs, 1 to 99.
+    pub cluster: u8,
     /// Bit rate of a serial line; without effect over USB [bit/s].
     pub bit_rate: u32,
     /// Asks for identification and parameters only: the laser stays off, and no model is refused.
@@ -59,6 +61,7 @@ pub struct Config {
 impl Config {
     /// The usual configuration of a scanner at a place.
     pub fn new(place: Place) -> Self {
-        Self { place, rate_hz: None, coding: Coding::Three, skip: 0, bit_rate: 115_200, identify_only: false }
+        let coding = Coding::Three;
+        Self { place, rate_hz: None, coding, skip: 0, cluster: 1, bit_rate: 115_200, identify_only: false }
     }
 }

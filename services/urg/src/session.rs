@@ -200,13 +200,19 @@ impl Session {
 
     /// A scan has come, with ranges or without.
     fn measured(&mut self, arrived_ns: u64, scan: &mut Scan, fault: Option<ReplyFault>) -> Option<Reading> {
-        let is_missing = fault.is_some();
-        let measurement = self.parser.measurement()?;
-        if self.phase != Phase::Measuring || !measurement.is_same(&self.measurement) {
+        if self.phase != Phase::Measuring {
             return None;
         }
-        self.counters.broken += u64::from(is_missing);
-        let stamp_ms = self.parser.stamp()?;
+        let is_own = self.parser.measurement().is_some_and(|its| its.is_same(&self.measurement));
+        let fault = fault.or((!is_own).then_some(ReplyFault::Echo));
+        let is_missing = fault.is_some();
+        if let Some(fault) = fault {
+            self.counters.broken += 1;
+            self.message.clear();
+            // Writing to a text does not fail.
+            let _ = write!(self.message, "a scan was damaged on the way: {fault}");
+        }
+        let stamp_ms = self.parser.stamp().filter(|_| is_own)?;
         let (Some(parameters), Some(clock), Some(resampling)) =
             (&self.identity.parameters, &mut self.clock, &self.resampling)
         else {
@@ -224,11 +230,8 @@ impl Session {
         }
         self.deadline_ns = arrived_ns.saturating_add(SILENT_PERIODS * scan.period_ns);
         self.counters.clock_jumps += u64::from(mapped.event != Event::Regular);
-        self.message.clear();
-        if let Some(fault) = fault {
-            // Writing to a text does not fail.
-            let _ = write!(self.message, "a scan was damaged on the way: {fault}");
-        } else {
+        if !is_missing {
+            self.message.clear();
             (self.attempts, self.state) = (0, SourceState::Measuring);
             self.counters.scans += 1;
         }
@@ -243,6 +246,8 @@ impl Session {
                 self.advance(step, arrived_ns)?;
             }
             Phase::Measuring if self.is_of_measurement() => self.interrupted(arrived_ns),
+            // A reply to no command: the echo of a scan was damaged.
+            Phase::Measuring => self.counters.garbage += 1,
             _ => {}
         }
         Ok(None)
@@ -309,12 +314,12 @@ impl Session {
 
     /// Prepares the measurement of a model.
     fn prepare(&mut self, parameters: Parameters) -> Result<(), UrgError> {
-        let Config { rate_hz, skip, coding, identify_only, .. } = self.config;
+        let Config { rate_hz, skip, cluster, coding, identify_only, .. } = self.config;
         if !identify_only {
             parameters.require_fit(rate_hz, skip)?;
         }
         let (first, last) = parameters.steps_of_beams();
-        self.measurement = Measurement { coding, first, last, cluster: 1, skip, count: 0, single: false };
+        self.measurement = Measurement { coding, first, last, cluster, skip, count: 0, single: false };
         self.resampling = Some(Resampling::new(&parameters, &self.measurement));
         let settings = Settings {
             delay_ns: parameters.step_ns(u32::from(last)),

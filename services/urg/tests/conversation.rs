@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use proptest::prelude::*;
-use shared_types::{FRONT_BEAM, Sample, Scan};
+use shared_types::{BEAMS, FRONT_BEAM, Sample, Scan};
 use urg::{
     Coding, Completed, Config, DeviceFault, Emulator, Event, Measurement, Parser, Place, Reading, Session,
     SourceState, Status,
@@ -260,6 +260,93 @@ fn the_emulator_refuses_what_a_scanner_refuses() {
     );
     assert_eq!([ask("BM"), ask("BM"), ask("QT")], ["00P", "02R", "00P"]);
     assert!(Measurement::of_echo(b"MD0044072501000").is_some());
+}
+
+/// All commands of the start, in the order in which the scanner receives them.
+fn commands_of_start(fault: Option<DeviceFault>) -> (Vec<String>, Pair) {
+    let mut pair = Pair::new(|_| {});
+    if let Some(fault) = fault {
+        pair.inject(fault);
+    }
+    let mut commands = Vec::new();
+    for _ in 0..3_000 {
+        pair.session.poll(pair.now_ns + MS);
+        commands
+            .extend(String::from_utf8(pair.session.output().to_vec()).unwrap().lines().map(str::to_owned));
+        pair.run(1);
+    }
+    (commands, pair)
+}
+
+#[test]
+fn the_laser_is_off_while_the_time_is_read() {
+    let (commands, pair) = commands_of_start(None);
+    let place = |name: &str| commands.iter().position(|command| command == name).unwrap();
+    let times = commands.iter().filter(|command| *command == "TM1").count();
+    assert_eq!(times, 10, "{commands:?}");
+    let order = ["QT", "TM0", "TM1", "TM2", "BM"].map(place);
+    assert!(order.is_sorted(), "{commands:?}");
+    assert!(!commands[place("TM0")..place("BM")].iter().any(|command| command.starts_with("MD")));
+    assert!(pair.readings.last().unwrap().0.error_ns < 5 * MS, "the round trips are short");
+}
+
+#[test]
+fn a_scanner_that_refuses_time_mode_measures_with_a_wider_error_bound() {
+    let [unknown, command, off] = [Status(*b"0E"), Status(*b"04"), Status(*b"10")];
+    let cases =
+        [[unknown, unknown], [command, command], [off, off], [Status::DONE, command], [Status::DONE, off]];
+    for statuses in cases {
+        let (commands, pair) = commands_of_start(Some(DeviceFault::TimeStatus(statuses)));
+        assert_eq!(pair.states, [SourceState::Starting, SourceState::Measuring], "{statuses:?} {commands:?}");
+        assert!(pair.scans() >= 15, "{statuses:?}: {} scans", pair.scans());
+        // A scanner that entered time mode is asked to leave it before its laser is switched on.
+        let leaves = commands.iter().any(|command| command == "TM2");
+        assert_eq!(leaves, statuses[0] == Status::DONE, "{commands:?}");
+        for (reading, scan) in &pair.readings {
+            let front_ns = 1_000 * MS + u64::from(reading.stamp_ms) * MS + 37_500_000;
+            assert!(scan.header.acquired_ns.abs_diff(front_ns) <= reading.error_ns, "{reading:?}");
+            assert!(reading.error_ns >= 20 * MS, "without a round trip the delay is only computed");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_scan_of_which_a_part_is_lost_or_changed_gives_no_ranges_and_is_counted(
+        from in 0.0..1.0_f64, share in 0.0005..0.5_f64, flip in prop::option::of(0..8_u8),
+    ) {
+        let mut pair = measuring();
+        for (step, range) in pair.emulator.scene().iter_mut().enumerate() {
+            *range = 1_000 + 3 * step as u32;
+        }
+        pair.run(300);
+        let (begin, before) = (pair.readings.len(), pair.session.counters());
+        let mut is_done = false;
+        pair.damage = Box::new(move |bytes| {
+            // A whole scan comes at once; status replies are short.
+            if bytes.len() < 1_000 || std::mem::replace(&mut is_done, true) {
+                return;
+            }
+            let at = (from * bytes.len() as f64) as usize;
+            match flip {
+                Some(bit) => bytes[at] ^= 1 << bit,
+                None => drop(bytes.drain(at..(at + 1 + (share * bytes.len() as f64) as usize).min(bytes.len()))),
+            }
+        });
+        pair.run(1_000);
+        let after = pair.session.counters();
+        let found = after.broken + after.garbage - before.broken - before.garbage;
+        prop_assert!((1..=3).contains(&found), "{found} damaged pieces");
+        let readings = &pair.readings[begin..];
+        for (reading, scan) in readings {
+            let expected = |beam: usize| if reading.is_missing { 0 } else { 1_000 + 3 * (44 + beam) as u16 };
+            prop_assert!((0..BEAMS).all(|beam| scan.ranges_mm[beam] == expected(beam)), "{reading:?}");
+        }
+        let whole = readings.iter().filter(|(reading, _)| !reading.is_missing).count();
+        prop_assert!((8..=9).contains(&whole), "{whole} whole scans, the damaged one and one beside it at most are lost");
+    }
 }
 
 proptest! {

@@ -70,6 +70,11 @@ impl World {
         FIRST_S + (monotonic_ns() - self.origin_ns) as f64 * 1e-9
     }
 
+    /// Time of the first front beam [ns].
+    pub(super) fn front_ns(&self) -> u64 {
+        self.origin_ns + self.emulator.acquired_ns(1)
+    }
+
     pub(super) fn speed_mps(&self) -> f64 {
         self.emulator.plant().speed()
     }

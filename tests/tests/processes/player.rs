@@ -1,21 +1,24 @@
 //! A robot behind a Player 3 server: driven, with a guard of its wheels, and with faults of the server.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::cell::RefCell;
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, TcpListener};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use emulator::{Outcome, Scenario};
+use emulator::{JudgedBy, Outcome, Scenario};
 use player::Config;
 use player::client::{Client, Event, Orders};
 use player::config::Delivery;
 use player::order::Order;
+use runtime::{Bus, Observer};
 use rustix::process::{Pid, Signal, kill_process};
 use scanloop_tests::player_server::{Fault, PlayerServer, Received};
 use scanloop_tests::{DEADLINE, System, pause};
-use shared_types::Role;
+use shared_types::{BEAMS, Role, Scan};
+use urg::DeviceFault;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// Scan period [ns].
@@ -85,7 +88,7 @@ impl Link {
                     self.orders = None;
                     self.lost.push(lost.to_string());
                 }
-                Event::State { .. } | Event::Scan { .. } => {}
+                Event::State { .. } | Event::Scan { .. } | Event::Scanner(_) => {}
             }
         }
     }
@@ -260,17 +263,36 @@ fn system_file(system: &System, port: u16, more: &str) -> String {
     path.to_str().unwrap().to_owned()
 }
 
+/// Keys of `[player]` for the Hokuyo scanner of a server.
+fn hokuyo(server: &PlayerServer) -> String {
+    format!("scan = \"urg\"\nurg = \"{}\"", server.scanner())
+}
+
+/// What `status` shows of the robot's devices: state and reason.
+fn device(system: &System) -> Option<(String, String)> {
+    let robot = system.status()?.processes.into_iter().find(|process| process.role == Role::Robot)?;
+    assert_eq!(robot.device.is_some(), robot.device_for_s.is_some());
+    Some((robot.device?, robot.device_reason?))
+}
+
+fn shows(system: &System, state: &str, reason: &str) -> bool {
+    device(system).is_some_and(|(its_state, its_reason)| its_state == state && its_reason.contains(reason))
+}
+
 /// Drives a scenario through the shipped orchestrator to its end.
-fn drives(scenario: &str, more: &str) {
+fn drives(scenario: &str, more: impl Fn(&PlayerServer) -> String) {
     let server = server(scenario);
     let mut system = System::new(EXECUTABLE);
-    let file = system_file(&system, server.port(), more);
+    let file = system_file(&system, server.port(), &more(&server));
     system.start(&["--system", &file, scenario]);
+    system.wait_until("base and scanner run", |system| shows(system, "running", ""));
+    assert_eq!(system.status().unwrap().judged_by, Some(JudgedBy::Estimate));
     let status = system.wait();
     let report = system.report();
     let truth = server.truth();
     assert_eq!((status.code(), report.outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
     assert_eq!((truth.collided, report.scans.unaccounted), (0, 0), "{:?}", report.scans);
+    assert_eq!(report.differences, [], "the scenario tells nothing about this robot");
     assert!(truth.goal_distance_m < 0.15 && truth.min_clearance_m > 0.05, "{truth:?}");
     system.assert_nothing_left();
     assert!(guards(server.port()).is_empty());
@@ -278,12 +300,103 @@ fn drives(scenario: &str, more: &str) {
 
 #[test]
 fn a_robot_behind_a_player_server_drives_the_corridor() {
-    drives("corridor", "");
+    drives("corridor", |_| String::new());
 }
 
 #[test]
 fn a_robot_behind_a_player_server_drives_past_two_obstacles_in_pull_mode_by_laser_and_yaw_rate() {
-    drives("two-obstacles", "delivery = \"pull\"\nscanner = \"laser\"\ncommand = \"velocity\"");
+    let keys = "delivery = \"pull\"\nscanner = \"laser\"\ncommand = \"velocity\"";
+    drives("two-obstacles", |_| keys.to_owned());
+}
+
+#[test]
+fn a_base_at_the_server_and_a_hokuyo_scanner_drive_past_two_obstacles() {
+    drives("two-obstacles", hokuyo);
+}
+
+/// Drives with a Hokuyo scanner, damages one scan, then all for a while; the run reaches its goal.
+fn survives_damage(damage: DeviceFault, reason: &str) {
+    let server = server("corridor");
+    let mut system = System::new(EXECUTABLE);
+    let file = system_file(&system, server.port(), &hokuyo(&server));
+    system.start(&["--system", &file, "corridor"]);
+    let bus = Bus::open(&system.domain(), "test").unwrap();
+    let (observer, scans) = (Observer::<Scan>::new(&bus).unwrap(), RefCell::new(Vec::new()));
+    let poll = || _ = observer.poll(|scan| scans.borrow_mut().push(*scan)).unwrap();
+    system.wait_until("it drives", |_| {
+        poll();
+        server.speed_mps() > 0.5
+    });
+    server.damage_scans(damage, 1);
+    system.wait_until("a scan is damaged", |system| {
+        poll();
+        shows(system, "running", "damaged on the way")
+    });
+    let x_m = server.truth().x_m;
+    system.wait_until("it drives on", |_| {
+        poll();
+        server.truth().x_m > x_m + 0.3 && server.speed_mps() > 0.5
+    });
+    let since_ns = runtime::monotonic_ns();
+    server.damage_scans(damage, usize::MAX);
+    system.wait_until("it stands", |_| {
+        poll();
+        server.speed_mps() == 0.0
+    });
+    let stopped_ns = stopped_after_ns(&server, since_ns).unwrap();
+    // The first damaged scan comes within a period; three are tolerated.
+    assert!(stopped_ns < 5 * PERIOD_NS + BUSY_NS, "{stopped_ns} ns");
+    system.wait_until("the fault is shown", |system| shows(system, "fault", reason));
+    server.damage_scans(damage, 0);
+    system.wait_until("the scanner runs again", |system| {
+        poll();
+        shows(system, "running", "")
+    });
+    let status = system.wait();
+    poll();
+    assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
+    assert_eq!(server.truth().collided, 0);
+    let scans = scans.into_inner();
+    let (missing, whole): (Vec<&Scan>, Vec<&Scan>) = scans.iter().partition(|scan| scan.missing.is_set());
+    assert!(
+        !missing.is_empty() && missing.iter().all(|scan| scan.ranges_mm == [0; BEAMS]),
+        "{}",
+        missing.len()
+    );
+    let measured = server.measured();
+    let is_as_measured = |scan: &&Scan| measured.iter().any(|ranges_mm| ranges_mm[..] == scan.ranges_mm[..]);
+    let others = whole.iter().filter(|scan| !is_as_measured(scan)).count();
+    assert!(whole.len() > 30 && others == 0, "{others} of {} scans have other ranges", whole.len());
+    drop((observer, bus));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn scans_with_wrong_checksums_are_named_and_stop_the_wheels_if_they_last() {
+    survives_damage(DeviceFault::Checksum, "wrong checksum");
+}
+
+#[test]
+fn half_scans_are_named_and_stop_the_wheels_if_they_last() {
+    survives_damage(DeviceFault::HalfScan, "");
+}
+
+#[test]
+fn a_scanner_that_is_not_there_is_named_in_the_status() {
+    let server = server("free");
+    let mut system = System::new(EXECUTABLE);
+    let closed = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap();
+    let file = system_file(&system, server.port(), &format!("scan = \"urg\"\nurg = \"{closed}\""));
+    system.launch(&["run", "--quiet", "--out", "out", "--system", &file, "free"], &[]);
+    system.wait_until("the fault is shown", |system| shows(system, "fault", "Connection refused"));
+    let (_, reason) = device(&system).unwrap();
+    assert!(reason.starts_with(&format!("scanner: {closed}: ")), "{reason}");
+    let text = String::from_utf8_lossy(&system.run(&["status"]).stderr).into_owned();
+    assert!(text.contains("device fault for ") && text.contains(&reason), "{text}");
+    assert_eq!(server.speed_mps(), 0.0);
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    system.assert_nothing_left();
 }
 
 #[test]
@@ -300,7 +413,9 @@ fn the_run_goes_on_after_the_server_was_silent() {
     // The actuator blocks the wheels 1.5 periods after the last command.
     assert!(stopped_ns < 2 * PERIOD_NS + BUSY_NS, "{stopped_ns} ns");
     system.wait_until("the driver has left the server", |_| guards(server.port()).is_empty());
+    system.wait_until("the fault is shown", |system| shows(system, "fault", "base: no data of the "));
     server.set_fault(Fault::None);
+    system.wait_until("the base runs again", |system| shows(system, "running", ""));
     let status = system.wait();
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
     let truth = server.truth();

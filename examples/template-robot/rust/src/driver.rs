@@ -2,11 +2,11 @@
 
 use std::rc::Rc;
 
+use device_clock::{DeviceClock, Event, Settings};
 use runtime::{Input, Output, Process, RuntimeError, Wheels};
-use shared_types::{Actuation, ActuationKind, BEAMS, Header, Odometry, Phase, Scan};
+use shared_types::{Actuation, ActuationKind, BEAMS, DeviceState, Header, Odometry, Phase, Scan};
 
 use crate::device::{Device, Sweep};
-use crate::device_clock::DeviceClock;
 use crate::odometry::{History, Pose, wrap};
 
 /// The device is polled this often, also when no actuation comes [ns].
@@ -19,6 +19,10 @@ const SLACK: f64 = 1e-9;
 const END_NS: u64 = 800_000_000;
 /// Below this speed the wheels rest [m/s].
 const REST_MPS: f64 = 1e-3;
+/// Largest difference between a stamp and the time of what it stamps: the resolution of your devices [ns].
+const RESOLUTION_NS: u64 = 1_000;
+/// A device without data for so many periods has a fault; so has a scanner with so many broken sweeps in a row.
+const MAX_MISSING: u64 = 3;
 
 /// A robot with its place in the run.
 pub(crate) struct Driver {
@@ -28,6 +32,10 @@ pub(crate) struct Driver {
     history: History,
     /// A sweep with the time of its front beam [ns]; it waits for the odometry after it.
     waiting: Option<(u64, Sweep)>,
+    /// When base and scanner sent data last; `None` before the first [ns].
+    arrived_ns: [Option<u64>; 2],
+    /// Sweeps that broke off since the last whole one.
+    broken: u64,
     /// The odometry published last.
     last: Odometry,
     /// When the wheels were told to drive last; `None` while they are blocked [ns].
@@ -41,12 +49,15 @@ pub(crate) struct Driver {
 impl Driver {
     /// Opens topics and device.
     pub(crate) fn new(process: &mut Process) -> Result<Self, RuntimeError> {
+        let device = Device::open(process.clock().now_ns(), process.period_ns());
         Ok(Self {
-            device: Device::open(process.clock().now_ns(), process.period_ns()),
-            scanner_clock: DeviceClock::default(),
-            base_clock: DeviceClock::default(),
+            scanner_clock: clock(device.scan_delay_ns()),
+            base_clock: clock(device.base_delay_ns()),
+            device,
             history: History::default(),
             waiting: None,
+            arrived_ns: [None; 2],
+            broken: 0,
             last: Odometry::default(),
             told_ns: None,
             speed_mps: 0.0,
@@ -104,26 +115,46 @@ impl Driver {
         self.told_ns = None;
     }
 
-    /// Reports to `scanloop stop` what the wheels do.
+    /// Reports to `scanloop stop` what the wheels do, and to `scanloop status` what base and scanner do.
     fn report(&self, process: &Process) {
         process.report_wheels(match self.told_ns {
             Some(_) => Wheels::Turning,
             None if self.speed_mps.abs() > REST_MPS => Wheels::Blocked,
             None => Wheels::Resting,
         });
+        let (state, reason) = self.devices(process.clock().now_ns(), process.period_ns());
+        process.report_device(state, reason);
+    }
+
+    /// What base and scanner do, and why.
+    fn devices(&self, now_ns: u64, period_ns: u64) -> (DeviceState, &'static str) {
+        let is_silent = |arrived_ns: u64| now_ns.saturating_sub(arrived_ns) > MAX_MISSING * period_ns;
+        match self.arrived_ns {
+            [None, _] => (DeviceState::Connecting, "base: no data yet"),
+            [_, None] => (DeviceState::Connecting, "scanner: no sweep yet"),
+            [Some(base_ns), _] if is_silent(base_ns) => (DeviceState::Fault, "base: sends no data"),
+            [_, Some(scanner_ns)] if is_silent(scanner_ns) => {
+                (DeviceState::Fault, "scanner: sends no sweeps")
+            }
+            _ if self.broken >= MAX_MISSING => (DeviceState::Fault, "scanner: all sweeps break off"),
+            _ => (DeviceState::Running, ""),
+        }
     }
 
     /// Reads what base and scanner have measured, and maps their stamps to CLOCK_MONOTONIC.
     fn read(&mut self, process: &Process) {
         let now_ns = process.clock().now_ns();
         if let Some((stamp_ns, pose)) = self.device.read_odometry(now_ns) {
-            let restarts = self.base_clock.restarts;
-            let time_ns = self.base_clock.map(stamp_ns, now_ns) - self.device.base_delay_ns();
-            self.history.add(time_ns, pose, self.base_clock.restarts > restarts);
+            let mapped = self.base_clock.arrival(stamp_ns, now_ns);
+            // A base that was restarted counts from zero again, its clock and its odometry.
+            self.history.add(mapped.time_ns, pose, mapped.event == Event::Backwards);
             self.speed_mps = pose.speed_mps;
+            self.arrived_ns[0] = Some(now_ns);
         }
         if let Some(sweep) = self.device.read_scan(now_ns) {
-            let front_ns = self.scanner_clock.map(sweep.stamp_ns, now_ns) - self.device.scan_delay_ns();
+            let front_ns = self.scanner_clock.arrival(sweep.stamp_ns, now_ns).time_ns;
+            self.arrived_ns[1] = Some(now_ns);
+            self.broken = if sweep.beams == BEAMS { 0 } else { self.broken + 1 };
             self.waiting = self.is_next(front_ns, process.period_ns()).then_some((front_ns, sweep));
         }
     }
@@ -156,6 +187,11 @@ impl Driver {
         self.last = increments(pose, header, &self.last);
         self.odometries.publish(&mut self.last)
     }
+}
+
+/// The clock of a device whose data need at least this long to arrive [ns].
+fn clock(delay_ns: u64) -> DeviceClock {
+    DeviceClock::new(Settings { delay_ns, resolution_ns: RESOLUTION_NS, ..Settings::nanoseconds() })
 }
 
 /// Whether a velocity and an angle can be meant; NaN is in no range.

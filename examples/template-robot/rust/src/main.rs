@@ -5,11 +5,9 @@
 //!
 //! * `device.rs` reads and writes the robot. **Replace its three functions.** As shipped they are a small simulation.
 //! * `driver.rs` is what every driver must do: stamps, gaps, the dead man.
-//! * `device_clock.rs` maps the stamps of a device to CLOCK_MONOTONIC.
 //! * `odometry.rs` gives the pose at the front beam, continuous when the base restarts.
 
 mod device;
-mod device_clock;
 mod driver;
 mod odometry;
 

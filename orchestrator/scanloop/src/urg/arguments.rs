@@ -54,6 +54,9 @@ pub struct ScannerArguments {
     /// Leave out this many scans after each one.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=9))]
     pub skip: u8,
+    /// Merge this many steps to one range, the smallest of theirs: less to transmit, and a coarser picture.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=99))]
+    pub cluster: u8,
     /// Stop after this many scans.
     #[arg(long, short = 'n', value_name = "N")]
     pub count: Option<u64>,

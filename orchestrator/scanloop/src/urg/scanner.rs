@@ -27,10 +27,10 @@ pub(super) struct Scanner {
 impl Scanner {
     /// Opens a scanner to measure.
     pub(super) fn open(arguments: &ScannerArguments) -> anyhow::Result<Self> {
-        let ScannerArguments { place, bit_rate, two_characters, skip, count, duration } = arguments;
+        let ScannerArguments { place, bit_rate, two_characters, skip, cluster, count, duration } = arguments;
         check_duration(*duration)?;
         let coding = if *two_characters { Coding::Two } else { Coding::Three };
-        let config = Config { coding, skip: *skip, bit_rate: *bit_rate, ..config(place)? };
+        let config = Config { coding, skip: *skip, cluster: *cluster, bit_rate: *bit_rate, ..config(place)? };
         let mut scanner = Self::of(config)?;
         scanner.left = count.unwrap_or(u64::MAX);
         if let Some(duration) = duration {

@@ -51,6 +51,7 @@ impl Session {
             state: Phase::try_from(self.directives.current.phase).map_or("starting", Phase::name).to_owned(),
             scenario: self.run.scenario.clone(),
             scan: self.samples.newest_scan(),
+            judged_by: self.judged_by,
             lockstep: self.run.lockstep,
             blocking: self.recording.recorder.stopped_for().map(Into::into),
             scanner: self.recording.recorder.scanner().map(Into::into),

@@ -21,6 +21,8 @@ pub enum DeviceFault {
     Restart,
     /// The counter is set back by this time [ms].
     Backwards(u64),
+    /// From now on `TM0` and `TM1` have these statuses, in this order.
+    TimeStatus([Status; 2]),
     /// The measurement ends with this status.
     Status(Status),
 }

@@ -72,6 +72,10 @@ fn drivers_to_be_copied_drive_to_the_goal_by_the_estimate() {
         let words: Vec<&str> = command.iter().map(String::as_str).collect();
         let file = system_with(system.folder(), "robot", &words);
         system.start(&["free", "--system", &file]);
+        system.wait_until("its devices run", |system| {
+            let processes = system.status().map_or(Vec::new(), |status| status.processes);
+            processes.iter().any(|process| process.device.as_deref() == Some("running"))
+        });
         assert_eq!(system.wait().code(), Some(0), "{language}: {}", system.stderr());
         let report = system.report();
         assert_eq!((report.outcome, report.judged_by), (Outcome::Reached, JudgedBy::Estimate), "{language}");
