@@ -4,6 +4,8 @@
 //! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise up to
 //! the largest that the stack is designed for. A course need not be passable: see [`crate::feasible::passable`].
 
+pub mod hostile;
+
 use shared_types::named_enum;
 
 use crate::noise::{Purpose, Stream};
