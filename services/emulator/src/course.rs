@@ -180,6 +180,27 @@ mod tests {
     }
 
     #[test]
+    fn the_courses_of_a_seed_never_change() {
+        let numbers = (0..200).flat_map(|seed| {
+            let Scenario { goal, track, noise, obstacles, .. } = of_campaign(seed).1;
+            let ahead_m = |obstacle: &Obstacle| obstacle.appears_ahead_m.unwrap_or(-1.0);
+            let places = obstacles.into_iter().flat_map(move |obstacle| {
+                let Obstacle { x_m, y_m, velocity_x_mps, velocity_y_mps, .. } = obstacle;
+                [x_m, y_m, obstacle.reach(), velocity_x_mps, velocity_y_mps, ahead_m(&obstacle)]
+            });
+            let rest =
+                [goal.x_m, track.y_m[1], noise.range_m, noise.dropout, noise.odometry_m, noise.odometry_rad];
+            rest.into_iter().chain(places)
+        });
+        // 64-bit FNV-1a over the bits of all numbers.
+        let bytes = numbers.flat_map(|number: f64| number.to_bits().to_le_bytes());
+        let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        assert_eq!(hash, 0);
+    }
+
+    #[test]
     fn courses_come_with_all_counts_shapes_and_with_and_without_walls() {
         let courses: Vec<Scenario> = (0..100).map(random).collect();
         assert_eq!(courses[7], random(7));

@@ -29,6 +29,8 @@ pub struct Limits {
     pub margin_m: f64,
     /// Smallest radius of a turn [m].
     pub radius_m: f64,
+    /// The goal counts as reached within this distance [m].
+    pub goal_m: f64,
 }
 
 /// Length of one arc of the search [m].
@@ -75,7 +77,9 @@ pub fn passable(scenario: &Scenario) -> bool {
 /// A path from the start to the goal, one pose per arc; `None` when the search finds none.
 pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
     let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves()).collect();
-    path_from(scenario, &start_of(scenario), fixed, &Limits { margin_m: MARGIN_M, radius_m: RADIUS_M })
+    let goal_m = scenario.goal.tolerance_m.max(GOAL_M);
+    let limits = Limits { margin_m: MARGIN_M, radius_m: RADIUS_M, goal_m };
+    path_from(scenario, &start_of(scenario), fixed, &limits)
 }
 
 /// A path from a pose to the goal past these obstacles, which stand where they are described.
@@ -88,8 +92,7 @@ pub fn path_from(
     let standing = |Obstacle { shape, x_m, y_m, .. }: Obstacle| Obstacle::fixed(shape, x_m, y_m);
     let obstacles = obstacles.into_iter().map(standing).collect();
     let scene = Scene::new(&Scenario { obstacles, endless: None, ..scenario.clone() });
-    let tolerance = scenario.goal.tolerance_m.max(GOAL_M);
-    Search { scenario, scene, tolerance, from: *from, limits: *limits }.run()
+    Search { scenario, scene, from: *from, limits: *limits }.run()
 }
 
 /// The pose at the start.
@@ -101,7 +104,6 @@ pub fn start_of(scenario: &Scenario) -> Waypoint {
 struct Search<'a> {
     scenario: &'a Scenario,
     scene: Scene,
-    tolerance: f64,
     from: Waypoint,
     limits: Limits,
 }
@@ -147,7 +149,7 @@ impl Search<'_> {
             if !self.is_free(place) {
                 return None;
             }
-            if self.goal_distance(place) <= self.tolerance {
+            if self.goal_distance(place) <= self.limits.goal_m {
                 return Some((place, true));
             }
         }

@@ -2,8 +2,8 @@
 //!
 //! It knows the true geometry and the true robot, and nothing of the stages. A stop is right where the path search of
 //! [`crate::feasible`] finds no way to the goal with a fixed margin and the true turning radius: from the start, or from
-//! the true pose at an event that the robot could not foresee. Events are: an obstacle appears or vanishes, a fault of the
-//! scanner ends, and, where a moving body has come near, the final stop with all bodies where they are then.
+//! the true pose at an event that the robot could not foresee. Events are: an obstacle appears or vanishes, a black one
+//! comes into the range at which the scanner can see it, a fault of the scanner ends, and, where a moving body has come near, the final stop with all bodies where they are then.
 //!
 //! A contact with a moving body is excused only if a twin touches it as well: the same robot that is sent the same
 //! commands, and brakes fully from the first scan in which a beam can reach the body.
@@ -46,7 +46,8 @@ impl Limits {
         let lost = steering_offset_rad.abs() + steering_backlash_rad;
         let steering = (STEERING_MAX_RAD - lost).max(SMALLEST_STEERING_RAD);
         let margin_m = if scenario.robot.preset == Preset::Ideal { IDEAL_MARGIN_M } else { MARGIN_M };
-        Self { margin_m, radius_m: TURN_IN * (rear_m + front_m) / 2.0 / steering }
+        let radius_m = TURN_IN * (rear_m + front_m) / 2.0 / steering;
+        Self { margin_m, radius_m, goal_m: scenario.goal.tolerance_m }
     }
 }
 
@@ -55,7 +56,7 @@ named_enum! {
     pub enum Verdict {
         /// Landed within the tolerance of the goal.
         Reached "reached",
-        /// Stopped, or out of time, where no path leads to the goal.
+        /// Stopped, gave up the goal, or out of time, where no path leads to the goal.
         StoppedRightly "stopped_rightly",
         /// Stopped, or out of time, although a path leads to the goal.
         StoppedWrongly "stopped_wrongly",
@@ -97,7 +98,7 @@ pub struct Judge {
     limits: Limits,
     passable: bool,
     scene: Scene,
-    /// Obstacles that are there and do not move, as far as they come and go.
+    /// Obstacles that are there, do not move, and could be seen by now.
     standing: Vec<Obstacle>,
     fault_ends_s: Option<f64>,
     events: Vec<Event>,
@@ -115,7 +116,7 @@ impl Judge {
             limits,
             period_ns,
             passable: Self::passable(scenario, &limits),
-            standing: standing(&scene, 0.0),
+            standing: Vec::new(),
             scene,
             fault_ends_s: scenario.scanner.to_s,
             events: Vec::new(),
@@ -137,9 +138,11 @@ impl Judge {
     pub fn observe(&mut self, truth: &Truth, pose: Option<&Pose>, sent: Option<&Actuation>) {
         let place = Waypoint { x: truth.x_m, y: truth.y_m, yaw: truth.yaw_rad };
         self.scene.trigger(&self.scenario.body(place.x, place.y, place.yaw), truth.time_s);
-        let standing = standing(&self.scene, truth.time_s);
+        let standing = self.standing(&place, truth.time_s);
         let fault_ended = self.fault_ends_s.is_some_and(|end_s| truth.time_s >= end_s);
-        if fault_ended || standing.len() != self.standing.len() {
+        if self.sent.is_empty() {
+            self.standing = standing;
+        } else if fault_ended || standing.len() != self.standing.len() {
             let due_s = truth.time_s + REACTION_S;
             self.events.push(Event { due_s, place: None, obstacles: standing.clone() });
             self.fault_ends_s = self.fault_ends_s.filter(|_| !fault_ended);
@@ -166,14 +169,18 @@ impl Judge {
         let landed = matches!(outcome, Outcome::Reached | Outcome::Missed);
         // NaN counts as missed.
         let at_goal = self.estimated_goal_m <= self.scenario.goal.tolerance_m;
-        let missed_by_estimate = landed && (gave_up || !at_goal);
+        let missed_by_estimate = landed && !at_goal && (self.passable || !gave_up);
         let (verdict, cause) = match outcome {
             Outcome::Reached => (Verdict::Reached, "reached".to_owned()),
+            // What cannot be reached is rightly given up.
+            Outcome::Missed if gave_up && !self.passable => {
+                (Verdict::StoppedRightly, "stopped-goal-passed".to_owned())
+            }
             Outcome::Missed if gave_up => (Verdict::Missed, "missed-goal-passed".to_owned()),
             Outcome::Missed if at_goal => (Verdict::Missed, "missed-by-truth-only".to_owned()),
             Outcome::Missed => (Verdict::Missed, "missed-landed-elsewhere".to_owned()),
-            Outcome::Collision => self.contact(),
-            Outcome::Stopped if reason == "struck" => self.contact(),
+            Outcome::Collision => self.contact("contact"),
+            Outcome::Stopped if reason == "struck" => self.contact("struck"),
             Outcome::Stopped | Outcome::Timeout | Outcome::Interrupted | Outcome::Failed => {
                 let why = reason.rsplit(": ").next().filter(|_| outcome == Outcome::Stopped);
                 let verdict =
@@ -214,24 +221,30 @@ impl Judge {
         path_from(&self.scenario, place, obstacles, &Limits { margin_m, ..self.limits }).is_some()
     }
 
-    fn contact(&self) -> (Verdict, String) {
+    /// Obstacles that are there at a time, do not move, and are or were near enough to be seen if they are black.
+    fn standing(&self, place: &Waypoint, time_s: f64) -> Vec<Obstacle> {
+        let body = self.scenario.body(place.x, place.y, place.yaw);
+        let black_range_m = self.scenario.scanner.black_range_m;
+        let all = self.scene.near(Vector2::zeros(), f64::MAX).filter(|near| !near.obstacle().moves());
+        let there = all.filter_map(|near| Some((near.obstacle(), near.solid(time_s)?)));
+        let shown = there.filter(|(obstacle, solid)| {
+            !obstacle.black || self.standing.contains(obstacle) || solid.distance_to(&body) < black_range_m
+        });
+        shown.map(|(obstacle, _)| *obstacle).collect()
+    }
+
+    /// The verdict on a contact. A robot at rest does not touch, it is struck.
+    fn contact(&self, kind: &str) -> (Verdict, String) {
         match twin::touched(&self.scenario, self.period_ns, &self.sent) {
             Touched::Moving(mover) => {
                 let excused = twin::twin_is_touched(&self.scenario, self.period_ns, &self.sent, &mover);
                 let verdict = if excused { Verdict::CollisionExcused } else { Verdict::Collision };
-                (verdict, "contact-moving".to_owned())
+                (verdict, format!("{kind}-moving"))
             }
-            Touched::Fixed => (Verdict::Collision, "contact-fixed".to_owned()),
-            Touched::Wall => (Verdict::Collision, "contact-wall".to_owned()),
+            Touched::Fixed => (Verdict::Collision, format!("{kind}-fixed")),
+            Touched::Wall => (Verdict::Collision, format!("{kind}-wall")),
         }
     }
-}
-
-/// Obstacles that are there at a time and do not move.
-fn standing(scene: &Scene, time_s: f64) -> Vec<Obstacle> {
-    let all = scene.near(Vector2::zeros(), f64::MAX);
-    let there = all.filter(|near| !near.obstacle().moves() && near.solid(time_s).is_some());
-    there.map(|near| *near.obstacle()).collect()
 }
 
 #[cfg(test)]

@@ -54,6 +54,8 @@ pub(super) struct FamilySummary {
     pub(super) impassable: u64,
     pub(super) collision: u64,
     pub(super) collision_excused: u64,
+    /// Contacts that are not excused in which the robot stood.
+    pub(super) struck: u64,
     /// Largest probability of a contact that is not excused which agrees with the runs, with 95 % confidence.
     pub(super) collision_bound_95: f64,
     pub(super) min_clearance_m: f64,
@@ -150,6 +152,9 @@ impl FamilySummary {
             impassable: count(&|run| !run.judgement.passable),
             collision,
             collision_excused: verdict(Verdict::CollisionExcused),
+            struck: count(&|run| {
+                run.judgement.verdict == Verdict::Collision && run.outcome == Outcome::Stopped
+            }),
             collision_bound_95: upper_bound_95(collision, total),
             min_clearance_m: runs.iter().map(|run| run.min_clearance_m).fold(NO_OBSTACLE_M, f64::min),
             gaps: gaps(runs),
@@ -210,6 +215,7 @@ mod tests {
         let family = &summary.families[0];
         assert_eq!((family.name, family.runs, family.reached, family.missed), ("gap", 6, 1, 1));
         assert_eq!((family.stopped_rightly, family.stopped_wrongly, family.impassable), (1, 1, 1));
+        assert_eq!((family.collision, family.struck), (1, 1));
         assert_eq!(family.collision_bound_95, upper_bound_95(1, 6));
         assert_eq!(family.min_clearance_m, 0.125);
         let classes: Vec<(u64, u64)> = family.gaps.iter().map(|class| (class.runs, class.passed)).collect();

@@ -100,6 +100,15 @@ fn a_stop_is_right_when_something_appears_too_near_and_wrong_when_it_appears_far
 }
 
 #[test]
+fn a_black_obstacle_counts_from_where_the_scanner_can_see_it() {
+    for (black, expected) in [(true, Verdict::StoppedRightly), (false, Verdict::StoppedWrongly)] {
+        let scenario = course(vec![Obstacle { black, ..boxed(6.0, 0.0, 0.4) }], Preset::Summit);
+        // The default range for black surfaces is 1.5 m: it is seen at x = 4.17 m, and the robot stands at 5 m.
+        assert_eq!(judged(&scenario, 0.5, 100).verdict, expected);
+    }
+}
+
+#[test]
 fn a_contact_with_what_stands_is_never_excused() {
     let judgement = judged(&course(vec![boxed(3.0, 0.0, 0.4)], Preset::Summit), 0.5, 1000);
     assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::Collision, "contact-fixed"));
@@ -121,7 +130,7 @@ fn a_contact_with_a_crossing_body_is_excused_only_if_braking_does_not_help() {
     let slow = Obstacle { velocity_y_mps: -0.1, ..boxed(4.0, 1.5, 0.3) };
     let scenario = Scenario { start, ..course(vec![slow], Preset::Summit) };
     let judgement = judged(&scenario, 0.5, 80);
-    assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::Collision, "contact-moving"));
+    assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::Collision, "struck-moving"));
 }
 
 #[test]
@@ -135,6 +144,10 @@ fn the_goal_is_missed_by_the_estimate_or_by_the_truth_only() {
         let judgement = judge.judge(Outcome::Missed, "landed");
         assert_eq!((judgement.missed_by_estimate, judgement.cause.as_str()), (missed, cause));
     }
-    let passed = judge.judge(Outcome::Missed, "the goal was passed, it is 0.3 m away");
+    let reason = "the goal was passed, it is 0.3 m away";
+    let passed = judge.judge(Outcome::Missed, reason);
     assert!(passed.missed_by_estimate && passed.cause == "missed-goal-passed");
+    // A box across the track 0.4 m before the goal can't be driven around.
+    let hidden = Judge::new(&course(vec![boxed(11.5, 0.0, 2.0)], Preset::Summit), PERIOD_NS);
+    assert_eq!(hidden.judge(Outcome::Missed, reason).verdict, Verdict::StoppedRightly);
 }
