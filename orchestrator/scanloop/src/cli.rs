@@ -130,7 +130,7 @@ pub enum Command {
     /// `collision_excused`, `passable`, `passable_reached`, `blocked`, `blocked_stopped`, `min_clearance_m`,
     /// `min_rest_clearance_m`, `without_rest` (scans), `time_to_goal_s`, `families` with `name`, `runs`, `reached`,
     /// `stopped_rightly`, `stopped_wrongly`, `missed`, `missed_by_estimate`, `impassable`, `collision`,
-    /// `collision_excused`, `struck` (contacts of the standing robot, contained in `collision`), `collision_bound_95`,
+    /// `collision_excused`, `struck` (contained in `stopped_wrongly`), `collision_bound_95`,
     /// `min_clearance_m`, `gaps`; `causes`, `bad`.
     Campaign(CampaignArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.

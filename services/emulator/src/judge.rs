@@ -30,6 +30,8 @@ const MARGIN_M: f64 = 0.25;
 const TURN_IN: f64 = 1.04;
 /// Smallest steering angle that counts, for robots with a large offset [rad].
 const SMALLEST_STEERING_RAD: f64 = 0.01;
+/// The steps of the search resolve the goal no better [m].
+const GOAL_MIN_M: f64 = 0.1;
 /// Time from an event to the first turn of the wheels: a scan period to see it, and one to answer [s].
 const REACTION_S: f64 = 0.2;
 /// A moving body that comes nearer than this to the centre of the robot may make it stop [m].
@@ -47,9 +49,12 @@ impl Limits {
         let steering = (STEERING_MAX_RAD - lost).max(SMALLEST_STEERING_RAD);
         let margin_m = if scenario.robot.preset == Preset::Ideal { IDEAL_MARGIN_M } else { MARGIN_M };
         let radius_m = TURN_IN * (rear_m + front_m) / 2.0 / steering;
-        Self { margin_m, radius_m, goal_m: scenario.goal.tolerance_m }
+        Self { margin_m, radius_m, goal_m: scenario.goal.tolerance_m.max(GOAL_MIN_M) }
     }
 }
+
+/// Cause of a contact of a robot that stands.
+const STRUCK: &str = "struck";
 
 named_enum! {
     /// What a drive was.
@@ -58,11 +63,11 @@ named_enum! {
         Reached "reached",
         /// Stopped, gave up the goal, or out of time, where no path leads to the goal.
         StoppedRightly "stopped_rightly",
-        /// Stopped, or out of time, although a path leads to the goal.
+        /// Stopped, or out of time, although a path leads to the goal; or struck where braking in time would have helped.
         StoppedWrongly "stopped_wrongly",
         /// Landed elsewhere, or the goal was passed.
         Missed "missed",
-        /// Touched something, or was struck where braking in time would have helped.
+        /// The moving robot touched something.
         Collision "collision",
         /// Touched by a moving body that touches the braking twin as well.
         CollisionExcused "collision_excused",
@@ -80,6 +85,13 @@ pub struct Judgement {
     pub passable: bool,
     /// Drives that failed for the same reason have the same cause; a name for a folder.
     pub cause: String,
+}
+
+impl Judgement {
+    /// Whether a body that moves has struck the standing robot, and braking in time would have helped.
+    pub fn is_struck(&self) -> bool {
+        self.verdict == Verdict::StoppedWrongly && self.cause.starts_with(STRUCK)
+    }
 }
 
 /// Where the robot was when something happened.
@@ -179,8 +191,8 @@ impl Judge {
             Outcome::Missed if gave_up => (Verdict::Missed, "missed-goal-passed".to_owned()),
             Outcome::Missed if at_goal => (Verdict::Missed, "missed-by-truth-only".to_owned()),
             Outcome::Missed => (Verdict::Missed, "missed-landed-elsewhere".to_owned()),
-            Outcome::Collision => self.contact("contact"),
-            Outcome::Stopped if reason == "struck" => self.contact("struck"),
+            Outcome::Collision => self.contact(false),
+            Outcome::Stopped if reason == "struck" => self.contact(true),
             Outcome::Stopped | Outcome::Timeout | Outcome::Interrupted | Outcome::Failed => {
                 let why = reason.rsplit(": ").next().filter(|_| outcome == Outcome::Stopped);
                 let verdict =
@@ -233,17 +245,21 @@ impl Judge {
         shown.map(|(obstacle, _)| *obstacle).collect()
     }
 
-    /// The verdict on a contact. A robot at rest does not touch, it is struck.
-    fn contact(&self, kind: &str) -> (Verdict, String) {
-        match twin::touched(&self.scenario, self.period_ns, &self.sent) {
-            Touched::Moving(mover) => {
-                let excused = twin::twin_is_touched(&self.scenario, self.period_ns, &self.sent, &mover);
-                let verdict = if excused { Verdict::CollisionExcused } else { Verdict::Collision };
-                (verdict, format!("{kind}-moving"))
+    /// The verdict on a contact of the moving robot, or on one that was struck while it stood: that is a wrong stop.
+    fn contact(&self, is_struck: bool) -> (Verdict, String) {
+        let (verdict, kind) =
+            if is_struck { (Verdict::StoppedWrongly, STRUCK) } else { (Verdict::Collision, "contact") };
+        let (verdict, by) = match twin::touched(&self.scenario, self.period_ns, &self.sent) {
+            Touched::Moving(mover)
+                if twin::twin_is_touched(&self.scenario, self.period_ns, &self.sent, &mover) =>
+            {
+                (Verdict::CollisionExcused, "moving")
             }
-            Touched::Fixed => (Verdict::Collision, format!("{kind}-fixed")),
-            Touched::Wall => (Verdict::Collision, format!("{kind}-wall")),
-        }
+            Touched::Moving(_) => (verdict, "moving"),
+            Touched::Fixed => (verdict, "fixed"),
+            Touched::Wall => (verdict, "wall"),
+        };
+        (verdict, format!("{kind}-{by}"))
     }
 }
 

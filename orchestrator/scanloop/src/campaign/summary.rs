@@ -24,7 +24,7 @@ pub(super) struct Summary {
     pub(super) missed: u64,
     pub(super) stopped: u64,
     pub(super) timeout: u64,
-    /// Contacts that are not excused.
+    /// Contacts of the moving robot that are not excused.
     pub(super) collision: u64,
     pub(super) collision_excused: u64,
     pub(super) passable: u64,
@@ -54,9 +54,10 @@ pub(super) struct FamilySummary {
     pub(super) impassable: u64,
     pub(super) collision: u64,
     pub(super) collision_excused: u64,
-    /// Contacts that are not excused in which the robot stood.
+    /// Wrong stops in which a moving body struck the robot.
     pub(super) struck: u64,
-    /// Largest probability of a contact that is not excused which agrees with the runs, with 95 % confidence.
+    /// Largest probability of a contact that is not excused, moving or standing, which agrees with the runs, with 95 %
+    /// confidence.
     pub(super) collision_bound_95: f64,
     pub(super) min_clearance_m: f64,
     /// Classes of gaps, where the family has them.
@@ -141,6 +142,7 @@ impl FamilySummary {
             |wanted: &dyn Fn(&CourseRun) -> bool| runs.iter().filter(|run| wanted(run)).count() as u64;
         let verdict = |verdict| count(&move |run| run.judgement.verdict == verdict);
         let (total, collision) = (runs.len() as u64, verdict(Verdict::Collision));
+        let struck = count(&|run| run.judgement.is_struck());
         Self {
             name,
             runs: total,
@@ -152,10 +154,8 @@ impl FamilySummary {
             impassable: count(&|run| !run.judgement.passable),
             collision,
             collision_excused: verdict(Verdict::CollisionExcused),
-            struck: count(&|run| {
-                run.judgement.verdict == Verdict::Collision && run.outcome == Outcome::Stopped
-            }),
-            collision_bound_95: upper_bound_95(collision, total),
+            struck,
+            collision_bound_95: upper_bound_95(collision + struck, total),
             min_clearance_m: runs.iter().map(|run| run.min_clearance_m).fold(NO_OBSTACLE_M, f64::min),
             gaps: gaps(runs),
         }
@@ -184,8 +184,9 @@ mod tests {
     use super::*;
 
     fn run(verdict: Verdict, outcome: Outcome, gap_m: f64) -> CourseRun {
+        let cause = if gap_m == 1.2 { "struck-moving" } else { "none" }.to_owned();
         let passable = verdict != Verdict::StoppedRightly;
-        let judgement = Judgement { verdict, missed_by_estimate: false, passable, cause: "none".to_owned() };
+        let judgement = Judgement { verdict, missed_by_estimate: false, passable, cause };
         CourseRun {
             course: Course { kind: Kind::Hostile(Hostile::Gap), seed: 1 },
             gap_m: Some(gap_m),
@@ -205,21 +206,22 @@ mod tests {
             run(Verdict::Reached, Outcome::Reached, 0.91),
             run(Verdict::StoppedWrongly, Outcome::Stopped, 0.99),
             run(Verdict::StoppedRightly, Outcome::Stopped, 0.5),
-            run(Verdict::Collision, Outcome::Stopped, 1.2),
+            run(Verdict::StoppedWrongly, Outcome::Stopped, 1.2),
+            run(Verdict::Collision, Outcome::Collision, 1.21),
             run(Verdict::CollisionExcused, Outcome::Stopped, 1.25),
             run(Verdict::Missed, Outcome::Missed, 1.22),
         ];
         let summary = Summary::of(&runs);
         let Summary { runs, reached, missed, stopped, collision, collision_excused, .. } = summary;
-        assert_eq!((runs, reached, missed, stopped, collision, collision_excused), (6, 1, 1, 2, 1, 1));
+        assert_eq!((runs, reached, missed, stopped, collision, collision_excused), (7, 1, 1, 3, 1, 1));
         let family = &summary.families[0];
-        assert_eq!((family.name, family.runs, family.reached, family.missed), ("gap", 6, 1, 1));
-        assert_eq!((family.stopped_rightly, family.stopped_wrongly, family.impassable), (1, 1, 1));
+        assert_eq!((family.name, family.runs, family.reached, family.missed), ("gap", 7, 1, 1));
+        assert_eq!((family.stopped_rightly, family.stopped_wrongly, family.impassable), (1, 2, 1));
         assert_eq!((family.collision, family.struck), (1, 1));
-        assert_eq!(family.collision_bound_95, upper_bound_95(1, 6));
+        assert_eq!(family.collision_bound_95, upper_bound_95(2, 7));
         assert_eq!(family.min_clearance_m, 0.125);
         let classes: Vec<(u64, u64)> = family.gaps.iter().map(|class| (class.runs, class.passed)).collect();
-        assert_eq!(classes, [(1, 0), (2, 1), (3, 1)]);
+        assert_eq!(classes, [(1, 0), (2, 1), (4, 1)]);
         assert!((family.gaps[1].gap_m - 0.95).abs() < 1e-12);
     }
 }

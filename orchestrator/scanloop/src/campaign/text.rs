@@ -49,7 +49,7 @@ fn table(families: &[FamilySummary]) -> Table {
         "by estimate",
         "impassable",
         "collision",
-        "standing",
+        "struck",
         "excused",
         "bound 95 %",
         "clearance",

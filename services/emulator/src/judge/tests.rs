@@ -130,7 +130,7 @@ fn a_contact_with_a_crossing_body_is_excused_only_if_braking_does_not_help() {
     let slow = Obstacle { velocity_y_mps: -0.1, ..boxed(4.0, 1.5, 0.3) };
     let scenario = Scenario { start, ..course(vec![slow], Preset::Summit) };
     let judgement = judged(&scenario, 0.5, 80);
-    assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::Collision, "struck-moving"));
+    assert_eq!((judgement.verdict, judgement.cause.as_str()), (Verdict::StoppedWrongly, "struck-moving"));
 }
 
 #[test]
