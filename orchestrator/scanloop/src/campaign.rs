@@ -2,8 +2,10 @@
 //!
 //! The judge is [`emulator::judge`]; it knows the truth and nothing of the stages.
 
+pub mod arguments;
 mod course;
 mod failures;
+mod kind;
 mod picture;
 mod run;
 mod summary;
@@ -16,13 +18,11 @@ use console::exit::Exit;
 use console::note;
 use console::progress::Steps;
 
-use crate::cli::CampaignArguments;
 use crate::cores::on_all_cores;
 use crate::print_json;
+use arguments::CampaignArguments;
 use run::CourseRun;
 use summary::Summary;
-
-pub(crate) use course::family_names;
 
 /// Drives the courses and prints how they ended; exit code 3 after a contact that is not excused, 1 when another course was
 /// bad.

@@ -12,8 +12,8 @@ mod twin;
 
 use shared_types::{Actuation, Pose, Truth, named_enum};
 
-use crate::Outcome;
 use crate::feasible::{Waypoint, path_from, start_of};
+use crate::referee::Outcome;
 use crate::scenario::{Obstacle, Preset, Scenario, Values};
 use crate::scene::Scene;
 use nalgebra::Vector2;

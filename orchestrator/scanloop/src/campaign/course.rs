@@ -1,22 +1,11 @@
 //! The courses of a campaign: which families, which seeds, and what is driven on each.
 
-use emulator::course::hostile::{Hostile, hostile};
-use emulator::course::{Family, of_campaign};
+use emulator::course::hostile::hostile;
+use emulator::course::of_campaign;
 use plan::{Choice, Plan};
 
-use crate::cli::{CampaignArguments, CampaignRobot};
-
-/// The name that chooses all hostile families.
-const ALL_HOSTILE: &str = "hostile";
-
-/// A family of courses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Kind {
-    /// One of those that a campaign without `--family` mixes.
-    Mixed(Family),
-    /// A hostile one.
-    Hostile(Hostile),
-}
+use super::arguments::CampaignArguments;
+use super::kind::{Kind, named};
 
 /// A course: its family and its seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,12 +20,6 @@ pub(super) struct Drive {
     pub(super) plan: Plan,
     /// Width of the narrowest place, where the family has one [m].
     pub(super) gap_m: Option<f64>,
-}
-
-/// Names that `--family` takes.
-pub(crate) fn family_names() -> Vec<&'static str> {
-    let mixed = Family::ALL.iter().map(|family| family.name());
-    mixed.chain(Hostile::ALL.iter().map(|family| family.name())).chain([ALL_HOSTILE]).collect()
 }
 
 /// The chosen courses: without `--family` those of the mixed campaign, else `--runs` of each family.
@@ -60,22 +43,6 @@ pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
     kinds.into_iter().flat_map(of_kind).collect()
 }
 
-/// The families of a name.
-fn named(name: &str) -> Vec<Kind> {
-    let mixed = Family::ALL.iter().filter(|family| family.name() == name).map(|family| Kind::Mixed(*family));
-    let hostile = Hostile::ALL.iter().filter(|family| family.name() == name || name == ALL_HOSTILE);
-    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).collect()
-}
-
-impl Kind {
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Mixed(family) => family.name(),
-            Self::Hostile(family) => family.name(),
-        }
-    }
-}
-
 impl Course {
     /// What is driven, with the chosen robot and the overrides.
     ///
@@ -95,23 +62,13 @@ impl Course {
     }
 }
 
-impl CampaignRobot {
-    /// The overrides that make the robot of a course; the seed of the course draws what is random.
-    fn overrides(self) -> &'static [&'static str] {
-        match self {
-            Self::Ideal => &["robot.preset=ideal"],
-            Self::Summit => &["robot.preset=summit"],
-            Self::Worn => &["robot.preset=worn"],
-            // What the description states within 20 %, the odometry scale within 1 %; what it does not state is exact.
-            Self::Random => {
-                &["robot.preset=worn", "robot.velocity_factor=1.4", "robot.steering_offset_rad=0.0"]
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use emulator::course::Family;
+    use emulator::course::hostile::Hostile;
+
+    use super::super::arguments::CampaignRobot;
+    use super::super::kind::family_names;
     use super::*;
 
     fn arguments(families: &[&str], runs: u64) -> CampaignArguments {
@@ -121,7 +78,7 @@ mod tests {
 
     #[test]
     fn without_a_family_seeds_are_those_of_the_mixed_campaign() {
-        let courses = all(&arguments(&[], 30));
+        let courses = all(&arguments(&[], 100));
         for (course, seed) in courses.iter().zip(0..) {
             assert_eq!(*course, Course { kind: Kind::Mixed(of_campaign(seed).0), seed });
         }

@@ -9,8 +9,8 @@ use emulator::judge::Verdict;
 use plan::overrides::system_overrides;
 use serde::Serialize;
 
+use super::arguments::CampaignArguments;
 use super::run::CourseRun;
-use crate::cli::CampaignArguments;
 
 /// Cause of a course that is bad only because of its ways to rest.
 const WITHOUT_REST: &str = "no-way-to-rest";

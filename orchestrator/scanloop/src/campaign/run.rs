@@ -5,8 +5,8 @@ use emulator::judge::{Judge, Judgement};
 use pipeline::{Settings, WayToRest};
 use report::NO_OBSTACLE_M;
 
+use super::arguments::CampaignArguments;
 use super::course::{Course, Drive};
-use crate::cli::CampaignArguments;
 
 /// How one course ended.
 #[derive(Debug, Clone)]

@@ -9,8 +9,8 @@ use figures::upper_bound_95;
 use report::NO_OBSTACLE_M;
 use serde::Serialize;
 
-use super::course::Kind;
 use super::failures::BadCourse;
+use super::kind::Kind;
 use super::run::CourseRun;
 
 /// Width of a class of gaps [m].

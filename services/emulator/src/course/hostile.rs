@@ -3,13 +3,15 @@
 //! A course need not be passable: [`crate::judge`] decides that. Families with one narrow place state its width.
 //! `clutter` and `combined` leave a free lane that bends across the track, so that most of them are passable.
 
+mod bodies;
 mod fault;
 mod lane;
 
 use shared_types::named_enum;
 
+use self::bodies::{Motion, appear, mover};
 use self::lane::Lane;
-use super::obstacle;
+use super::random_obstacle::obstacle;
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Start, Track};
 
@@ -72,8 +74,6 @@ const GOAL_MAX_M: f64 = 21.4;
 const WAY_ACROSS_M: f64 = 5.0;
 /// The robot may wait this long for a body that moves [s].
 const STOP_FINAL_S: f64 = 20.0;
-/// Closest distance at which something may appear: `vehicle.sudden_m` [m].
-const SUDDEN_M: f64 = 1.2;
 /// Numbers of the streams of the families.
 const STREAM: u64 = 100;
 
@@ -94,7 +94,8 @@ pub fn hostile(family: Hostile, seed: u64) -> HostileCourse {
         Hostile::Width => Some(width(&mut scenario, &mut stream)),
         Hostile::Gap => Some(gap(&mut scenario, &mut stream)),
         Hostile::Clutter => {
-            Lane::new(&scenario, &mut stream).fill(&mut scenario, &mut stream, 10);
+            let room = room(&scenario);
+            Lane::new(&scenario, &mut stream).fill(&mut scenario, &mut stream, room, 10);
             None
         }
         Hostile::Walls => Some(walls(&mut scenario, &mut stream)),
@@ -106,7 +107,12 @@ pub fn hostile(family: Hostile, seed: u64) -> HostileCourse {
         Hostile::Crossing | Hostile::HeadOn | Hostile::Overtaking => {
             let count = stream.count(0, 2);
             spread(&mut scenario, &mut stream, count, 3.0, obstacle);
-            let mover = mover(family, &scenario, &mut stream);
+            let motion = match family {
+                Hostile::HeadOn => Motion::HeadOn,
+                Hostile::Overtaking => Motion::Overtaking,
+                _ => Motion::Crossing,
+            };
+            let mover = mover(motion, &scenario, &mut stream);
             scenario.obstacles.push(mover);
             scenario.stop_final_s = STOP_FINAL_S;
             None
@@ -253,61 +259,16 @@ fn turned(stream: &mut Stream) -> Obstacle {
     Obstacle::fixed(shape, 0.0, stream.between(-BOUND_M, BOUND_M))
 }
 
-/// A body that moves, up to 0.5 m/s.
-fn mover(family: Hostile, scenario: &Scenario, stream: &mut Stream) -> Obstacle {
-    let shape = if stream.chance(0.6) {
-        Shape::Circle { radius_m: stream.between(0.1, 0.3) }
-    } else {
-        Shape::Box { length_m: stream.between(0.1, 0.6), width_m: stream.between(0.1, 0.6), yaw_rad: 0.0 }
-    };
-    let start = scenario.start;
-    let way_m = stream.between(3.0, (scenario.goal.x_m - start.x_m - 1.0).min(12.0));
-    // The robot is there about then.
-    let meeting_s = way_m * stream.between(0.9, 1.7);
-    let (meeting_m, speed) = (start.x_m + way_m, stream.between(0.1, 0.5));
-    let mut mover = Obstacle::fixed(shape, meeting_m, stream.between(-ASIDE_M, ASIDE_M));
-    match family {
-        Hostile::HeadOn => {
-            mover.velocity_x_mps = -speed;
-            mover.x_m = meeting_m + speed * meeting_s;
-        }
-        Hostile::Overtaking => {
-            mover.velocity_x_mps = 0.8 * speed;
-            mover.x_m = start.x_m + stream.between(AFTER_START_M + 0.5, 6.0);
-        }
-        _ => {
-            let side = if stream.chance(0.5) { 1.0 } else { -1.0 };
-            mover.velocity_y_mps = -side * speed;
-            mover.velocity_x_mps = if stream.chance(0.5) { stream.between(-0.2, 0.2) } else { 0.0 };
-            mover.y_m += side * speed * meeting_s;
-            mover.x_m -= mover.velocity_x_mps * meeting_s;
-        }
-    }
-    mover
-}
-
-/// Lets each obstacle appear when the robot is near; they may be wider.
-fn appear(scenario: &mut Scenario, stream: &mut Stream) {
-    for obstacle in &mut scenario.obstacles {
-        // An obstacle nearer to the start would appear nearer than the described distance.
-        if obstacle.x_m - obstacle.reach() > scenario.start.x_m + SUDDEN_M + 1.0 {
-            obstacle.appears_ahead_m = Some(SUDDEN_M + stream.exponential().min(2.5));
-        }
-        if let (Shape::Box { width_m, .. }, true) = (&mut obstacle.shape, stream.chance(0.4)) {
-            *width_m = stream.between(0.5, 1.5);
-        }
-    }
-}
-
 /// A lane between three to five obstacles, a body that moves or appears, and sometimes a fault of the scanner.
 fn combine(scenario: &mut Scenario, stream: &mut Stream) {
     let count = stream.count(3, 5);
-    Lane::new(scenario, stream).fill(scenario, stream, count);
+    let room = room(scenario);
+    Lane::new(scenario, stream).fill(scenario, stream, room, count);
     match stream.count(0, 3) {
         0 => appear(scenario, stream),
         kind => {
-            let family = [Hostile::Crossing, Hostile::HeadOn, Hostile::Overtaking][kind - 1];
-            let mover = mover(family, scenario, stream);
+            let motion = [Motion::Crossing, Motion::HeadOn, Motion::Overtaking][kind - 1];
+            let mover = mover(motion, scenario, stream);
             scenario.obstacles.push(mover);
             scenario.stop_final_s = STOP_FINAL_S;
         }

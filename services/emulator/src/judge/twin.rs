@@ -7,7 +7,7 @@ use shared_types::{Actuation, ActuationKind, BEAMS, FRONT_BEAM, Header, Odometry
 use vehicle::frame::heading;
 use vehicle::geometry::Rectangle;
 
-use crate::Emulator;
+use crate::emulator::Emulator;
 use crate::laser::MAX_RANGE_M;
 use crate::scenario::{Obstacle, Scenario};
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::course::obstacle;
+use crate::course::random_obstacle::obstacle;
 use crate::noise::Stream;
 use crate::scenario::{Scenario, Start};
 
@@ -34,9 +34,14 @@ impl Lane {
         }
     }
 
-    /// Adds obstacles on both sides.
-    pub(super) fn fill(&self, scenario: &mut Scenario, stream: &mut Stream, count: usize) {
-        let [from, to] = super::room(scenario);
+    /// Adds obstacles on both sides, between two places along the track.
+    pub(super) fn fill(
+        &self,
+        scenario: &mut Scenario,
+        stream: &mut Stream,
+        [from, to]: [f64; 2],
+        count: usize,
+    ) {
         let share = (to - from) / count as f64;
         for index in 0..count {
             let mut body = obstacle(stream);

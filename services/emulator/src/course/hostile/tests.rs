@@ -1,3 +1,4 @@
+use super::bodies::SUDDEN_M;
 use super::*;
 use crate::Scenario;
 use crate::judge::{Judge, Limits};
