@@ -1,12 +1,14 @@
-//! Statistics of measurements: distributions, confidence intervals by resampling, differences of two runs with their
+//! Statistics of measurements: distributions, confidence intervals by resampling, exact bounds of probabilities, differences of two runs with their
 //! confidence, the profile of the measured build, and tables as text.
 
+mod binomial;
 pub mod bootstrap;
 pub mod difference;
 mod distribution;
 mod student;
 mod table;
 
+pub use binomial::upper_bound_95;
 pub use distribution::{Distribution, Figures};
 pub use student::student;
 pub use table::{Align, Table};

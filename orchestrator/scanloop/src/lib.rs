@@ -3,7 +3,7 @@
 pub mod analyse;
 pub mod bench;
 pub mod calibrate;
-mod campaign;
+pub mod campaign;
 mod check;
 pub mod cli;
 mod cores;

@@ -4,10 +4,14 @@
 //! the start or 4.5 m before the goal; half of them near the line, the others anywhere; sometimes walls; noise up to
 //! the largest that the stack is designed for. A course need not be passable: see [`crate::feasible::passable`].
 
+pub mod hostile;
+mod random_obstacle;
+
 use shared_types::named_enum;
 
 use crate::noise::{Purpose, Stream};
 use crate::scenario::{Goal, Noise, Obstacle, Scenario, Shape, Track};
+use random_obstacle::obstacle;
 
 /// No surface of an obstacle stands nearer to the start than this [m].
 const AFTER_START_M: f64 = 3.5;
@@ -131,21 +135,6 @@ pub fn of_campaign(seed: u64) -> (Family, Scenario) {
     (family, course)
 }
 
-/// An obstacle of random shape and lateral position; where it stands along the track comes later.
-fn obstacle(stream: &mut Stream) -> Obstacle {
-    let shape = if stream.chance(0.4) {
-        Shape::Circle { radius_m: stream.between(0.05, 0.25) }
-    } else {
-        Shape::Box {
-            length_m: stream.between(0.05, 0.5),
-            width_m: stream.between(0.1, 0.5),
-            yaw_rad: if stream.chance(0.5) { stream.between(-0.8, 0.8) } else { 0.0 },
-        }
-    };
-    let aside = if stream.chance(0.5) { 0.4 } else { 1.3 };
-    Obstacle::fixed(shape, 0.0, stream.between(-aside, aside))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -175,6 +164,27 @@ mod tests {
             assert_eq!(course.validate(), Ok(()), "{}", course.name);
             assert_eq!(crate::feasible::passable(course), *family != Family::Blocked, "{}", course.name);
         }
+    }
+
+    #[test]
+    fn the_courses_of_a_seed_never_change() {
+        let numbers = (0..200).flat_map(|seed| {
+            let Scenario { goal, track, noise, obstacles, .. } = of_campaign(seed).1;
+            let ahead_m = |obstacle: &Obstacle| obstacle.appears_ahead_m.unwrap_or(-1.0);
+            let places = obstacles.into_iter().flat_map(move |obstacle| {
+                let Obstacle { x_m, y_m, velocity_x_mps, velocity_y_mps, .. } = obstacle;
+                [x_m, y_m, obstacle.reach(), velocity_x_mps, velocity_y_mps, ahead_m(&obstacle)]
+            });
+            let rest =
+                [goal.x_m, track.y_m[1], noise.range_m, noise.dropout, noise.odometry_m, noise.odometry_rad];
+            rest.into_iter().chain(places)
+        });
+        // 64-bit FNV-1a over the bits of all numbers.
+        let bytes = numbers.flat_map(|number: f64| number.to_bits().to_le_bytes());
+        let hash = bytes.fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        assert_eq!(hash, 9656979905609659860);
     }
 
     #[test]

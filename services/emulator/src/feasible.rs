@@ -22,6 +22,17 @@ pub const RADIUS_M: f64 = 0.192 / STEERING_MAX_RAD;
 /// Distance that the body keeps [m].
 pub const MARGIN_M: f64 = 0.1;
 
+/// What a path keeps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Distance of the body to every obstacle and wall [m].
+    pub margin_m: f64,
+    /// Smallest radius of a turn [m].
+    pub radius_m: f64,
+    /// The goal counts as reached within this distance [m].
+    pub goal_m: f64,
+}
+
 /// Length of one arc of the search [m].
 const ARC_M: f64 = 0.3;
 
@@ -65,23 +76,41 @@ pub fn passable(scenario: &Scenario) -> bool {
 
 /// A path from the start to the goal, one pose per arc; `None` when the search finds none.
 pub fn path(scenario: &Scenario) -> Option<Vec<Waypoint>> {
-    let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves());
-    let lasting = fixed.map(|Obstacle { shape, x_m, y_m, .. }| Obstacle::fixed(shape, x_m, y_m)).collect();
-    let scene = Scene::new(&Scenario { obstacles: lasting, endless: None, ..scenario.clone() });
-    let search = Search { scenario, scene, tolerance: scenario.goal.tolerance_m.max(GOAL_M) };
-    search.run()
+    let fixed = scenario.placed_obstacles().into_iter().filter(|obstacle| !obstacle.moves()).collect();
+    let goal_m = scenario.goal.tolerance_m.max(GOAL_M);
+    let limits = Limits { margin_m: MARGIN_M, radius_m: RADIUS_M, goal_m };
+    path_from(scenario, &start_of(scenario), fixed, &limits)
+}
+
+/// A path from a pose to the goal past these obstacles, which stand where they are described.
+pub fn path_from(
+    scenario: &Scenario,
+    from: &Waypoint,
+    obstacles: Vec<Obstacle>,
+    limits: &Limits,
+) -> Option<Vec<Waypoint>> {
+    let standing = |Obstacle { shape, x_m, y_m, .. }: Obstacle| Obstacle::fixed(shape, x_m, y_m);
+    let obstacles = obstacles.into_iter().map(standing).collect();
+    let scene = Scene::new(&Scenario { obstacles, endless: None, ..scenario.clone() });
+    Search { scenario, scene, from: *from, limits: *limits }.run()
+}
+
+/// The pose at the start.
+pub fn start_of(scenario: &Scenario) -> Waypoint {
+    let start = scenario.start;
+    Waypoint { x: start.x_m, y: start.y_m, yaw: start.yaw_rad }
 }
 
 struct Search<'a> {
     scenario: &'a Scenario,
     scene: Scene,
-    tolerance: f64,
+    from: Waypoint,
+    limits: Limits,
 }
 
 impl Search<'_> {
     fn run(&self) -> Option<Vec<Waypoint>> {
-        let start = self.scenario.start;
-        let place = Waypoint { x: start.x_m, y: start.y_m, yaw: start.yaw_rad };
+        let place = self.from;
         if !self.is_free(place) {
             return None;
         }
@@ -92,7 +121,9 @@ impl Search<'_> {
         while let Some(Reverse((_, node))) = open.pop() {
             let from = nodes[node];
             for share in CURVATURES {
-                let Some((place, arrived)) = self.follow(from.place, share / RADIUS_M) else { continue };
+                let Some((place, arrived)) = self.follow(from.place, share / self.limits.radius_m) else {
+                    continue;
+                };
                 if !arrived && !seen.insert(cell(place)) {
                     continue;
                 }
@@ -118,7 +149,7 @@ impl Search<'_> {
             if !self.is_free(place) {
                 return None;
             }
-            if self.goal_distance(place) <= self.tolerance {
+            if self.goal_distance(place) <= self.limits.goal_m {
                 return Some((place, true));
             }
         }
@@ -127,10 +158,13 @@ impl Search<'_> {
 
     fn is_free(&self, place: Waypoint) -> bool {
         let ([left, right], [low, high]) = (self.scenario.track.x_m, self.scenario.centre_y_m());
+        // A robot that is outside of a bound may come back.
+        let (left, right) = (left.min(self.from.x), right.max(self.from.x));
+        let (low, high) = (low.min(self.from.y), high.max(self.from.y));
         let body = self.scenario.body(place.x, place.y, place.yaw);
         (left..=right).contains(&place.x)
             && (low..=high).contains(&place.y)
-            && self.scene.clearance_below(&body, 0.0, MARGIN_M) >= MARGIN_M
+            && self.scene.clearance_below(&body, 0.0, self.limits.margin_m) >= self.limits.margin_m
     }
 
     /// Length of the path so far plus twice the distance left: finds some path soon rather than the shortest.

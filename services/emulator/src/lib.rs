@@ -10,6 +10,7 @@ pub mod course;
 pub mod emulator;
 pub mod feasible;
 pub mod history;
+pub mod judge;
 pub mod laser;
 pub mod noise;
 pub mod odometer;

@@ -70,6 +70,11 @@ impl Stream {
         self.uniform() < probability
     }
 
+    /// A whole number from `low` to `high`, both included.
+    pub fn count(&mut self, low: usize, high: usize) -> usize {
+        low + ((high - low + 1) as f64 * self.uniform()) as usize
+    }
+
     /// A number from the exponential distribution with mean 1.
     pub fn exponential(&mut self) -> f64 {
         -(1.0 - self.uniform()).ln()

@@ -140,6 +140,11 @@ impl PlacedObstacle {
         self.reach
     }
 
+    /// Its description in the scenario.
+    pub fn obstacle(&self) -> &Obstacle {
+        &self.obstacle
+    }
+
     /// Speed of the obstacle [m/s].
     pub fn speed(&self) -> f64 {
         self.obstacle.velocity_x_mps.hypot(self.obstacle.velocity_y_mps)

@@ -7,6 +7,7 @@ mod bench_ride;
 mod bench_solver;
 mod bench_transport;
 mod calibrate;
+mod campaign;
 mod description;
 mod reference;
 mod scenarios;

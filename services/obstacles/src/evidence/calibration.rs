@@ -30,6 +30,9 @@ const ODOMETRY: (f64, f64, f64, f64) = (0.006, 0.006, 0.03, 0.05);
 const MEMORY_M: f64 = 2.0;
 /// Many returns of one scan share their errors: so many of them count as one.
 const SHARED: f64 = 8.0;
+/// With more than this share of returns from what does not move, only those count. With fewer, what seems to move may do so
+/// because of the error that is looked for.
+const FIXED_SHARE: f64 = 0.5;
 /// What is expected of factor, offset [m], angle [rad] and factor of the odometry before anything was seen, standard
 /// deviations.
 const PRIOR: [f64; 4] = [0.5, 0.5, 0.5, 0.5];
@@ -83,7 +86,13 @@ impl CalibrationState {
         let view = Viewpoint::new(beams, earlier.scan(), place);
         let guess = self.solution();
         let weight = 1.0 / (SHARED * NOISE_M * NOISE_M);
+        let fixed = earlier.points().iter().filter(|point| earlier.is_fixed(point.beam)).count();
+        // A body that drives ahead of the robot would make all ranges look too short.
+        let suffices = fixed as f64 > FIXED_SHARE * earlier.points().len() as f64;
         for (index, point) in earlier.points().iter().enumerate().step_by(2) {
+            if suffices && !earlier.is_fixed(point.beam) {
+                continue;
+            }
             let Some(direction) = normal_at(earlier.points(), index) else { continue };
             let (one, other) = (point.at - place.at, point.at - before.at);
             let across = |ray: Vector2<f64>| Vector2::new(-ray.y, ray.x);

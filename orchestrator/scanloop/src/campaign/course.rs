@@ -1,0 +1,112 @@
+//! The courses of a campaign: which families, which seeds, and what is driven on each.
+
+use emulator::course::hostile::hostile;
+use emulator::course::of_campaign;
+use plan::{Choice, Plan};
+
+use super::arguments::CampaignArguments;
+use super::kind::{Kind, named};
+
+/// A course: its family and its seed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Course {
+    pub(super) kind: Kind,
+    pub(super) seed: u64,
+}
+
+/// What is driven on a course.
+#[derive(Debug, Clone)]
+pub(super) struct Drive {
+    pub(super) plan: Plan,
+    /// Width of the narrowest place, where the family has one [m].
+    pub(super) gap_m: Option<f64>,
+}
+
+/// The chosen courses: without `--family` those of the mixed campaign, else `--runs` of each family.
+pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
+    let seeds = || (0..).map(|index| arguments.seed.wrapping_add(index));
+    let count = usize::try_from(arguments.runs).unwrap_or(usize::MAX);
+    if arguments.families.is_empty() {
+        let mixed = |seed| Course { kind: Kind::Mixed(of_campaign(seed).0), seed };
+        return seeds().take(count).map(mixed).collect();
+    }
+    let mut kinds: Vec<Kind> = arguments.families.iter().flat_map(|name| named(name)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let of_kind = |kind| {
+        let belongs = move |seed: &u64| match kind {
+            Kind::Mixed(family) => of_campaign(*seed).0 == family,
+            Kind::Hostile(_) => true,
+        };
+        seeds().filter(belongs).take(count).map(move |seed| Course { kind, seed }).collect::<Vec<_>>()
+    };
+    kinds.into_iter().flat_map(of_kind).collect()
+}
+
+impl Course {
+    /// What is driven, with the chosen robot and the overrides.
+    ///
+    /// # Errors
+    /// One message with key, value and allowed range; exit code 2.
+    pub(super) fn drive(self, arguments: &CampaignArguments) -> anyhow::Result<Drive> {
+        let (scenario, gap_m) = match self.kind {
+            Kind::Mixed(_) => (of_campaign(self.seed).1, None),
+            Kind::Hostile(family) => {
+                let course = hostile(family, self.seed);
+                (course.scenario, course.gap_m)
+            }
+        };
+        let own = arguments.robot.overrides().iter().map(|text| (*text).to_owned());
+        let overrides = own.chain(arguments.overrides.iter().cloned()).collect();
+        Ok(Drive { plan: Plan::of(&scenario, &Choice { overrides, ..Choice::default() })?, gap_m })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use emulator::course::Family;
+    use emulator::course::hostile::Hostile;
+
+    use super::super::arguments::CampaignRobot;
+    use super::super::kind::family_names;
+    use super::*;
+
+    fn arguments(families: &[&str], runs: u64) -> CampaignArguments {
+        let families = families.iter().map(|name| (*name).to_owned()).collect();
+        CampaignArguments { families, runs, ..CampaignArguments::default() }
+    }
+
+    #[test]
+    fn without_a_family_seeds_are_those_of_the_mixed_campaign() {
+        let courses = all(&arguments(&[], 100));
+        for (course, seed) in courses.iter().zip(0..) {
+            assert_eq!(*course, Course { kind: Kind::Mixed(of_campaign(seed).0), seed });
+        }
+        let blocked = all(&arguments(&["blocked"], 3));
+        let expected: Vec<Course> =
+            courses.iter().copied().filter(|course| course.kind == Kind::Mixed(Family::Blocked)).collect();
+        assert_eq!(blocked, expected[..3]);
+    }
+
+    #[test]
+    fn each_family_has_its_runs_once() {
+        let courses = all(&arguments(&["gap", "hostile", "gap"], 2));
+        assert_eq!(courses.len(), 2 * Hostile::ALL.len());
+        for name in family_names() {
+            assert!(!named(name).is_empty(), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_random_robot_is_within_a_fifth_of_its_description_and_has_the_usual_velocity_factor() {
+        for seed in 0..20 {
+            let course = Course { kind: Kind::Hostile(Hostile::Gap), seed };
+            let arguments = CampaignArguments { robot: CampaignRobot::Random, ..arguments(&[], 1) };
+            let values = course.drive(&arguments).unwrap().plan.scenario.robot_values();
+            assert!((0.12..=0.18).contains(&values.velocity_lag_s) && values.velocity_factor == 1.4);
+            assert!(
+                (0.0..=0.02).contains(&values.odometry_longitudinal) && values.steering_offset_rad == 0.0
+            );
+        }
+    }
+}

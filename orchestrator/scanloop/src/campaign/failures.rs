@@ -1,0 +1,64 @@
+//! Bad courses as files that `scanloop run` replays, one folder per cause.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use emulator::Outcome;
+use emulator::judge::Verdict;
+use plan::overrides::system_overrides;
+use serde::Serialize;
+
+use super::arguments::CampaignArguments;
+use super::run::CourseRun;
+
+/// Cause of a course that is bad only because of its ways to rest.
+const WITHOUT_REST: &str = "no-way-to-rest";
+
+/// A course with a wrong outcome.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct BadCourse {
+    pub(super) seed: u64,
+    pub(super) family: &'static str,
+    pub(super) cause: String,
+    pub(super) outcome: Outcome,
+    pub(super) reason: String,
+    pub(super) scenario: PathBuf,
+}
+
+/// Whether a course ended wrongly, or had a scan without a way to rest.
+pub(super) fn is_bad(run: &CourseRun) -> bool {
+    run.without_rest > 0 || is_wrong(run)
+}
+
+fn is_wrong(run: &CourseRun) -> bool {
+    matches!(run.judgement.verdict, Verdict::StoppedWrongly | Verdict::Missed | Verdict::Collision)
+}
+
+/// Writes the scenario of a bad course to the folder of its cause.
+///
+/// # Errors
+/// Errors of the file system.
+pub(super) fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCourse> {
+    let scenario = run.course.drive(arguments)?.plan.scenario;
+    let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
+    let folder = arguments.out.join(&cause);
+    std::fs::create_dir_all(&folder).with_context(|| format!("--out {}", arguments.out.display()))?;
+    let path = folder.join(format!("{}.toml", scenario.name));
+    let mut reason = run.reason.clone();
+    if run.without_rest > 0 {
+        let _ = write!(reason, ", {} scans without a way to rest", run.without_rest);
+    }
+    let set = settings(arguments);
+    let text =
+        format!("# {}: {reason}\n# scanloop run --lockstep FILE{set}\n{}", run.outcome, scenario.to_toml());
+    std::fs::write(&path, text).with_context(|| format!("{}", path.display()))?;
+    let (seed, family) = (run.course.seed, run.course.kind.name());
+    Ok(BadCourse { seed, family, cause, outcome: run.outcome, reason, scenario: path })
+}
+
+/// The overrides that do not stand in the scenario, as arguments of `run`.
+pub(super) fn settings(arguments: &CampaignArguments) -> String {
+    let system = system_overrides(&arguments.overrides);
+    system.map(|text| format!(" --set '{text}'")).collect()
+}

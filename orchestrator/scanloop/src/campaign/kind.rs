@@ -1,0 +1,38 @@
+//! The families of a campaign by their names.
+
+use emulator::course::Family;
+use emulator::course::hostile::Hostile;
+
+/// The name that chooses all hostile families.
+const ALL_HOSTILE: &str = "hostile";
+
+/// A family of courses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    /// One of those that a campaign without `--family` mixes.
+    Mixed(Family),
+    /// A hostile one.
+    Hostile(Hostile),
+}
+
+/// Names that `--family` takes.
+pub(super) fn family_names() -> Vec<&'static str> {
+    let mixed = Family::ALL.iter().map(|family| family.name());
+    mixed.chain(Hostile::ALL.iter().map(|family| family.name())).chain([ALL_HOSTILE]).collect()
+}
+
+/// The families of a name.
+pub(super) fn named(name: &str) -> Vec<Kind> {
+    let mixed = Family::ALL.iter().filter(|family| family.name() == name).map(|family| Kind::Mixed(*family));
+    let hostile = Hostile::ALL.iter().filter(|family| family.name() == name || name == ALL_HOSTILE);
+    mixed.chain(hostile.map(|family| Kind::Hostile(*family))).collect()
+}
+
+impl Kind {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Mixed(family) => family.name(),
+            Self::Hostile(family) => family.name(),
+        }
+    }
+}

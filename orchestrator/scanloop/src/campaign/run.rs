@@ -1,0 +1,66 @@
+//! One course, driven and judged.
+
+use emulator::Outcome;
+use emulator::judge::{Judge, Judgement};
+use pipeline::{Settings, WayToRest};
+use report::NO_OBSTACLE_M;
+
+use super::arguments::CampaignArguments;
+use super::course::{Course, Drive};
+
+/// How one course ended.
+#[derive(Debug, Clone)]
+pub(super) struct CourseRun {
+    pub(super) course: Course,
+    pub(super) gap_m: Option<f64>,
+    pub(super) outcome: Outcome,
+    pub(super) reason: String,
+    pub(super) judgement: Judgement,
+    pub(super) time_s: f64,
+    pub(super) min_clearance_m: f64,
+    /// Smallest clearance on a way to rest.
+    pub(super) min_rest_clearance_m: f64,
+    /// Scans without a way to rest that keeps clear.
+    pub(super) without_rest: u64,
+}
+
+impl CourseRun {
+    /// Drives a course to its end.
+    ///
+    /// # Errors
+    /// A setting that is not allowed; exit code 2.
+    pub(super) fn of(course: Course, arguments: &CampaignArguments) -> anyhow::Result<Self> {
+        let Drive { plan, gap_m } = course.drive(arguments)?;
+        let (tuning, period_ns) = (plan.system.tuning(), plan.system.period_ns());
+        let settings = Settings { scenario: plan.scenario, tuning, period_ns };
+        let mut judge = Judge::new(&settings.scenario, period_ns);
+        let (mut time_s, mut min_clearance_m) = (0.0, NO_OBSTACLE_M);
+        let (mut rest, mut min_rest_clearance_m, mut without_rest) =
+            (WayToRest::new(&settings), NO_OBSTACLE_M, 0);
+        let drive = pipeline::drive(&settings, |step| {
+            (time_s, min_clearance_m) = (step.truth.time_s, step.truth.min_clearance_m);
+            let clearance_m = rest.clearance(&step.truth);
+            min_rest_clearance_m = min_rest_clearance_m.min(clearance_m);
+            without_rest += u64::from(clearance_m <= 0.0);
+            judge.observe(&step.truth, step.pose.as_ref(), step.actuation.as_ref());
+        })?;
+        let judgement = judge.judge(drive.outcome, &drive.reason);
+        let (outcome, reason) = (drive.outcome, drive.reason);
+        Ok(Self {
+            course,
+            gap_m,
+            outcome,
+            reason,
+            judgement,
+            time_s,
+            min_clearance_m,
+            min_rest_clearance_m,
+            without_rest,
+        })
+    }
+
+    /// Whether the robot got to the other side of all obstacles.
+    pub(super) fn passed(&self) -> bool {
+        matches!(self.outcome, Outcome::Reached | Outcome::Missed)
+    }
+}

@@ -1,0 +1,68 @@
+//! Bodies that move, and obstacles that appear.
+
+use crate::noise::Stream;
+use crate::scenario::{Obstacle, Scenario, Shape};
+
+/// Bodies that move along the track are at most this far from its middle [m].
+const ASIDE_M: f64 = 1.2;
+/// A body that is overtaken starts this far ahead of the robot, at least and at most [m].
+const AHEAD_M: [f64; 2] = [2.7, 6.0];
+/// Closest distance at which something may appear: `vehicle.sudden_m` [m].
+pub(super) const SUDDEN_M: f64 = 1.2;
+
+/// How a body moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Motion {
+    /// Across the track, where the robot is about then.
+    Crossing,
+    /// Along the track, towards the robot.
+    HeadOn,
+    /// Along the track, ahead of the robot and slower.
+    Overtaking,
+}
+
+/// A body that moves, up to 0.5 m/s.
+pub(super) fn mover(motion: Motion, scenario: &Scenario, stream: &mut Stream) -> Obstacle {
+    let shape = if stream.chance(0.6) {
+        Shape::Circle { radius_m: stream.between(0.1, 0.3) }
+    } else {
+        Shape::Box { length_m: stream.between(0.1, 0.6), width_m: stream.between(0.1, 0.6), yaw_rad: 0.0 }
+    };
+    let start = scenario.start;
+    let way_m = stream.between(3.0, (scenario.goal.x_m - start.x_m - 1.0).min(12.0));
+    // The robot is there about then.
+    let meeting_s = way_m * stream.between(0.9, 1.7);
+    let (meeting_m, speed) = (start.x_m + way_m, stream.between(0.1, 0.5));
+    let mut mover = Obstacle::fixed(shape, meeting_m, stream.between(-ASIDE_M, ASIDE_M));
+    match motion {
+        Motion::HeadOn => {
+            mover.velocity_x_mps = -speed;
+            mover.x_m = meeting_m + speed * meeting_s;
+        }
+        Motion::Overtaking => {
+            mover.velocity_x_mps = 0.8 * speed;
+            mover.x_m = start.x_m + stream.between(AHEAD_M[0], AHEAD_M[1]);
+        }
+        Motion::Crossing => {
+            let side = if stream.chance(0.5) { 1.0 } else { -1.0 };
+            mover.velocity_y_mps = -side * speed;
+            mover.velocity_x_mps = if stream.chance(0.5) { stream.between(-0.2, 0.2) } else { 0.0 };
+            mover.y_m += side * speed * meeting_s;
+            mover.x_m -= mover.velocity_x_mps * meeting_s;
+        }
+    }
+    mover
+}
+
+/// Lets each obstacle appear when the robot is near; they may be wider.
+pub(super) fn appear(scenario: &mut Scenario, stream: &mut Stream) {
+    for obstacle in &mut scenario.obstacles {
+        // An obstacle nearer to the start would appear nearer than the described distance.
+        if obstacle.x_m - obstacle.reach() > scenario.start.x_m + SUDDEN_M + 1.0 {
+            obstacle.appears_ahead_m = Some(SUDDEN_M + stream.exponential().min(2.5));
+        }
+        if let (Shape::Box { width_m, .. }, true) = (&mut obstacle.shape, stream.chance(0.4)) {
+            *width_m = stream.between(0.5, 1.5);
+        }
+    }
+}
