@@ -13,7 +13,7 @@ use crate::calibrate::CalibrateArguments;
 use crate::live_check::LiveArguments;
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
-use crate::swap::SwapArguments;
+use crate::swap::{SetArguments, SwapArguments};
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
 
@@ -94,6 +94,12 @@ pub enum Command {
     /// `command_jump_rad`, `command_jump_mps`, `outcome` (`swapped`, `refused`, `rolled_back`), `reason`.
     #[command(override_usage = "scanloop swap [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Swap(SwapArguments),
+    /// Change settings of one role of a running system.
+    ///
+    /// The process of the role is swapped for the same program with the new settings, without losing a scan. Processes
+    /// that are started for the role later have them too. Exit codes and JSON keys are those of `swap`; exit code 2 also
+    /// for keys that do not belong to one role, and for values that are not allowed.
+    Set(SetArguments),
     /// Test whether a program, in any language, can fill a role.
     ///
     /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each requirement.

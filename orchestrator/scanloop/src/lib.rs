@@ -105,6 +105,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
         Command::Restart { role } => swap::restart(&cli.system_id, role),
         Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
+        Command::Set(arguments) => swap::set(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),

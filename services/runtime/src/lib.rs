@@ -92,7 +92,7 @@ pub use process::Process;
 pub use qos::buffer;
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
-pub use settings::{ClockKind, RunSettings, settings_file, settings_table};
+pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, settings_table};
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
