@@ -14,6 +14,7 @@ use crate::live_check::LiveArguments;
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::{SetArguments, SwapArguments};
+use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
 
@@ -70,6 +71,11 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Show a running system on one screen of a terminal, with keys for stop, restart and swap.
+    ///
+    /// Processes, motion, a map with scan, obstacles and plan, the time from scan to actuation, and the last events. `?`
+    /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
+    Top(TopArguments),
     /// Block the wheels of a running system and end all its processes.
     ///
     /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is

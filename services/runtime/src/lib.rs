@@ -96,6 +96,6 @@ pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, set
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
-pub use terminal::{flush_terminal, is_terminal, printable, show_live_line, start_terminal};
+pub use terminal::{flush_terminal, hold_terminal, is_terminal, printable, show_live_line, start_terminal};
 pub use wake::wait_for;
 pub use waker::Waker;

@@ -7,7 +7,6 @@ use scanloop_tests::swaps::{
     assert_every_scan_answered_once, assert_seamless, assert_seamless_swap, certificate,
 };
 use shared_types::Role;
-use supervision::supervisor::VisibleState;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
@@ -30,7 +29,7 @@ fn kill_controller(system: &System) {
         system.status().is_some_and(|status| {
             let of_role = |role| status.processes.iter().find(|process| process.role == role);
             of_role(Role::Controller)
-                .is_some_and(|process| process.pid != old && process.state == VisibleState::Ready)
+                .is_some_and(|process| process.pid != old && process.state.name() == "ready")
         })
     });
 }
@@ -56,7 +55,7 @@ fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
     assert_ne!(system.pid(Role::Controller), old);
     assert!(before != 10 && plan_length(&system) == 10, "{before}");
     // A second change starts from the first one.
-    let arguments = ["--tolerance", "1000", "controller.switch_cost=0.3"];
+    let arguments = ["--tolerance", "1000", "controller.smoothing_s=0.3"];
     assert_seamless_swap(&set(&system, &arguments));
     assert_eq!(plan_length(&system), 10);
     kill_controller(&system);
