@@ -26,5 +26,6 @@ mod soak;
 mod stop;
 mod swap;
 mod swap_robot;
+mod top;
 mod watch;
 mod without_truth;

@@ -107,19 +107,19 @@ fn motion(area: Rect, buffer: &mut Buffer, model: &Model) {
         let speed_mps = model.truth.map_or(pose.speed_mps, |truth| truth.speed_mps);
         let goal_m = (goal.x_m - pose.x_m).hypot(goal.y_m - pose.y_m);
         text += &format!(
-            " x {:.2} m  y {:+.2} m  speed {speed_mps:.2} m/s  goal {goal_m:.1} m",
+            " x {:.2}  y {:+.2} m  speed {speed_mps:.2} m/s  goal {goal_m:.1} m",
             pose.x_m, pose.y_m
         );
     }
     if let Some(actuation) = &model.actuation {
-        text += &format!("  steering {:+.3} rad", actuation.desired_steering_rad);
+        text += &format!("  steer {:+.3} rad", actuation.desired_steering_rad);
     }
     if let Some(truth) = &model.truth {
-        text += &format!("  clearance {:.2} m", truth.clearance_m);
+        text += &format!("  clear {:.2} m", truth.clearance_m);
     }
     if model.is_blocked() {
         let reason = model.actuation.and_then(|actuation| StopReason::try_from(actuation.stop_reason).ok());
-        let reason = reason.map_or("", StopReason::name);
+        let reason = reason.filter(|reason| *reason != StopReason::None).map_or("", StopReason::name);
         return print(buffer, area, 0, &format!(" wheels blocked {reason} {text}"), WARNING);
     }
     print(buffer, area, 0, &text, Style::new());

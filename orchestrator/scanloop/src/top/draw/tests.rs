@@ -5,7 +5,8 @@ use ratatui_core::terminal::Terminal;
 use report::BlockingReport;
 use session::control::EventRow;
 use shared_types::{
-    Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, PlanNode, Pose, Scan, StopReason, Truth,
+    Actuation, ActuationKind, Command, CommandKind, Obstacle, Obstacles, PlanNode, Pose, Scan, StopReason,
+    Truth,
 };
 use supervision::supervisor::VisibleState;
 use vehicle::{Goal, Track};
