@@ -89,7 +89,7 @@ pub(crate) fn set(system_id: &str, arguments: &SetArguments) -> anyhow::Result<E
 /// Requests the swap, waits for its certificate and prints it.
 fn finish(domain: &Domain, request: SwapRequest, json: bool) -> anyhow::Result<Exit> {
     let number = begin(domain, &Request::Swap(request))?;
-    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     print_json(json, &certificate)?;
     note!("{certificate}");
     Ok(exit_of(&certificate))
@@ -123,14 +123,18 @@ pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
             return Ok(Exit::Done);
         }
     };
-    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     note!("{}", certificate.of_restart());
     Ok(exit_of(&certificate))
 }
 
-/// Waits for the certificate of a swap; `None` when the system ends first.
-fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificate>> {
-    loop {
+/// Waits for the certificate of a swap; `None` when the system ends first, or `is_over`.
+fn certificate(
+    domain: &Domain,
+    number: u64,
+    is_over: impl Fn() -> bool,
+) -> anyhow::Result<Option<Certificate>> {
+    while !is_over() {
         match ask(domain, &Request::SwapResult { number }) {
             Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
@@ -141,6 +145,7 @@ fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificat
             }
         }
     }
+    Ok(None)
 }
 
 fn exit_of(certificate: &Certificate) -> Exit {

@@ -49,7 +49,9 @@ pub(super) fn watch(domain: &Domain, request: &SwapRequest, json: bool) -> anyho
     let mut refused = String::new();
     loop {
         if let Some(number) = number.take() {
-            let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::Done) };
+            let Some(certificate) = certificate(domain, number, || shutdown.requested())? else {
+                return Ok(Exit::Done);
+            };
             print_json(json, &certificate)?;
             note!("{certificate}");
         }
@@ -151,14 +153,23 @@ impl Folders {
                 Err(Errno::INTR) => continue,
                 Err(error) => return Err(error.into()),
             };
+            if event.events().contains(ReadFlags::QUEUE_OVERFLOW) {
+                // Events were lost: the contents decide.
+                self.pending.extend(files.iter().map(|file| (file.clone(), false)));
+                self.last_event = Instant::now();
+            }
             let Some(folder) = self.watched.get(&event.wd()) else { continue };
             let Some(name) = event.file_name() else { continue };
             let path = folder.join(OsString::from_vec(name.to_bytes().to_vec()));
             // A new Python file may be one that an import was waiting for.
             let is_new_module = path.extension().is_some_and(|extension| extension == "py");
             if files.contains(&path) || is_new_module {
-                let is_written = event.events().contains(ReadFlags::MODIFY);
-                self.pending.insert(path, is_written);
+                let is_written = self.pending.entry(path).or_insert(false);
+                if event.events().contains(ReadFlags::MODIFY) {
+                    *is_written = true;
+                } else if !event.events().intersects(ReadFlags::ATTRIB | ReadFlags::CREATE) {
+                    *is_written = false;
+                }
                 self.last_event = Instant::now();
             }
         }
