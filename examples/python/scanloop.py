@@ -354,7 +354,9 @@ class Process:
         self.role, self.incarnation = Role(role), int(incarnation)
         self.directory = directory
         self._verify()
-        with open(f"{self.directory}/settings-{self.role.name.lower()}.toml", "rb") as file:
+        own = f"{self.directory}/settings-{self.incarnation}.toml"
+        of_role = f"{self.directory}/settings-{self.role.name.lower()}.toml"
+        with open(own if os.path.exists(own) else of_role, "rb") as file:
             self._settings = tomllib.load(file)
         run = self._settings["run"]
         self.period_ns, self.simulated = run["period_ns"], run["clock"] == "simulated"

@@ -9,6 +9,7 @@ pub mod player_server;
 pub mod soak;
 pub mod stranger;
 pub mod swaps;
+pub mod terminal;
 mod watch;
 
 use std::cell::RefCell;

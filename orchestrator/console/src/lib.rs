@@ -4,4 +4,5 @@ pub mod exit;
 pub mod limits;
 pub mod output;
 pub mod progress;
+pub mod screen;
 pub mod user_file;

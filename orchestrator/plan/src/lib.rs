@@ -1,6 +1,7 @@
 //! What is to be driven: scenario and system, read, overridden and checked before anything is started.
 
 pub mod calibration_file;
+pub mod change;
 pub mod difference;
 pub mod overrides;
 mod player_robot;

@@ -31,7 +31,8 @@ pub fn write(
     Ok(())
 }
 
-fn of(
+/// The settings file of a role as a table.
+pub(crate) fn of(
     role: Role,
     run: &RunSettings,
     realtime: &Realtime,

@@ -14,7 +14,8 @@ use crate::campaign::arguments::CampaignArguments;
 use crate::live_check::LiveArguments;
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
-use crate::swap::SwapArguments;
+use crate::swap::{SetArguments, SwapArguments};
+use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
 
@@ -74,6 +75,11 @@ pub enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Show a running system on one screen of a terminal, with keys for stop, restart and swap.
+    ///
+    /// Processes, motion, a map with scan, obstacles and plan, the time from scan to actuation, and the last events. `?`
+    /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
+    Top(TopArguments),
     /// Block the wheels of a running system and end all its processes.
     ///
     /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is
@@ -98,6 +104,12 @@ pub enum Command {
     /// `command_jump_rad`, `command_jump_mps`, `outcome` (`swapped`, `refused`, `rolled_back`), `reason`.
     #[command(override_usage = "scanloop swap [OPTIONS] <ROLE> <--to IMPLEMENTATION | -- COMMAND...>")]
     Swap(SwapArguments),
+    /// Change settings of one role of a running system.
+    ///
+    /// The process of the role is swapped for the same program with the new settings, without losing a scan. Processes
+    /// that are started for the role later have them too. Exit codes and JSON keys are those of `swap`; exit code 2 also
+    /// for keys that do not belong to one role, and for values that are not allowed.
+    Set(SetArguments),
     /// Test whether a program, in any language, can fill a role.
     ///
     /// The program is started alone; a test bench plays all other roles with a recorded drive and tries each requirement.

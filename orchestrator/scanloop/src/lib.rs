@@ -17,6 +17,7 @@ mod status;
 mod stop;
 pub mod successor;
 pub mod swap;
+pub mod top;
 mod topic;
 mod types;
 pub mod urg;
@@ -101,10 +102,12 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => status::status(&domain()?, *json),
+        Command::Top(arguments) => top::top(&cli.system_id, arguments),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
         Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
         Command::Restart { role } => swap::restart(&cli.system_id, role),
         Command::Swap(arguments) => swap::swap(&cli.system_id, arguments),
+        Command::Set(arguments) => swap::set(&cli.system_id, arguments),
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),

@@ -17,14 +17,7 @@ use crate::print_json;
 /// # Errors
 /// A system that is not running; exit code 2.
 pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
-    let status = match ask(domain, &Request::Status) {
-        Ok(Reply::Status(status)) => *status,
-        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
-        Err(error) => match orphaned::status(domain) {
-            Some(status) if is_not_running(&error) => status,
-            _ => return Err(error),
-        },
-    };
+    let status = current(domain)?;
     print_json(json, &status)?;
     if !json {
         note!("{}", table(&status));
@@ -33,6 +26,21 @@ pub(crate) fn status(domain: &Domain, json: bool) -> anyhow::Result<Exit> {
         }
     }
     Ok(Exit::Done)
+}
+
+/// The state of the system, also of one without an orchestrator.
+///
+/// # Errors
+/// A system that is not running, and an orchestrator that does not answer.
+pub(crate) fn current(domain: &Domain) -> anyhow::Result<Status> {
+    match ask(domain, &Request::Status) {
+        Ok(Reply::Status(status)) => Ok(*status),
+        Ok(_) => anyhow::bail!("the orchestrator did not answer with a status"),
+        Err(error) => match orphaned::status(domain) {
+            Some(status) if is_not_running(&error) => Ok(status),
+            _ => Err(error),
+        },
+    }
 }
 
 fn is_not_running(error: &anyhow::Error) -> bool {

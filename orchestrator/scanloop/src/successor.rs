@@ -1,5 +1,7 @@
 //! The common part of `swap` and `shadow`: a second process for a role.
 
+use std::path::Path;
+
 use clap::{ArgGroup, Args};
 use console::exit::Failure;
 use runtime::Domain;
@@ -43,14 +45,14 @@ pub(crate) fn begin(domain: &Domain, request: &Request) -> anyhow::Result<u64> {
     }
 }
 
-/// The command with an absolute path, because the working folder of the orchestrator is another one.
+/// The command with absolute paths of its program and of a script in it, because the working folder of the
+/// orchestrator is another one.
 fn from_here(command: &[String]) -> Vec<String> {
-    let mut command = command.to_vec();
-    if let Some(program) = command.first_mut()
-        && program.contains('/')
-        && let Ok(path) = std::path::absolute(&*program)
-    {
-        *program = path.to_string_lossy().into_owned();
-    }
-    command
+    let absolute = |(index, part): (usize, &String)| {
+        let is_script = || part.ends_with(".py") && Path::new(part).is_file();
+        let is_path = if index == 0 { part.contains('/') } else { is_script() };
+        let path = is_path.then(|| std::path::absolute(part).ok()).flatten();
+        path.map_or_else(|| part.clone(), |path| path.to_string_lossy().into_owned())
+    };
+    command.iter().enumerate().map(absolute).collect()
 }

@@ -1,11 +1,15 @@
-//! `scanloop swap` and `scanloop restart`: request the swap of a process, and print the certificate.
+//! `scanloop swap`, `set` and `restart`: request the swap of a process, and print the certificate.
+
+mod program;
+mod watch;
 
 use clap::Args;
 use console::exit::{Exit, Failure};
 use console::note;
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
+use plan::change;
 use runtime::Domain;
-use session::control::{Reply, Request, SwapRequest, ask};
+use session::control::{Reply, Request, Successor, SwapRequest, ask};
 use shared_types::Role;
 
 use crate::print_json;
@@ -20,6 +24,29 @@ pub struct SwapArguments {
     /// The process that takes over.
     #[command(flatten)]
     pub successor: SuccessorArguments,
+    /// Swap again each time a file of the command changes: a program, a script, and what a Python script imports from its
+    /// folder. Ctrl-C ends the command; the process that drives stays.
+    #[arg(long, conflicts_with = "to")]
+    pub watch: bool,
+    /// When the new process takes over.
+    #[command(flatten)]
+    pub gate: GateArguments,
+}
+
+/// Arguments of `set`.
+#[derive(Debug, Args)]
+pub struct SetArguments {
+    /// Keys of one role with their new values, for example `controller.intervals=7`; `scanloop reference` lists the keys.
+    #[arg(value_name = "KEY=VALUE", required = true)]
+    pub set: Vec<String>,
+    /// When the new process takes over.
+    #[command(flatten)]
+    pub gate: GateArguments,
+}
+
+/// When the new process takes over, and how the result is printed.
+#[derive(Debug, Clone, Args)]
+pub struct GateArguments {
     /// Number of scans in a row for which the new process must agree with the old one.
     #[arg(long, visible_alias = "gate-scans", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     pub shadow_scans: u64,
@@ -40,25 +67,45 @@ pub struct SwapArguments {
 /// # Errors
 /// An unknown role or implementation, a system that is not running or already swaps a process; exit code 2.
 pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
-    let tolerance = arguments.tolerance;
-    // JSON has no NaN, so the orchestrator can't name it in a message.
-    if !(0.0..=MAX_TOLERANCE).contains(&tolerance) {
-        return Err(Failure::bad_input(format!(
-            "--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"
-        )));
-    }
-    let request = SwapRequest {
-        successor: arguments.successor.named()?,
-        shadow_scans: arguments.shadow_scans,
-        standby_scans: arguments.standby_scans,
-        tolerance,
-    };
+    let request = arguments.gate.request(arguments.successor.named()?, Vec::new())?;
     let domain = &supervision::runs::existing(system_id)?;
+    if arguments.watch {
+        return watch::watch(domain, &request, arguments.gate.json);
+    }
+    finish(domain, request, arguments.gate.json)
+}
+
+/// Changes settings of one role: swaps its process for the same program with other settings.
+///
+/// # Errors
+/// Keys that do not belong to one role, values that are not allowed, and as [`swap`]; exit code 2.
+pub(crate) fn set(system_id: &str, arguments: &SetArguments) -> anyhow::Result<Exit> {
+    let role = change::role_of(&arguments.set)?;
+    let successor = Successor { role, implementation: None, command: None };
+    let request = arguments.gate.request(successor, arguments.set.clone())?;
+    finish(&supervision::runs::existing(system_id)?, request, arguments.gate.json)
+}
+
+/// Requests the swap, waits for its certificate and prints it.
+fn finish(domain: &Domain, request: SwapRequest, json: bool) -> anyhow::Result<Exit> {
     let number = begin(domain, &Request::Swap(request))?;
-    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
-    print_json(arguments.json, &certificate)?;
+    let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
+    print_json(json, &certificate)?;
     note!("{certificate}");
     Ok(exit_of(&certificate))
+}
+
+impl GateArguments {
+    fn request(&self, successor: Successor, set: Vec<String>) -> anyhow::Result<SwapRequest> {
+        let Self { shadow_scans, standby_scans, tolerance, .. } = *self;
+        // JSON has no NaN, so the orchestrator can't name it in a message.
+        if !(0.0..=MAX_TOLERANCE).contains(&tolerance) {
+            return Err(Failure::bad_input(format!(
+                "--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"
+            )));
+        }
+        Ok(SwapRequest { successor, set, shadow_scans, standby_scans, tolerance })
+    }
 }
 
 /// Restarts one process; when the old one works, waits until the new one is in charge.
@@ -76,14 +123,18 @@ pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
             return Ok(Exit::Done);
         }
     };
-    let Some(certificate) = certificate(domain, number)? else { return Ok(Exit::NotReached) };
+    let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     note!("{}", certificate.of_restart());
     Ok(exit_of(&certificate))
 }
 
-/// Waits for the certificate of a swap; `None` when the system ends first.
-fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificate>> {
-    loop {
+/// Waits for the certificate of a swap; `None` when the system ends first, or `is_over`.
+fn certificate(
+    domain: &Domain,
+    number: u64,
+    is_over: impl Fn() -> bool,
+) -> anyhow::Result<Option<Certificate>> {
+    while !is_over() {
         match ask(domain, &Request::SwapResult { number }) {
             Ok(Reply::Certificate(certificate)) => return Ok(Some(*certificate)),
             Ok(Reply::Refused(reason)) => anyhow::bail!(reason),
@@ -94,6 +145,7 @@ fn certificate(domain: &Domain, number: u64) -> anyhow::Result<Option<Certificat
             }
         }
     }
+    Ok(None)
 }
 
 fn exit_of(certificate: &Certificate) -> Exit {

@@ -8,8 +8,9 @@
 //! a swap in progress is over without a certificate; and the sample audit begins with the first scan that is received.
 
 use console::exit::{Exit, Failure};
+use plan::change;
 use runtime::{Bus, Domain, Priority, RuntimeError, Shutdown, StopWord, latch_on_crash, monotonic_ns, print};
-use shared_types::{Authority, Directive, Phase};
+use shared_types::{Authority, Directive, Phase, Role};
 use supervision::child::Child;
 use supervision::entry::ProcessRow;
 use supervision::fleet::Fleet;
@@ -100,6 +101,9 @@ pub(crate) fn take_over(
     let processes = listed.filter_map(|(row, process)| Some((row, Child::adopt(process)?))).collect();
     let mut directive = directive_of(&registry);
     let (mut events, others) = fill_roles(&mut fleet, &registry, &mut directive, processes);
+    for role in Role::ALL {
+        change::keep(domain, *role, fleet.incarnation(*role))?;
+    }
     let standby_ns = monotonic_ns() + (3 * plan.system.period_ns()).max(MIN_HANG_AFTER_MS * 1_000_000);
     for (ProcessRow { role, identity, entry }, child) in others {
         print(Priority::Notice, &format!("{role} {} fills no role and is ended", identity.pid));

@@ -28,6 +28,10 @@ pub struct RunArguments {
     /// Print no progress.
     #[arg(long)]
     pub quiet: bool,
+    /// Show the run as `scanloop top` does; what is printed meanwhile follows when the view ends. Ctrl-C ends the run, `q`
+    /// the view only.
+    #[arg(long, conflicts_with_all = ["quiet", "adopt", "adopt_or_start"])]
+    pub top: bool,
     /// Take over the orphaned processes of a run whose orchestrator died; scenario and system are those of that run.
     #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
     pub adopt: bool,

@@ -86,6 +86,22 @@ pub struct Status {
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     #[serde(default)]
     pub refused: Vec<RefusedRow>,
+    /// The last events, the oldest first.
+    #[serde(default)]
+    pub events: Vec<EventRow>,
+}
+
+/// What the orchestrator told its user.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct EventRow {
+    /// Numbers the events of a run from 1.
+    pub number: u64,
+    /// Driven time [s].
+    pub time_s: f64,
+    /// Whether it is a warning.
+    pub warning: bool,
+    /// One line of text.
+    pub text: String,
 }
 
 /// One process in [`Status`].

@@ -13,6 +13,7 @@ mod session;
 pub mod start;
 pub mod startup;
 mod survivors;
+mod top_view;
 mod vitals;
 
 pub use process_registry::driven_system;

@@ -74,6 +74,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
         scanner: None,
         processes,
         refused: Vec::new(),
+        events: Vec::new(),
     })
 }
 

@@ -13,6 +13,7 @@ use crate::results::conclude;
 use crate::start::start;
 use crate::startup::RunOptions;
 use crate::survivors::Survivors;
+use crate::top_view::TopView;
 
 /// Drives a scenario and writes its report.
 ///
@@ -20,6 +21,9 @@ use crate::survivors::Survivors;
 /// Bad input, a process that could not be kept running, and errors of the bus or the file system.
 pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let RunArguments { out, duration, quiet, .. } = arguments;
+    if arguments.top {
+        TopView::require_terminal()?;
+    }
     let to_adopt = AdoptArguments { out: out.clone(), duration: *duration, quiet: *quiet };
     if arguments.adopt {
         return adopt::adopt(system_id, &to_adopt);
@@ -53,6 +57,8 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         return Ok(Exit::NotReached);
     }
     announce(&plan, *quiet);
+    // Dropped after the run: the terminal is free again for its summary.
+    let _view = arguments.top.then(|| TopView::start(system_id)).transpose()?;
     let session = start(&domain, &plan, &options, lock, shutdown)?;
     conclude(session, &plan, &options.out)
 }

@@ -7,6 +7,7 @@
 
 mod candidates;
 mod conclusion;
+mod events;
 mod judge;
 mod reconciliation;
 mod recording;
@@ -37,6 +38,7 @@ use crate::vitals::Vitals;
 
 use candidates::Watches;
 use conclusion::{Conclusion, Step};
+use events::Events;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -65,6 +67,7 @@ pub struct Session {
     control: ControlSocket,
     shutdown: Shutdown,
     progress: Progress,
+    events: Events,
     manager: ServiceManager,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
@@ -118,6 +121,7 @@ impl Session {
             registry_file: RegistryFile::default(),
             judged_by: None,
             progress: Progress::new(options.quiet),
+            events: Events::default(),
             manager: ServiceManager::new(),
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
@@ -241,9 +245,9 @@ impl Session {
             }
             if self.conclusion.is_open() {
                 self.recording.recorder.outage_began(role, PROCESS_RESTARTED);
-                self.progress.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
-                for line in self.fleet.last_log_lines(role) {
-                    self.progress.note(&format!("  {role}: {line}"));
+                self.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
+                for line in self.fleet.last_log_lines(role).to_vec() {
+                    self.note(&format!("  {role}: {line}"));
                 }
             }
             self.handle(Event::Exited { role, incarnation, exit })?;
@@ -284,9 +288,23 @@ impl Session {
                 true => reason.to_owned(),
                 false => reason.to_owned() + &self.named_cause(reason) + &self.blame(),
             };
+            let text = format!("{}: {reason}", outcome.name());
+            self.events.push(self.recording.recorder.view().time_s, outcome != Outcome::Reached, text);
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
         }
+    }
+
+    /// Prints a line for the user, and keeps it as an event.
+    fn note(&mut self, text: &str) {
+        self.progress.note(text);
+        self.events.push(self.recording.recorder.view().time_s, false, text.to_owned());
+    }
+
+    /// [`Session::note`] for a warning.
+    fn warn(&mut self, text: &str) {
+        self.progress.warn(text);
+        self.events.push(self.recording.recorder.view().time_s, true, text.to_owned());
     }
 
     /// The obstacle or the scanner that the wheels are blocked for now, as a continuation of the reason for the end.
@@ -398,9 +416,12 @@ impl Session {
             }
             Action::AllStopped => {}
             Action::Log(severity, text) => match severity {
-                Severity::Info => tracing::debug!("{text}"),
-                Severity::Warn if self.conclusion.is_open() => self.progress.warn(&text),
-                Severity::Error => self.progress.warn(&text),
+                Severity::Info => {
+                    tracing::debug!("{text}");
+                    self.events.push(self.recording.recorder.view().time_s, false, text);
+                }
+                Severity::Warn if self.conclusion.is_open() => self.warn(&text),
+                Severity::Error => self.warn(&text),
                 Severity::Warn => {}
             },
         }
@@ -428,7 +449,7 @@ impl Session {
         let incarnation = self.fleet.incarnation(role);
         let pid = self.fleet.leave(role)?;
         let text = format!("robot {pid} does not end, and is not known to rest: it is left");
-        self.progress.warn(&text);
+        self.warn(&text);
         self.conclusion.correct(text);
         Some(Event::Exited { role, incarnation, exit: Exit::Unknown })
     }

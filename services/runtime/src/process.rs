@@ -95,7 +95,7 @@ impl Process {
     /// [`Process::attach`] to a given system as a given incarnation.
     pub(crate) fn attach_as(role: Role, domain: Domain, incarnation: u32) -> Result<Self, RuntimeError> {
         let shutdown = Shutdown::on_signals()?;
-        let settings = settings::read(&domain, role)?;
+        let settings = settings::read(&domain, role, incarnation)?;
         let run: RunSettings = settings::table(&domain, role, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, role, &settings, "realtime")?;
         realtime.apply_timer_slack();

@@ -11,6 +11,11 @@ pub fn settings_file(role: Role) -> String {
     format!("settings-{role}.toml")
 }
 
+/// Name of the settings file of one incarnation, which it reads instead of that of its role, if there is one.
+pub fn own_settings_file(incarnation: u32) -> String {
+    format!("settings-{incarnation}.toml")
+}
+
 /// Name of the table in it that belongs to the role alone. Only the robot reads the scenario.
 pub fn settings_table(role: Role) -> &'static str {
     if role == Role::Robot { "scenario" } else { role.name() }
@@ -50,9 +55,10 @@ pub struct RunSettings {
     pub orphan_timeout_ns: u64,
 }
 
-/// The file of a role as a table.
-pub(crate) fn read(domain: &Domain, role: Role) -> Result<toml::Table, RuntimeError> {
-    let name = settings_file(role);
+/// The file of an incarnation or of its role as a table.
+pub(crate) fn read(domain: &Domain, role: Role, incarnation: u32) -> Result<toml::Table, RuntimeError> {
+    let own = own_settings_file(incarnation);
+    let name = if domain.folder().contains(&own) { own } else { settings_file(role) };
     let text = domain.folder().read_text(&name)?;
     text.parse()
         .map_err(|error: toml::de::Error| RuntimeError::settings(domain.directory().join(name), error))

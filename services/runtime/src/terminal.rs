@@ -43,6 +43,8 @@ struct State {
     live: Option<String>,
     /// The terminal does not show this live line yet.
     redraw: bool,
+    /// Another process draws on the terminal.
+    held: bool,
     /// The thread is in a system call, which may block for ever.
     writing: bool,
 }
@@ -116,7 +118,7 @@ impl Terminal {
 
     /// Waits for texts or a new live line.
     fn next(&self) -> (Vec<u8>, u64, Option<String>) {
-        let idle = |state: &mut State| state.queue.texts.is_empty() && !state.redraw;
+        let idle = |state: &mut State| state.held || state.queue.texts.is_empty() && !state.redraw;
         let mut state = self.changed.wait_while(self.lock(), idle).unwrap_or_else(PoisonError::into_inner);
         (state.redraw, state.writing) = (false, true);
         let (texts, count) = state.queue.take();
@@ -155,6 +157,14 @@ pub fn start_terminal() {
     let started = std::thread::Builder::new().name("terminal".to_owned()).spawn(move || writer.serve());
     if started.is_ok() {
         let _ = TERMINAL.set(terminal);
+    }
+}
+
+/// While held, texts stay in the queue because another process draws on the terminal; they are written afterwards. Has
+/// no effect before [`start_terminal`].
+pub fn hold_terminal(held: bool) {
+    if let Some(terminal) = TERMINAL.get() {
+        terminal.change(|state| state.held = held);
     }
 }
 

@@ -9,9 +9,8 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use emulator::Outcome;
-use rustix::fs::{Mode, OFlags, open};
 use rustix::process::Signal;
-use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use scanloop_tests::terminal::ends as terminal;
 use scanloop_tests::{System, fill, system_file};
 use shared_types::Role;
 
@@ -22,16 +21,6 @@ const END_LIMIT: Duration = Duration::from_secs(15);
 
 /// A short drive to the goal.
 const SHORT: [&str; 6] = ["run", "--out", "out", "free", "--set", "goal.x_m=3"];
-
-/// Both ends of a new terminal.
-fn terminal() -> (OwnedFd, OwnedFd) {
-    let near = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-    grantpt(&near).unwrap();
-    unlockpt(&near).unwrap();
-    let name = ptsname(&near, Vec::new()).unwrap();
-    let far = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap();
-    (near, far)
-}
 
 /// Drives with a standard error that takes nothing and is never read, and interrupts the run.
 fn drives_and_ends(output: OwnedFd) {

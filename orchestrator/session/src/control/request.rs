@@ -45,7 +45,7 @@ pub struct Successor {
     /// The role.
     #[serde(with = "role_name")]
     pub role: Role,
-    /// Built-in implementation; exactly one of this and `command`.
+    /// Built-in implementation; exactly one of this and `command`, or neither when settings change.
     pub implementation: Option<String>,
     /// Program and arguments.
     pub command: Option<Vec<String>>,
@@ -57,6 +57,9 @@ pub struct SwapRequest {
     /// The new process.
     #[serde(flatten)]
     pub successor: Successor,
+    /// Settings that change, `KEY=VALUE` each. The successor then names no program: the running one starts again.
+    #[serde(default)]
+    pub set: Vec<String>,
     /// Scans in a row on which the new process must agree before it takes over.
     pub shadow_scans: u64,
     /// Scans after that during which the old process is a standby.

@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use emulator::JudgedBy;
 use handover::swap::watch::Watch;
 use handover::swap::{Party, SwapEvent};
-use runtime::{HandoverData, monotonic_ns};
+use plan::change;
+use runtime::{HandoverData, monotonic_ns, own_settings_file};
 use shared_types::{Authority, Phase, ProcessState, Role, Topic};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
@@ -35,6 +36,14 @@ pub(super) enum Order {
     Promote { role: Role, incarnation: u32, is_restart: bool },
     /// Print a line for the user.
     Note(String),
+}
+
+/// A process that is to be started beside the one that fills its role.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Candidate {
+    pub(super) entry: ProcessEntry,
+    /// Its settings file, when its settings differ from those of its role.
+    pub(super) settings: Option<String>,
 }
 
 /// The process that fills a role, as a request for a candidate finds it.
@@ -122,11 +131,12 @@ impl Session {
         }
         let (granted_scan, vitals) = (self.directives.current.granted_scan, &self.vitals);
         let due = self.swaps.due(monotonic_ns(), granted_scan, |role| vitals.checkpoint(role));
-        if let Some(entry) = due {
-            let old = self.supervisor.process(entry.role()).map_or(0, |view| view.incarnation);
+        if let Some(candidate) = due {
+            let role = candidate.entry.role();
+            let old = self.supervisor.process(role).map_or(0, |view| view.incarnation);
             let new = self.supervisor.next_incarnation();
             let needs_truth = self.judged_by == Some(JudgedBy::Truth);
-            let started = self.start_candidate(entry, new, needs_truth);
+            let started = self.start_candidate(candidate, new, needs_truth);
             let order = self.swaps.begin(monotonic_ns(), [old, new], started);
             self.follow(order)?;
         }
@@ -139,16 +149,23 @@ impl Session {
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();
-            let started = self.start_candidate(asked.entry.clone(), incarnation, false);
+            let candidate = Candidate { entry: asked.entry.clone(), settings: None };
+            let started = self.start_candidate(candidate, incarnation, false);
             let order = self.shadows.begin(monotonic_ns(), asked, incarnation, started);
             self.follow(order)?;
         }
         let orders = self.shadows.advance(monotonic_ns(), !self.drives());
         self.follow(orders)?;
-        let Self { watches, swaps, shadows, .. } = self;
+        let Self { watches, swaps, shadows, run, .. } = self;
         let swapped = swaps.plan().map(|plan| plan.new);
         watches.retain(|incarnation, _| {
-            swapped == Some(*incarnation) || shadows.incarnations().any(|(_, shadow)| shadow == *incarnation)
+            let is_candidate = swapped == Some(*incarnation)
+                || shadows.incarnations().any(|(_, shadow)| shadow == *incarnation);
+            if !is_candidate {
+                // A process in charge has those of its role by now.
+                let _ = run.domain.folder().remove(&own_settings_file(*incarnation));
+            }
+            is_candidate
         });
         Ok(())
     }
@@ -176,11 +193,15 @@ impl Session {
                 }
                 Order::Dismiss(incarnation) => self.fleet.dismiss(incarnation),
                 Order::Promote { role, incarnation, is_restart } => {
+                    if let Err(error) = change::keep(&self.run.domain, role, incarnation) {
+                        let text = format!("{role}: a restart of it has its old settings: {error}");
+                        self.warn(&text);
+                    }
                     if let Some(pid) = self.fleet.promote(incarnation) {
                         self.handle(Event::Replaced { role, pid, incarnation, is_restart })?;
                     }
                 }
-                Order::Note(text) => self.progress.note(&text),
+                Order::Note(text) => self.note(&text),
             }
         }
         Ok(())
@@ -193,15 +214,24 @@ impl Session {
     /// When shared memory or a file system is full, or the command can't be started; then no such process runs.
     fn start_candidate(
         &mut self,
-        entry: ProcessEntry,
+        candidate: Candidate,
         incarnation: u32,
         needs_truth: bool,
     ) -> Result<(), String> {
-        self.try_start(entry, incarnation, needs_truth).map_err(|error| format!("{error:#}"))
+        let has_own_settings = candidate.settings.is_some();
+        let started = self.try_start(candidate, incarnation, needs_truth);
+        if has_own_settings && started.is_err() {
+            let _ = self.run.domain.folder().remove(&own_settings_file(incarnation));
+        }
+        started.map_err(|error| format!("{error:#}"))
     }
 
-    fn try_start(&mut self, entry: ProcessEntry, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {
+    fn try_start(&mut self, candidate: Candidate, incarnation: u32, needs_truth: bool) -> anyhow::Result<()> {
+        let Candidate { entry, settings } = candidate;
         let role = entry.role();
+        if let Some(text) = settings {
+            self.run.domain.folder().write(&own_settings_file(incarnation), text.as_bytes())?;
+        }
         let handover = self.hand_over(role);
         self.fleet.spawn_candidate(entry, incarnation, handover.as_ref())?;
         // After the start: until then the reserve holds the memory of the watch.
@@ -218,7 +248,7 @@ impl Session {
     pub(super) fn keep_room(&mut self) {
         let starts = self.supervisor.processes().any(|view| view.state == VisibleState::Starting);
         if let Some(shortage) = self.fleet.keep_room(&self.bus, starts) {
-            self.progress.warn(&format!("no reserve for a swap or a restart: {shortage}"));
+            self.warn(&format!("no reserve for a swap or a restart: {shortage}"));
         }
     }
 

@@ -29,7 +29,7 @@ impl Session {
             self.judge_by(JudgedBy::Truth);
         } else {
             let robot = self.fleet.label(Role::Robot);
-            self.progress.note(&format!(
+            self.note(&format!(
                 "robot ({robot}) publishes no truth: the run is judged by the estimate, and collisions are not seen"
             ));
             self.judge_by(JudgedBy::Estimate);

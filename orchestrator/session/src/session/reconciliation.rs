@@ -116,7 +116,7 @@ impl Session {
                     self.supervisor.process(role).is_some_and(|view| view.incarnation == incarnation);
                 let name =
                     if is_current { self.fleet.label(role) } else { format!("incarnation {incarnation}") };
-                self.progress.warn(&format!("{role} ({name}): {reason}"));
+                self.warn(&format!("{role} ({name}): {reason}"));
             }
             if refusal.rule.is_of_content() {
                 self.handle(Event::Refused { role, incarnation, reader: refusal.reader, reason })?;
@@ -142,7 +142,7 @@ impl Session {
     /// Reconciles the sample audit and prints what it found.
     pub(super) fn reconcile(&mut self, is_last: bool) {
         for fault in self.audit.samples.reconcile(is_last) {
-            self.progress.warn(&format!("error: ledger: {fault}"));
+            self.warn(&format!("error: ledger: {fault}"));
         }
         for (scan_id, reason) in self.audit.samples.excused() {
             self.recording.recorder.scan_excused(scan_id, reason);

@@ -33,7 +33,7 @@ impl Session {
         if let Err(error) = self.write_registry() {
             self.registry_file.rewrite_ns = now_ns + REWRITE_NS;
             if !failed {
-                self.progress.warn(&format!(
+                self.warn(&format!(
                     "the run can't be adopted, as its process registry can't be written: {error:#}"
                 ));
             }

@@ -1,13 +1,14 @@
 //! The requests of commands over the control socket, and the answers of a session.
 
+use plan::change;
 use report::Outcome;
-use runtime::{monotonic_ns, wait_for};
+use runtime::{Domain, monotonic_ns, settings_file, wait_for};
 use shared_types::Role;
 use supervision::supervisor::Event;
 
 use super::Session;
 use super::candidates::Live;
-use crate::control::{Reply, Request};
+use crate::control::{Reply, Request, SwapRequest};
 
 impl Session {
     /// Answers all requests that have come.
@@ -30,7 +31,12 @@ impl Session {
                 let role = request.successor.role;
                 match shadows.concern(role) {
                     true => Reply::Refused(format!("a process runs in the shadow of {role}: end that first")),
-                    false => live(role).and_then(|live| swaps.ask(now_ns, &request, &live)).into(),
+                    false => live(role)
+                        .and_then(|live| {
+                            let settings = changed_settings(&run.domain, &request)?;
+                            swaps.ask(now_ns, &request, settings, &live)
+                        })
+                        .into(),
                 }
             }
             Request::Shadow(_) if run.lockstep => Reply::Refused(
@@ -70,6 +76,19 @@ impl Session {
         }
         restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
     }
+}
+
+/// The settings file of a successor with other settings than the running process; `None` when none change.
+///
+/// # Errors
+/// A key or value that is not allowed, or a file that can't be read.
+fn changed_settings(domain: &Domain, request: &SwapRequest) -> Result<Option<String>, String> {
+    if request.set.is_empty() {
+        return Ok(None);
+    }
+    let role = request.successor.role;
+    let text = domain.folder().read_text(&settings_file(role)).map_err(|error| error.to_string())?;
+    change::settings(role, &text, &request.set).map(Some).map_err(|error| format!("{error:#}"))
 }
 
 impl From<Result<u64, String>> for Reply {

@@ -57,6 +57,7 @@ impl Session {
             scanner: self.recording.recorder.scanner().map(Into::into),
             processes,
             refused: self.audit.samples.refused().to_vec(),
+            events: self.events.rows(),
         }
     }
 

@@ -10,11 +10,10 @@ use handover::swap::{
     SwapPlan,
 };
 use shared_types::{Checkpoint, ProcessState, Role, Topic};
-use supervision::entry::ProcessEntry;
 use supervision::supervisor::VisibleState;
 
 use super::GRANT_AHEAD;
-use super::candidates::{Live, Order};
+use super::candidates::{Candidate, Live, Order};
 use crate::control::{Reply, SwapRequest};
 
 /// Most scans that can be asked for before or after the change: 17 minutes at 10 Hz.
@@ -40,7 +39,7 @@ pub(crate) struct Swaps {
 /// A swap that was accepted and has not begun; incarnations are not known yet.
 struct Asked {
     plan: SwapPlan,
-    entry: ProcessEntry,
+    candidate: Candidate,
     since_ns: u64,
     purpose: Purpose,
 }
@@ -125,9 +124,21 @@ impl Swaps {
     ///
     /// # Errors
     /// The reason why it is refused.
-    pub(super) fn ask(&mut self, now_ns: u64, request: &SwapRequest, live: &Live) -> Result<u64, String> {
-        let SwapRequest { successor, shadow_scans, standby_scans, tolerance } = request;
-        let entry = successor.entry(live.entry)?;
+    pub(super) fn ask(
+        &mut self,
+        now_ns: u64,
+        request: &SwapRequest,
+        settings: Option<String>,
+        live: &Live,
+    ) -> Result<u64, String> {
+        let SwapRequest { successor, set, shadow_scans, standby_scans, tolerance } = request;
+        let entry = match settings {
+            Some(_) => live.entry.clone(),
+            None => successor.entry(live.entry)?,
+        };
+        let to =
+            if set.is_empty() { entry.label() } else { format!("{} with {}", entry.label(), set.join(", ")) };
+        let candidate = Candidate { entry, settings };
         for (key, scans) in [("shadow-scans", shadow_scans), ("standby-scans", standby_scans)] {
             if !(1..=MAX_SCANS).contains(scans) {
                 return Err(format!("--{key} {scans} is not allowed: 1 to {MAX_SCANS}"));
@@ -136,7 +147,7 @@ impl Swaps {
         if !(0.0..=MAX_TOLERANCE).contains(tolerance) {
             return Err(format!("--tolerance {tolerance} is not allowed: 0 to {MAX_TOLERANCE}"));
         }
-        self.accept(now_ns, Purpose::Swap, entry, live, [*shadow_scans, *standby_scans], *tolerance)
+        self.accept(now_ns, Purpose::Swap, (candidate, to), live, [*shadow_scans, *standby_scans], *tolerance)
     }
 
     /// Accepts the restart of a process that works, as a swap to the same program, so that the process before it ends
@@ -146,14 +157,15 @@ impl Swaps {
     /// As [`Swaps::ask`].
     pub(super) fn restart(&mut self, now_ns: u64, live: &Live) -> Result<u64, String> {
         let scans = [RESTART_SHADOW_SCANS, RESTART_STANDBY_SCANS];
-        self.accept(now_ns, Purpose::Restart, live.entry.clone(), live, scans, MAX_TOLERANCE)
+        let candidate = Candidate { entry: live.entry.clone(), settings: None };
+        self.accept(now_ns, Purpose::Restart, (candidate, live.entry.label()), live, scans, MAX_TOLERANCE)
     }
 
     fn accept(
         &mut self,
         now_ns: u64,
         purpose: Purpose,
-        entry: ProcessEntry,
+        (candidate, to): (Candidate, String),
         live: &Live,
         [shadow_scans, standby_scans]: [u64; 2],
         tolerance: f64,
@@ -163,9 +175,9 @@ impl Swaps {
         }
         live.require_ready("to be swapped")?;
         let plan = SwapPlan {
-            role: entry.role(),
+            role: candidate.entry.role(),
             from: live.entry.label(),
-            to: entry.label(),
+            to,
             old: 0,
             new: 0,
             shadow_scans,
@@ -174,18 +186,18 @@ impl Swaps {
             period_ns: self.period_ns,
             lockstep: self.lockstep,
         };
-        self.asked = Some(Asked { plan, entry, since_ns: now_ns, purpose });
+        self.asked = Some(Asked { plan, candidate, since_ns: now_ns, purpose });
         Ok(self.ended.len() as u64 + 1)
     }
 
-    /// The entry of the process that is to be started now. In lock-step it starts between two scans, when the state
+    /// The process that is to be started now. In lock-step it starts between two scans, when the state
     /// after the last one is there.
     pub(super) fn due<'a>(
         &self,
         now_ns: u64,
         granted_scan: u64,
         checkpoint_of: impl Fn(Role) -> Option<&'a Checkpoint>,
-    ) -> Option<ProcessEntry> {
+    ) -> Option<Candidate> {
         let asked = self.asked.as_ref().filter(|_| self.current.is_none())?;
         let role = asked.plan.role;
         let has_state = || {
@@ -199,7 +211,7 @@ impl Swaps {
         let is_due = !self.lockstep
             || now_ns.saturating_sub(asked.since_ns) >= LOCKSTEP_TIMEOUT_NS
             || self.recorded_scan >= granted_scan && has_state();
-        is_due.then(|| asked.entry.clone())
+        is_due.then(|| asked.candidate.clone())
     }
 
     /// The candidate was started, or could not be; incarnations of both processes.

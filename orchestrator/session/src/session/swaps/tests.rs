@@ -17,11 +17,11 @@ fn entry() -> ProcessEntry {
 fn request(shadow_scans: u64) -> SwapRequest {
     let (implementation, command) = (None, Some(vec!["./new".to_owned()]));
     let successor = Successor { role: Role::Controller, implementation, command };
-    SwapRequest { successor, shadow_scans, standby_scans: 2, tolerance: 1.0 }
+    SwapRequest { successor, set: Vec::new(), shadow_scans, standby_scans: 2, tolerance: 1.0 }
 }
 
 fn ask(swaps: &mut Swaps, request: &SwapRequest, is_ready: bool) -> Result<u64, String> {
-    swaps.ask(0, request, &Live { entry: &entry(), is_ready })
+    swaps.ask(0, request, None, &Live { entry: &entry(), is_ready })
 }
 
 /// A swap of the controller that was started.
@@ -104,6 +104,20 @@ fn a_good_process_is_authorised_promoted_and_certified() {
     assert!(orders.contains(&promote) && matches!(orders.last(), Some(Order::Note(_))), "{orders:?}");
     assert_eq!(certificate(&swaps).outcome, SwapOutcome::Swapped);
     assert!(!swaps.is_busy() && swaps.certificates().len() == 1);
+}
+
+#[test]
+fn changed_settings_go_with_the_program_that_runs() {
+    let mut swaps = Swaps::new(PERIOD_NS, false);
+    let set = vec!["controller.intervals=7".to_owned(), "controller.horizon_s=2".to_owned()];
+    let successor = Successor { role: Role::Controller, implementation: None, command: None };
+    let request = SwapRequest { successor, set, ..request(5) };
+    let live = &Live { entry: &entry(), is_ready: true };
+    swaps.ask(0, &request, Some("file".to_owned()), live).unwrap();
+    let candidate = swaps.due(0, 0, |_| None).unwrap();
+    assert_eq!(candidate, Candidate { entry: entry(), settings: Some("file".to_owned()) });
+    swaps.begin(0, [OLD, NEW], Err("no memory".to_owned()));
+    assert_eq!(certificate(&swaps).to, "./old with controller.intervals=7, controller.horizon_s=2");
 }
 
 #[test]

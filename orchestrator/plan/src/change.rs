@@ -1,0 +1,252 @@
+//! Settings that change while the system drives: keys of one role, checked like those of a file.
+//!
+//! The settings file of the role holds all keys with the values that hold, so the change starts from there.
+
+use console::exit::Failure;
+use emulator::Scenario;
+use runtime::{Domain, RuntimeError, own_settings_file, settings_file, settings_table};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use shared_types::Role;
+use toml::{Table, Value};
+use vehicle::{Invalid, Setting, read};
+
+use crate::overrides::{parse_override, set};
+use crate::rate::require_safe_speed;
+use crate::{System, is_of_scenario};
+
+/// Tables of the scenario that only the emulated robot reads and that are no part of the course.
+const OF_THE_ROBOT: [&str; 3] = ["robot", "noise", "scanner"];
+/// Table of the driver of a Player robot.
+const PLAYER: &str = "player";
+/// Keys of a role that have their value from elsewhere when a run starts, and from where.
+const DERIVED: [(&str, &str); 9] = [
+    ("controller.goal", "the scenario sets it"),
+    ("controller.track", "the scenario sets it"),
+    ("obstacles.walls", "the scenario sets it"),
+    ("obstacles.wall_y_m", "the scenario sets it"),
+    ("obstacles.track_x_m", "the scenario sets it"),
+    ("controller.period_s", "it follows from rate_hz"),
+    ("controller.profile", "it gives defaults to other keys at the start of a run: set those"),
+    ("estimator.profile", "it gives defaults to other keys at the start of a run: set those"),
+    ("robot.preset", "it gives defaults to other keys at the start of a run: set those"),
+];
+
+/// The role that all of these `KEY=VALUE` belong to.
+///
+/// # Errors
+/// A key that does not belong to exactly one role, or keys of several roles; exit code 2.
+pub fn role_of(overrides: &[String]) -> anyhow::Result<Role> {
+    let mut found: Option<(Role, String)> = None;
+    for text in overrides {
+        let (key, _) = parse_override(text)?;
+        let role = role_of_key(&key)?;
+        match &found {
+            Some((other, before)) if *other != role => {
+                return Err(Failure::bad_input(format!(
+                    "{before} belongs to role {other}, {key} to role {role}: set keys of one role at a time"
+                )));
+            }
+            _ => found = Some((role, key)),
+        }
+    }
+    found.map(|(role, _)| role).ok_or_else(|| Failure::bad_input("expected KEY=VALUE"))
+}
+
+fn role_of_key(key: &str) -> anyhow::Result<Role> {
+    let refused =
+        |reason: &str| Failure::bad_input(format!("{key} can't be set while the system runs: {reason}"));
+    let is_derived = |of: &str| key == of || key.strip_prefix(of).is_some_and(|rest| rest.starts_with('.'));
+    if let Some((_, reason)) = DERIVED.iter().find(|(of, _)| is_derived(of)) {
+        return Err(refused(reason));
+    }
+    let (first, rest) = key.split_once('.').unwrap_or((key, ""));
+    if OF_THE_ROBOT.contains(&first) || first == PLAYER {
+        return Ok(Role::Robot);
+    }
+    match first.parse() {
+        Ok(role) if !rest.is_empty() => Ok(role),
+        Ok(_) => Err(refused("it is a table; name one of its keys")),
+        Err(_) if first == "vehicle" => {
+            Err(refused(&format!("all stages read it; ROLE.{key} sets it for one of them")))
+        }
+        Err(_) if is_of_scenario(first) => Err(refused("it is a part of the course")),
+        Err(_) if System::keys().iter().any(|of| of.name == first) => {
+            Err(refused("all processes depend on it"))
+        }
+        Err(_) => Err(Failure::bad_input(format!(
+            "{key} is unknown: expected a key of estimator, obstacles, controller, actuator, robot, noise, scanner \
+             or player; `scanloop reference` lists them"
+        ))),
+    }
+}
+
+/// The settings file of a role with other values; `file` is the content of the present one.
+///
+/// # Errors
+/// A key of another role, and a value that is not allowed, with what is; exit code 2.
+pub fn settings(role: Role, file: &str, overrides: &[String]) -> anyhow::Result<String> {
+    let mut file: Table = file.parse()?;
+    for text in overrides {
+        let (key, value) = parse_override(text)?;
+        if role_of_key(&key)? != role {
+            return Err(Failure::bad_input(format!("{key} does not belong to role {role}")));
+        }
+        match (role, key.starts_with("player.")) {
+            (Role::Robot, false) => match file.get_mut(settings_table(role)) {
+                Some(Value::Table(scenario)) => set(scenario, &key, value)?,
+                _ => anyhow::bail!("the settings of the robot have no scenario"),
+            },
+            (Role::Robot, true) if !file.contains_key(PLAYER) => {
+                return Err(Failure::bad_input(format!("{key}: this system has no Player robot")));
+            }
+            _ => set(&mut file, &key, value)?,
+        }
+    }
+    let rate_hz = file.get("run").and_then(|run| run.get("period_ns")).and_then(Value::as_integer);
+    let rate_hz = rate_hz.map_or(0.0, |period_ns| 1e9 / period_ns as f64);
+    let own = checked(role, &file, rate_hz)?;
+    file.insert(settings_table(role).to_owned(), own);
+    Ok(toml::to_string(&file)?)
+}
+
+/// The table of the role alone, with the rules of all its keys checked.
+fn checked(role: Role, file: &Table, rate_hz: f64) -> anyhow::Result<Value> {
+    let own = file.get(settings_table(role)).and_then(Value::as_table).cloned().unwrap_or_default();
+    match role {
+        Role::Robot => {
+            if let Some(Value::Table(table)) = file.get(PLAYER) {
+                reread(PLAYER, table.clone(), player::Config::validate)?;
+            }
+            let scenario = Scenario::from_table(own, "settings of the robot").map_err(Failure::bad_input)?;
+            Ok(Value::try_from(scenario)?)
+        }
+        Role::Estimator => reread(role.name(), own, estimator::Config::validate),
+        Role::Obstacles => reread(role.name(), own, obstacles::Config::validate),
+        Role::Controller => {
+            let value = reread(role.name(), own, nmpc::Config::validate)?;
+            require_safe_speed(&value.clone().try_into()?, rate_hz).map_err(Failure::bad_input)?;
+            Ok(value)
+        }
+        Role::Actuator => reread(role.name(), own, actuation::Config::validate),
+    }
+}
+
+/// The table as its struct writes it, checked.
+fn reread<T: DeserializeOwned + Serialize>(
+    name: &str,
+    table: Table,
+    validate: impl Fn(&T) -> Result<(), Invalid>,
+) -> anyhow::Result<Value> {
+    let refuse = |invalid: Invalid| Failure::bad_input(invalid.within(name));
+    let config: T = read(table).map_err(refuse)?;
+    validate(&config).map_err(refuse)?;
+    Ok(Value::try_from(config)?)
+}
+
+/// Makes the settings of an incarnation those of its role, if it has its own: what starts after it has them, too.
+///
+/// # Errors
+/// [`RuntimeError::File`].
+pub fn keep(domain: &Domain, role: Role, incarnation: u32) -> Result<(), RuntimeError> {
+    let (folder, own) = (domain.folder(), own_settings_file(incarnation));
+    if folder.contains(&own) {
+        folder.write(&settings_file(role), &folder.read(&own)?)?;
+        folder.remove(&own)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use pipeline::Tuning;
+    use runtime::{ClockKind, Realtime, RunSettings};
+
+    use super::*;
+    use crate::settings::of;
+
+    fn file(role: Role) -> String {
+        let run = RunSettings {
+            period_ns: 100_000_000,
+            clock: ClockKind::Monotonic,
+            orphan_stop_ns: 1,
+            orphan_timeout_ns: 1,
+        };
+        let scenario = Scenario::parse(Scenario::shipped("corridor").unwrap(), "corridor").unwrap();
+        let tuning = Tuning::default().for_scenario(&scenario);
+        toml::to_string(&of(role, &run, &Realtime::default(), &scenario, &tuning).unwrap()).unwrap()
+    }
+
+    fn texts(overrides: &[&str]) -> Vec<String> {
+        overrides.iter().map(ToString::to_string).collect()
+    }
+
+    fn changed(role: Role, overrides: &[&str]) -> anyhow::Result<Table> {
+        Ok(settings(role, &file(role), &texts(overrides))?.parse()?)
+    }
+
+    #[test]
+    fn a_change_differs_from_the_present_file_in_its_keys_only() {
+        for (role, text, path) in [
+            (Role::Controller, "controller.intervals=7", ["controller", "intervals"]),
+            (Role::Estimator, "estimator.recover_after=7", ["estimator", "recover_after"]),
+            (Role::Actuator, "actuator.recovery=3", ["actuator", "recovery"]),
+        ] {
+            let before: Table = file(role).parse().unwrap();
+            let Ok(mut after) = changed(role, &[text]) else {
+                panic!("{text}: {:?}", changed(role, &[text]))
+            };
+            assert_ne!(before, after, "{text}");
+            let old = before[path[0]].get(path[1]).cloned();
+            let Some(Value::Table(table)) = after.get_mut(path[0]) else { panic!("{text}") };
+            let new = table.remove(path[1]);
+            assert_ne!(new, old, "{text}");
+            old.into_iter().for_each(|old| _ = table.insert(path[1].to_owned(), old));
+            assert_eq!(before, after, "{text}");
+        }
+    }
+
+    #[test]
+    fn the_robot_is_changed_within_its_scenario() {
+        let after = changed(Role::Robot, &["robot.velocity_factor=1.3", "noise.range_m=0.02"]).unwrap();
+        assert_eq!(after["scenario"]["robot"]["velocity_factor"].as_float(), Some(1.3));
+        assert_eq!(after["scenario"]["noise"]["range_m"].as_float(), Some(0.02));
+        assert!(after["scenario"]["obstacle"].is_array());
+    }
+
+    #[test]
+    fn keys_of_one_role_are_accepted_and_others_refused_with_the_reason() {
+        let role = |overrides: &[&str]| role_of(&texts(overrides)).map_err(|error| error.to_string());
+        assert_eq!(role(&["controller.intervals=7", "controller.horizon_s=2"]), Ok(Role::Controller));
+        assert_eq!(role(&["robot.velocity_factor=1.3", "scanner.dropout=0.1"]), Ok(Role::Robot));
+        let refused = |overrides: &[&str], reason: &str| {
+            let error = role(overrides).unwrap_err();
+            assert!(error.contains(reason), "{error}");
+        };
+        refused(&["controller.intervals=7", "estimator.gate=true"], "keys of one role at a time");
+        refused(&["vehicle.width_m=0.5"], "ROLE.vehicle.width_m sets it for one of them");
+        refused(&["rate_hz=20"], "all processes depend on it");
+        refused(&["process.controller.grace_ms=5"], "all processes depend on it");
+        refused(&["goal.x_m=3"], "a part of the course");
+        refused(&["controller.goal.x_m=3"], "the scenario sets it");
+        refused(&["controller.period_s=0.2"], "it follows from rate_hz");
+        refused(&["controller=7"], "name one of its keys");
+        refused(&["pilot.intervals=7"], "is unknown: expected a key of estimator");
+        refused(&["controller.intervals"], "expected KEY=VALUE");
+    }
+
+    #[test]
+    fn values_that_are_not_allowed_are_named_with_what_is() {
+        let error = |overrides: &[&str]| changed(Role::Controller, overrides).unwrap_err().to_string();
+        let range = error(&["controller.intervals=0"]);
+        assert!(range.starts_with("controller.intervals = 0 is not allowed: "), "{range}");
+        let unknown = error(&["controller.interval=7"]);
+        assert!(
+            unknown.starts_with("controller.interval = 7 is not allowed: the key is unknown"),
+            "{unknown}"
+        );
+        assert!(error(&["estimator.gate=true"]).contains("does not belong to role controller"));
+        let player = changed(Role::Robot, &["player.port=1"]).unwrap_err().to_string();
+        assert!(player.contains("no Player robot"), "{player}");
+    }
+}

@@ -1,0 +1,173 @@
+//! `scanloop top`: a running system on one screen of a terminal.
+//!
+//! The command starts itself once more with `--draw`: that process draws, and this one restores the terminal when it was
+//! killed. Requests are commands of this program, in processes of their own, so the screen never waits for them.
+
+mod canvas;
+mod draw;
+mod feed;
+mod keys;
+mod model;
+mod terminal;
+
+use std::io::{self, Read};
+use std::os::fd::AsFd;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use console::exit::{Exit, Failure};
+use console::screen::{self, Guard};
+use runtime::{Shutdown, wait_for};
+use rustix::process::{Signal, getppid, kill_process, set_parent_process_death_signal};
+use shared_types::Role;
+use supervision::child::this_program;
+
+use draw::built_in;
+use feed::Feed;
+use keys::Key;
+use model::Model;
+use terminal::Screen;
+
+/// Time between two pictures.
+const PICTURE: Duration = Duration::from_millis(100);
+/// Bytes of keys that are taken at once.
+const KEY_BYTES: usize = 64;
+
+/// Arguments of `top`.
+#[derive(Debug, Args)]
+pub struct TopArguments {
+    /// Draw in this process; `top` starts itself with this option.
+    #[arg(long, hide = true)]
+    pub draw: bool,
+    /// The view of a run; `run --top` uses it.
+    #[arg(long, hide = true, requires = "draw")]
+    pub of_run: bool,
+}
+
+/// Shows a system until a key ends the view or the system ends.
+///
+/// # Errors
+/// No terminal, and a system that is not running; exit code 2.
+pub(crate) fn top(system_id: &str, arguments: &TopArguments) -> anyhow::Result<Exit> {
+    if !screen::is_available() {
+        return Err(Failure::bad_input("top needs a terminal as standard input and standard error"));
+    }
+    if arguments.draw {
+        return show(system_id, arguments.of_run);
+    }
+    supervision::runs::existing(system_id)?;
+    let shutdown = Shutdown::of_orchestrator()?;
+    let mut command = Command::new(this_program());
+    command.args(["--system-id", system_id, "top", "--draw"]);
+    let status = Guard::start(&mut command)?.wait(&[shutdown.descriptor()])?;
+    match status.code() {
+        Some(0) => Ok(Exit::Done),
+        _ => anyhow::bail!("the view has ended: {status}"),
+    }
+}
+
+/// Draws, and answers keys.
+fn show(system_id: &str, of_run: bool) -> anyhow::Result<Exit> {
+    let parent = getppid();
+    set_parent_process_death_signal(Some(Signal::TERM))?;
+    let shutdown = Shutdown::of_orchestrator()?;
+    // From here on the signal arrives; before, the parent may have died.
+    if getppid() != parent {
+        return Ok(Exit::Done);
+    }
+    let mut model = Model { system_id: system_id.to_owned(), of_run, ..Model::default() };
+    let mut feed = None;
+    let (sender, notes) = channel();
+    let mut terminal = ratatui_core::terminal::Terminal::new(Screen::enter()?)?;
+    terminal.clear()?;
+    let mut next = Instant::now();
+    loop {
+        let left = next.saturating_duration_since(Instant::now());
+        wait_for(&[io::stdin().as_fd(), shutdown.descriptor()], left.as_nanos() as u64);
+        if shutdown.requested() || !answer_keys(&mut model, &sender)? {
+            return Ok(Exit::Done);
+        }
+        if !take(system_id, &mut feed, &mut model, &notes) {
+            return Ok(Exit::Done);
+        }
+        if Instant::now() >= next {
+            next = Instant::now() + PICTURE;
+            terminal.draw(|frame| draw::draw(frame.area(), frame.buffer_mut(), &model))?;
+        }
+    }
+}
+
+/// Takes samples and news into the model; false when the system has ended.
+fn take(system_id: &str, feed: &mut Option<Feed>, model: &mut Model, notes: &Receiver<String>) -> bool {
+    notes.try_iter().for_each(|text| model.note(text));
+    let Some(present) = feed else {
+        // A run that shows itself is not there yet when its view begins.
+        if let Ok(Some(domain)) = supervision::runs::find(system_id) {
+            match Feed::join(&domain, model) {
+                Ok(joined) => *feed = Some(joined),
+                Err(error) => model.trouble = Some(format!("not joined yet: {error:#}")),
+            }
+        }
+        return true;
+    };
+    match present.poll(model) {
+        Ok(goes_on) => goes_on,
+        Err(error) => {
+            model.trouble = Some(format!("{error:#}"));
+            true
+        }
+    }
+}
+
+/// Does what the pressed keys ask for; false when the view ends.
+fn answer_keys(model: &mut Model, notes: &Sender<String>) -> anyhow::Result<bool> {
+    if !wait_for(&[io::stdin().as_fd()], 0) {
+        return Ok(true);
+    }
+    let mut bytes = [0; KEY_BYTES];
+    let count = match io::stdin().lock().read(&mut bytes) {
+        // The terminal is gone.
+        Ok(0) | Err(_) => return Ok(false),
+        Ok(count) => count,
+    };
+    for key in keys::keys(&bytes[..count]) {
+        let role = model.role();
+        match key {
+            Key::Quit => return Ok(false),
+            Key::Interrupt => {
+                if model.of_run
+                    && let Some(run) = getppid()
+                {
+                    kill_process(run, Signal::INT)?;
+                }
+                return Ok(false);
+            }
+            Key::Help => model.help = !model.help,
+            Key::Up => model.select(false),
+            Key::Down => model.select(true),
+            Key::Role(index) => model.selected = index.min(Role::ALL.len() - 1),
+            Key::Stop => request(model, notes, &["stop"]),
+            Key::Restart => request(model, notes, &["restart", role.name()]),
+            Key::Swap => request(model, notes, &["swap", role.name(), "--to", built_in(role)]),
+        }
+    }
+    Ok(true)
+}
+
+/// Starts a command of this program; what it prints becomes notes.
+fn request(model: &mut Model, notes: &Sender<String>, arguments: &[&str]) {
+    model.note(format!("{} ...", arguments.join(" ")));
+    let mut command = Command::new(this_program());
+    command.args(["--system-id", &model.system_id]).args(arguments);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let notes = notes.clone();
+    std::thread::spawn(move || {
+        let text = match command.output() {
+            Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
+            Err(error) => format!("error: {error}"),
+        };
+        text.lines().filter(|line| !line.trim().is_empty()).for_each(|line| _ = notes.send(line.to_owned()));
+    });
+}

@@ -1,0 +1,115 @@
+//! What `scanloop top` shows, without terminal, bus and clock.
+
+use std::collections::VecDeque;
+
+use session::control::{EventRow, Status};
+use shared_types::{Actuation, ActuationKind, BEAMS, Command, Obstacles, Pose, Role, Scan, Truth};
+use vehicle::frame::to_track;
+use vehicle::{Description, Goal, Track};
+
+/// How many reaction times are kept: a minute at 10 Hz.
+const MAX_REACTIONS: usize = 600;
+/// How many events of this view are kept.
+const MAX_NOTES: usize = 16;
+
+/// What is shown.
+#[derive(Default)]
+pub(super) struct Model {
+    /// Id of the system.
+    pub(super) system_id: String,
+    /// The last status that was received.
+    pub(super) status: Option<Status>,
+    /// Why there is no newer status.
+    pub(super) trouble: Option<String>,
+    /// The course and the robot as the controller knows them.
+    pub(super) course: Course,
+    pub(super) pose: Option<Pose>,
+    pub(super) truth: Option<Truth>,
+    pub(super) actuation: Option<Actuation>,
+    pub(super) command: Option<Box<Command>>,
+    pub(super) obstacles: Option<Box<Obstacles>>,
+    /// Returns of the newest scan in track coordinates [m].
+    pub(super) returns: Vec<[f64; 2]>,
+    /// From scan to actuation, the newest last [ms].
+    pub(super) reactions_ms: VecDeque<f64>,
+    /// Medians of the stages and of the transport since the view began [ms].
+    pub(super) stages_ms: [f64; 5],
+    /// Lines of this view: what its commands printed.
+    pub(super) notes: VecDeque<String>,
+    /// Index of the role that the keys are for.
+    pub(super) selected: usize,
+    /// The keys are explained.
+    pub(super) help: bool,
+    /// The view belongs to a run, which Ctrl-C ends.
+    pub(super) of_run: bool,
+}
+
+/// The course and the robot.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Course {
+    pub(super) track: Track,
+    pub(super) goal: Goal,
+    pub(super) vehicle: Description,
+}
+
+impl Model {
+    /// The role that the keys are for.
+    pub(super) fn role(&self) -> Role {
+        Role::ALL[self.selected.min(Role::ALL.len() - 1)]
+    }
+
+    /// Selects the role before or after.
+    pub(super) fn select(&mut self, down: bool) {
+        let count = Role::ALL.len();
+        self.selected = (self.selected + if down { 1 } else { count - 1 }) % count;
+    }
+
+    /// Adds a line.
+    pub(super) fn note(&mut self, text: String) {
+        self.notes.push_back(text);
+        if self.notes.len() > MAX_NOTES {
+            self.notes.pop_front();
+        }
+    }
+
+    /// Adds a reaction time [ms].
+    pub(super) fn react(&mut self, time_ms: f64) {
+        self.reactions_ms.push_back(time_ms);
+        if self.reactions_ms.len() > MAX_REACTIONS {
+            self.reactions_ms.pop_front();
+        }
+    }
+
+    /// The reaction time that this share of the kept ones does not exceed [ms].
+    pub(super) fn reaction_ms(&self, share: f64) -> Option<f64> {
+        let mut sorted: Vec<f64> = self.reactions_ms.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        let rank = (share * sorted.len() as f64).ceil().max(1.0) as usize - 1;
+        sorted.get(rank).copied()
+    }
+
+    /// Places the returns of a scan.
+    pub(super) fn place(&mut self, scan: &Scan) {
+        let Some(pose) = &self.pose else { return };
+        let vehicle = &self.course.vehicle;
+        let scanner = to_track(pose.yaw_rad, vehicle.scanner_x_m, vehicle.scanner_y_m);
+        let place = |beam| {
+            let range_m = scan.range_m(beam)?;
+            let yaw = pose.yaw_rad + vehicle.scanner_yaw_rad + Scan::beam_yaw_rad(beam);
+            Some([pose.x_m + scanner.x + range_m * yaw.cos(), pose.y_m + scanner.y + range_m * yaw.sin()])
+        };
+        self.returns = (0..BEAMS).filter_map(place).collect();
+    }
+
+    /// Whether the wheels are blocked now.
+    pub(super) fn is_blocked(&self) -> bool {
+        self.actuation.is_some_and(|actuation| actuation.kind != ActuationKind::Drive.wire())
+    }
+
+    /// The last events, the newest last: those of the system, then those of this view.
+    pub(super) fn events(&self) -> impl DoubleEndedIterator<Item = (Option<&EventRow>, &str)> {
+        let of_system = self.status.iter().flat_map(|status| &status.events);
+        let notes = self.notes.iter().map(|text| (None, text.as_str()));
+        of_system.map(|event| (Some(event), event.text.as_str())).chain(notes)
+    }
+}

@@ -1,0 +1,113 @@
+//! Settings changed while the robot drives: the process of the role is swapped, and what starts after it has them too.
+
+use handover::swap::{Certificate, SwapOutcome};
+use rustix::process::Signal;
+use scanloop_tests::System;
+use scanloop_tests::swaps::{
+    assert_every_scan_answered_once, assert_seamless, assert_seamless_swap, certificate,
+};
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+fn set(system: &System, arguments: &[&str]) -> Certificate {
+    certificate(&system.run(&[&["set", "--json"], arguments].concat()))
+}
+
+/// Number of nodes in the plan of the next command: one more than the controller has intervals.
+fn plan_length(system: &System) -> u64 {
+    let output = system.run(&["topic", "echo", "command", "-n", "1", "--short"]);
+    let command: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    command["plan_length"].as_u64().unwrap()
+}
+
+/// Kills the controller and waits until its successor is ready.
+fn kill_controller(system: &System) {
+    let old = system.pid(Role::Controller);
+    system.signal(old, Signal::KILL);
+    system.wait_until("the controller is restarted", |system| {
+        system.status().is_some_and(|status| {
+            let of_role = |role| status.processes.iter().find(|process| process.role == role);
+            of_role(Role::Controller)
+                .is_some_and(|process| process.pid != old && process.state.name() == "ready")
+        })
+    });
+}
+
+/// Settings files of single processes.
+fn own_files(system: &System) -> Vec<String> {
+    let names = system.domain().folder().names().into_iter();
+    names.filter(|name| name.starts_with("settings-") && name.as_bytes()[9].is_ascii_digit()).collect()
+}
+
+#[test]
+fn a_setting_acts_at_once_and_survives_restarts_and_an_adoption() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let before = plan_length(&system);
+    let old = system.pid(Role::Controller);
+    let certificate = set(&system, &["--tolerance", "1000", "controller.intervals=9"]);
+    assert_seamless_swap(&certificate);
+    assert_eq!(
+        (certificate.from.as_str(), certificate.to.as_str()),
+        ("nmpc", "nmpc with controller.intervals=9")
+    );
+    assert_ne!(system.pid(Role::Controller), old);
+    assert!(before != 10 && plan_length(&system) == 10, "{before}");
+    // A second change starts from the first one.
+    let arguments = ["--tolerance", "1000", "controller.smoothing_s=0.3"];
+    assert_seamless_swap(&set(&system, &arguments));
+    assert_eq!(plan_length(&system), 10);
+    kill_controller(&system);
+    assert_eq!(plan_length(&system), 10);
+    system.kill_orchestrator();
+    system.adopt(&[]);
+    kill_controller(&system);
+    assert_eq!(plan_length(&system), 10);
+    assert_eq!(own_files(&system), [""; 0]);
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_change_that_drives_otherwise_is_refused_and_leaves_the_settings_as_they_were() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let file = || system.domain().folder().read_text("settings-robot.toml").unwrap();
+    let (before, pid) = (file(), system.pid(Role::Robot));
+    let certificate = set(&system, &["noise.odometry_m=0.5"]);
+    assert_eq!(certificate.outcome, SwapOutcome::Refused, "{certificate:?}");
+    assert_seamless(&certificate);
+    system.wait_until("the file of the candidate is gone", |system| own_files(system).is_empty());
+    assert_eq!((file(), system.pid(Role::Robot)), (before, pid));
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    assert_every_scan_answered_once(&system);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn what_is_not_allowed_is_named_with_the_reason() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    for (arguments, reason) in [
+        (&["controller.intervals=0"][..], "controller.intervals = 0 is not allowed: "),
+        (
+            &["controller.interval=9"],
+            "controller.interval = 9 is not allowed: the key is unknown, expected one of",
+        ),
+        (&["controller.intervals=9", "actuator.recovery=3"], "set keys of one role at a time"),
+        (&["rate_hz=20"], "rate_hz can't be set while the system runs: all processes depend on it"),
+        (&["player.port=1"], "player.port: this system has no Player robot"),
+        (&["controller.intervals"], "expected KEY=VALUE"),
+    ] {
+        let output = system.run(&[&["set"], arguments].concat());
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && text.contains(reason), "{arguments:?}: {text}");
+    }
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    system.wait();
+    assert_eq!(system.report().swaps, []);
+    system.assert_nothing_left();
+}

@@ -1,0 +1,153 @@
+//! `top` and `run --top` on a real terminal: what they show, what their keys do, and that the terminal is as before
+//! after any end.
+
+use std::process::{Child, ExitStatus};
+
+use rustix::process::{Pid, Signal, kill_process};
+use scanloop_tests::System;
+use scanloop_tests::terminal::Terminal;
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A system that drives, and a view of it that has drawn it.
+fn view() -> (System, Terminal, Child) {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless"]);
+    let terminal = Terminal::new(80, 24);
+    let view = terminal.spawn(system.command(&["top"]));
+    wait_for_text(&system, &terminal, "driving, endless");
+    wait_for_text(&system, &terminal, "speed");
+    (system, terminal, view)
+}
+
+fn wait_for_text(system: &System, terminal: &Terminal, text: &str) {
+    system.wait_until(&format!("the terminal has `{text}`"), |_| terminal.output().contains(text));
+}
+
+/// Waits for the end of a process and checks that the terminal is as before.
+fn end(system: &System, terminal: &Terminal, mut view: Child) -> ExitStatus {
+    let mut status = None;
+    let ended = std::cell::RefCell::new((&mut view, &mut status));
+    system.wait_until("the view ends", |_| {
+        let (view, status) = &mut *ended.borrow_mut();
+        **status = view.try_wait().unwrap();
+        status.is_some()
+    });
+    system.wait_until("the terminal is restored", |_| terminal.is_restored());
+    status.unwrap()
+}
+
+fn stop(mut system: System) {
+    system.run(&["stop"]);
+    system.wait();
+    system.assert_nothing_left();
+}
+
+/// The process that draws.
+fn painter(view: &Child) -> Pid {
+    let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", view.id())).unwrap();
+    Pid::from_raw(children.split_whitespace().next().unwrap().parse().unwrap()).unwrap()
+}
+
+#[test]
+fn all_roles_are_shown_and_a_resized_terminal_is_filled() {
+    let (system, terminal, view) = view();
+    for role in Role::ALL {
+        wait_for_text(&system, &terminal, role.name());
+    }
+    wait_for_text(&system, &terminal, "p99");
+    terminal.resize(100, 40);
+    wait_for_text(&system, &terminal, "\x1b[40;100H");
+    terminal.press("q");
+    assert_eq!(end(&system, &terminal, view).code(), Some(0));
+    stop(system);
+}
+
+#[test]
+fn the_terminal_is_restored_after_any_end() {
+    let (system, terminal, first) = view();
+    terminal.press("\x03");
+    assert_eq!(end(&system, &terminal, first).code(), Some(0));
+    let of_this = |pid: &Child| Pid::from_child(pid);
+    type Target = fn(&Child) -> Pid;
+    for (target, signal, code) in [
+        (of_this as Target, Signal::TERM, Some(0)),
+        (of_this, Signal::HUP, Some(0)),
+        (painter, Signal::KILL, Some(5)),
+        (painter, Signal::SEGV, Some(5)),
+        (of_this, Signal::KILL, None),
+    ] {
+        let terminal = Terminal::new(80, 24);
+        let view = terminal.spawn(system.command(&["top"]));
+        wait_for_text(&system, &terminal, "driving, endless");
+        assert!(!terminal.is_restored());
+        kill_process(target(&view), signal).unwrap();
+        assert_eq!(end(&system, &terminal, view).code(), code, "{signal:?}: {}", terminal.output());
+    }
+    let terminal = Terminal::new(80, 24);
+    let view = terminal.spawn(system.command(&["top"]));
+    wait_for_text(&system, &terminal, "driving, endless");
+    stop(system);
+    let system = System::new(EXECUTABLE);
+    assert_eq!(end(&system, &terminal, view).code(), Some(0), "the system has ended");
+}
+
+#[test]
+fn keys_restart_a_role_and_stop_the_system() {
+    let (mut system, terminal, view) = view();
+    let old = system.pid(Role::Estimator);
+    terminal.press("?");
+    wait_for_text(&system, &terminal, "blocks the wheels at once");
+    terminal.press("?2r");
+    system.wait_until("the estimator is restarted", |system| system.pid(Role::Estimator) != old);
+    wait_for_text(&system, &terminal, "restart estimator ...");
+    terminal.press("s");
+    assert_eq!(end(&system, &terminal, view).code(), Some(0));
+    assert_eq!(system.wait().code(), Some(1));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_run_shows_itself_and_prints_its_summary_afterwards() {
+    let system = System::new(EXECUTABLE);
+    let terminal = Terminal::new(80, 24);
+    let run = terminal.spawn(system.command(&["run", "--top", "--out", "out", "endless"]));
+    wait_for_text(&system, &terminal, "driving, endless");
+    wait_for_text(&system, &terminal, "^C end the run");
+    terminal.press("\x03");
+    assert_eq!(end(&system, &terminal, run).code(), Some(1));
+    let output = terminal.output();
+    let left = output.rfind("\x1b[?1049l").unwrap();
+    assert!(output[left..].contains("interrupted"), "{output}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_run_goes_on_without_its_view() {
+    let system = System::new(EXECUTABLE);
+    let terminal = Terminal::new(80, 24);
+    let run = terminal.spawn(system.command(&["run", "--top", "--out", "out", "endless"]));
+    wait_for_text(&system, &terminal, "driving, endless");
+    terminal.press("q");
+    system.wait_until("the terminal is restored", |_| terminal.is_restored());
+    let scan = system.status().unwrap().scan;
+    system.wait_until("it drives on", |system| system.status().is_some_and(|status| status.scan > scan + 5));
+    assert_eq!(system.run(&["stop"]).status.code(), Some(0));
+    assert_eq!(end(&system, &terminal, run).code(), Some(1));
+    system.assert_nothing_left();
+}
+
+#[test]
+fn without_a_terminal_or_a_system_there_is_no_view() {
+    let system = System::new(EXECUTABLE);
+    for arguments in [&["top"][..], &["run", "--top"]] {
+        let output = system.run(arguments);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(String::from_utf8_lossy(&output.stderr).contains("needs a terminal"));
+    }
+    let terminal = Terminal::new(80, 24);
+    let view = terminal.spawn(system.command(&["top"]));
+    assert_eq!(end(&system, &terminal, view).code(), Some(2));
+    assert!(terminal.output().contains("is not running"), "{}", terminal.output());
+}
