@@ -30,6 +30,7 @@ use console::limits;
 use console::output::data;
 use serde::Serialize;
 use session::{adopt, run};
+use view::{Verb, ViewOfRun};
 
 use cli::{Cli, Command, TopicCommand};
 
@@ -82,6 +83,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
     match &cli.command {
         Command::Run(arguments) => {
             runtime::start_logging();
+            let _page = arguments.view.map(|port| ViewOfRun::start(&cli.system_id, port)).transpose()?;
             run::run(&cli.system_id, arguments)
         }
         Command::Adopt(arguments) => {
@@ -101,6 +103,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Check(arguments) => check::check(arguments),
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => status::status(&domain()?, *json),
+        Command::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
         Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
         Command::Restart { role } => swap::restart(&cli.system_id, role),
@@ -119,6 +122,12 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Types(arguments) => print(&types::print(arguments)),
         Command::Urg(command) => urg::urg(command),
     }
+}
+
+/// The commands that a page with `--control` may run.
+fn verbs() -> Vec<Verb> {
+    let commands = Cli::command();
+    Verb::ALL.iter().copied().filter(|verb| commands.find_subcommand(verb.name()).is_some()).collect()
 }
 
 /// Prints what a command was asked for.

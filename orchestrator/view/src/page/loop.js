@@ -1,0 +1,73 @@
+// The processes as a graph of the loop: state, age, rate, processor, restarts, who is in charge, candidates and standby.
+
+const NS = "http://www.w3.org/2000/svg";
+const BOX = { width: 116, height: 58 };
+const PLACES = {
+  robot: [4, 108], estimator: [4, 12], obstacles: [162, 12], controller: [320, 12], actuator: [320, 108],
+};
+const ARROWS = [
+  ["M62 108 V76", "odometry", 66, 96], ["M120 41 H158", "pose", 127, 36], ["M278 41 H316", "obstacles", 0, 0],
+  ["M378 70 V104", "command", 331, 94], ["M320 137 H124", "actuation", 226, 132],
+  ["M96 108 C104 88 150 96 196 75", "scan", 134, 100],
+];
+
+function element(name, attributes, parent, text) {
+  const made = document.createElementNS(NS, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text != null) made.textContent = text;
+  parent.append(made);
+  return made;
+}
+
+/** The graph in an SVG element; returns a function that shows a system. */
+export function loop(svg) {
+  const defs = element("defs", {}, svg);
+  const head = element("marker", { id: "head", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 6, markerHeight: 6, orient: "auto" }, defs);
+  element("path", { d: "M0 0 L8 4 L0 8 Z", class: "head" }, head);
+  for (const [path, topic, x, y] of ARROWS) {
+    element("path", { d: path, class: "arrow", "marker-end": "url(#head)" }, svg);
+    if (x) element("text", { x, y, class: "topic" }, svg, topic);
+  }
+  const boxes = {};
+  for (const [role, [x, y]] of Object.entries(PLACES)) {
+    const group = element("g", { transform: `translate(${x} ${y})` }, svg);
+    element("rect", { class: "box", width: BOX.width, height: BOX.height, rx: 7 }, group);
+    element("circle", { class: "lamp", cx: 11, cy: 13, r: 4.5 }, group);
+    element("text", { x: 21, y: 17, class: "role" }, group, role);
+    const lines = [31, 43, 54].map((y) => element("text", { x: 9, y, class: "muted" }, group));
+    const corner = element("text", { x: BOX.width - 7, y: 17, "text-anchor": "end", class: "muted" }, group);
+    const title = element("title", {}, group);
+    boxes[role] = { group, lines, corner, title };
+  }
+  return (system) => Object.entries(boxes).forEach(([role, box]) => show(box, role, system));
+}
+
+function show({ group, lines, corner, title }, role, system) {
+  const rows = system?.status?.processes?.filter((row) => row.role === role) ?? [];
+  const others = rows.filter((row) => ["shadow", "standby"].includes(row.state));
+  const row = rows.find((row) => !others.includes(row)) ?? rows[0];
+  group.setAttribute("data-state", row?.state ?? "none");
+  if (!row) {
+    lines.forEach((line) => { line.textContent = ""; });
+    corner.textContent = "";
+    title.textContent = role;
+    return;
+  }
+  const incarnation = system.authority?.[["robot", "estimator", "obstacles", "controller", "actuator"].indexOf(role)];
+  corner.textContent = row.restarts ? `↻${row.restarts}` : "";
+  const name = row.implementation.split("/").pop();
+  lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
+  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${row.cpu_percent.toFixed(1)} % · #${incarnation ?? "–"}`;
+  const other = others[0];
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}`;
+  title.textContent = [
+    `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
+    `newest output ${row.last_sample_age_ms.toFixed(0)} ms old, ${row.memory_kib} KiB, ${row.restarts} restarts`,
+    ...others.map((other) => `${other.state}: ${other.implementation}, process ${other.pid}`),
+    ...row.last_words,
+  ].join("\n");
+}
+
+function short(text, length) {
+  return text.length > length ? `${text.slice(0, length - 1)}…` : text;
+}
