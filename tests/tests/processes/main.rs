@@ -25,4 +25,5 @@ mod soak;
 mod stop;
 mod swap;
 mod swap_robot;
+mod view;
 mod without_truth;

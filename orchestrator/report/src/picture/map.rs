@@ -9,7 +9,7 @@ use super::clip::{self, View};
 use super::{
     Area, Axes, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
 };
-use super::{Drive, Ellipse, Moment, Result, Scene, fine, mesh};
+use super::{Drive, Ellipse, Moment, Place, Result, Scene, fine, font, mesh};
 
 /// Room for labels on the left [pixels].
 const LEFT: u32 = 60;
@@ -224,13 +224,50 @@ impl Strip<'_> {
             self.outline(chart, &corners, ELLIPSE.stroke_width(fine(1) as u32))?;
         }
         for obstacle in &self.scene.obstacles {
-            self.fill(chart, &obstacle.points, OBSTACLE.filled())?;
+            match obstacle.places.as_slice() {
+                [] => self.fill(chart, &obstacle.points, OBSTACLE.filled())?,
+                places => self.draw_way(chart, &obstacle.points, places)?,
+            }
         }
         let Scene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
         let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius });
         self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
         self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;
         self.dot(chart, self.scene.goal_m, 2, GOAL)
+    }
+
+    /// A moving obstacle: its outline at each of its places, darker with time, and when it and the robot were there.
+    fn draw_way(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], places: &[Place]) -> Result<()> {
+        let count = points.len().max(1) as f64;
+        let [x_m, y_m] = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
+        let way: Vec<[f64; 2]> = places.iter().map(|place| [x_m + place.x_m, y_m + place.y_m]).collect();
+        self.line(chart, &way, OBSTACLE.stroke_width(fine(1) as u32), true)?;
+        for (index, place) in places.iter().enumerate() {
+            let moved: Vec<[f64; 2]> =
+                points.iter().map(|[x, y]| [x + place.x_m, y + place.y_m]).collect();
+            let share = (index + 1) as f64 / places.len() as f64;
+            self.fill(chart, &moved, OBSTACLE.mix(0.1 + 0.5 * share).filled())?;
+            self.outline(chart, &moved, OBSTACLE.stroke_width(fine(1) as u32))?;
+            let label = format!("{} s", trim(place.time_s));
+            self.label(chart, way[index], &label, OBSTACLE)?;
+            let moments = self.drive.moments.iter();
+            // Between two scans at 10 Hz.
+            if let Some(robot) = moments.into_iter().find(|moment| (moment.time_s - place.time_s).abs() <= 0.05) {
+                self.label(chart, [robot.x_m, robot.y_m], &label, TRUE_PATH)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A text a bit right and above of a place.
+    fn label(&self, chart: &mut Axes<'_, '_>, [x, y]: [f64; 2], text: &str, colour: RGBColor) -> Result<()> {
+        let View { x: [left, right], y: [low, high] } = *self.view;
+        if (left..=right).contains(&x) && (low..=high).contains(&y) {
+            let style = font(11).into_font().color(&colour);
+            let label = EmptyElement::at((x, y)) + Text::new(text.to_owned(), (fine(3), -fine(16)), style);
+            chart.draw_series([label])?;
+        }
+        Ok(())
     }
 
     fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
