@@ -313,9 +313,10 @@ mod tests {
     fn nothing_is_drawn_outside_the_picture() {
         let mut scene = scene();
         scene.track_y_m = [-1e7, 1e7];
-        scene
-            .obstacles
-            .push(Shape { points: vec![[-500.0, -1.0], [800.0, -1.0], [800.0, -0.9], [-500.0, -0.9]], ..Shape::default() });
+        scene.obstacles.push(Shape {
+            points: vec![[-500.0, -1.0], [800.0, -1.0], [800.0, -0.9], [-500.0, -0.9]],
+            ..Shape::default()
+        });
         let mut drive = drive(12.5);
         drive.ellipses.push(Ellipse { x_m: 90.0, y_m: 40.0, a_m: 100.0, b_m: 70.0 });
         let svg = draw(&scene, &drive).unwrap();

@@ -104,9 +104,13 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
 fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::Shape> {
     let mut scene = Scene::new(scenario);
     // Some appear when the robot comes near.
-    report.trajectory.iter().for_each(|[time_s, x, y, yaw]| scene.trigger(&scenario.body(*x, *y, *yaw), *time_s));
+    report
+        .trajectory
+        .iter()
+        .for_each(|[time_s, x, y, yaw]| scene.trigger(&scenario.body(*x, *y, *yaw), *time_s));
     let end_s = report.trajectory.last().map_or(0.0, |[time_s, ..]| *time_s);
-    let mut temporary = scene.near(scenario.body(0.0, 0.0, 0.0).centre, 0.0).filter(|placed| !placed.is_permanent());
+    let mut temporary =
+        scene.near(scenario.body(0.0, 0.0, 0.0).centre, 0.0).filter(|placed| !placed.is_permanent());
     let shape = |obstacle: &Obstacle| {
         let placed = if obstacle.is_permanent() { None } else { temporary.next() };
         let places = placed.filter(|placed| placed.speed() > 0.0).map(|placed| places(placed, end_s));

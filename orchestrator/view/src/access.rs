@@ -36,7 +36,8 @@ impl Token {
 
     /// Whether it is `given`, in a time that does not depend on the first letter that differs.
     fn is(&self, given: &str) -> bool {
-        let difference = self.0.bytes().zip(given.bytes()).fold(0, |found, (own, other)| found | (own ^ other));
+        let difference =
+            self.0.bytes().zip(given.bytes()).fold(0, |found, (own, other)| found | (own ^ other));
         self.0.len() == given.len() && difference == 0
     }
 }
@@ -120,7 +121,12 @@ mod tests {
 
     fn request(host: &str, origin: Option<&str>, token: Option<&str>) -> Request {
         let owned = |text: &str| text.to_owned();
-        Request { host: Some(host.to_owned()), origin: origin.map(owned), token: token.map(owned), ..Request::default() }
+        Request {
+            host: Some(host.to_owned()),
+            origin: origin.map(owned),
+            token: token.map(owned),
+            ..Request::default()
+        }
     }
 
     fn local() -> SocketAddr {
@@ -149,7 +155,15 @@ mod tests {
         for host in ["127.0.0.1:7117", "localhost:7117"] {
             assert_eq!(admitted(Need::Page, &request(host, None, None)), Ok(()), "{host}");
         }
-        for host in ["evil.example:7117", "127.0.0.1", "127.0.0.1:80", "127.0.0.2:7117", "localhost", "", "[::1]:7117"] {
+        for host in [
+            "evil.example:7117",
+            "127.0.0.1",
+            "127.0.0.1:80",
+            "127.0.0.2:7117",
+            "localhost",
+            "",
+            "[::1]:7117",
+        ] {
             assert_eq!(admitted(Need::Page, &request(host, None, None)), Err(Refusal::Host), "{host}");
         }
         assert_eq!(admitted(Need::Page, &Request::default()), Err(Refusal::Host));

@@ -73,7 +73,9 @@ impl Actions {
         }
         match run(&self.system_id, &arguments) {
             Ok(result) => Response::json(Status::Ok, result.to_string()),
-            Err(error) => Response::text(Status::Unavailable, &format!("the action could not be started: {error:#}")),
+            Err(error) => {
+                Response::text(Status::Unavailable, &format!("the action could not be started: {error:#}"))
+            }
         }
     }
 }
@@ -83,20 +85,25 @@ fn arguments(verbs: &[Verb], body: &[u8]) -> Result<Vec<String>, String> {
     let asked: Asked = serde_json::from_slice(body).map_err(|error| format!("not an action: {error}"))?;
     let names = || verbs.iter().map(|verb| verb.name()).collect::<Vec<_>>().join(", ");
     let verb = verbs.iter().find(|verb| verb.name() == asked.action);
-    let verb = *verb.ok_or_else(|| format!("action {:?} is not allowed; allowed: {}", asked.action, names()))?;
+    let verb =
+        *verb.ok_or_else(|| format!("action {:?} is not allowed; allowed: {}", asked.action, names()))?;
     let plain = |what: &str, text: &str| {
         let allowed = |c: char| c.is_ascii_alphanumeric() || " ._-+:,[]\"".contains(c);
         let is_plain = text.starts_with(|c: char| c.is_ascii_alphanumeric() || "[\"-".contains(c))
             && !text.starts_with("--")
             && text.len() <= MAX_ARGUMENT
             && text.chars().all(allowed);
-        let refused = || format!("{what} {text:?} is not allowed: letters, digits and . _ - + : , [ ] \" only");
+        let refused =
+            || format!("{what} {text:?} is not allowed: letters, digits and . _ - + : , [ ] \" only");
         if is_plain { Ok(text.to_owned()) } else { Err(refused()) }
     };
-    let name = |what: &str, text: &str| plain(what, text).and_then(|text| {
-        if text.starts_with('-') { Err(format!("{what} {text:?} is not allowed")) } else { Ok(text) }
-    });
-    let role = || asked.role.parse::<Role>().map(|role| role.name().to_owned()).map_err(|error| error.to_string());
+    let name = |what: &str, text: &str| {
+        plain(what, text).and_then(|text| {
+            if text.starts_with('-') { Err(format!("{what} {text:?} is not allowed")) } else { Ok(text) }
+        })
+    };
+    let role =
+        || asked.role.parse::<Role>().map(|role| role.name().to_owned()).map_err(|error| error.to_string());
     let rest = match verb {
         Verb::Stop => vec![],
         Verb::Restart => vec![role()?],
@@ -130,7 +137,8 @@ mod tests {
     use super::*;
 
     fn of(body: &str) -> Result<String, String> {
-        arguments(&[Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set], body.as_bytes()).map(|parts| parts.join(" "))
+        arguments(&[Verb::Stop, Verb::Restart, Verb::Swap, Verb::Set], body.as_bytes())
+            .map(|parts| parts.join(" "))
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use serde::Serialize;
 use session::control::{ProcessStatus, Status};
 use shared_types::{
-    Actuation, ActuationKind, BlockReason, Command, Directive, Obstacles, Phase, Role, ScannerState, StopReason,
+    Actuation, ActuationKind, BlockReason, Command, Directive, Obstacles, Phase, Role, ScannerState,
+    StopReason,
 };
 use supervision::supervisor::VisibleState;
 
@@ -105,6 +106,7 @@ impl Events {
         match BlockReason::try_from(actuation.reason) {
             Ok(BlockReason::Landed) => self.note(Kind::Good, "landed: wheels blocked at the goal".to_owned()),
             Ok(BlockReason::Start) | Err(_) => {}
+            Ok(BlockReason::StopRequested) => self.note(Kind::Info, "wheels blocked: stop requested".to_owned()),
             Ok(BlockReason::Commanded) => {
                 let reason = StopReason::try_from(actuation.stop_reason).map_or("unknown", StopReason::name);
                 let blocking = command.stopped_for().map(|blocking| format!(" by {blocking}"));
@@ -149,9 +151,13 @@ impl Events {
             match (same, process.state) {
                 (Some(old), state) if old.state == state => {}
                 (_, VisibleState::Hung) => self.note(Kind::Bad, format!("{role} hangs")),
-                (_, VisibleState::Backoff) => self.note(Kind::Bad, format!("{role} has died; it is restarted")),
+                (_, VisibleState::Backoff) => {
+                    self.note(Kind::Bad, format!("{role} has died; it is restarted"))
+                }
                 (_, VisibleState::Failed) => self.note(Kind::Bad, format!("{role} has failed")),
-                (_, VisibleState::Standby) => self.note(Kind::Info, format!("{role}: the old process is standby")),
+                (_, VisibleState::Standby) => {
+                    self.note(Kind::Info, format!("{role}: the old process is standby"))
+                }
                 (None, VisibleState::Shadow) => {
                     let text = format!("{role}: candidate {} runs in shadow", process.implementation);
                     self.note(Kind::Info, text);
@@ -194,7 +200,8 @@ mod tests {
         (0..3).for_each(|_| events.actuation(&blocked, &command));
         events.actuation(&actuation(ActuationKind::Drive, BlockReason::None), &command);
         events.actuation(&actuation(ActuationKind::Block, BlockReason::Landed), &command);
-        let expected = ["wheels blocked: no command", "wheels released", "landed: wheels blocked at the goal"];
+        let expected =
+            ["wheels blocked: no command", "wheels released", "landed: wheels blocked at the goal"];
         assert_eq!(texts(&mut events), expected);
     }
 
@@ -225,7 +232,8 @@ mod tests {
     fn a_scanner_is_an_event_when_its_state_changes() {
         let mut events = Events::default();
         let mut obstacles = Obstacles::default();
-        for state in [ScannerState::Healthy, ScannerState::Blind, ScannerState::Blind, ScannerState::Healthy] {
+        for state in [ScannerState::Healthy, ScannerState::Blind, ScannerState::Blind, ScannerState::Healthy]
+        {
             obstacles.scanner.state = state.wire();
             events.obstacles(&obstacles);
         }

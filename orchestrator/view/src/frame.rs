@@ -5,8 +5,8 @@ use base64::engine::general_purpose::STANDARD;
 use report::latency::{Attribution, STAGES, attribute, data_age_ns, reaction_ns};
 use serde_json::{Value, json};
 use shared_types::{
-    Actuation, ActuationKind, BlockReason, Command, CommandKind, Header, Obstacle, Obstacles, Pose, Role, Scan,
-    ScannerState, StopReason, Truth,
+    Actuation, ActuationKind, BlockReason, Command, CommandKind, Header, Obstacle, Obstacles, Pose, Role,
+    Scan, ScannerState, StopReason, Truth,
 };
 
 use crate::history::{Row, Stored};
@@ -50,7 +50,9 @@ impl Samples {
     /// Whether the newest scan is answered, so that all samples belong together.
     pub(crate) fn is_whole(&self) -> bool {
         let answered = self.actuation.as_ref().map(|actuation| actuation.header.scan_id);
-        self.scan.as_ref().is_some_and(|scan| answered.is_some_and(|answered| answered >= scan.header.scan_id))
+        self.scan
+            .as_ref()
+            .is_some_and(|scan| answered.is_some_and(|answered| answered >= scan.header.scan_id))
     }
 
     /// The frame of that number at that time, and its row for charts.
@@ -74,7 +76,8 @@ impl Samples {
     fn row(&self, number: u64, time_s: f64) -> Row {
         let actuation = self.actuation.as_ref();
         let pose = self.pose.as_ref();
-        let clearance = self.truth.map(|truth| truth.clearance_m).filter(|clearance| *clearance < NOTHING_NEAR_M);
+        let clearance =
+            self.truth.map(|truth| truth.clearance_m).filter(|clearance| *clearance < NOTHING_NEAR_M);
         let or_unknown = |value: Option<f64>| round(value.unwrap_or(f64::NAN));
         Row {
             number,
@@ -90,7 +93,9 @@ impl Samples {
             clearance_m: or_unknown(clearance),
             margin_m: or_unknown(self.command.as_ref().map(|command| command.margin.sum())),
             reaction_us: or_unknown(self.reaction_ns.map(micros)),
-            blocked: u32::from(actuation.is_none_or(|actuation| actuation.kind == ActuationKind::Block.wire())),
+            blocked: u32::from(
+                actuation.is_none_or(|actuation| actuation.kind == ActuationKind::Block.wire()),
+            ),
         }
     }
 }
@@ -170,7 +175,8 @@ fn scanner(obstacles: &Obstacles) -> Value {
 
 fn command(command: &Command) -> Value {
     let margin = &command.margin;
-    let nodes = command.nodes().iter().map(|node| [node.x_m, node.y_m, node.yaw_rad, node.velocity_mps].map(round));
+    let nodes =
+        command.nodes().iter().map(|node| [node.x_m, node.y_m, node.yaw_rad, node.velocity_mps].map(round));
     let blocking = command.stopped_for().map(|blocking| blocking.to_string());
     json!({
         "scan_id": command.header.scan_id,
@@ -236,7 +242,8 @@ mod tests {
         (scan.ranges_mm[0], scan.ranges_mm[681]) = (0x1234, 4095);
         let mut command = Command { kind: CommandKind::Drive.wire(), plan_length: 2, ..Command::default() };
         command.plan[1].x_m = 1.234_56;
-        let samples = Samples { scan: Some(scan.into()), command: Some(command.into()), ..Samples::default() };
+        let samples =
+            Samples { scan: Some(scan.into()), command: Some(command.into()), ..Samples::default() };
         let frame: Value = serde_json::from_str(&samples.frame(1, 0.0).text).unwrap();
         let bytes = STANDARD.decode(frame["scan"]["ranges_mm_base64"].as_str().unwrap()).unwrap();
         assert_eq!((bytes.len(), &bytes[..2], &bytes[1362..]), (1364, &[0x34, 0x12][..], &[0xff, 0x0f][..]));

@@ -61,7 +61,12 @@ pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyh
 }
 
 /// Prints the link.
-fn announce(token: &Token, listener: &TcpListener, system_id: &str, arguments: &ViewArguments) -> anyhow::Result<()> {
+fn announce(
+    token: &Token,
+    listener: &TcpListener,
+    system_id: &str,
+    arguments: &ViewArguments,
+) -> anyhow::Result<()> {
     let address = listener.local_addr()?;
     let shown = match address.ip() {
         ip if !ip.is_unspecified() => ip,
@@ -79,7 +84,10 @@ fn announce(token: &Token, listener: &TcpListener, system_id: &str, arguments: &
         note!("page: {link}");
         return Ok(());
     }
-    note!("showing system {system_id}{}; Ctrl-C ends the page", if arguments.control { " with control" } else { "" });
+    note!(
+        "showing system {system_id}{}; Ctrl-C ends the page",
+        if arguments.control { " with control" } else { "" }
+    );
     data(&link).map(|_| ())
 }
 
@@ -105,7 +113,13 @@ struct Site {
 impl Site {
     fn new(actions: Actions) -> anyhow::Result<Self> {
         let token = Token::random()?;
-        Ok(Self { hub: Hub::default(), token, actions, streams: AtomicUsize::new(0), logged: Mutex::default() })
+        Ok(Self {
+            hub: Hub::default(),
+            token,
+            actions,
+            streams: AtomicUsize::new(0),
+            logged: Mutex::default(),
+        })
     }
 
     fn end(&self) {
@@ -208,7 +222,8 @@ fn start_accepting(listener: TcpListener, site: Arc<Site>) -> anyhow::Result<()>
                         drop(place);
                     };
                     // Without a thread the connection is closed.
-                    let _ = std::thread::Builder::new().name("page".to_owned()).stack_size(STACK).spawn(serve);
+                    let _ =
+                        std::thread::Builder::new().name("page".to_owned()).stack_size(STACK).spawn(serve);
                 }
                 Ok(_) => site.log_once("there are too many connections"),
                 Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}

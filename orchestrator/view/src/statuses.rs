@@ -51,7 +51,8 @@ impl Statuses {
 }
 
 fn follow(system_id: &str, shared: &Mutex<Known>) {
-    let change = |apply: &dyn Fn(&mut Known)| apply(&mut shared.lock().unwrap_or_else(PoisonError::into_inner));
+    let change =
+        |apply: &dyn Fn(&mut Known)| apply(&mut shared.lock().unwrap_or_else(PoisonError::into_inner));
     let mut round: u32 = 0;
     loop {
         let found = search(system_id, round);
@@ -80,14 +81,17 @@ fn follow(system_id: &str, shared: &Mutex<Known>) {
 fn search(system_id: &str, round: u32) -> Option<Domain> {
     let usual = Domain::find(system_id).ok().flatten();
     let other = || supervision::runs::find(system_id).ok().flatten();
-    usual.or_else(|| if round.is_multiple_of(RARELY) { other() } else { None })
+    usual
+        .or_else(|| if round.is_multiple_of(RARELY) { other() } else { None })
         .filter(|domain| !domain.run_id().is_empty())
 }
 
 fn status(domain: &Domain) -> Option<Status> {
     match ask(domain, &Request::Status) {
         Ok(Reply::Status(status)) => Some(*status),
-        Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => orphaned::status(domain),
+        Err(error) if matches!(error.downcast_ref(), Some(RuntimeError::NotRunning(_))) => {
+            orphaned::status(domain)
+        }
         _ => None,
     }
 }

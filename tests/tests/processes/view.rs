@@ -57,7 +57,8 @@ impl View {
     }
 
     fn act(&self, body: &str, with_token: bool) -> (u16, String) {
-        let headers = if with_token { format!("Authorization: Bearer {}\r\n", self.token) } else { String::new() };
+        let headers =
+            if with_token { format!("Authorization: Bearer {}\r\n", self.token) } else { String::new() };
         self.ask("POST /control", &headers, body)
     }
 
@@ -135,7 +136,10 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
     let shown = view.wait_for(&system, "the page shows the drive", is_driving);
     let printed: Value = serde_json::from_slice(&system.run(&["status", "--json"]).stdout).unwrap();
     assert_eq!(rows(&shown["status"]), rows(&printed));
-    assert_eq!((&shown["status"]["scenario"], &shown["system_id"]), (&printed["scenario"], &printed["system_id"]));
+    assert_eq!(
+        (&shown["status"]["scenario"], &shown["system_id"]),
+        (&printed["scenario"], &printed["system_id"])
+    );
     assert_eq!(shown["course"]["body"]["length_m"], 0.56, "{shown}");
 
     // Ten frames take about a second, so the newest scan is at least the one that `status` had before.
@@ -143,7 +147,10 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
     let scans: Vec<u64> = seen.iter().map(|frame| frame["row"]["scan_id"].as_u64().unwrap()).collect();
     assert!(scans.is_sorted() && *scans.last().unwrap() >= printed["scan"].as_u64().unwrap(), "{scans:?}");
     let last = seen.last().unwrap();
-    assert!(["scan", "pose", "truth", "command", "actuation"].iter().all(|part| last[part].is_object()), "{last}");
+    assert!(
+        ["scan", "pose", "truth", "command", "actuation"].iter().all(|part| last[part].is_object()),
+        "{last}"
+    );
     let number = seen[3]["row"]["number"].as_u64().unwrap();
     assert_eq!(view.json(&format!("/frame?number={number}")), seen[3], "an earlier frame is still there");
 
@@ -152,7 +159,8 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
         view.events().iter().any(|text| text.contains("estimator restarted"))
     });
     let shown = view.wait_for(&system, "the new process is shown", |shown| {
-        shown["status"]["processes"][1]["state"] == "ready" && shown["status"]["processes"][1]["restarts"] == 1
+        shown["status"]["processes"][1]["state"] == "ready"
+            && shown["status"]["processes"][1]["restarts"] == 1
     });
     assert_eq!(shown["status"]["processes"][1]["pid"], system.pid(Role::Estimator));
 
@@ -162,9 +170,14 @@ fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() 
     assert_eq!(code, 200);
     assert!(refused["messages"].as_str().unwrap().contains("the robot is not restarted"), "{refused}");
     let (code, stopped) = view.act(r#"{"action":"stop"}"#, true);
-    assert_eq!((code, &serde_json::from_str::<Value>(&stopped).unwrap()["exit_code"]), (200, &0.into()), "{stopped}");
+    assert_eq!(
+        (code, &serde_json::from_str::<Value>(&stopped).unwrap()["exit_code"]),
+        (200, &0.into()),
+        "{stopped}"
+    );
     system.wait();
-    let over = view.wait_for(&system, "the page knows that the run is over", |shown| shown["connection"] == "over");
+    let over =
+        view.wait_for(&system, "the page knows that the run is over", |shown| shown["connection"] == "over");
     assert!(over["run_id"].is_null());
     assert_eq!(system.report().scans.unaccounted, 0);
 
@@ -218,7 +231,8 @@ fn browser_test(name: &str) -> PathBuf {
 /// Whether there is a browser; in CI it is installed first. A skip is printed.
 fn has_browser(skipped: &str) -> bool {
     let is_ci = std::env::var("CI").as_deref() == Ok("true");
-    let setup = Command::new(browser_test("setup.sh")).arg(if is_ci { "--install" } else { "--check" }).output();
+    let setup =
+        Command::new(browser_test("setup.sh")).arg(if is_ci { "--install" } else { "--check" }).output();
     let reason = match setup {
         Ok(output) if output.status.success() => return true,
         Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),

@@ -243,16 +243,17 @@ impl Strip<'_> {
         let way: Vec<[f64; 2]> = places.iter().map(|place| [x_m + place.x_m, y_m + place.y_m]).collect();
         self.line(chart, &way, OBSTACLE.stroke_width(fine(1) as u32), true)?;
         for (index, place) in places.iter().enumerate() {
-            let moved: Vec<[f64; 2]> =
-                points.iter().map(|[x, y]| [x + place.x_m, y + place.y_m]).collect();
+            let moved: Vec<[f64; 2]> = points.iter().map(|[x, y]| [x + place.x_m, y + place.y_m]).collect();
             let share = (index + 1) as f64 / places.len() as f64;
             self.fill(chart, &moved, OBSTACLE.mix(0.1 + 0.5 * share).filled())?;
             self.outline(chart, &moved, OBSTACLE.stroke_width(fine(1) as u32))?;
             let label = format!("{} s", trim(place.time_s));
             self.label(chart, way[index], &label, OBSTACLE)?;
-            let moments = self.drive.moments.iter();
+            let mut moments = self.drive.moments.iter();
             // Between two scans at 10 Hz.
-            if let Some(robot) = moments.into_iter().find(|moment| (moment.time_s - place.time_s).abs() <= 0.05) {
+            if let Some(robot) =
+                moments.find(|moment| (moment.time_s - place.time_s).abs() <= 0.05)
+            {
                 self.label(chart, [robot.x_m, robot.y_m], &label, TRUE_PATH)?;
             }
         }

@@ -54,7 +54,9 @@ impl Request {
                 "host" => once(&mut request.host, value)?,
                 "origin" => once(&mut request.origin, value)?,
                 "content-length" => once(&mut length, value)?,
-                "authorization" => once(&mut request.token, value.strip_prefix("Bearer ").unwrap_or_default())?,
+                "authorization" => {
+                    once(&mut request.token, value.strip_prefix("Bearer ").unwrap_or_default())?
+                }
                 // Two ways to say how long a body is are how requests are smuggled.
                 "transfer-encoding" => return Err(Status::BadRequest),
                 _ => {}
@@ -74,7 +76,8 @@ impl Request {
     fn first_line(line: &str) -> Result<Self, Status> {
         let mut parts = line.split(' ');
         let (method, target, version) = (parts.next(), parts.next(), parts.next());
-        let (Some(method), Some(target), Some(version), None) = (method, target, version, parts.next()) else {
+        let (Some(method), Some(target), Some(version), None) = (method, target, version, parts.next())
+        else {
             return Err(Status::BadRequest);
         };
         if !matches!(version, "HTTP/1.1" | "HTTP/1.0") || !target.starts_with('/') || !target.is_ascii() {
@@ -105,7 +108,8 @@ fn once(slot: &mut Option<String>, value: &str) -> Result<(), Status> {
 }
 
 fn is_name(name: &str) -> bool {
-    !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"!#$%&'*+-.^_`|~".contains(&byte))
+    !name.is_empty()
+        && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"!#$%&'*+-.^_`|~".contains(&byte))
 }
 
 #[cfg(test)]

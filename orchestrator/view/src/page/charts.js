@@ -73,10 +73,10 @@ function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   context.fillText(strip.name, 0, top + 12);
   context.fillStyle = colour.ink;
   context.font = "600 18px system-ui, sans-serif";
-  context.fillText(last == null ? "–" : last.toFixed(digits), 0, top + 33);
+  context.fillText(last == null ? "–" : (Math.abs(last) < 0.0005 ? 0 : last).toFixed(digits), 0, top + 31);
   context.fillStyle = colour.muted;
   context.font = "11px system-ui, sans-serif";
-  context.fillText(strip.unit, 62, top + 32);
+  context.fillText(strip.unit, 72, top + 31);
 }
 
 function level(context, left, width, y) {

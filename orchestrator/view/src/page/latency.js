@@ -34,6 +34,7 @@ export function latency(place, note) {
   const canvas = document.createElement("canvas");
   place.append(table, canvas);
   let axis_us = 1000;
+  const recent = [];
 
   const milliseconds = (value) => (value == null ? "–" : (value / 1000).toFixed(value < 9995 ? 2 : 1));
 
@@ -42,8 +43,13 @@ export function latency(place, note) {
       const times = frame?.latency_us;
       note.textContent = times ? `ms, data age ${(times.data_age / 1000).toFixed(0)} ms` : "ms";
       const total = times?.scan_to_actuation ?? 0;
-      // It grows at once and shrinks slowly, so that bars are compared over time.
-      axis_us = Math.max(niceAbove(total), axis_us > 3 * total ? niceAbove(axis_us * 0.8) : axis_us);
+      // The axis follows the usual scan, not the slowest, and changes rarely, so that bars can be compared.
+      if (total) recent.push(total);
+      if (recent.length === 20) {
+        const usual = niceAbove(1.3 * recent.toSorted((one, other) => one - other)[15]);
+        if (usual > axis_us || usual < axis_us / 2) axis_us = usual;
+        recent.length = 0;
+      }
       let start = 0;
       for (const { role, parts, figures } of rows) {
         const stage = times?.stages.find((stage) => stage.role === role);

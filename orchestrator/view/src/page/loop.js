@@ -1,14 +1,14 @@
 // The processes as a graph of the loop: state, age, rate, processor, restarts, who is in charge, candidates and standby.
 
 const NS = "http://www.w3.org/2000/svg";
-const BOX = { width: 116, height: 58 };
+const BOX = { width: 116, height: 54 };
 const PLACES = {
-  robot: [4, 108], estimator: [4, 12], obstacles: [162, 12], controller: [320, 12], actuator: [320, 108],
+  robot: [2, 90], estimator: [2, 2], obstacles: [162, 2], controller: [322, 2], actuator: [322, 90],
 };
 const ARROWS = [
-  ["M62 108 V76", "odometry", 66, 96], ["M120 41 H158", "pose", 127, 36], ["M278 41 H316", "obstacles", 0, 0],
-  ["M378 70 V104", "command", 331, 94], ["M320 137 H124", "actuation", 226, 132],
-  ["M96 108 C104 88 150 96 196 75", "scan", 134, 100],
+  ["M62 90 V61", "odometry", 57, 78, "end"], ["M118 29 H157", "pose", 139, 24, "middle"], ["M278 29 H317", "", 0, 0],
+  ["M380 56 V85", "command", 386, 74, "start"], ["M322 117 H123", "actuation", 222, 112, "middle"],
+  ["M92 90 C96 66 186 84 200 61", "scan", 146, 70, "middle"],
 ];
 
 function element(name, attributes, parent, text) {
@@ -24,9 +24,9 @@ export function loop(svg) {
   const defs = element("defs", {}, svg);
   const head = element("marker", { id: "head", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 6, markerHeight: 6, orient: "auto" }, defs);
   element("path", { d: "M0 0 L8 4 L0 8 Z", class: "head" }, head);
-  for (const [path, topic, x, y] of ARROWS) {
+  for (const [path, topic, x, y, anchor] of ARROWS) {
     element("path", { d: path, class: "arrow", "marker-end": "url(#head)" }, svg);
-    if (x) element("text", { x, y, class: "topic" }, svg, topic);
+    element("text", { x, y, class: "topic", "text-anchor": anchor ?? "start" }, svg, topic);
   }
   const boxes = {};
   for (const [role, [x, y]] of Object.entries(PLACES)) {
@@ -34,7 +34,7 @@ export function loop(svg) {
     element("rect", { class: "box", width: BOX.width, height: BOX.height, rx: 7 }, group);
     element("circle", { class: "lamp", cx: 11, cy: 13, r: 4.5 }, group);
     element("text", { x: 21, y: 17, class: "role" }, group, role);
-    const lines = [31, 43, 54].map((y) => element("text", { x: 9, y, class: "muted" }, group));
+    const lines = [29, 40, 50].map((y) => element("text", { x: 9, y, class: "muted" }, group));
     const corner = element("text", { x: BOX.width - 7, y: 17, "text-anchor": "end", class: "muted" }, group);
     const title = element("title", {}, group);
     boxes[role] = { group, lines, corner, title };
@@ -54,10 +54,10 @@ function show({ group, lines, corner, title }, role, system) {
     return;
   }
   const incarnation = system.authority?.[["robot", "estimator", "obstacles", "controller", "actuator"].indexOf(role)];
-  corner.textContent = row.restarts ? `↻${row.restarts}` : "";
+  corner.textContent = `${row.restarts ? `↻${row.restarts} ` : ""}#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
   lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
-  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${row.cpu_percent.toFixed(1)} % · #${incarnation ?? "–"}`;
+  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${row.cpu_percent.toFixed(1)} %`;
   const other = others[0];
   lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}`;
   title.textContent = [

@@ -33,7 +33,7 @@ function ground({ context, at, colour, scale }, course, width, height) {
     const [right, bottom] = at(track.x_m[1], track.y_m[0]);
     context.fillStyle = colour.ground;
     context.fillRect(left, top, right - left, bottom - top);
-    grid(context, at, colour, scale, width, height);
+    grid(context, at, colour, scale, width, height, track.y_m[0]);
     context.strokeStyle = track.walls ? colour.ink : colour.idle;
     context.lineWidth = track.walls ? 4 : 1.5;
     context.setLineDash(track.walls ? [] : [7, 6]);
@@ -53,9 +53,11 @@ function segment(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-function grid(context, at, colour, scale, width, height) {
+function grid(context, at, colour, scale, width, height, below) {
   const step = [0.5, 1, 2, 5, 10, 20, 50].find((step) => step * scale >= 55) ?? 100;
   const [x0, y0] = at(0, 0);
+  // Below the track, or at the lower edge of the map.
+  const labels = Math.min(height - 6, Math.max(14, at(0, below ?? -Infinity)[1] + 15));
   context.strokeStyle = colour.faint;
   context.fillStyle = colour.muted;
   context.lineWidth = 1;
@@ -64,7 +66,7 @@ function grid(context, at, colour, scale, width, height) {
   for (let k = first; x0 + k * step * scale < width; k++) {
     const x = Math.round(x0 + k * step * scale) + 0.5;
     segment(context, x, 0, x, height);
-    context.fillText(`${+(k * step).toFixed(1)}`, x + 3, 13);
+    context.fillText(`${+(k * step).toFixed(1)}`, x + 3, labels);
   }
   const lowest = Math.ceil((y0 - height) / (step * scale));
   for (let k = lowest; y0 - k * step * scale > 0; k++) {

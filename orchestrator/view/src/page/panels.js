@@ -15,17 +15,19 @@ const words = (name) => name.replaceAll("_", " ");
 export function stateOf(system, frame, lost) {
   if (lost) return ["lost", "Connection lost", `${lost}; trying again`];
   if (!system) return ["connecting", "Connecting", ""];
-  if (system.connection === "waiting") return ["waiting", "Waiting", `for system ${system.system_id}: start it with scanloop run`];
+  if (system.connection === "waiting") return ["waiting", "Waiting", `for system ${system.system_id}`];
   if (system.connection === "over") return ["over", "Run ended", "the last frame stays; the next run is shown when it starts"];
   const { status, status_age_s: age } = system;
   if (status?.state === "driverless") return ["orphaned", "Orphaned", "the orchestrator is gone: scanloop adopt takes over"];
   if (age != null && age > 3) return ["silent", "No answer", `of the orchestrator for ${age.toFixed(0)} s`];
   if (frame?.truth?.collided) return ["collision", "Collision", ""];
-  if (status?.state === "stopping") return ["stopping", "Ending", detail(frame)];
   const actuation = frame?.actuation;
+  // A run that has landed ends: what matters is that it has.
+  const hasLanded = actuation?.reason === "landed" || frame?.command?.reason === "landed";
+  if (hasLanded && actuation?.kind === "block") return ["landed", "Landed", "the goal is reached by the robot's own estimate"];
+  if (status?.state === "stopping") return ["stopping", "Ending", detail(frame)];
   if (!actuation || status?.state === "starting" || status?.state === "connecting") return ["starting", "Starting", ""];
   if (actuation.kind === "drive") return ["driving", frame.command?.kind === "land" ? "Landing" : "Driving", detail(frame)];
-  if (actuation.reason === "landed") return ["landed", "Landed", "the goal is reached by the robot's own estimate"];
   return ["blocked", "Wheels blocked", detail(frame)];
 }
 
@@ -58,6 +60,13 @@ export function panels(by) {
       set("state-text", text);
       set("state-detail", detail);
       document.title = `${text} · Scanloop`;
+      by("hint").hidden = state !== "waiting";
+      if (state === "waiting" && by("hint").dataset.of !== system.system_id) {
+        const code = document.createElement("code");
+        code.textContent = `scanloop ${system.system_id === "default" ? "" : `--system-id ${system.system_id} `}run`;
+        by("hint").replaceChildren("No run yet. Start one:", code);
+        by("hint").dataset.of = system.system_id;
+      }
       const status = system?.status;
       const run = by("run");
       const facts = [status?.scenario, `system ${system?.system_id ?? "–"}`];
@@ -72,7 +81,7 @@ export function panels(by) {
       set("tile-speed", digits(row?.speed_mps, 2));
       set("tile-reaction", digits(row?.reaction_us == null ? null : row.reaction_us / 1000, 1));
       set("tile-clearance", digits(row?.clearance_m, 2));
-      set("tile-goal", digits(frame?.goal_m, 2));
+      set("tile-goal", digits(frame?.goal_m, 1));
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;

@@ -57,7 +57,9 @@ fn pages_are_served_and_nothing_beside_them() {
     assert!(page.starts_with("HTTP/1.1 200 OK") && page.contains("default-src 'none'"), "{page}");
     assert!(get(address, "/frame?number=1").ends_with("\r\n\r\n1"));
     assert!(get(address, "/history").contains("\"number\":1"));
-    for path in ["/../Cargo.toml", "/..%2fCargo.toml", "//etc/passwd", "/frame", "/frame?number=-1", "/page.css/"] {
+    for path in
+        ["/../Cargo.toml", "/..%2fCargo.toml", "//etc/passwd", "/frame", "/frame?number=-1", "/page.css/"]
+    {
         assert!(get(address, path).starts_with("HTTP/1.1 404"), "{path}");
     }
 }
@@ -69,7 +71,10 @@ fn control_needs_the_token_and_is_refused_without_the_option() {
     let ask = |headers: &str| {
         let body = r#"{"action":"stop"}"#;
         let length = body.len();
-        answer(address, &format!("POST /control HTTP/1.1\r\nContent-Length: {length}\r\n{headers}\r\n\r\n{body}"))
+        answer(
+            address,
+            &format!("POST /control HTTP/1.1\r\nContent-Length: {length}\r\n{headers}\r\n\r\n{body}"),
+        )
     };
     assert!(ask("Host: ADDRESS").starts_with("HTTP/1.1 403"));
     assert!(ask(&format!("Host: evil.example\r\nAuthorization: Bearer {token}")).starts_with("HTTP/1.1 403"));
@@ -120,7 +125,8 @@ fn a_stream_that_is_not_read_delays_no_other() {
 #[test]
 fn half_open_connections_are_closed_and_the_page_is_served_meanwhile() {
     let (_site, address) = start();
-    let mut half: Vec<TcpStream> = (0..MAX_CONNECTIONS / 2).map(|_| send(address, b"GET / HTTP/1.1\r\nHo")).collect();
+    let mut half: Vec<TcpStream> =
+        (0..MAX_CONNECTIONS / 2).map(|_| send(address, b"GET / HTTP/1.1\r\nHo")).collect();
     assert!(get(address, "/").starts_with("HTTP/1.1 200"));
     for client in &mut half {
         let mut text = String::new();
