@@ -54,12 +54,12 @@ function show({ group, lines, corner, title }, role, system) {
     return;
   }
   const incarnation = system.authority?.[["robot", "estimator", "obstacles", "controller", "actuator"].indexOf(role)];
-  corner.textContent = `${row.restarts ? `↻${row.restarts} ` : ""}#${incarnation ?? "–"}`;
+  corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
   lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
   lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${row.cpu_percent.toFixed(1)} %`;
   const other = others[0];
-  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}`;
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}${row.restarts ? ` · ${row.restarts} restart${row.restarts > 1 ? "s" : ""}` : ""}`;
   title.textContent = [
     `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
     `newest output ${row.last_sample_age_ms.toFixed(0)} ms old, ${row.memory_kib} KiB, ${row.restarts} restarts`,

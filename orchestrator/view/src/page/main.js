@@ -17,7 +17,7 @@ const MAX_EVENTS = 300;
 // A body that moves farther than this between two frames is drawn at its new place at once.
 const MAX_GLIDE_M = 0.6;
 
-const page = { system: null, frame: null, before: null, came_ms: 0, rows: [], events: [], lost: null, shown_s: null, past: null };
+const page = { system: null, frame: null, before: null, came_ms: 0, rows: [], events: [], lost: null, shown_s: null, past: null, epoch_ms: null };
 let colour = {};
 let isDirty = true;
 let asked = 0;
@@ -87,7 +87,7 @@ connect({
     // Another server counts from the start.
     if ((rows.at(-1)?.number ?? 0) < (page.rows.at(-1)?.number ?? 0)) Object.assign(page, { rows: [], events: [], frame: null });
     take(rows, events);
-    page.lost = null;
+    Object.assign(page, { lost: null, epoch_ms: null });
   },
   lost(reason) {
     page.lost = reason;
@@ -96,6 +96,7 @@ connect({
   system(system) {
     if (system?.run_id && page.system?.run_id && system.run_id !== page.system.run_id) page.frame = page.before = null;
     page.system = system;
+    page.epoch_ms ??= Date.now() - 1000 * system.time_s;
     changed();
   },
   events: (events) => take([], events),
@@ -163,7 +164,7 @@ function paintPanels(frame, course) {
   const state = isPast ? [stateOf(page.system, frame, null)[0], "Past", "Esc or Live returns to now"] : stateOf(page.system, frame, page.lost);
   show.state(state, page.system, frame);
   show.frame(frame);
-  show.events(page.events, now_s);
+  show.events(page.events, page.epoch_ms);
   showLoop(page.system);
   showLatency.frame(frame);
   showLatency.system(page.system);

@@ -51,7 +51,7 @@ export function panels(by) {
     if (place.textContent !== text) place.textContent = text;
   };
   const digits = (value, count) => (value == null ? "–" : value.toFixed(count));
-  let shown = 0;
+  let shown = "";
 
   return {
     state([state, text, detail], system, frame) {
@@ -81,22 +81,22 @@ export function panels(by) {
       set("tile-speed", digits(row?.speed_mps, 2));
       set("tile-reaction", digits(row?.reaction_us == null ? null : row.reaction_us / 1000, 1));
       set("tile-clearance", digits(row?.clearance_m, 2));
-      set("tile-goal", digits(frame?.goal_m, 1));
+      set("tile-goal", digits(frame?.goal_m, frame?.goal_m < 100 ? 1 : 0));
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
-      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of predicted returns · ` +
+      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of returns · ` +
         `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m ahead` : "no description yet");
     },
-    events(events, now_s) {
-      const newest = events.at(-1)?.number ?? 0;
-      if (newest === shown) return;
+    events(events, epoch_ms) {
+      const newest = `${events.at(-1)?.number ?? 0} ${epoch_ms}`;
+      if (newest === shown || epoch_ms == null) return;
       shown = newest;
       by("events").replaceChildren(...events.slice(-6).map((event) => {
         const item = document.createElement("li");
         item.dataset.kind = event.kind;
         const time = document.createElement("time");
-        time.textContent = new Date(Date.now() - 1000 * (now_s - event.time_s)).toTimeString().slice(0, 8);
+        time.textContent = new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
         const text = document.createElement("b");
         text.textContent = event.text;
         item.title = event.text;
