@@ -79,15 +79,16 @@ impl Events {
     /// Phases of the run, and processes that take over.
     pub(crate) fn directive(&mut self, directive: &Directive) {
         if self.phase.replace(directive.phase) != Some(directive.phase)
-            && let Ok(phase) = Phase::try_from(directive.phase)
+            && let Ok(phase @ (Phase::Driving | Phase::Stopping)) = Phase::try_from(directive.phase)
         {
             self.note(Kind::Info, phase.name().to_owned());
         }
         let in_charge: Vec<u32> = directive.authority.iter().map(|authority| authority.incarnation).collect();
         let before = std::mem::replace(&mut self.in_charge, in_charge.clone());
         for (role, (old, new)) in Role::ALL.iter().zip(before.into_iter().zip(in_charge)) {
-            if old != new && old != 0 && new != 0 {
-                let from = directive.authority[role.index()].from_scan;
+            let from = directive.authority[role.index()].from_scan;
+            // A restart has no scan from which it counts, and is an event of its own.
+            if old != new && old != 0 && new != 0 && from != 0 {
                 self.note(Kind::Info, format!("{role}: incarnation {new} in charge from scan {from}"));
             }
         }
@@ -106,7 +107,9 @@ impl Events {
         match BlockReason::try_from(actuation.reason) {
             Ok(BlockReason::Landed) => self.note(Kind::Good, "landed: wheels blocked at the goal".to_owned()),
             Ok(BlockReason::Start) | Err(_) => {}
-            Ok(BlockReason::StopRequested) => self.note(Kind::Info, "wheels blocked: stop requested".to_owned()),
+            Ok(BlockReason::StopRequested) => {
+                self.note(Kind::Info, "wheels blocked: stop requested".to_owned())
+            }
             Ok(BlockReason::Commanded) => {
                 let reason = StopReason::try_from(actuation.stop_reason).map_or("unknown", StopReason::name);
                 let blocking = command.stopped_for().map(|blocking| format!(" by {blocking}"));

@@ -93,10 +93,17 @@ impl Samples {
             clearance_m: or_unknown(clearance),
             margin_m: or_unknown(self.command.as_ref().map(|command| command.margin.sum())),
             reaction_us: or_unknown(self.reaction_ns.map(micros)),
-            blocked: u32::from(
-                actuation.is_none_or(|actuation| actuation.kind == ActuationKind::Block.wire()),
-            ),
+            blocked: actuation.map_or(2, blocked),
         }
+    }
+}
+
+/// How [`Row::blocked`] counts an actuation.
+fn blocked(actuation: &Actuation) -> u32 {
+    match BlockReason::try_from(actuation.reason) {
+        _ if actuation.kind == ActuationKind::Drive.wire() => 0,
+        Ok(BlockReason::Start | BlockReason::Landed | BlockReason::StopRequested) => 2,
+        _ => 1,
     }
 }
 

@@ -27,7 +27,7 @@ pub(crate) struct Row {
     pub(crate) clearance_m: f64,
     pub(crate) margin_m: f64,
     pub(crate) reaction_us: f64,
-    /// 1 while the wheels are blocked.
+    /// 0: the wheels turn; 1: they are blocked; 2: they are blocked at the start, at the goal or because the run ends.
     pub(crate) blocked: u32,
 }
 

@@ -81,27 +81,31 @@ impl Live {
         // A run that starts has not created its topics yet: the next try finds them.
         if let Ok(attached) = Attached::open(domain) {
             self.attached = Some(attached);
-            self.had_one = true;
             self.events.start(&self.system_id);
             self.next_system_s = now_s;
         }
     }
 
-    fn connection(&self) -> &'static str {
-        match (&self.attached, self.had_one) {
-            (Some(_), _) => "live",
-            (None, true) => "over",
-            (None, false) => "waiting",
+    /// A directory that a dead run left behind is no system: one that lives answers or publishes.
+    fn connection(&mut self, known: &Known) -> &'static str {
+        let is_alive = |attached: &Attached| known.status.is_some() || attached.samples.newest_scan() > 0;
+        let is_live = self.attached.as_ref().is_some_and(is_alive);
+        self.had_one |= is_live;
+        match (is_live, self.had_one) {
+            (true, _) => "live",
+            (false, true) => "over",
+            (false, false) => "waiting",
         }
     }
 
-    fn system(&self, known: &Known, now_s: f64) -> String {
+    fn system(&mut self, known: &Known, now_s: f64) -> String {
+        let connection = self.connection(known);
         let attached = self.attached.as_ref();
         let status = known.status.as_ref().filter(|_| attached.is_some());
         let age_s = status.map(|_| (monotonic_ns().saturating_sub(known.answered_ns)) as f64 * 1e-9);
         json!({
             "time_s": now_s,
-            "connection": self.connection(),
+            "connection": connection,
             "system_id": self.system_id,
             "run_id": attached.map(|attached| attached.domain.run_id()),
             "status": status,

@@ -46,15 +46,11 @@ function draw(context, rows, strip, { top, each, width, until_s }, colour) {
   // Times of blocked wheels are shaded.
   context.fillStyle = colour.stop;
   context.globalAlpha = 0.14;
-  let since = null;
-  for (const row of rows) {
-    if (row.blocked && since == null) since = row.time_s;
-    if (!row.blocked && since != null) {
-      context.fillRect(x(since), top, x(row.time_s) - x(since), each);
-      since = null;
-    }
-  }
-  if (since != null) context.fillRect(x(since), top, width - x(since), each);
+  rows.forEach((row, index) => {
+    if (row.blocked !== 1) return;
+    const end = Math.min(rows[index + 1]?.time_s ?? row.time_s + 0.1, row.time_s + 0.5);
+    context.fillRect(x(row.time_s), top, x(end) - x(row.time_s) + 0.2, each);
+  });
   context.globalAlpha = 1;
   context.strokeStyle = colour.idle;
   context.setLineDash([4, 4]);

@@ -78,7 +78,9 @@ export function latency(place, note) {
     history(rows, until_s, colour) {
       const { context, width, height } = prepare(canvas);
       const seen = rows.filter((row) => row.reaction_us != null && row.time_s > until_s - 60 && row.time_s <= until_s);
-      const top = niceAbove(Math.max(1000, ...seen.map((row) => row.reaction_us)));
+      const sorted = seen.map((row) => row.reaction_us).sort((one, other) => one - other);
+      // Rare slow scans are cut, so that the usual ones can be seen.
+      const top = niceAbove(Math.max(1000, 2 * (sorted[Math.floor(0.9 * sorted.length)] ?? 0)));
       context.clearRect(0, 0, width, height);
       context.strokeStyle = colour.line;
       context.beginPath();
@@ -88,12 +90,14 @@ export function latency(place, note) {
       context.fillStyle = colour.plan;
       for (const row of seen) {
         const x = width * (1 - (until_s - row.time_s) / 60);
-        const bar = (row.reaction_us / top) * (height - 12);
+        const bar = Math.min(1, row.reaction_us / top) * (height - 12);
+        context.fillStyle = row.reaction_us > top ? colour.warning : colour.plan;
         context.fillRect(x - 1, height - bar, 1.6, bar);
       }
       context.fillStyle = colour.muted;
       context.font = "11px system-ui, sans-serif";
-      context.fillText(`last minute, up to ${top / 1000} ms`, 0, 10);
+      const largest = sorted.length ? `, largest ${milliseconds(sorted.at(-1))} ms` : "";
+      context.fillText(`last minute, bars up to ${top / 1000} ms${largest}`, 0, 10);
     },
   };
 }

@@ -57,15 +57,26 @@ function show({ group, lines, corner, title }, role, system) {
   corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
   lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
-  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${row.cpu_percent.toFixed(1)} %`;
+  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${share(row, system).toFixed(1)} %`;
   const other = others[0];
-  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}${row.restarts ? ` · ${row.restarts} restart${row.restarts > 1 ? "s" : ""}` : ""}`;
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}${row.restarts ? ` · ↻ ${row.restarts}` : ""}`;
   title.textContent = [
     `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
     `newest output ${row.last_sample_age_ms.toFixed(0)} ms old, ${row.memory_kib} KiB, ${row.restarts} restarts`,
     ...others.map((other) => `${other.state}: ${other.implementation}, process ${other.pid}`),
     ...row.last_words,
   ].join("\n");
+}
+
+// The kernel counts processor time in hundredths of a second, too coarse for half a second: the mean of some seconds.
+const shares = new Map();
+
+function share({ pid, cpu_percent: percent }, system) {
+  const known = shares.get(pid) ?? { mean: percent, status: system.status };
+  if (known.status !== system.status) Object.assign(known, { mean: known.mean + 0.1 * (percent - known.mean), status: system.status });
+  if (shares.size > 100) shares.clear();
+  shares.set(pid, known);
+  return known.mean;
 }
 
 function short(text, length) {

@@ -109,12 +109,16 @@ connect({
   end() {},
 });
 
-// Where the body is drawn: it glides from frame to frame, as long as it moves as a body does.
+// Where the bodies are drawn: they glide from frame to frame, as long as they move as bodies do.
 function glide(frame, now_ms) {
-  const pose = frame?.pose;
-  const before = page.past ? null : page.before?.pose;
-  if (!pose || !before) return [pose, false];
+  const before = page.past ? null : page.before;
   const share = Math.min(1, (now_ms - page.came_ms) / 100);
+  const [pose, moves] = between(before?.pose, frame?.pose, share);
+  return [pose && { ...pose, truth: between(before?.truth, frame.truth, share)[0] }, moves];
+}
+
+function between(before, pose, share) {
+  if (!pose || !before) return [pose, false];
   const far = Math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m);
   if (far > MAX_GLIDE_M || share >= 1) return [pose, false];
   const turn = Math.atan2(Math.sin(pose.yaw_rad - before.yaw_rad), Math.cos(pose.yaw_rad - before.yaw_rad));
@@ -125,7 +129,19 @@ function glide(frame, now_ms) {
   }, true];
 }
 
+// The last minute of the run that the frame belongs to: scans count up within a run.
+function trailOf(frame) {
+  const until = frame?.row.time_s ?? Infinity;
+  let end = page.rows.length;
+  while (end > 0 && page.rows[end - 1].time_s > until) end--;
+  let start = end;
+  while (start > 0 && page.rows[start - 1].time_s > until - 60 && (start === end || page.rows[start - 1].scan_id <= page.rows[start].scan_id)) start--;
+  return page.rows.slice(start, end);
+}
+
 let body = null;
+let trail = [];
+let timeline_ms = 0;
 let painted = null;
 
 function paint(now_ms) {
@@ -141,8 +157,7 @@ function paint(now_ms) {
   last_ms = now_ms;
   if (!isDirty && !moves && !isMoving) return;
   const { context, width, height } = prepare(by("map"));
-  const until = frame?.row.time_s ?? Infinity;
-  const trail = page.rows.filter((row) => row.time_s <= until && row.time_s > until - 60);
+  if (isDirty) trail = trailOf(frame);
   draw(context, eye, { frame, course, rows: trail, body, size: { width, height } }, colour);
   if (isDirty) paintPanels(frame, course);
   isDirty = false;
@@ -170,7 +185,11 @@ function paintPanels(frame, course) {
   showLatency.system(page.system);
   showLatency.history(page.rows, until_s, colour);
   charts(by("charts"), page.rows, course, until_s, colour);
-  showTimeline(page.rows, page.events, now_s, page.shown_s, colour);
+  // Two pixels a second: it need not be drawn ten times a second.
+  if (page.shown_s != null || performance.now() - timeline_ms > 400) {
+    showTimeline(page.rows, page.events, now_s, page.shown_s, colour);
+    timeline_ms = performance.now();
+  }
   showControl(page.system?.actions ?? []);
 }
 

@@ -263,7 +263,8 @@ function robot({ context, at, scale, colour }, frame, body, course) {
     paint((length * scale) / 2, (width * scale) / 2);
     context.restore();
   };
-  const isBlocked = frame.actuation?.kind !== "drive" && frame.actuation?.reason !== "landed";
+  const isBlocked = frame.row.blocked === 1;
+  if (frame.pose) covariance(context, at, scale, colour, frame.pose, body);
   outline(body, (l, w) => {
     context.fillStyle = isBlocked ? colour.stop : colour.robot;
     context.beginPath();
@@ -276,14 +277,13 @@ function robot({ context, at, scale, colour }, frame, body, course) {
     context.lineTo(l * 0.2, -w * 0.55);
     context.fill();
   });
-  if (frame.truth) {
-    outline(frame.truth, (l, w) => {
+  if (body.truth) {
+    outline(body.truth, (l, w) => {
       context.strokeStyle = colour.truth;
       context.lineWidth = 1.5;
       context.strokeRect(-l, -w, 2 * l, 2 * w);
     });
   }
-  if (frame.pose) covariance(context, at, scale, colour, frame.pose, body);
 }
 
 // The region in which the robot's centre is with 95 % probability.
@@ -293,10 +293,13 @@ function covariance(context, at, scale, colour, pose, body) {
   const radius = Math.hypot((xx - yy) / 2, xy);
   const axes = [mean + radius, mean - radius].map((value) => 2.448 * Math.sqrt(Math.max(0, value)) * scale);
   const [x, y] = at(body.x_m, body.y_m);
-  context.strokeStyle = colour.on;
+  context.strokeStyle = context.fillStyle = colour.estimate;
   context.lineWidth = 1.5;
   context.beginPath();
   context.ellipse(x, y, Math.max(1, axes[0]), Math.max(1, axes[1]), -Math.atan2(2 * xy, xx - yy) / 2, 0, TAU);
+  context.globalAlpha = 0.15;
+  context.fill();
+  context.globalAlpha = 1;
   context.stroke();
 }
 
