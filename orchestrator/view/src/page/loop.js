@@ -31,6 +31,7 @@ export function loop(svg) {
   const boxes = {};
   for (const [role, [x, y]] of Object.entries(PLACES)) {
     const group = element("g", { transform: `translate(${x} ${y})` }, svg);
+    element("rect", { class: "other", x: 5, y: 5, width: BOX.width, height: BOX.height, rx: 7 }, group);
     element("rect", { class: "box", width: BOX.width, height: BOX.height, rx: 7 }, group);
     element("circle", { class: "lamp", cx: 11, cy: 13, r: 4.5 }, group);
     element("text", { x: 21, y: 17, class: "role" }, group, role);
@@ -47,6 +48,7 @@ function show({ group, lines, corner, title }, role, system) {
   const others = rows.filter((row) => ["shadow", "standby"].includes(row.state));
   const row = rows.find((row) => !others.includes(row)) ?? rows[0];
   group.setAttribute("data-state", row?.state ?? "none");
+  group.classList.toggle("pair", others.length > 0);
   if (!row) {
     lines.forEach((line) => { line.textContent = ""; });
     corner.textContent = "";

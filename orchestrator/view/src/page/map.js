@@ -305,13 +305,12 @@ function covariance(context, at, scale, colour, pose, body) {
 
 function scaleBar({ context, scale, colour }, width, height) {
   const metres = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20].find((metres) => metres * scale >= 70) ?? 50;
-  const [right, y] = [width - 16, height - 16];
+  // On a phone the lower edge belongs to the events.
+  const [right, y] = width < 600 ? [16 + metres * scale, 28] : [width - 16, height - 16];
   context.strokeStyle = colour.ink;
   context.fillStyle = colour.ink;
   context.lineWidth = 2;
   segment(context, right - metres * scale, y, right, y);
   context.font = "12px system-ui, sans-serif";
-  context.textAlign = "right";
-  context.fillText(`${metres} m`, right, y - 6);
-  context.textAlign = "left";
+  context.fillText(`${metres} m`, right - metres * scale, y - 6);
 }

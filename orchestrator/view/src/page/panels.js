@@ -37,7 +37,7 @@ function detail(frame) {
   if (actuation?.kind === "block") {
     if (actuation.reason !== "commanded") parts.push(BLOCKED[actuation.reason] ?? words(actuation.reason));
     else if (command?.blocking) parts.push(`by ${command.blocking}`);
-    else parts.push(words(actuation.stop_reason));
+    else if (actuation.stop_reason !== "scanner") parts.push(words(actuation.stop_reason));
   }
   if (scanner && scanner.state !== "healthy") parts.push(`scanner ${scanner.state}`);
   if (actuation?.kind === "drive" && command?.side) parts.push(`passing on the ${command.side > 0 ? "left" : "right"}`);
@@ -86,7 +86,7 @@ export function panels(by) {
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
       set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of returns · ` +
-        `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m ahead` : "no description yet");
+        `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
     },
     events(events, epoch_ms) {
       const newest = `${events.at(-1)?.number ?? 0} ${epoch_ms}`;
