@@ -119,14 +119,17 @@ class Browser:
         return found["result"].get("value")
 
     def wait(self, expression, timeout_s=20):
-        """Waits until an expression is true; returns its value."""
+        """Waits until an expression is true; returns its value. While a page loads, it may fail."""
         until = time.monotonic() + timeout_s
         while True:
-            value = self.value(expression)
+            try:
+                value, reason = self.value(expression), "it is not true"
+            except RuntimeError as error:
+                value, reason = None, error
             if value:
                 return value
             if time.monotonic() > until:
-                raise RuntimeError(f"not within {timeout_s} s: {expression}")
+                raise RuntimeError(f"not within {timeout_s} s: {expression}: {reason}")
             select.select([], [], [], 0.05)
 
     def screenshot(self, path):

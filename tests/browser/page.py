@@ -90,8 +90,9 @@ def main():
             browser.wait(f"+(document.getElementById('run').textContent.match(/scan (\\d+)/)?.[1] ?? 0) > {here}")
 
         # With the token the button stops the run.
+        browser.go("about:blank")
+        browser.wait("location.href === 'about:blank'")
         browser.go(f"{url}#token={token}")
-        browser.call("Page.reload")
         browser.wait("document.querySelector('#control-form .stop')")
         browser.value("document.querySelector('#control-form .stop').click()")
         browser.wait("document.getElementById('control-result').textContent.startsWith('stop: done')")

@@ -100,6 +100,9 @@ impl Live {
 
     fn system(&mut self, known: &Known, now_s: f64) -> String {
         let connection = self.connection(known);
+        if let Some(attached) = self.attached.as_mut().filter(|attached| attached.course.is_null()) {
+            attached.course = course(&attached.domain);
+        }
         let attached = self.attached.as_ref();
         let status = known.status.as_ref().filter(|_| attached.is_some());
         let age_s = status.map(|_| (monotonic_ns().saturating_sub(known.answered_ns)) as f64 * 1e-9);
@@ -231,9 +234,6 @@ impl Attached {
     }
 
     fn frame(&mut self, number: u64, now_s: f64) -> crate::history::Stored {
-        if self.course.is_null() {
-            self.course = course(&self.domain);
-        }
         let frame = self.samples.frame(number, now_s);
         (self.scan_came_s, self.has_actuation, self.samples.reaction_ns) = (None, false, None);
         frame

@@ -123,7 +123,8 @@ fn rows(status: &Value) -> Vec<[Value; 4]> {
 }
 
 fn is_driving(system: &Value) -> bool {
-    system["connection"] == "live" && system["status"]["state"] == "driving"
+    let has_scans = system["status"]["scan"].as_u64().is_some_and(|scan| scan > 3);
+    system["connection"] == "live" && system["status"]["state"] == "driving" && has_scans
 }
 
 #[test]

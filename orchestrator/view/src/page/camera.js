@@ -1,5 +1,7 @@
 // Which part of the plane the map shows: follows the robot, or is moved by mouse, touch and keys.
 
+import { sizeOf } from "./charts.js";
+
 const MIN_SCALE = 4;
 const MAX_SCALE = 400;
 
@@ -11,7 +13,7 @@ export function camera(canvas, changed) {
   let isSet = false;
   const pointers = new Map();
 
-  const size = () => [canvas.clientWidth, canvas.clientHeight];
+  const size = () => sizeOf(canvas);
   const clamp = (scale) => Math.min(MAX_SCALE, Math.max(MIN_SCALE, scale));
 
   function toScreen(x, y) {

@@ -2,10 +2,32 @@
 
 const SPAN_S = 60;
 
+// To ask for the size of an element costs a layout of the page, so it is asked for when it changes only.
+const sizes = new WeakMap();
+const observer = new ResizeObserver((entries) => {
+  for (const { target } of entries) sizes.set(target, [target.clientWidth, target.clientHeight]);
+  for (const changed of watchers) changed();
+});
+const watchers = new Set();
+
+/** Calls a function when the size of a canvas has changed. */
+export function onResize(changed) {
+  watchers.add(changed);
+}
+
+/** Width and height of a canvas in CSS pixels. */
+export function sizeOf(canvas) {
+  if (!sizes.has(canvas)) {
+    sizes.set(canvas, [canvas.clientWidth, canvas.clientHeight]);
+    observer.observe(canvas);
+  }
+  return sizes.get(canvas);
+}
+
 /** A canvas at the resolution of the screen; its context, and its size in CSS pixels. */
 export function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const [width, height] = sizeOf(canvas);
   const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
   if (canvas.width !== w || canvas.height !== h) Object.assign(canvas, { width: w, height: h });
   const context = canvas.getContext("2d");

@@ -1,7 +1,7 @@
 // The page: keeps what the server sends, decides which time is shown, and draws when something has changed.
 
 import { camera } from "./camera.js";
-import { charts, prepare } from "./charts.js";
+import { charts, onResize, prepare } from "./charts.js";
 import { control } from "./control.js";
 import { latency } from "./latency.js";
 import { loop } from "./loop.js";
@@ -229,7 +229,7 @@ addEventListener("keydown", (event) => {
   }[event.key];
   action?.();
 });
-addEventListener("resize", changed);
+onResize(changed);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
 readColours();
 requestAnimationFrame(paint);
