@@ -251,9 +251,7 @@ impl Strip<'_> {
             self.label(chart, way[index], &label, OBSTACLE)?;
             let mut moments = self.drive.moments.iter();
             // Between two scans at 10 Hz.
-            if let Some(robot) =
-                moments.find(|moment| (moment.time_s - place.time_s).abs() <= 0.05)
-            {
+            if let Some(robot) = moments.find(|moment| (moment.time_s - place.time_s).abs() <= 0.05) {
                 self.label(chart, [robot.x_m, robot.y_m], &label, TRUE_PATH)?;
             }
         }
