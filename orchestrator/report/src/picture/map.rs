@@ -1,5 +1,7 @@
 //! The drive on the map, in one strip or several.
 
+mod movers;
+
 use emulator::JudgedBy;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
@@ -9,7 +11,7 @@ use super::clip::{self, View};
 use super::{
     Area, Axes, BODY, BOUND, EDGE, ELLIPSE, ESTIMATED_PATH, GOAL, OBSTACLE, TRACK, TRUE_PATH, WIDTH,
 };
-use super::{Drive, Ellipse, Moment, Place, Result, Scene, fine, font, mesh};
+use super::{Drive, Ellipse, Moment, Result, Scene, fine, mesh};
 
 /// Room for labels on the left [pixels].
 const LEFT: u32 = 60;
@@ -42,8 +44,6 @@ const FARTHEST_M: f64 = 1e6;
 const MAX_BODIES: usize = 40;
 /// Maximum number of points of a path; more are thinned further.
 const MAX_POINTS: usize = 8000;
-/// Least distance of the robot between two labels of its time [m].
-const LABELS_M: f64 = 0.5;
 /// Corners of a drawn ellipse.
 const CORNERS: usize = 72;
 
@@ -236,44 +236,6 @@ impl Strip<'_> {
         self.fill(chart, &tolerance, GOAL.mix(0.15).filled())?;
         self.outline(chart, &tolerance, GOAL.stroke_width(fine(2) as u32))?;
         self.dot(chart, self.scene.goal_m, 2, GOAL)
-    }
-
-    /// A moving obstacle: its outline at each of its places, darker with time, and when it and the robot were there.
-    fn draw_way(&self, chart: &mut Axes<'_, '_>, points: &[[f64; 2]], places: &[Place]) -> Result<()> {
-        let count = points.len().max(1) as f64;
-        let [x_m, y_m] = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
-        let way: Vec<[f64; 2]> = places.iter().map(|place| [x_m + place.x_m, y_m + place.y_m]).collect();
-        self.line(chart, &way, OBSTACLE.stroke_width(fine(1) as u32), true)?;
-        let mut labelled = [f64::INFINITY; 2];
-        for (index, place) in places.iter().enumerate() {
-            let moved: Vec<[f64; 2]> = points.iter().map(|[x, y]| [x + place.x_m, y + place.y_m]).collect();
-            let share = (index + 1) as f64 / places.len() as f64;
-            self.fill(chart, &moved, OBSTACLE.mix(0.1 + 0.5 * share).filled())?;
-            self.outline(chart, &moved, OBSTACLE.stroke_width(fine(1) as u32))?;
-            let label = format!("{} s", trim(place.time_s));
-            let right = moved.iter().map(|point| point[0]).fold(way[index][0], f64::max);
-            self.label(chart, [right, way[index][1]], &label, OBSTACLE)?;
-            let mut moments = self.drive.moments.iter();
-            // Between two scans at 10 Hz.
-            if let Some(robot) = moments.find(|moment| (moment.time_s - place.time_s).abs() <= 0.05)
-                && (robot.x_m - labelled[0]).hypot(robot.y_m - labelled[1]) > LABELS_M
-            {
-                labelled = [robot.x_m, robot.y_m];
-                self.label(chart, labelled, &label, TRUE_PATH)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// A text to the right of a place.
-    fn label(&self, chart: &mut Axes<'_, '_>, [x, y]: [f64; 2], text: &str, colour: RGBColor) -> Result<()> {
-        let View { x: [left, right], y: [low, high] } = *self.view;
-        if (left..=right).contains(&x) && (low..=high).contains(&y) {
-            let style = font(11).into_font().color(&colour);
-            let label = EmptyElement::at((x, y)) + Text::new(text.to_owned(), (fine(4), -fine(6)), style);
-            chart.draw_series([label])?;
-        }
-        Ok(())
     }
 
     fn draw_paths(&self, chart: &mut Axes<'_, '_>) -> Result<()> {
