@@ -294,13 +294,14 @@ function covariance(context, at, scale, colour, pose, body) {
   const axes = [mean + radius, mean - radius].map((value) => 2.448 * Math.sqrt(Math.max(0, value)) * scale);
   const [x, y] = at(body.x_m, body.y_m);
   context.strokeStyle = context.fillStyle = colour.estimate;
-  context.lineWidth = 1.5;
+  context.lineWidth = 1;
   context.beginPath();
   context.ellipse(x, y, Math.max(1, axes[0]), Math.max(1, axes[1]), -Math.atan2(2 * xy, xx - yy) / 2, 0, TAU);
-  context.globalAlpha = 0.15;
+  context.globalAlpha = 0.08;
   context.fill();
-  context.globalAlpha = 1;
+  context.globalAlpha = 0.6;
   context.stroke();
+  context.globalAlpha = 1;
 }
 
 function scaleBar({ context, scale, colour }, width, height) {

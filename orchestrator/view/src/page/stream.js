@@ -37,7 +37,7 @@ export function connect(on) {
       alive();
       const response = await ask("/stream", { signal: mine.signal });
       if (!response.ok) {
-        reason = (await response.text()).trim();
+        reason = (await response.text()).trim().slice(0, 120);
         throw new Error(reason);
       }
       await on.open();
