@@ -97,11 +97,15 @@ impl Events {
     /// Wheels that are blocked or released.
     pub(crate) fn actuation(&mut self, actuation: &Actuation, command: &Command) {
         let wheels = (actuation.kind, actuation.reason);
-        if self.wheels.replace(wheels) == Some(wheels) {
+        let before = self.wheels.replace(wheels);
+        if before == Some(wheels) {
             return;
         }
         if actuation.kind == ActuationKind::Drive.wire() {
-            self.note(Kind::Info, "wheels released".to_owned());
+            // Of a system that drives already when it is found, it is not known since when.
+            if before.is_some() {
+                self.note(Kind::Info, "wheels released".to_owned());
+            }
             return;
         }
         match BlockReason::try_from(actuation.reason) {
