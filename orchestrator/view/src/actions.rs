@@ -166,8 +166,7 @@ mod tests {
             r#"{"action":"set","key":"-x","value":"1"}"#,
             r#"{"action":"set","key":"x","value":"$(reboot)"}"#,
         ] {
-            let refused = of(body).unwrap_err();
-            assert!(refused.contains("not"), "{body}: {refused}");
+            assert!(of(body).is_err(), "{body}");
         }
         assert!(arguments(&[], br#"{"action":"stop"}"#).is_err(), "without --control");
     }
