@@ -76,7 +76,7 @@ fn announce(
     let link = format!("http://{}/#token={}", SocketAddr::new(shown, address.port()), token.text());
     if !address.ip().is_loopback() {
         let warning = format!(
-            "warning: {address} is reachable from other computers, without encryption; whoever has the link sees the drive"
+            "warning: {address} is reachable from other computers, without encryption; everybody with the link sees the drive"
         );
         runtime::print(Priority::Warning, &warning);
     }
@@ -91,10 +91,10 @@ fn announce(
     data(&link).map(|_| ())
 }
 
-/// Polls the source and publishes what is new, as long as `goes_on` does not end it.
-fn collect(source: &mut impl Source, hub: &Hub, goes_on: impl Fn() -> bool) {
+/// Polls the source and publishes what is new, as long as `continues` holds.
+fn collect(source: &mut impl Source, hub: &Hub, continues: impl Fn() -> bool) {
     let started = Instant::now();
-    while goes_on() {
+    while continues() {
         let now_s = started.elapsed().as_secs_f64();
         hub.publish(source.poll(now_s), now_s);
     }
