@@ -19,8 +19,8 @@ function element(name, attributes, parent, text) {
   return made;
 }
 
-/** The graph in an SVG element; returns a function that shows a system. */
-export function loop(svg) {
+/** The graph in an SVG element, with a note above; returns a function that shows a system. */
+export function loop(svg, note) {
   const defs = element("defs", {}, svg);
   const head = element("marker", { id: "head", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 6, markerHeight: 6, orient: "auto" }, defs);
   element("path", { d: "M0 0 L8 4 L0 8 Z", class: "head" }, head);
@@ -40,7 +40,14 @@ export function loop(svg) {
     const title = element("title", {}, group);
     boxes[role] = { group, lines, corner, title };
   }
-  return (system) => Object.entries(boxes).forEach(([role, box]) => show(box, role, system));
+  return (system) => {
+    Object.entries(boxes).forEach(([role, box]) => show(box, role, system));
+    const others = system?.status?.processes?.filter((row) => !(row.role in PLACES)) ?? [];
+    const refused = system?.status?.refused?.length ?? 0;
+    const parts = others.map((row) => `${row.role} ${row.implementation}: ${row.state}`);
+    if (refused) parts.push(`samples refused by ${refused} rule${refused > 1 ? "s" : ""}`);
+    note.textContent = parts.join(" · ");
+  };
 }
 
 function show({ group, lines, corner, title }, role, system) {
@@ -59,9 +66,10 @@ function show({ group, lines, corner, title }, role, system) {
   corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
   lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
-  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${share(row, system).toFixed(1)} %`;
+  const age = row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms old` : "";
+  lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${age}`;
   const other = others[0];
-  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `pid ${row.pid}${row.restarts ? ` · ↻ ${row.restarts}` : ""}`;
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `${share(row, system).toFixed(1)} % · pid ${row.pid}${row.restarts ? ` ↻${row.restarts}` : ""}`;
   title.textContent = [
     `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
     `newest output ${row.last_sample_age_ms.toFixed(0)} ms old, ${row.memory_kib} KiB, ${row.restarts} restarts`,

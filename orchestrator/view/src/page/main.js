@@ -27,7 +27,7 @@ const costs = [];
 const changed = () => { isDirty = true; };
 const eye = camera(by("map"), () => { followButton(); changed(); });
 const show = panels(by);
-const showLoop = loop(by("loop"));
+const showLoop = loop(by("loop"), by("loop-note"));
 const showLatency = latency(by("latency"), by("latency-note"));
 const showControl = control(by("control"), by("control-form"), by("control-result"));
 const showTimeline = timeline(by("timeline"), choose);

@@ -82,6 +82,10 @@ export function panels(by) {
       set("tile-reaction", digits(row?.reaction_us == null ? null : row.reaction_us / 1000, 1));
       set("tile-clearance", digits(row?.clearance_m, 2));
       set("tile-goal", digits(frame?.goal_m, frame?.goal_m < 100 ? 1 : 0));
+      const margin = frame?.command?.margin_m;
+      const centimetres = (value) => (100 * value).toFixed(1);
+      set("margin-note", margin ? `margin ${centimetres(Object.values(margin).reduce((sum, part) => sum + part))} cm: ` +
+        Object.entries(margin).map(([name, part]) => `${name} ${centimetres(part)}`).join(", ") : "");
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
