@@ -66,7 +66,7 @@ function show({ group, lines, corner, title }, role, system) {
   corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
   lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
-  const age = row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms old` : "";
+  const age = row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms` : "";
   lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${age}`;
   const other = others[0];
   lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : `${share(row, system).toFixed(1)} % · pid ${row.pid}${row.restarts ? ` ↻${row.restarts}` : ""}`;

@@ -84,8 +84,10 @@ export function panels(by) {
       set("tile-goal", digits(frame?.goal_m, frame?.goal_m < 100 ? 1 : 0));
       const margin = frame?.command?.margin_m;
       const centimetres = (value) => (100 * value).toFixed(1);
-      set("margin-note", margin ? `margin ${centimetres(Object.values(margin).reduce((sum, part) => sum + part))} cm: ` +
-        Object.entries(margin).map(([name, part]) => `${name} ${centimetres(part)}`).join(", ") : "");
+      const parts = Object.entries(margin ?? {}).sort(([, one], [, other]) => other - one);
+      const sum = parts.reduce((sum, [, part]) => sum + part, 0);
+      by("margin-note").title = parts.map(([name, part]) => `${name} ${centimetres(part)} cm`).join(", ");
+      set("margin-note", parts.length ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
