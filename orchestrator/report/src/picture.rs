@@ -57,6 +57,19 @@ type Mesh<'a, 'b, 'c> = MeshStyle<'a, 'b, RangedCoordf64, RangedCoordf64, SVGBac
 pub struct Shape {
     /// Its corners in order; a circle is given as a polygon [m].
     pub points: Vec<[f64; 2]>,
+    /// Where it was how far from `points`, in the order of time; empty for one that stands.
+    pub places: Vec<Place>,
+}
+
+/// Where a moving obstacle was at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Place {
+    /// Time since the start of the run [s].
+    pub time_s: f64,
+    /// Its offset from the corners of its shape along the track [m].
+    pub x_m: f64,
+    /// Its offset across the track [m].
+    pub y_m: f64,
 }
 
 /// What stays the same during a run.
@@ -207,7 +220,10 @@ mod tests {
             track_x_m: [0.0, 22.0],
             track_y_m: [-1.5, 1.5],
             walls: true,
-            obstacles: vec![Shape { points: vec![[4.95, -0.2], [5.05, -0.2], [5.05, 0.2], [4.95, 0.2]] }],
+            obstacles: vec![Shape {
+                points: vec![[4.95, -0.2], [5.05, -0.2], [5.05, 0.2], [4.95, 0.2]],
+                places: Vec::new(),
+            }],
             start_m: [0.0, 0.0],
             goal_m: [10.0, 0.0],
             goal_tolerance_m: 0.1,
@@ -268,6 +284,22 @@ mod tests {
     }
 
     #[test]
+    fn a_moving_obstacle_is_drawn_along_its_way_with_times() {
+        let standing = draw(&scene(), &drive(12.5)).unwrap();
+        let mut scene = scene();
+        let place = |second: u32| Place { time_s: f64::from(second), x_m: 0.0, y_m: 0.2 * f64::from(second) };
+        scene.obstacles[0].places = (0..4).map(place).collect();
+        let moving = draw(&scene, &drive(12.5)).unwrap();
+        let outlines = |svg: &str| svg.matches("<polygon").count();
+        assert_eq!(outlines(&moving), outlines(&standing) + 3, "one at each place");
+        for label in ["1 s", "3 s"] {
+            // One at the obstacle and one at the robot.
+            assert_eq!(moving.matches(&format!("\n{label}\n")).count(), 2, "{label}");
+            assert!(!standing.contains(&format!("\n{label}\n")));
+        }
+    }
+
+    #[test]
     fn a_long_drive_is_folded_into_strips() {
         let svg = draw(&scene(), &drive(125.0)).unwrap();
         assert_eq!(svg.matches("x [m]").count(), 1, "only the last strip names its axis");
@@ -281,9 +313,10 @@ mod tests {
     fn nothing_is_drawn_outside_the_picture() {
         let mut scene = scene();
         scene.track_y_m = [-1e7, 1e7];
-        scene
-            .obstacles
-            .push(Shape { points: vec![[-500.0, -1.0], [800.0, -1.0], [800.0, -0.9], [-500.0, -0.9]] });
+        scene.obstacles.push(Shape {
+            points: vec![[-500.0, -1.0], [800.0, -1.0], [800.0, -0.9], [-500.0, -0.9]],
+            ..Shape::default()
+        });
         let mut drive = drive(12.5);
         drive.ellipses.push(Ellipse { x_m: 90.0, y_m: 40.0, a_m: 100.0, b_m: 70.0 });
         let svg = draw(&scene, &drive).unwrap();

@@ -18,6 +18,7 @@ use crate::swap::{SetArguments, SwapArguments};
 use crate::top::TopArguments;
 use crate::types::TypesArguments;
 use crate::urg::UrgCommand;
+use view::ViewArguments;
 
 /// Exit codes, below the help of the program and on the page of the commands.
 const EXIT_CODES: &str = "\
@@ -80,6 +81,13 @@ pub enum Command {
     /// Processes, motion, a map with scan, obstacles and plan, the time from scan to actuation, and the last events. `?`
     /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
     Top(TopArguments),
+    /// Serve a live page of a running system to browsers: map, processes, latency, events and the last five minutes.
+    ///
+    /// The link is printed to standard output. The page may be opened before the run, and continues with the next one. Data
+    /// is given to this user's browsers on this machine, and to those that have the token of the link; control needs the
+    /// token in any case. Exit code 2 if the port is in use. The paths `/system`, `/history` and `/frame?number=N` give the
+    /// data of the page as JSON, `/stream` as server-sent events.
+    View(ViewArguments),
     /// Block the wheels of a running system and end all its processes.
     ///
     /// The command returns within a second, also when the orchestrator hangs or is gone. Exit code 0: the block is

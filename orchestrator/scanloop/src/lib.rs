@@ -31,6 +31,7 @@ use console::limits;
 use console::output::data;
 use serde::Serialize;
 use session::{adopt, run};
+use view::{Verb, ViewOfRun};
 
 use cli::{Cli, Command, TopicCommand};
 
@@ -83,6 +84,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
     match &cli.command {
         Command::Run(arguments) => {
             runtime::start_logging();
+            let _page = arguments.view.map(|port| ViewOfRun::start(&cli.system_id, port)).transpose()?;
             run::run(&cli.system_id, arguments)
         }
         Command::Adopt(arguments) => {
@@ -103,6 +105,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Analyse(command) => analyse::analyse(command),
         Command::Status { json } => status::status(&domain()?, *json),
         Command::Top(arguments) => top::top(&cli.system_id, arguments),
+        Command::View(arguments) => view::serve(&cli.system_id, arguments, &verbs()),
         Command::Stop(arguments) => stop::stop(&cli.system_id, arguments),
         Command::Latency { duration, json } => live_latency::watch(&cli.system_id, *duration, *json),
         Command::Restart { role } => swap::restart(&cli.system_id, role),
@@ -122,6 +125,12 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Types(arguments) => print(&types::print(arguments)),
         Command::Urg(command) => urg::urg(command),
     }
+}
+
+/// The commands that a page with `--control` may run.
+fn verbs() -> Vec<Verb> {
+    let commands = Cli::command();
+    Verb::ALL.iter().copied().filter(|verb| commands.find_subcommand(verb.name()).is_some()).collect()
 }
 
 /// Prints what a command was asked for.

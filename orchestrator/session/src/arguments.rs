@@ -32,6 +32,9 @@ pub struct RunArguments {
     /// the view only.
     #[arg(long, conflicts_with_all = ["quiet", "adopt", "adopt_or_start"])]
     pub top: bool,
+    /// Serve the live page of the run on 127.0.0.1, as `scanloop view` does; `--view=PORT` takes another port, 0 any free one.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "7117")]
+    pub view: Option<u16>,
     /// Take over the orphaned processes of a run whose orchestrator died; scenario and system are those of that run.
     #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
     pub adopt: bool,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use console::exit::Exit;
 use emulator::scenario::{Obstacle, Shape};
+use emulator::scene::{PlacedObstacle, Scene};
 use emulator::{JudgedBy, Scenario};
 use plan::Plan;
 use plan::difference::Property;
@@ -14,6 +15,9 @@ use report::{Difference, Report, picture, summary, write_atomically};
 use vehicle::frame::to_track;
 
 use crate::session::Session;
+
+/// A moving obstacle is drawn at so many places at most.
+const MAX_PLACES: f64 = 20.0;
 
 /// Drives to the end, writes the results and prints the summary.
 pub(crate) fn conclude(mut session: Session, plan: &Plan, out: &Path) -> anyhow::Result<Exit> {
@@ -89,7 +93,7 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
         track_x_m: scenario.track.x_m,
         track_y_m: scenario.track.y_m,
         walls: scenario.track.walls,
-        obstacles: scenario.placed_obstacles().iter().map(outline).collect(),
+        obstacles: shapes(scenario, report),
         start_m: [scenario.start.x_m, scenario.start.y_m],
         goal_m: [scenario.goal.x_m, scenario.goal.y_m],
         goal_tolerance_m: scenario.goal.tolerance_m,
@@ -98,10 +102,41 @@ fn scene_of(scenario: &Scenario, report: &Report) -> picture::Scene {
     }
 }
 
+/// The obstacles, and where the moving ones were during the drive.
+fn shapes(scenario: &Scenario, report: &Report) -> Vec<picture::Shape> {
+    let mut scene = Scene::new(scenario);
+    // Some appear when the robot comes near.
+    report
+        .trajectory
+        .iter()
+        .for_each(|[time_s, x, y, yaw]| scene.trigger(&scenario.body(*x, *y, *yaw), *time_s));
+    let end_s = report.trajectory.last().map_or(0.0, |[time_s, ..]| *time_s);
+    let mut temporary =
+        scene.near(scenario.body(0.0, 0.0, 0.0).centre, 0.0).filter(|placed| !placed.is_permanent());
+    let shape = |obstacle: &Obstacle| {
+        let placed = if obstacle.is_permanent() { None } else { temporary.next() };
+        let places = placed.filter(|placed| placed.speed() > 0.0).map(|placed| places(placed, end_s));
+        picture::Shape { points: outline(obstacle), places: places.unwrap_or_default() }
+    };
+    scenario.placed_obstacles().iter().map(shape).collect()
+}
+
+/// Where a moving obstacle was at whole seconds, at most [`MAX_PLACES`].
+fn places(placed: &PlacedObstacle, end_s: f64) -> Vec<picture::Place> {
+    let every_s = (end_s / MAX_PLACES).ceil().max(1.0);
+    let times = (0..=(end_s / every_s) as u32).map(|step| f64::from(step) * every_s);
+    let first = placed.centre(0.0);
+    let place = |time_s: f64| {
+        let moved = placed.centre(time_s) - first;
+        picture::Place { time_s, x_m: moved.x, y_m: moved.y }
+    };
+    times.filter(|time_s| placed.solid(*time_s).is_some()).map(place).collect()
+}
+
 /// The outline of an obstacle where the scenario puts it; a circle as a polygon of 48 corners.
-fn outline(obstacle: &Obstacle) -> picture::Shape {
+fn outline(obstacle: &Obstacle) -> Vec<[f64; 2]> {
     let (x, y) = (obstacle.x_m, obstacle.y_m);
-    let points = match obstacle.shape {
+    match obstacle.shape {
         Shape::Circle { radius_m } => (0..48)
             .map(|corner| {
                 let (sin, cos) = (f64::from(corner) / 48.0 * std::f64::consts::TAU).sin_cos();
@@ -114,6 +149,5 @@ fn outline(obstacle: &Obstacle) -> picture::Shape {
                 [x + corner.x, y + corner.y]
             })
             .to_vec(),
-    };
-    picture::Shape { points }
+    }
 }

@@ -27,5 +27,6 @@ mod stop;
 mod swap;
 mod swap_robot;
 mod top;
+mod view;
 mod watch;
 mod without_truth;

@@ -1,5 +1,7 @@
 //! The drive on the map, in one strip or several.
 
+mod movers;
+
 use emulator::JudgedBy;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
@@ -224,7 +226,10 @@ impl Strip<'_> {
             self.outline(chart, &corners, ELLIPSE.stroke_width(fine(1) as u32))?;
         }
         for obstacle in &self.scene.obstacles {
-            self.fill(chart, &obstacle.points, OBSTACLE.filled())?;
+            match obstacle.places.as_slice() {
+                [] => self.fill(chart, &obstacle.points, OBSTACLE.filled())?,
+                places => self.draw_way(chart, &obstacle.points, places)?,
+            }
         }
         let Scene { goal_m: [x_m, y_m], goal_tolerance_m: radius, .. } = *self.scene;
         let tolerance = corners(&Ellipse { x_m, y_m, a_m: radius, b_m: radius });

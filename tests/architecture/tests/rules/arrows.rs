@@ -17,6 +17,7 @@ const LAYERS: &[&[&str]] = &[
     &["pipeline", "calibration", "c-library"],
     &["plan", "report"],
     &["session", "conformance"],
+    &["view"],
     &["scanloop", "hops"],
     &["scanloop-bench"],
     &["scanloop-tests", "dead-reckoning", "architecture"],

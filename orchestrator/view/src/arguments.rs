@@ -1,0 +1,42 @@
+//! Arguments of `view`.
+
+use std::net::{IpAddr, SocketAddr, TcpListener};
+
+use clap::Args;
+use console::exit::Failure;
+
+/// The port of the page, unless another one is named.
+pub(crate) const DEFAULT_PORT: u16 = 7117;
+
+/// Arguments of `view`.
+#[derive(Debug, Clone, Args)]
+pub struct ViewArguments {
+    /// Port of the page; 0 takes any free one.
+    #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
+    pub port: u16,
+    /// Address to serve the page on; another one than 127.0.0.1 is reachable from other computers.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    pub listen: IpAddr,
+    /// Allow the page to stop, restart and swap; each request needs the token of the printed link.
+    #[arg(long)]
+    pub control: bool,
+    /// Serve the page for a run that started this process, on the listening socket at standard input.
+    #[arg(long, hide = true)]
+    pub for_run: bool,
+}
+
+/// Opens the listening socket of the page.
+///
+/// # Errors
+/// An address that is in use or is not one of this machine; exit code 2.
+pub(crate) fn listen(address: IpAddr, port: u16) -> anyhow::Result<TcpListener> {
+    TcpListener::bind(SocketAddr::new(address, port)).map_err(|error| match error.kind() {
+        std::io::ErrorKind::AddrInUse => Failure::bad_input(format!(
+            "--port {port}: {address}:{port} is in use; name another port, or 0 for any free one"
+        )),
+        std::io::ErrorKind::AddrNotAvailable => Failure::bad_input(format!(
+            "--listen {address}: not an address of this machine; allowed: 127.0.0.1, 0.0.0.0 or one of its own"
+        )),
+        _ => Failure::bad_input(format!("--listen {address} --port {port}: {error}")),
+    })
+}

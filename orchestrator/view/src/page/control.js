@@ -1,0 +1,66 @@
+// Control: stop, restart, swap, set and inject, each with its certificate or its refusal.
+
+import { ask, hasToken } from "./stream.js";
+
+const ROLES = ["estimator", "obstacles", "controller", "actuator", "robot"];
+
+/** The panel; returns a function that shows what the server allows. */
+export function control(panel, form, result) {
+  let allowed = "";
+
+  async function send(action, button) {
+    button.disabled = true;
+    result.hidden = false;
+    result.textContent = `${action.action} …`;
+    try {
+      const response = await ask("/control", { method: "POST", body: JSON.stringify(action), headers: { "Content-Type": "application/json" } });
+      const text = await response.text();
+      result.textContent = response.ok ? describe(JSON.parse(text)) : `refused: ${text}`;
+    } catch (error) {
+      result.textContent = `not sent: ${error.message}`;
+    }
+    button.disabled = false;
+  }
+
+  const input = (name, title) => Object.assign(document.createElement("input"), { name, placeholder: title, title });
+  const roles = () => {
+    const select = document.createElement("select");
+    select.title = "role";
+    select.append(...ROLES.map((role) => new Option(role)));
+    return select;
+  };
+
+  function group(name, parts, build) {
+    const button = Object.assign(document.createElement("button"), { type: "button", textContent: name, className: name });
+    button.addEventListener("click", () => send({ action: name, ...build() }, button));
+    form.append(...parts, button);
+  }
+
+  return (actions) => {
+    const wanted = hasToken ? actions : [];
+    if (wanted.join() === allowed) return;
+    allowed = wanted.join();
+    panel.hidden = wanted.length === 0;
+    form.replaceChildren();
+    const has = (name) => wanted.includes(name);
+    if (has("stop")) group("stop", [], () => ({}));
+    const [role, to] = [roles(), input("to", "implementation")];
+    if (has("restart")) group("restart", [role], () => ({ role: role.value }));
+    if (has("swap")) group("swap", [to], () => ({ role: role.value, to: to.value }));
+    const [key, value] = [input("key", "controller.theta_m"), input("value", "value")];
+    if (has("set")) group("set", [key, value], () => ({ key: key.value, value: value.value }));
+    const fault = input("fault", "fault");
+    if (has("inject")) group("inject", [fault], () => ({ fault: fault.value }));
+  };
+}
+
+function describe({ action, exit_code: code, certificate, messages }) {
+  const lines = [`${action}: ${code === 0 ? "done" : `exit code ${code}`}`];
+  if (certificate && typeof certificate === "object") {
+    lines.push(...Object.entries(certificate).filter(([, value]) => value !== null).map(([key, value]) => `${key}: ${value}`));
+  } else if (certificate) {
+    lines.push(certificate);
+  }
+  if (messages) lines.push(messages);
+  return lines.join("\n");
+}

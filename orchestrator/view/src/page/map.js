@@ -1,0 +1,317 @@
+// The map: everything the loop knows, to scale, in the plane of the track.
+
+const TAU = 2 * Math.PI;
+const SECTOR_BEAMS = 11;
+// Unseen sectors are shown up to this distance, the range of the scanner.
+const RANGE_M = 4;
+
+/** Draws the parts of a view on a canvas: a frame, the course, the rows so far. */
+export function draw(context, camera, view, colour) {
+  const { frame, course, rows, body } = view;
+  const { width, height } = view.size;
+  context.clearRect(0, 0, width, height);
+  context.fillStyle = colour.outside;
+  context.fillRect(0, 0, width, height);
+  const pen = { context, camera, colour, at: (x, y) => camera.toScreen(x, y), scale: camera.scale };
+  ground(pen, course, width, height);
+  if (course?.goal?.x_m != null) goal(pen, course.goal, rows);
+  if (frame) {
+    unseen(pen, frame, body, course);
+    paths(pen, rows);
+    (frame.obstacles ?? []).forEach((item) => obstacle(pen, item));
+    plan(pen, frame, course);
+    scan(pen, frame, course);
+    if (body) robot(pen, frame, body, course);
+  }
+  scaleBar(pen, width, height);
+}
+
+function ground({ context, at, colour, scale }, course, width, height) {
+  const track = course?.track;
+  if (track?.x_m) {
+    const [left, top] = at(track.x_m[0], track.y_m[1]);
+    const [right, bottom] = at(track.x_m[1], track.y_m[0]);
+    context.fillStyle = colour.ground;
+    context.fillRect(left, top, right - left, bottom - top);
+    grid(context, at, colour, scale, width, height, track.y_m[0]);
+    context.strokeStyle = track.walls ? colour.ink : colour.idle;
+    context.lineWidth = track.walls ? 4 : 1.5;
+    context.setLineDash(track.walls ? [] : [7, 6]);
+    for (const y of [top, bottom]) segment(context, left, y, right, y);
+    context.setLineDash([]);
+    context.lineWidth = 1;
+    for (const x of [left, right]) segment(context, x, top, x, bottom);
+  } else {
+    grid(context, at, colour, scale, width, height);
+  }
+}
+
+function segment(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}
+
+function grid(context, at, colour, scale, width, height, below) {
+  const step = [0.5, 1, 2, 5, 10, 20, 50].find((step) => step * scale >= 55) ?? 100;
+  const [x0, y0] = at(0, 0);
+  // Below the track, or at the lower edge of the map.
+  const labels = Math.min(height - 6, Math.max(14, at(0, below ?? -Infinity)[1] + 15));
+  context.strokeStyle = colour.faint;
+  context.fillStyle = colour.muted;
+  context.lineWidth = 1;
+  context.font = "11px system-ui, sans-serif";
+  const first = Math.ceil(-x0 / (step * scale));
+  for (let k = first; x0 + k * step * scale < width; k++) {
+    const x = Math.round(x0 + k * step * scale) + 0.5;
+    segment(context, x, 0, x, height);
+    context.fillText(`${+(k * step).toFixed(1)}`, x + 3, labels);
+  }
+  const lowest = Math.ceil((y0 - height) / (step * scale));
+  for (let k = lowest; y0 - k * step * scale > 0; k++) {
+    const y = Math.round(y0 - k * step * scale) + 0.5;
+    segment(context, 0, y, width, y);
+  }
+}
+
+function goal({ context, at, scale, colour }, goal, rows) {
+  const [x, y] = at(goal.x_m, goal.y_m);
+  const start = rows.find((row) => row.x_m != null);
+  context.strokeStyle = colour.idle;
+  context.setLineDash([2, 6]);
+  context.lineWidth = 1.5;
+  const [from] = at(Math.min(0, start?.x_m ?? 0), goal.y_m);
+  segment(context, from, y, x, y);
+  context.setLineDash([]);
+  context.strokeStyle = colour.goal;
+  context.fillStyle = colour.goal;
+  context.lineWidth = 2;
+  context.beginPath();
+  context.arc(x, y, Math.max(5, (goal.tolerance_m ?? 0.1) * scale), 0, TAU);
+  context.globalAlpha = 0.18;
+  context.fill();
+  context.globalAlpha = 1;
+  context.stroke();
+  context.beginPath();
+  context.arc(x, y, 2.5, 0, TAU);
+  context.fill();
+}
+
+function unseen({ context, at, scale, colour }, frame, body, course) {
+  const sectors = frame.scanner?.unseen_sectors ?? [];
+  if (!body || !frame.scan || !sectors.length) return;
+  const place = scanner(body, course);
+  const [x, y] = at(place.x_m, place.y_m);
+  const { first_beam_yaw_rad: first, pitch_rad: pitch } = frame.scan;
+  context.fillStyle = colour.stop;
+  context.globalAlpha = 0.09;
+  context.beginPath();
+  for (const sector of sectors) {
+    const from = place.yaw_rad + first + sector * SECTOR_BEAMS * pitch;
+    context.moveTo(x, y);
+    context.arc(x, y, RANGE_M * scale, -from, -(from + SECTOR_BEAMS * pitch), true);
+  }
+  context.fill();
+  context.globalAlpha = 1;
+}
+
+function scanner(body, course) {
+  const { x_m: along = 0, y_m: across = 0, yaw_rad: yaw = 0 } = course?.scanner ?? {};
+  const [sin, cos] = [Math.sin(body.yaw_rad), Math.cos(body.yaw_rad)];
+  return { x_m: body.x_m + cos * along - sin * across, y_m: body.y_m + sin * along + cos * across, yaw_rad: body.yaw_rad + yaw };
+}
+
+function paths({ context, at, colour }, rows) {
+  const line = (x, y, style, dash) => {
+    context.strokeStyle = style;
+    context.lineWidth = 2;
+    context.setLineDash(dash);
+    context.lineJoin = "round";
+    context.beginPath();
+    let before = null;
+    for (const row of rows) {
+      if (row[x] == null) continue;
+      const [px, py] = at(row[x], row[y]);
+      // A new run starts elsewhere.
+      const jumps = before && (row.scan_id < before.scan_id || Math.abs(row[x] - before[x]) > 1);
+      if (!before || jumps) context.moveTo(px, py); else context.lineTo(px, py);
+      before = row;
+    }
+    context.stroke();
+    context.setLineDash([]);
+  };
+  line("true_x_m", "true_y_m", colour.truth, []);
+  line("x_m", "y_m", colour.estimate, [5, 4]);
+}
+
+function obstacle({ context, at, scale, colour }, item) {
+  const [x, y] = at(item.x_m, item.y_m);
+  const isRemembered = item.unseen_s > 0;
+  context.lineWidth = 1.5;
+  context.strokeStyle = colour.cover;
+  context.fillStyle = colour.cover;
+  context.beginPath();
+  context.ellipse(x, y, item.a_m * scale, item.b_m * scale, 0, 0, TAU);
+  context.globalAlpha = isRemembered ? 0.05 : 0.13;
+  context.fill();
+  context.globalAlpha = isRemembered ? 0.65 : 1;
+  context.setLineDash(isRemembered ? [4, 4] : []);
+  context.stroke();
+  const [bx, by, length, width, yaw] = item.box;
+  const [px, py] = at(bx, by);
+  context.save();
+  context.translate(px, py);
+  context.rotate(-yaw);
+  const [l, w] = [Math.max(4, length * scale), Math.max(4, width * scale)];
+  context.fillStyle = colour.body;
+  if (!isRemembered) context.fillRect(-l / 2, -w / 2, l, w);
+  context.strokeStyle = colour.body;
+  context.strokeRect(-l / 2, -w / 2, l, w);
+  context.restore();
+  context.setLineDash([]);
+  context.globalAlpha = 1;
+  const speed = Math.hypot(item.velocity_x_mps, item.velocity_y_mps);
+  if (speed > 0.05) arrow(context, at(bx, by), at(bx + item.velocity_x_mps, by + item.velocity_y_mps), colour.ink);
+  context.fillStyle = colour.ink;
+  context.font = "600 11px system-ui, sans-serif";
+  const label = speed > 0.05 ? `${item.id} · ${speed.toFixed(1)} m/s` : `${item.id}`;
+  context.fillText(label, x + 3, y - item.b_m * scale - 5);
+}
+
+function arrow(context, [x0, y0], [x1, y1], style) {
+  const yaw = Math.atan2(y1 - y0, x1 - x0);
+  context.strokeStyle = style;
+  context.fillStyle = style;
+  context.lineWidth = 2;
+  segment(context, x0, y0, x1, y1);
+  context.beginPath();
+  context.moveTo(x1 + 4 * Math.cos(yaw), y1 + 4 * Math.sin(yaw));
+  for (const turn of [2.6, -2.6]) context.lineTo(x1 + 7 * Math.cos(yaw + turn), y1 + 7 * Math.sin(yaw + turn));
+  context.fill();
+}
+
+function plan({ context, at, scale, colour }, frame, course) {
+  const nodes = frame.command?.plan ?? [];
+  if (nodes.length < 2 || frame.command.kind === "stop") return;
+  const margin = Object.values(frame.command.margin_m).reduce((sum, part) => sum + part, 0);
+  const width = course?.body?.width_m ?? 0.4;
+  context.strokeStyle = colour.plan;
+  context.lineJoin = "round";
+  context.lineCap = "butt";
+  const path = () => {
+    context.beginPath();
+    nodes.forEach(([x, y], index) => {
+      const [px, py] = at(x, y);
+      if (index) context.lineTo(px, py); else context.moveTo(px, py);
+    });
+  };
+  for (const [across, alpha] of [[width + 2 * margin, 0.1], [width, 0.12]]) {
+    context.lineWidth = Math.max(1, across * scale);
+    context.globalAlpha = alpha;
+    path();
+    context.stroke();
+  }
+  context.globalAlpha = 1;
+  context.lineWidth = 2.5;
+  path();
+  context.stroke();
+  context.fillStyle = colour.plan;
+  for (const [x, y] of nodes) {
+    const [px, py] = at(x, y);
+    context.beginPath();
+    context.arc(px, py, 2.6, 0, TAU);
+    context.fill();
+  }
+}
+
+function scan({ context, at, colour }, frame, course) {
+  const pose = frame.pose;
+  if (!frame.scan || !pose || frame.scan.missing) return;
+  const place = scanner(pose, course);
+  const { first_beam_yaw_rad: first, pitch_rad: pitch } = frame.scan;
+  context.fillStyle = colour.scan;
+  ranges(frame.scan).forEach((range, beam) => {
+    if (range < 20) return;
+    const yaw = place.yaw_rad + first + beam * pitch;
+    const [x, y] = at(place.x_m + range * 1e-3 * Math.cos(yaw), place.y_m + range * 1e-3 * Math.sin(yaw));
+    context.fillRect(x - 1.2, y - 1.2, 2.4, 2.4);
+  });
+}
+
+const decoded = new WeakMap();
+
+/** The ranges of a scan [mm]. */
+export function ranges(scan) {
+  let values = decoded.get(scan);
+  if (!values) {
+    const bytes = Uint8Array.from(atob(scan.ranges_mm_base64), (letter) => letter.charCodeAt(0));
+    const view = new DataView(bytes.buffer);
+    values = Uint16Array.from({ length: bytes.length / 2 }, (_, beam) => view.getUint16(2 * beam, true));
+    decoded.set(scan, values);
+  }
+  return values;
+}
+
+function robot({ context, at, scale, colour }, frame, body, course) {
+  const { length_m: length = 0.56, width_m: width = 0.4 } = course?.body ?? {};
+  const outline = (pose, paint) => {
+    const [x, y] = at(pose.x_m, pose.y_m);
+    context.save();
+    context.translate(x, y);
+    context.rotate(-pose.yaw_rad);
+    paint((length * scale) / 2, (width * scale) / 2);
+    context.restore();
+  };
+  const isBlocked = frame.row.blocked === 1;
+  if (frame.pose) covariance(context, at, scale, colour, frame.pose, body);
+  outline(body, (l, w) => {
+    context.fillStyle = isBlocked ? colour.stop : colour.robot;
+    context.beginPath();
+    context.roundRect(-l, -w, 2 * l, 2 * w, Math.min(5, w / 2));
+    context.fill();
+    context.fillStyle = colour.on;
+    context.beginPath();
+    context.moveTo(l * 0.72, 0);
+    context.lineTo(l * 0.2, w * 0.55);
+    context.lineTo(l * 0.2, -w * 0.55);
+    context.fill();
+  });
+  if (body.truth) {
+    outline(body.truth, (l, w) => {
+      context.strokeStyle = colour.truth;
+      context.lineWidth = 1.5;
+      context.strokeRect(-l, -w, 2 * l, 2 * w);
+    });
+  }
+}
+
+// The region in which the robot's centre is with 95 % probability.
+function covariance(context, at, scale, colour, pose, body) {
+  const [xx, xy, yy] = pose.covariance_m2;
+  const mean = (xx + yy) / 2;
+  const radius = Math.hypot((xx - yy) / 2, xy);
+  const axes = [mean + radius, mean - radius].map((value) => 2.448 * Math.sqrt(Math.max(0, value)) * scale);
+  const [x, y] = at(body.x_m, body.y_m);
+  context.strokeStyle = context.fillStyle = colour.estimate;
+  context.lineWidth = 1;
+  context.beginPath();
+  context.ellipse(x, y, Math.max(1, axes[0]), Math.max(1, axes[1]), -Math.atan2(2 * xy, xx - yy) / 2, 0, TAU);
+  context.globalAlpha = 0.08;
+  context.fill();
+  context.globalAlpha = 0.6;
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
+function scaleBar({ context, scale, colour }, width, height) {
+  const metres = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20].find((metres) => metres * scale >= 70) ?? 50;
+  // On a phone the lower edge belongs to the events.
+  const [right, y] = width < 600 ? [16 + metres * scale, 28] : [width - 16, height - 16];
+  context.strokeStyle = colour.ink;
+  context.fillStyle = colour.ink;
+  context.lineWidth = 2;
+  segment(context, right - metres * scale, y, right, y);
+  context.font = "12px system-ui, sans-serif";
+  context.fillText(`${metres} m`, right - metres * scale, y - 6);
+}

@@ -1,0 +1,143 @@
+// State, figures, scanner and events as text.
+
+const BLOCKED = {
+  no_command: "no valid command", invalid_command: "invalid command", stale_command: "stale command",
+  stop_requested: "stop requested", start: "waiting for the first commands",
+};
+const MARKS = {
+  waiting: "…", starting: "…", driving: "▶", blocked: "■", landed: "✓", stopping: "■", over: "○", lost: "✕",
+  orphaned: "!", silent: "!", collision: "✕", connecting: "…",
+};
+
+const words = (name) => name.replaceAll("_", " ");
+
+/** The state of everything in one word, and a sentence of details. */
+export function stateOf(system, frame, lost) {
+  if (lost) return ["lost", "Connection lost", `${lost}; trying again`];
+  if (!system) return ["connecting", "Connecting", ""];
+  if (system.connection === "waiting") return ["waiting", "Waiting", `for system ${system.system_id}`];
+  if (system.connection === "over") return ["over", "Run ended", "the last frame stays; the next run is shown when it starts"];
+  const { status, status_age_s: age } = system;
+  if (status?.state === "driverless") return ["orphaned", "Orphaned", "the orchestrator is gone: scanloop adopt takes over"];
+  if (age != null && age > 3) return ["silent", "No answer", `of the orchestrator for ${age.toFixed(0)} s`];
+  if (frame?.truth?.collided) return ["collision", "Collision", ""];
+  const actuation = frame?.actuation;
+  // A run that has landed ends: what matters is that it has.
+  const hasLanded = actuation?.reason === "landed" || frame?.command?.reason === "landed";
+  if (hasLanded && actuation?.kind === "block") return ["landed", "Landed", "the goal is reached by the robot's own estimate"];
+  if (status?.state === "stopping") return ["stopping", "Ending", detail(frame)];
+  if (!actuation || status?.state === "starting" || status?.state === "connecting") return ["starting", "Starting", ""];
+  if (actuation.kind === "drive") return ["driving", frame.command?.kind === "land" ? "Landing" : "Driving", detail(frame)];
+  return ["blocked", "Wheels blocked", detail(frame)];
+}
+
+function detail(frame) {
+  const { command, actuation, scanner } = frame ?? {};
+  const parts = [];
+  if (actuation?.kind === "block") {
+    if (actuation.reason !== "commanded") parts.push(BLOCKED[actuation.reason] ?? words(actuation.reason));
+    else if (command?.blocking) parts.push(`by ${command.blocking}`);
+    else if (actuation.stop_reason !== "scanner") parts.push(words(actuation.stop_reason));
+  }
+  if (scanner && scanner.state !== "healthy") parts.push(`scanner ${scanner.state}`);
+  if (actuation?.kind === "drive" && command?.side) parts.push(`passing on the ${command.side > 0 ? "left" : "right"}`);
+  return parts.join(" · ");
+}
+
+/** The texts of the page; returns functions that show parts of it. */
+export function panels(by) {
+  const set = (id, text) => {
+    const place = by(id);
+    if (place.textContent !== text) place.textContent = text;
+  };
+  const digits = (value, count) => (value == null ? "–" : value.toFixed(count));
+  let shown = "";
+
+  return {
+    state([state, text, detail], system, frame) {
+      document.body.dataset.state = state;
+      set("state-mark", MARKS[state] ?? "");
+      set("state-text", text);
+      set("state-detail", detail);
+      document.title = `${text} · Scanloop`;
+      by("hint").hidden = state !== "waiting";
+      if (state === "waiting" && by("hint").dataset.of !== system.system_id) {
+        const code = document.createElement("code");
+        code.textContent = `scanloop ${system.system_id === "default" ? "" : `--system-id ${system.system_id} `}run`;
+        by("hint").replaceChildren("No run yet. Start one:", code);
+        by("hint").dataset.of = system.system_id;
+      }
+      const status = system?.status;
+      const run = by("run");
+      const facts = [status?.scenario, `system ${system?.system_id ?? "–"}`];
+      const scan = frame?.row?.scan_id ?? status?.scan;
+      if (scan != null) facts.push(`scan ${scan}`);
+      if (frame?.time_s != null) facts.push(`${frame.time_s.toFixed(1)} s`);
+      const line = facts.filter(Boolean).join(" · ");
+      if (run.textContent !== line) run.textContent = line;
+    },
+    frame(frame) {
+      const row = frame?.row;
+      set("tile-speed", digits(row?.speed_mps, 2));
+      set("tile-reaction", digits(row?.reaction_us == null ? null : row.reaction_us / 1000, 1));
+      set("tile-clearance", digits(row?.clearance_m, 2));
+      set("tile-goal", digits(frame?.goal_m, frame?.goal_m < 100 ? 1 : 0));
+      const margin = frame?.command?.margin_m;
+      const centimetres = (value) => (100 * value).toFixed(1);
+      const parts = Object.entries(margin ?? {}).sort(([, one], [, other]) => other - one);
+      const sum = parts.reduce((sum, [, part]) => sum + part, 0);
+      by("margin-note").title = parts.map(([name, part]) => `${name} ${centimetres(part)} cm`).join(", ");
+      set("margin-note", parts.length ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
+      const scanner = frame?.scanner;
+      by("scanner-panel").dataset.state = scanner?.state ?? "none";
+      const percent = (share) => `${Math.round(100 * share)} %`;
+      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of returns · ` +
+        `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
+    },
+    events(events, epoch_ms) {
+      const newest = `${events.at(-1)?.number ?? 0} ${epoch_ms}`;
+      if (newest === shown || epoch_ms == null) return;
+      shown = newest;
+      by("events").replaceChildren(...events.slice(-6).map((event) => {
+        const item = document.createElement("li");
+        item.dataset.kind = event.kind;
+        const time = document.createElement("time");
+        time.textContent = new Date(epoch_ms + 1000 * event.time_s).toTimeString().slice(0, 8);
+        const text = document.createElement("b");
+        text.textContent = event.text;
+        item.title = event.text;
+        item.append(time, text);
+        return item;
+      }));
+    },
+  };
+}
+
+/** What the colours of the map mean. */
+export function legend(place, colour) {
+  const entries = [
+    ["robot", "robot", (c) => rect(c)], ["truth", "true body and path", (c) => line(c)],
+    ["estimate", "estimated path", (c) => line(c, "4 3")], ["plan", "plan, with body and margin", (c) => rect(c, 0.25)],
+    ["cover", "obstacle and its cover", (c) => rect(c, 0.3)], ["cover", "remembered, not seen now", (c) => line(c, "3 3")],
+    ["scan", "returns of the scanner", (c) => dots(c)], ["stop", "sector without evidence", (c) => rect(c, 0.15)],
+    ["goal", "goal", (c) => rect(c, 0.3)],
+  ];
+  const svg = (inner) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    made.setAttribute("viewBox", "0 0 26 14");
+    for (const [name, attributes] of inner) {
+      const part = document.createElementNS("http://www.w3.org/2000/svg", name);
+      Object.entries(attributes).forEach(([key, value]) => part.setAttribute(key, value));
+      made.append(part);
+    }
+    return made;
+  };
+  const rect = (fill, opacity = 1) => [["rect", { width: 26, height: 12, y: 1, rx: 3, fill, "fill-opacity": opacity, stroke: fill }]];
+  const line = (stroke, dash = "") => [["path", { d: "M0 7 H26", stroke, "stroke-width": 2, "stroke-dasharray": dash }]];
+  const dots = (fill) => [3, 9, 15, 21].map((cx) => ["circle", { cx, cy: 7, r: 1.6, fill }]);
+  place.replaceChildren(...entries.map(([key, text, draw]) => {
+    const row = document.createElement("div");
+    row.append(svg(draw(colour[key])), text);
+    return row;
+  }));
+}

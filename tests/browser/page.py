@@ -1,0 +1,107 @@
+"""The live page in a browser: page.py URL TOKEN STATUS-COMMAND...
+
+Checks that the page draws a drive that runs, that its figures are those of `status --json`, that five pages are served
+while one reads nothing, that an earlier time can be shown, and that control needs the token; stops the run at the end.
+"""
+
+import json
+import socket
+import subprocess
+import sys
+from urllib.parse import urlsplit
+
+from browser import Browser
+
+# What an interaction may cost per frame at 95 % [ms].
+MAX_PAINT_MS = 8.0
+
+
+def stuck(url):
+    """A connection that asks for the stream and never reads it."""
+    parts = urlsplit(url)
+    connection = socket.create_connection((parts.hostname, parts.port))
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.sendall(f"GET /stream HTTP/1.1\r\nHost: {parts.netloc}\r\n\r\n".encode())
+    return connection
+
+
+def scan(browser):
+    """The scan that the page shows."""
+    return int(browser.value("document.getElementById('run').textContent.match(/scan (\\d+)/)?.[1] ?? 0"))
+
+
+def pixels(browser):
+    """A number that changes when the map does."""
+    return browser.value(
+        "(() => { const c = document.getElementById('map'); const d = c.getContext('2d')"
+        ".getImageData(0, 0, c.width, c.height).data; let h = 0;"
+        "for (let i = 0; i < d.length; i += 16) h = (31 * h + d[i] + d[i + 1]) | 0; return h; })()")
+
+
+def agrees(browser, command):
+    """Whether the figures of the page are those of `status --json`."""
+    status = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    titles = browser.value("Array.from(document.querySelectorAll('#loop title'), (title) => title.textContent)")
+    for row in status["processes"]:
+        expected = f"{row['role']}: {row['implementation']}, process {row['pid']}, {row['state']}"
+        assert any(title.startswith(expected) for title in titles), (expected, titles)
+    shown = browser.value("document.getElementById('run').textContent")
+    assert status["scenario"] in shown and status["system_id"] in shown, (shown, status["scenario"])
+    assert abs(scan(browser) - status["scan"]) <= 20, (shown, status["scan"])
+
+
+def main():
+    url, token, command = sys.argv[1], sys.argv[2], sys.argv[3:]
+    unread = stuck(url)
+    with Browser() as browser:
+        browser.go(url)
+        browser.wait("['driving', 'blocked'].includes(document.body.dataset.state)")
+        first, before = scan(browser), pixels(browser)
+        browser.wait(f"+document.getElementById('run').textContent.match(/scan (\\d+)/)[1] > {first + 5}")
+        assert pixels(browser) != before, "the map does not move"
+        agrees(browser, command)
+        cost_ms = float(browser.wait("document.body.dataset.paintP95Ms", 60))
+        print(f"95 % of the frames are drawn within {cost_ms} ms", file=sys.stderr)
+
+        # Without the token of the link there are no buttons, and a request is refused.
+        assert browser.value("document.getElementById('control').hidden")
+        refused = browser.value(
+            "fetch('/control', {method: 'POST', body: '{\"action\":\"stop\"}'}).then((answer) => answer.status)")
+        assert refused == 403, refused
+
+        # An earlier time, and back to now.
+        browser.value("document.getElementById('timeline').focus()")
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+        browser.wait("document.getElementById('state-text').textContent === 'Past'")
+        browser.value("document.getElementById('live').click()")
+        browser.wait("document.getElementById('state-text').textContent !== 'Past'")
+
+        # Four more pages are visible at the same time, each with its stream, while one connection reads nothing.
+        tabs = [browser.session] + [browser.open() for _ in range(4)]
+        for tab in tabs[1:]:
+            browser.session = tab
+            browser.call("Emulation.setFocusEmulationEnabled", enabled=True)
+            browser.go(url)
+        for tab in tabs[1:]:
+            browser.session = tab
+            browser.wait("document.body.dataset.state !== 'waiting'")
+            here = scan(browser)
+            browser.wait(f"+(document.getElementById('run').textContent.match(/scan (\\d+)/)?.[1] ?? 0) > {here}")
+
+        # With the token the button stops the run.
+        browser.go("about:blank")
+        browser.wait("location.href === 'about:blank'")
+        browser.go(f"{url}#token={token}")
+        browser.wait("document.querySelector('#control-form .stop')")
+        browser.value("document.querySelector('#control-form .stop').click()")
+        browser.wait("document.getElementById('control-result').textContent.startsWith('stop: done')")
+        browser.wait("document.body.dataset.state === 'over'")
+        complaints = [str(one) for one in browser.complaints() if "403" not in str(one)]
+        assert not complaints, complaints
+        assert cost_ms < MAX_PAINT_MS, f"drawing takes {cost_ms} ms at 95 %"
+    unread.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+//! The live page over runs that begin, are disturbed, end and begin again; and in a browser where there is one.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use scanloop_tests::{DEADLINE, System};
+use serde_json::Value;
+use shared_types::Role;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A page that is served; it ends with the value.
+struct View {
+    process: Child,
+    address: String,
+    token: String,
+}
+
+impl View {
+    fn start(system: &System, options: &[&str]) -> Self {
+        let mut command = system.command(&[&["view", "--port", "0"], options].concat());
+        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut link = String::new();
+        BufReader::new(process.stdout.as_mut().unwrap()).read_line(&mut link).unwrap();
+        let (address, token) = of_link(&link);
+        Self { process, address, token }
+    }
+
+    fn ask(&self, request: &str, headers: &str, body: &str) -> (u16, String) {
+        ask(&self.address, request, headers, body)
+    }
+
+    fn json(&self, path: &str) -> Value {
+        let (code, text) = self.ask(&format!("GET {path}"), "", "");
+        assert_eq!(code, 200, "{path}: {text}");
+        serde_json::from_str(&text).unwrap()
+    }
+
+    fn system(&self) -> Value {
+        self.json("/system")
+    }
+
+    fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
+        system.wait_until(what, |_| condition(&self.system()));
+        self.system()
+    }
+
+    /// The texts of all events so far.
+    fn events(&self) -> Vec<String> {
+        let history = self.json("/history");
+        let texts = history["events"].as_array().unwrap().iter();
+        texts.map(|event| event["text"].as_str().unwrap().to_owned()).collect()
+    }
+
+    fn act(&self, body: &str, with_token: bool) -> (u16, String) {
+        let headers =
+            if with_token { format!("Authorization: Bearer {}\r\n", self.token) } else { String::new() };
+        self.ask("POST /control", &headers, body)
+    }
+
+    fn end(mut self) -> (ExitStatus, String) {
+        kill_process(Pid::from_child(&self.process), Signal::TERM).unwrap();
+        let mut log = String::new();
+        self.process.stderr.take().unwrap().read_to_string(&mut log).unwrap();
+        (self.process.wait().unwrap(), log)
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Address and token of a printed link.
+fn of_link(link: &str) -> (String, String) {
+    let rest = link.trim().split_once("http://").expect(link).1;
+    let (address, token) = rest.split_once("/#token=").expect(link);
+    (address.to_owned(), token.to_owned())
+}
+
+/// Status and content of an answer.
+fn ask(address: &str, request: &str, headers: &str, body: &str) -> (u16, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    let length = body.len();
+    let head = format!("{request} HTTP/1.1\r\nHost: {address}\r\nContent-Length: {length}\r\n{headers}\r\n");
+    stream.write_all(format!("{head}{body}").as_bytes()).unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    let (head, content) = text.split_once("\r\n\r\n").unwrap();
+    (head.split(' ').nth(1).unwrap().parse().unwrap(), content.to_owned())
+}
+
+/// The next frames of the stream.
+fn frames(address: &str, count: usize) -> Vec<Value> {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    write!(stream, "GET /stream HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    let (mut found, mut is_frame) = (Vec::new(), false);
+    for line in BufReader::new(stream).lines() {
+        match line.unwrap().split_once(": ") {
+            Some(("event", name)) => is_frame = name == "frame",
+            Some(("data", data)) if is_frame => found.push(serde_json::from_str(data).unwrap()),
+            _ => {}
+        }
+        if found.len() == count {
+            break;
+        }
+    }
+    found
+}
+
+/// Role, implementation, process and restarts of all processes in a status.
+fn rows(status: &Value) -> Vec<[Value; 4]> {
+    let keys = ["role", "implementation", "pid", "restarts"];
+    status["processes"].as_array().unwrap().iter().map(|row| keys.map(|key| row[key].clone())).collect()
+}
+
+fn is_driving(system: &Value) -> bool {
+    let has_scans = system["status"]["scan"].as_u64().is_some_and(|scan| scan > 3);
+    system["connection"] == "live" && system["status"]["state"] == "driving" && has_scans
+}
+
+#[test]
+fn the_page_shows_what_status_prints_and_survives_deaths_and_the_end_of_a_run() {
+    let mut system = System::new(EXECUTABLE);
+    let view = View::start(&system, &["--control"]);
+    view.wait_for(&system, "the page waits", |shown| shown["connection"] == "waiting");
+
+    system.start(&["endless"]);
+    let shown = view.wait_for(&system, "the page shows the drive", is_driving);
+    let printed: Value = serde_json::from_slice(&system.run(&["status", "--json"]).stdout).unwrap();
+    assert_eq!(rows(&shown["status"]), rows(&printed));
+    assert_eq!(
+        (&shown["status"]["scenario"], &shown["system_id"]),
+        (&printed["scenario"], &printed["system_id"])
+    );
+    assert_eq!(shown["course"]["body"]["length_m"], 0.56, "{shown}");
+
+    // Ten frames take about a second, so the newest scan is at least the one that `status` had before.
+    let seen = frames(&view.address, 10);
+    let scans: Vec<u64> = seen.iter().map(|frame| frame["row"]["scan_id"].as_u64().unwrap()).collect();
+    assert!(scans.is_sorted() && *scans.last().unwrap() >= printed["scan"].as_u64().unwrap(), "{scans:?}");
+    let last = seen.last().unwrap();
+    assert!(
+        ["scan", "pose", "truth", "command", "actuation"].iter().all(|part| last[part].is_object()),
+        "{last}"
+    );
+    let number = seen[3]["row"]["number"].as_u64().unwrap();
+    assert_eq!(view.json(&format!("/frame?number={number}")), seen[3], "an earlier frame is still there");
+
+    system.signal(system.pid(Role::Estimator), Signal::KILL);
+    system.wait_until("the restart is an event", |_| {
+        view.events().iter().any(|text| text.contains("estimator restarted"))
+    });
+    let shown = view.wait_for(&system, "the new process is shown", |shown| {
+        shown["status"]["processes"][1]["state"] == "ready"
+            && shown["status"]["processes"][1]["restarts"] == 1
+    });
+    assert_eq!(shown["status"]["processes"][1]["pid"], system.pid(Role::Estimator));
+
+    assert_eq!(view.act(r#"{"action":"stop"}"#, false).0, 403, "the token is needed even for the same user");
+    let (code, refused) = view.act(r#"{"action":"restart","role":"robot"}"#, true);
+    let refused: Value = serde_json::from_str(&refused).unwrap();
+    assert_eq!(code, 200);
+    assert!(refused["messages"].as_str().unwrap().contains("the robot is not restarted"), "{refused}");
+    let (code, stopped) = view.act(r#"{"action":"stop"}"#, true);
+    assert_eq!(
+        (code, &serde_json::from_str::<Value>(&stopped).unwrap()["exit_code"]),
+        (200, &0.into()),
+        "{stopped}"
+    );
+    system.wait();
+    let over =
+        view.wait_for(&system, "the page knows that the run is over", |shown| shown["connection"] == "over");
+    assert!(over["run_id"].is_null());
+    assert_eq!(system.report().scans.unaccounted, 0);
+
+    system.start(&["endless"]);
+    view.wait_for(&system, "the page shows the next run", is_driving);
+    let (ended, log) = view.end();
+    assert_eq!(ended.code(), Some(0));
+    assert_eq!(log.matches("its token is missing").count(), 1, "logged once: {log}");
+    system.signal(system.orchestrator(), Signal::INT);
+    system.wait();
+    let scans = system.report().scans;
+    assert_eq!((scans.lost, scans.unaccounted), (0, 0), "{scans:?}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_run_serves_its_page_until_it_ends() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&["endless", "--view=0"]);
+    system.wait_until("the link is printed", |system| system.stderr().contains("/#token="));
+    let printed = system.stderr();
+    let (address, _) = of_link(printed.lines().find(|line| line.contains("/#token=")).unwrap());
+    assert_eq!(frames(&address, 3).len(), 3);
+    system.signal(system.orchestrator(), Signal::INT);
+    system.wait();
+    assert!(TcpStream::connect(&address).is_err(), "the page ends with its run");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_port_in_use_is_refused_before_anything_starts() {
+    let system = System::new(EXECUTABLE);
+    let view = View::start(&system, &[]);
+    let port = view.address.rsplit_once(':').unwrap().1.to_owned();
+    for arguments in [vec!["view", "--port", &port], vec!["run", "free", &format!("--view={port}")]] {
+        let output = system.run(&arguments);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(message.contains(&format!("--port {port}: 127.0.0.1:{port} is in use")), "{message}");
+    }
+    let (code, text) = view.ask("GET /system", "Origin: http://example.org\r\n", "");
+    assert_eq!(code, 403, "{text}");
+    let output = system.run(&["view", "--listen", "203.0.113.1"]);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn browser_test(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("browser").join(name)
+}
+
+/// Whether there is a browser; in CI it is installed first. A skip is printed.
+fn has_browser(skipped: &str) -> bool {
+    let is_ci = std::env::var("CI").as_deref() == Ok("true");
+    let setup =
+        Command::new(browser_test("setup.sh")).arg(if is_ci { "--install" } else { "--check" }).output();
+    let reason = match setup {
+        Ok(output) if output.status.success() => return true,
+        Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
+        Err(error) => error.to_string(),
+    };
+    assert!(!is_ci, "{reason}");
+    // Past the capture of the test harness, which shows nothing of a test that passes.
+    let _ = std::io::stderr().lock().write_all(format!("SKIPPED {skipped}: {reason}").as_bytes());
+    false
+}
+
+#[test]
+fn the_page_works_in_a_browser() {
+    if !has_browser("the_page_works_in_a_browser") {
+        return;
+    }
+    let mut system = System::new(EXECUTABLE);
+    let view = View::start(&system, &["--control"]);
+    system.start(&["endless"]);
+    view.wait_for(&system, "the page shows the drive", is_driving);
+    let status = system.command(&["status", "--json"]);
+    let output = Command::new("python3")
+        .arg(browser_test("page.py"))
+        .arg(format!("http://{}/", view.address))
+        .arg(&view.token)
+        .arg(status.get_program())
+        .args(status.get_args())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    system.wait_until("the button has stopped the run", |system| system.find().is_none());
+    system.wait();
+    assert_eq!(system.report().scans.unaccounted, 0);
+}
