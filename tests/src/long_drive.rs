@@ -99,13 +99,14 @@ pub struct LongTally {
 
 impl fmt::Display for LongTally {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { drives, driven_s, scanner_faults, stopped_by_scanner, swaps, kills, scans, lost, .. } =
-            self;
+        let Self { drives, driven_s, scanner_faults, stopped_by_scanner, swaps, .. } = self;
+        let Self { rough_swaps, kills, scans, lost, .. } = self;
         let [memory, descriptors, files, orchestrator] = self.growth;
         write!(
             out,
             "{drives} drives, {driven_s:.0} s, {scans} scans, {lost:?} lost; {scanner_faults} scanner faults, \
-             {stopped_by_scanner} stops by them; {swaps} swaps, {rough_swaps} with missed scans, {kills} kills; growth of memory {memory:.3}, \
+             {stopped_by_scanner} stops by them; {swaps} swaps, {rough_swaps} with missed scans, {kills} kills; growth of \
+             memory {memory:.3}, \
              descriptors {descriptors:.3}, files {files:.3}, orchestrator {orchestrator:.1} MiB; {} problems",
             self.problems.len()
         )
