@@ -2,6 +2,7 @@
 
 use handover::swap::{Output, OutputSummary, SwapOutcome};
 use shared_types::{Actuation, Authority, Command, CommandKind, Header};
+use supervision::entry::ProcessEntry;
 
 use super::*;
 use crate::control::Successor;
