@@ -1,0 +1,289 @@
+//! One cell of the matrix and its verdict.
+
+use faults::{Expectation, Fault, Phase};
+use serde::Serialize;
+
+use crate::finding::Finding;
+
+/// Wheels that stay this near to those of the drive without the fault are not affected [m].
+const UNAFFECTED_M: f64 = 0.05;
+/// Scan periods that the wheels may turn before a fault that acts is detected.
+const BLIND_PERIODS: f64 = 3.0;
+
+/// Whether a cell passes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// All expectations are met.
+    Pass,
+    /// One is not.
+    Fail,
+}
+
+/// The result of one cell.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Cell {
+    /// Name of the fault.
+    pub fault: String,
+    /// Phase in which it begins.
+    pub phase: Phase,
+    /// Whether it was driven with real processes.
+    pub live: bool,
+    /// The role that detected it, or `orchestrator`; empty when none did.
+    pub detected_by: String,
+    /// What was found, like `not_finite`.
+    pub detection: String,
+    /// Time from the beginning of the fault to its detection [ms].
+    pub detected_after_ms: Option<f64>,
+    /// Way of the true wheels from when the fault could be detected to its detection; 0 where it had no effect [m].
+    pub blind_m: f64,
+    /// The most that is allowed [m].
+    pub blind_limit_m: f64,
+    /// Largest distance to the robot of the drive without the fault, at the same time [m].
+    pub deviation_m: f64,
+    /// Smallest clearance of the drive [m].
+    pub min_clearance_m: f64,
+    /// How the drive ended.
+    pub outcome: String,
+    /// Whether all is as expected.
+    pub verdict: Verdict,
+    /// Why it fails; empty when it passes.
+    pub reason: String,
+}
+
+/// What was observed in the drive of a cell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// When the fault began [ns].
+    pub from_ns: u64,
+    /// Findings that the drive without the fault does not have, in the order of time.
+    pub findings: Vec<Finding>,
+    /// The robot since then.
+    pub course: Course,
+    /// The same without the fault; empty where there is no such drive.
+    pub unaffected: Course,
+    /// How the drive ended.
+    pub outcome: String,
+    /// Whether the body touched something.
+    pub touched: bool,
+    /// Smallest clearance [m].
+    pub min_clearance_m: f64,
+}
+
+/// Where a robot was, at ascending times.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Course(pub Vec<Passed>);
+
+/// One place of a [`Course`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Passed {
+    /// Time [ns].
+    pub at_ns: u64,
+    /// True position [m].
+    pub at_m: [f64; 2],
+    /// Way driven [m].
+    pub way_m: f64,
+    /// True speed [m/s].
+    pub speed_mps: f64,
+}
+
+impl Course {
+    /// Way driven until a time [m]; linear between two places, constant beyond them.
+    pub fn way_m(&self, at_ns: u64) -> f64 {
+        let next = self.0.partition_point(|passed| passed.at_ns < at_ns);
+        match (next.checked_sub(1).map(|index| self.0[index]), self.0.get(next)) {
+            (Some(before), Some(after)) => {
+                let share = (at_ns - before.at_ns) as f64 / (after.at_ns - before.at_ns).max(1) as f64;
+                before.way_m + share * (after.way_m - before.way_m)
+            }
+            (Some(passed), None) | (None, Some(&passed)) => passed.way_m,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// Largest distance to another robot at the same time; one that has ended stays where it is [m].
+    pub fn deviation_m(&self, other: &Self) -> f64 {
+        let distance = |index: usize| {
+            let [one, two] = [self, other].map(|course| course.0.get(index).or(course.0.last()));
+            one.zip(two).map_or(0.0, |(one, two)| {
+                (one.at_m[0] - two.at_m[0]).hypot(one.at_m[1] - two.at_m[1])
+            })
+        };
+        (0..self.0.len().max(other.0.len())).map(distance).fold(0.0, f64::max)
+    }
+
+    fn fastest_mps(&self) -> f64 {
+        self.0.iter().map(|passed| passed.speed_mps).fold(0.0, f64::max)
+    }
+}
+
+/// What limits the way until a detection.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Scan period [s].
+    pub period_s: f64,
+    /// Deceleration of blocked wheels [m/s^2].
+    pub deceleration_mps2: f64,
+}
+
+impl Limits {
+    /// Three scan periods at a speed, and the braking way from it [m].
+    pub fn blind_m(&self, speed_mps: f64) -> f64 {
+        BLIND_PERIODS * self.period_s * speed_mps + speed_mps * speed_mps / (2.0 * self.deceleration_mps2)
+    }
+}
+
+/// The verdict on one drive.
+pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) -> Cell {
+    let expected = fault.expected(phase);
+    let Observed { from_ns, findings, course, unaffected, .. } = observed;
+    let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
+    let found = findings.iter().find(is_expected);
+    let detectable_ns = from_ns + (expected.detectable_ms * 1e6) as u64;
+    let deviation_m = course.deviation_m(unaffected);
+    let has_no_effect = !unaffected.0.is_empty() && deviation_m < UNAFFECTED_M;
+    let until_m = found.map(|finding| finding.place.way_m).or(course.0.last().map(|passed| passed.way_m));
+    let blind_m = match found {
+        None if has_no_effect => 0.0,
+        _ => (until_m.unwrap_or(0.0) - course.way_m(detectable_ns)).max(0.0),
+    };
+    let after_ms = found.map(|finding| finding.place.at_ns.saturating_sub(*from_ns) as f64 * 1e-6);
+    let blind_limit_m = limits.blind_m(course.fastest_mps());
+    let reason = wrong(&expected, observed, after_ms, [blind_m, blind_limit_m], has_no_effect, deviation_m);
+    let shown = found.or_else(|| findings.first());
+    Cell {
+        fault: fault.name.clone(),
+        phase,
+        live: fault.is_live(),
+        detected_by: shown.map_or("", |finding| finding.by).to_owned(),
+        detection: shown.map_or("", |finding| finding.what).to_owned(),
+        detected_after_ms: shown
+            .map(|finding| finding.place.at_ns.saturating_sub(*from_ns) as f64 * 1e-6),
+        blind_m,
+        blind_limit_m,
+        deviation_m,
+        min_clearance_m: observed.min_clearance_m,
+        outcome: observed.outcome.clone(),
+        verdict: if reason.is_empty() { Verdict::Pass } else { Verdict::Fail },
+        reason,
+    }
+}
+
+/// The first expectation that is not met; empty when all are.
+fn wrong(
+    expected: &Expectation,
+    observed: &Observed,
+    after_ms: Option<f64>,
+    [blind_m, limit_m]: [f64; 2],
+    has_no_effect: bool,
+    deviation_m: f64,
+) -> String {
+    let Expectation { outcomes, within_ms, detectable_ms, .. } = expected;
+    if observed.touched {
+        return "the body touched something".to_owned();
+    }
+    if !outcomes.contains(&observed.outcome) {
+        return format!("outcome {}, allowed: {}", observed.outcome, outcomes.join(", "));
+    }
+    if has_no_effect {
+        return String::new();
+    }
+    let latest_ms = detectable_ms + within_ms;
+    match after_ms {
+        None => format!("not detected, the wheels deviate by {deviation_m:.3} m"),
+        Some(after_ms) if after_ms > latest_ms => {
+            format!("detected after {after_ms:.0} ms, allowed: {latest_ms:.0} ms")
+        }
+        Some(_) if blind_m > limit_m => {
+            format!("{blind_m:.3} m driven until it was detected, allowed: {limit_m:.3} m")
+        }
+        Some(_) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::finding::Place;
+
+    const LIMITS: Limits = Limits { period_s: 0.1, deceleration_mps2: 5.0 };
+
+    fn fault(expect: &str) -> Fault {
+        let text = format!("title = \"\"\nmagnitude = \"\"\n[inject.scenario]\nset = {{}}\n[expect]\n{expect}");
+        Fault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// A robot that drives along x with 1 m/s for a second, `y_m` beside its line.
+    fn course(y_m: f64) -> Course {
+        let at = |tenth: u64| Passed {
+            at_ns: tenth * 100_000_000,
+            at_m: [tenth as f64 / 10.0, y_m],
+            way_m: tenth as f64 / 10.0,
+            speed_mps: 1.0,
+        };
+        Course((0..=10).map(at).collect())
+    }
+
+    fn observed(y_m: f64, found: &[(&'static str, u64)]) -> Observed {
+        let finding = |(by, at_ms): &(&'static str, u64)| Finding {
+            by,
+            what: "late",
+            place: Place { at_ns: at_ms * 1_000_000, way_m: *at_ms as f64 * 1e-3 },
+        };
+        Observed {
+            from_ns: 0,
+            findings: found.iter().map(finding).collect(),
+            course: course(y_m),
+            unaffected: course(0.0),
+            outcome: "reached".to_owned(),
+            touched: false,
+            min_clearance_m: 0.3,
+        }
+    }
+
+    fn reason(expect: &str, observed: &Observed) -> String {
+        judge(&fault(expect), Phase::Straight, observed, &LIMITS).reason
+    }
+
+    const EXPECT: &str =
+        "outcomes = [\"reached\"]\ndetected_by = [\"robot\", \"actuator\"]\nwithin_ms = 350";
+
+    #[test]
+    fn a_detection_in_time_by_one_that_must_passes_and_another_does_not() {
+        assert_eq!(reason(EXPECT, &observed(0.1, &[("actuator", 300)])), "");
+        let by_another = observed(0.1, &[("estimator", 300)]);
+        assert_eq!(reason(EXPECT, &by_another), "not detected, the wheels deviate by 0.100 m");
+        assert_eq!(
+            reason(EXPECT, &observed(0.1, &[("actuator", 400)])),
+            "detected after 400 ms, allowed: 350 ms"
+        );
+    }
+
+    #[test]
+    fn what_is_not_detected_passes_only_where_it_has_no_effect() {
+        assert_eq!(reason(EXPECT, &observed(0.049, &[])), "");
+        assert_eq!(reason(EXPECT, &observed(0.051, &[])), "not detected, the wheels deviate by 0.051 m");
+        let never = "outcomes = [\"reached\"]\ndetected_by = []\nwithin_ms = 0";
+        assert_ne!(reason(never, &observed(0.051, &[("actuator", 1)])), "");
+    }
+
+    #[test]
+    fn the_way_until_the_detection_is_three_periods_and_the_braking_way() {
+        let late = EXPECT.replace("350", "900");
+        assert_eq!(reason(&late, &observed(0.1, &[("robot", 400)])), "");
+        let allowed = "allowed: 0.400 m";
+        let found = reason(&late, &observed(0.1, &[("robot", 401)]));
+        assert_eq!(found, format!("0.401 m driven until it was detected, {allowed}"));
+        // Counted from when it can be detected.
+        let grows = format!("{late}\ndetectable_ms = 300");
+        assert_eq!(reason(&grows, &observed(0.1, &[("robot", 650)])), "");
+    }
+
+    #[test]
+    fn contact_and_an_outcome_that_is_not_allowed_fail_in_any_case() {
+        let touched = Observed { touched: true, ..observed(0.0, &[("robot", 1)]) };
+        assert_eq!(reason(EXPECT, &touched), "the body touched something");
+        let missed = Observed { outcome: "missed".to_owned(), ..observed(0.0, &[("robot", 1)]) };
+        assert_eq!(reason(EXPECT, &missed), "outcome missed, allowed: reached");
+    }
+}
