@@ -1,7 +1,7 @@
 //! One cell of the matrix and its verdict.
 
 use faults::{Expectation, Fault, Phase};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::finding::Finding;
 
@@ -11,7 +11,7 @@ const UNAFFECTED_M: f64 = 0.05;
 const BLIND_PERIODS: f64 = 3.0;
 
 /// Whether a cell passes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// All expectations are met.
@@ -21,7 +21,7 @@ pub enum Verdict {
 }
 
 /// The result of one cell.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
     /// Name of the fault.
     pub fault: String,
@@ -39,7 +39,7 @@ pub struct Cell {
     pub blind_m: f64,
     /// The most that is allowed [m].
     pub blind_limit_m: f64,
-    /// Largest distance to the robot of the drive without the fault, at the same time [m].
+    /// Largest distance to the way of the drive without the fault, and of the ends of both [m].
     pub deviation_m: f64,
     /// Smallest clearance of the drive [m].
     pub min_clearance_m: f64,
@@ -64,6 +64,8 @@ pub struct Observed {
     pub unaffected: Course,
     /// How the drive ended.
     pub outcome: String,
+    /// Whether it was driven to its end, and not only for some seconds.
+    pub ended: bool,
     /// Whether the body touched something.
     pub touched: bool,
     /// Smallest clearance [m].
@@ -101,20 +103,45 @@ impl Course {
         }
     }
 
-    /// Largest distance to another robot at the same time; one that has ended stays where it is [m].
-    pub fn deviation_m(&self, other: &Self) -> f64 {
-        let distance = |index: usize| {
-            let [one, two] = [self, other].map(|course| course.0.get(index).or(course.0.last()));
-            one.zip(two).map_or(0.0, |(one, two)| {
-                (one.at_m[0] - two.at_m[0]).hypot(one.at_m[1] - two.at_m[1])
-            })
+    /// Largest distance to the way of another robot [m]. Where both drives have ended, also between their ends.
+    ///
+    /// A robot that is late on the same way does not deviate; one that stops elsewhere does.
+    pub fn deviation_m(&self, other: &Self, both_ended: bool) -> f64 {
+        let ends = [self, other].map(|course| course.0.last().map(|passed| passed.at_m));
+        let apart_m = match ends {
+            [Some(one), Some(two)] if both_ended => distance(one, two),
+            _ => 0.0,
         };
-        (0..self.0.len().max(other.0.len())).map(distance).fold(0.0, f64::max)
+        self.0.iter().map(|passed| other.distance_to(passed.at_m)).fold(apart_m, f64::max)
+    }
+
+    /// Distance of a place to this way [m]; zero if there is none.
+    fn distance_to(&self, place: [f64; 2]) -> f64 {
+        let parts = self.0.windows(2).map(|ends| distance_to_part(place, ends[0].at_m, ends[1].at_m));
+        let nearest = parts.fold(f64::INFINITY, f64::min);
+        match self.0.first() {
+            Some(only) if self.0.len() == 1 => distance(place, only.at_m),
+            Some(_) => nearest,
+            None => 0.0,
+        }
     }
 
     fn fastest_mps(&self) -> f64 {
         self.0.iter().map(|passed| passed.speed_mps).fold(0.0, f64::max)
     }
+}
+
+fn distance(one: [f64; 2], two: [f64; 2]) -> f64 {
+    (one[0] - two[0]).hypot(one[1] - two[1])
+}
+
+/// Distance of a place to the straight line between two others [m].
+fn distance_to_part(place: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
+    let (along, across) = (to[0] - from[0], to[1] - from[1]);
+    let length = (along * along + across * across).max(f64::MIN_POSITIVE);
+    let share = ((place[0] - from[0]) * along + (place[1] - from[1]) * across) / length;
+    let share = share.clamp(0.0, 1.0);
+    distance(place, [from[0] + share * along, from[1] + share * across])
 }
 
 /// What limits the way until a detection.
@@ -140,7 +167,7 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
     let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
     let found = findings.iter().find(is_expected);
     let detectable_ns = from_ns + (expected.detectable_ms * 1e6) as u64;
-    let deviation_m = course.deviation_m(unaffected);
+    let deviation_m = course.deviation_m(unaffected, observed.ended);
     let has_no_effect = !unaffected.0.is_empty() && deviation_m < UNAFFECTED_M;
     let until_m = found.map(|finding| finding.place.way_m).or(course.0.last().map(|passed| passed.way_m));
     let blind_m = match found {
@@ -236,6 +263,7 @@ mod tests {
             course: course(y_m),
             unaffected: course(0.0),
             outcome: "reached".to_owned(),
+            ended: true,
             touched: false,
             min_clearance_m: 0.3,
         }
@@ -265,6 +293,14 @@ mod tests {
         assert_eq!(reason(EXPECT, &observed(0.051, &[])), "not detected, the wheels deviate by 0.051 m");
         let never = "outcomes = [\"reached\"]\ndetected_by = []\nwithin_ms = 0";
         assert_ne!(reason(never, &observed(0.051, &[("actuator", 1)])), "");
+    }
+
+    #[test]
+    fn a_robot_that_is_late_does_not_deviate_and_one_that_stops_early_does() {
+        let (whole, short) = (course(0.0), Course(course(0.0).0[..5].to_vec()));
+        assert_eq!(short.deviation_m(&whole, false), 0.0);
+        assert!((short.deviation_m(&whole, true) - 0.6).abs() < 1e-12);
+        assert!((course(0.2).deviation_m(&whole, false) - 0.2).abs() < 1e-12);
     }
 
     #[test]

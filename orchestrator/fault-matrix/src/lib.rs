@@ -13,7 +13,7 @@ mod rig;
 mod simulate;
 mod wire;
 
-pub use cell::{Cell, Course, Limits, Observed, Verdict, judge};
+pub use cell::{Cell, Course, Limits, Observed, Passed, Verdict, judge};
 pub use finding::{Finding, Findings, Place};
 pub use rig::Rig;
 pub use simulate::Simulation;

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 
 use shared_types::{
-    Admission, Authority, AuthorityFilter, Fate, InputAccount, Role, Sample, Topic, YOUNG_NS,
+    Admission, Authority, AuthorityFilter, Fate, InputAccount, Role, Rule, Sample, Topic, YOUNG_NS,
 };
 
 /// Samples that wait, as in `runtime`.
@@ -73,10 +73,13 @@ impl<S: Sample> Reader<S> {
             }
             Admission::Foreign => return None,
         }
+        let acquired_ns = sample.header().acquired_ns;
+        if acquired_ns.saturating_sub(now_ns) > self.max_age_ns {
+            return Some(Rule::FromTheFuture.name());
+        }
         let is_record = S::TOPIC == Topic::Actuation && self.role != Role::Robot;
-        let age_ns = now_ns.saturating_sub(sample.header().acquired_ns);
-        if !is_record && sample.header().acquired_ns != 0 && age_ns > self.max_age_ns {
-            return Some(shared_types::Rule::TooOld.name());
+        if !is_record && acquired_ns != 0 && now_ns.saturating_sub(acquired_ns) > self.max_age_ns {
+            return Some(Rule::TooOld.name());
         }
         push(&mut self.kept, sample, DEPTH);
         None
@@ -146,7 +149,8 @@ mod tests {
         assert_eq!(arrive(pose(2, 2), 330_000_000), Some("reordered"));
         assert_eq!(arrive(Pose { x_m: f64::NAN, ..pose(4, 4) }, 430_000_000), Some("not_finite"));
         assert_eq!(arrive(pose(5, 5), 800_000_001), Some("too_old"));
-        let mut foreign = pose(6, 6);
+        assert_eq!(arrive(pose(9, 6), 599_999_999), Some("from_the_future"));
+        let mut foreign = pose(6, 7);
         foreign.header.layout ^= 1;
         assert_eq!(arrive(foreign, 630_000_000), Some("foreign_layout"));
         let taken: Vec<u64> =

@@ -2,6 +2,7 @@
 
 use emulator::{Outcome, Scenario};
 use faults::{Fault, Phase};
+use pipeline::Settings;
 use vehicle::Invalid;
 
 use crate::cell::{Cell, Course, Limits, Observed, Passed, judge};
@@ -43,12 +44,23 @@ impl Simulation {
         Ok(Self { limits, phases })
     }
 
+    /// The way of a robot on a course without a fault, by the number of the scan.
+    ///
+    /// # Errors
+    /// The first setting that is not allowed.
+    pub fn unaffected(settings: &Settings) -> Result<Course, Invalid> {
+        Ok(finish(&mut Rig::new(settings)?).0)
+    }
+
     /// Drives one cell; `None` for a fault that needs real processes, or that the course does not allow.
     pub fn cell(&self, fault: &Fault, phase: Phase) -> Option<Cell> {
         let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
         let mut rig = start.clone();
         let from_ns = rig.inject(&fault.inject)?;
         let (course, outcome) = finish(&mut rig);
+        if outcome == Outcome::Stopped {
+            rig.findings.note("orchestrator", "stopped", rig.place());
+        }
         let is_new = |finding: &Finding| !twin.findings.has(finding);
         let truth = rig.truth();
         let observed = Observed {
@@ -57,6 +69,7 @@ impl Simulation {
             course,
             unaffected: twin.course.clone(),
             outcome: outcome.name().to_owned(),
+            ended: true,
             touched: truth.collided == 1,
             min_clearance_m: truth.min_clearance_m,
         };

@@ -51,7 +51,7 @@ fn every_cell_of_the_simulation_passes() {
     let mut text = String::new();
     let only = std::env::var("SCANLOOP_ONLY").unwrap_or_default();
     for fault in faults.iter().filter(|fault| !fault.is_live() && fault.name.contains(&only)) {
-        for phase in Phase::ALL {
+        for phase in fault.phases() {
             let cell = simulation.cell(fault, phase).unwrap();
             text += &format!(
                 "{:?} {}/{} {} {} {:?} blind {:.3} of {:.3} deviation {:.3} clearance {:.3} {} {}\n",

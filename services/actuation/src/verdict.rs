@@ -21,7 +21,7 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand
     let kind = CommandKind::try_from(command.kind)?;
     Level::try_from(command.level)?;
     SolveStatus::try_from(command.status)?;
-    StopReason::try_from(command.reason)?;
+    let stop_reason = StopReason::try_from(command.reason)?;
     let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
     finite("velocity_mps", &[desired.velocity])?;
     finite("steering_rad", &[desired.steering])?;
@@ -29,6 +29,10 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand
         CommandKind::Stop => Ok(DesiredCommand::Block(BlockReason::Commanded)),
         CommandKind::Land => Ok(DesiredCommand::Block(BlockReason::Landed)),
         CommandKind::Drive if command.verified != 1 => Err(Fault::NotVerified { value: command.verified }),
+        // It contradicts itself: the reason to stop counts.
+        CommandKind::Drive if stop_reason != StopReason::None => {
+            Err(Fault::OutOfRange { field: "reason", value: f64::from(command.reason) })
+        }
         CommandKind::Drive if bounds.contains(desired, ROUNDING) => {
             Ok(DesiredCommand::Drive(bounds.clamp(desired)))
         }

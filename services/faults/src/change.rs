@@ -119,7 +119,9 @@ impl Number {
                 let was = bytemuck::pod_read_unaligned::<$type>(place);
                 // The difference, so that large numbers keep their last digits. Casts saturate.
                 let difference = (change(was as f64) - was as f64).round() as i128;
-                let is = (was as i128 + difference).clamp(<$type>::MIN as i128, <$type>::MAX as i128) as $type;
+                // Zero often means that there is none: a number that is moved does not become zero by the limit.
+                let least = if was > 0 && difference < 0 { 1 } else { <$type>::MIN as i128 };
+                let is = (was as i128 + difference).clamp(least, <$type>::MAX as i128) as $type;
                 place.copy_from_slice(bytemuck::bytes_of(&is));
             }};
         }

@@ -217,6 +217,8 @@ pub struct InPhase {
     pub within_ms: Option<f64>,
     /// Replaces [`Expectation::detectable_ms`].
     pub detectable_ms: Option<f64>,
+    /// Whether there is no such cell, because the fault is none in this phase.
+    pub skip: bool,
     /// Why it differs.
     pub because: String,
 }
@@ -256,6 +258,12 @@ impl Fault {
             expected.detectable_ms = detectable_ms.unwrap_or(expected.detectable_ms);
         }
         expected
+    }
+
+    /// The phases in which it can begin.
+    pub fn phases(&self) -> impl Iterator<Item = Phase> + '_ {
+        let is_skipped = |phase: &Phase| self.in_phase.get(phase).is_some_and(|differs| differs.skip);
+        Phase::ALL.into_iter().filter(move |phase| !is_skipped(phase))
     }
 
     /// Whether it needs real processes.

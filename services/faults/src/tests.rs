@@ -66,7 +66,7 @@ fn stamps_keep_their_last_digits_and_do_not_wrap() {
     let mut earlier =
         change("topic = \"command\"\naction = \"add\"\nfields = [\"header.acquired_ns\"]\nvalue = -1e18");
     apply(&mut earlier, &mut command);
-    assert_eq!(command.header.acquired_ns, 0);
+    assert_eq!(command.header.acquired_ns, 1);
 }
 
 #[test]
