@@ -95,6 +95,9 @@ impl Change {
                 return if self.holds { Changed::AfterNext } else { Changed::Once(0) };
             }
             Action::Freeze | Action::Stale if self.last.len() != bytes.len() => return Changed::Nothing,
+            Action::Freeze if !self.numbers.is_empty() => {
+                self.numbers.iter().for_each(|number| number.copy(&self.last, bytes));
+            }
             Action::Freeze => bytes[size_of::<Header>()..].copy_from_slice(&self.last[size_of::<Header>()..]),
             Action::Stale => {
                 let sequence = (of.header)(bytes).sequence;
@@ -112,6 +115,11 @@ impl Change {
 }
 
 impl Number {
+    fn copy(self, from: &[u8], to: &mut [u8]) {
+        let size = Kind::Scalar(self.scalar).size();
+        to[self.offset..self.offset + size].copy_from_slice(&from[self.offset..self.offset + size]);
+    }
+
     fn change(self, bytes: &mut [u8], change: impl Fn(f64) -> f64) {
         macro_rules! integer {
             ($type:ty) => {{

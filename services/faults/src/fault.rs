@@ -9,7 +9,7 @@ use shared_types::{Role, Topic};
 use crate::Change;
 
 /// Longest time of a process fault [s]: a cell with real processes is short.
-const LONGEST_S: f64 = 4.0;
+const MAX_SECONDS: f64 = 4.0;
 
 /// Part of a drive in which a fault begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -105,7 +105,8 @@ pub struct SampleFault {
     pub action: Action,
     /// Number of scans that it lasts; without it, to the end of the drive.
     pub scans: Option<u64>,
-    /// The fields that `set`, `add` and `scale` change, like `x_m` or `items.0.x_m`; all elements of an array.
+    /// The fields that `set`, `add` and `scale` change, like `x_m` or `items.0.x_m`; all elements of an array. `freeze`
+    /// without fields keeps all.
     #[serde(default)]
     pub fields: Vec<String>,
     /// The number that is set or added, or the factor; for times in nanoseconds also [ns].
@@ -279,8 +280,9 @@ impl Fault {
             Injection::Sample(fault) => {
                 Change::new(fault).map_err(|error| format!("inject.sample.fields: {error}"))?;
                 let is_changing = matches!(fault.action, Action::Set | Action::Add | Action::Scale);
-                if is_changing == fault.fields.is_empty() {
-                    return Err("inject.sample.fields goes with the actions set, add and scale".to_owned());
+                let may_have_fields = is_changing || fault.action == Action::Freeze;
+                if is_changing && fault.fields.is_empty() || !may_have_fields && !fault.fields.is_empty() {
+                    return Err("inject.sample.fields goes with the actions set, add, scale and freeze".to_owned());
                 }
                 if (fault.action == Action::Delay) != (fault.delay_ms > 0) {
                     return Err("inject.sample.delay_ms goes with the action delay".to_owned());
@@ -291,9 +293,9 @@ impl Fault {
                 Ok(())
             }
             Injection::Process(ProcessFault { seconds: Some(seconds), .. })
-                if !(*seconds > 0.0 && *seconds <= LONGEST_S) =>
+                if !(*seconds > 0.0 && *seconds <= MAX_SECONDS) =>
             {
-                Err(format!("inject.process.seconds = {seconds} is not allowed: above 0, up to {LONGEST_S}"))
+                Err(format!("inject.process.seconds = {seconds} is not allowed: above 0, up to {MAX_SECONDS}"))
             }
             Injection::Process(_) | Injection::Scenario(_) => Ok(()),
         }

@@ -87,6 +87,15 @@ fn frozen_and_stale_samples_repeat_the_last_good_one() {
 }
 
 #[test]
+fn some_fields_can_be_frozen_alone() {
+    let mut change = change("topic = \"pose\"\naction = \"freeze\"\nfields = [\"x_m\"]");
+    change.keep(bytemuck::bytes_of(&Pose { x_m: 1.0, y_m: 1.0, ..Pose::default() }));
+    let mut pose = Pose { x_m: 2.0, y_m: 2.0, ..Pose::default() };
+    apply(&mut change, &mut pose);
+    assert_eq!((pose.x_m, pose.y_m), (1.0, 2.0));
+}
+
+#[test]
 fn each_second_sample_is_held_back_when_they_are_reordered() {
     let mut change = change("topic = \"pose\"\naction = \"reorder\"");
     let changed: Vec<Changed> = (0..4).map(|_| apply(&mut change, &mut Pose::default())).collect();
@@ -100,7 +109,7 @@ fn a_wrong_file_is_refused_with_file_key_and_what_is_allowed() {
     let cases = [
         (format!("{sample}\nfields = [\"z_m\"]"), "inject.sample.fields: pose has no number `z_m`"),
         (format!("{sample}\nfields = [\"gain.9\"]"), "pose has no number `gain.9`"),
-        (sample.to_owned(), "inject.sample.fields goes with the actions set, add and scale"),
+        (sample.to_owned(), "inject.sample.fields goes with the actions set, add, scale and freeze"),
         ("[inject.sample]\ntopic = \"pose\"\naction = \"delay\"".to_owned(), "delay_ms goes with"),
         ("[inject.sample]\ntopic = \"poses\"\naction = \"drop\"".to_owned(), "unknown topic `poses`"),
         (
