@@ -184,8 +184,7 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
         live: fault.is_live(),
         detected_by: shown.map_or("", |finding| finding.by).to_owned(),
         detection: shown.map_or("", |finding| finding.what).to_owned(),
-        detected_after_ms: shown
-            .map(|finding| finding.place.at_ns.saturating_sub(*from_ns) as f64 * 1e-6),
+        detected_after_ms: shown.map(|finding| finding.place.at_ns.saturating_sub(*from_ns) as f64 * 1e-6),
         blind_m,
         blind_limit_m,
         deviation_m,
@@ -236,7 +235,8 @@ mod tests {
     const LIMITS: Limits = Limits { period_s: 0.1, deceleration_mps2: 5.0 };
 
     fn fault(expect: &str) -> Fault {
-        let text = format!("title = \"\"\nmagnitude = \"\"\n[inject.scenario]\nset = {{}}\n[expect]\n{expect}");
+        let text =
+            format!("title = \"\"\nmagnitude = \"\"\n[inject.scenario]\nset = {{}}\n[expect]\n{expect}");
         Fault::parse("test", &text).unwrap_or_else(|error| panic!("{error}"))
     }
 
@@ -273,8 +273,7 @@ mod tests {
         judge(&fault(expect), Phase::Straight, observed, &LIMITS).reason
     }
 
-    const EXPECT: &str =
-        "outcomes = [\"reached\"]\ndetected_by = [\"robot\", \"actuator\"]\nwithin_ms = 350";
+    const EXPECT: &str = "outcomes = [\"reached\"]\ndetected_by = [\"robot\", \"actuator\"]\nwithin_ms = 350";
 
     #[test]
     fn a_detection_in_time_by_one_that_must_passes_and_another_does_not() {

@@ -64,7 +64,13 @@ impl<S: Sample> Reader<S> {
         }
     }
 
-    fn offer(&mut self, sample: S, now_ns: u64, authority: &Authority, was_aside: bool) -> Option<&'static str> {
+    fn offer(
+        &mut self,
+        sample: S,
+        now_ns: u64,
+        authority: &Authority,
+        was_aside: bool,
+    ) -> Option<&'static str> {
         match self.filter.admit(Some(authority), sample.header(), was_aside) {
             Admission::Counts => {}
             Admission::Aside => {
@@ -166,7 +172,8 @@ mod tests {
             assert_eq!(poses.arrive(pose(scan_id, scan_id), 330_000_000, &ALONE), None);
         }
         assert!(join(&mut poses, &mut bodies, 330_000_000).is_none());
-        let mut body = Obstacles { scanner: shared_types::ScannerHealth::healthy(5.0), ..Obstacles::default() };
+        let mut body =
+            Obstacles { scanner: shared_types::ScannerHealth::healthy(5.0), ..Obstacles::default() };
         body.header = shared_types::Header { layout: Obstacles::LAYOUT, ..pose(2, 1).header };
         assert_eq!(bodies.arrive(body, 330_000_000, &ALONE), None);
         let joined = join(&mut poses, &mut bodies, 330_000_000).map(|(pose, _)| pose.header.scan_id);

@@ -9,6 +9,7 @@
 mod controllers;
 
 use actuation::Actuator;
+use audit::samples::is_disobedient;
 use emulator::{Emulator, Outcome, Received, Referee, Scenario};
 use estimator::Estimator;
 use faults::{Change, Injection, SampleFault, ScenarioFault};
@@ -16,8 +17,8 @@ use nmpc::Budget;
 use obstacles::ObstacleDetector;
 use pipeline::Settings;
 use shared_types::{
-    Actuation, Authority, BlockReason, Command, Header, Obstacles, Odometry, Pose, Role,
-    Sample, Scan, StopReason, Suspect, Topic, Truth,
+    Actuation, Authority, BlockReason, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan,
+    StopReason, Suspect, Topic, Truth,
 };
 use vehicle::Invalid;
 
@@ -28,6 +29,11 @@ use crate::wire::{ActiveChange, Wire, Writer};
 
 /// The actuator looks at its timeouts so many times per scan.
 const POLLS: u64 = 10;
+/// Commands that are kept to compare the actuations with.
+const COMMANDS: usize = 8;
+/// From an actuation that disobeys its command to the wheels that the robot blocks by the stop word, in scan periods: a
+/// turn of the orchestrator, and what the robot takes at most.
+const HALT_PERIODS: f64 = 1.2;
 /// A scan is published this much after the time from which a fault acts on it [ns].
 const LEAD_NS: u64 = 1_000;
 
@@ -59,6 +65,12 @@ pub struct Rig {
     /// What the estimator had refused, and how often it had restarted.
     refused: [u64; 4],
     outcome: Option<Outcome>,
+    /// The newest commands that count.
+    commands: Vec<Command>,
+    /// When the robot sees the stop word that the orchestrator has overwritten [ns].
+    halted_ns: Option<u64>,
+    /// Whether it has.
+    is_halted: bool,
 }
 
 /// Writing and reading ends of the stages; those of the controllers are theirs.
@@ -134,6 +146,9 @@ impl Rig {
             repaired: None,
             refused: [0; 4],
             outcome: None,
+            commands: Vec::with_capacity(COMMANDS),
+            halted_ns: None,
+            is_halted: false,
         })
     }
 
@@ -200,15 +215,15 @@ impl Rig {
         let lasts_ns = fault.scans.map_or(u64::MAX, |scans| scans * self.period_ns);
         // Of two processes in a swap, the one in charge is faulty.
         let of = (fault.topic == Topic::Command).then(|| incarnation(Role::Controller));
-        let change = Some(ActiveChange { change, from_ns, until_ns: from_ns.saturating_add(lasts_ns), of });
+        let fault_of = ActiveChange { change, from_ns, until_ns: from_ns.saturating_add(lasts_ns), of };
         match fault.topic {
-            Topic::Scan => self.wires.scan.fault = change,
-            Topic::Odometry => self.wires.odometry.fault = change,
-            Topic::Pose => self.wires.pose.fault = change,
-            Topic::Obstacles => self.wires.obstacles.fault = change,
-            Topic::Command => self.wires.command.fault = change,
-            Topic::Actuation if fault.at_robot => self.wires.to_robot.fault = change,
-            Topic::Actuation => self.wires.actuation.fault = change,
+            Topic::Scan => self.wires.scan.break_with(fault_of),
+            Topic::Odometry => self.wires.odometry.break_with(fault_of),
+            Topic::Pose => self.wires.pose.break_with(fault_of),
+            Topic::Obstacles => self.wires.obstacles.break_with(fault_of),
+            Topic::Command => self.wires.command.break_with(fault_of),
+            Topic::Actuation if fault.at_robot => self.wires.to_robot.break_with(fault_of),
+            Topic::Actuation => self.wires.actuation.break_with(fault_of),
             Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Truth => return false,
         }
         true
@@ -263,9 +278,16 @@ impl Rig {
         self.poll_actuator();
         self.turn_swap();
         while self.deliver() || self.step() {}
-        if is_scan {
+        if !self.is_halted && self.halted_ns.is_some_and(|halted_ns| self.now_ns >= halted_ns) {
+            self.is_halted = true;
+            self.emulator.block_at_once();
+        }
+        if self.is_halted && self.emulator.plant().speed() <= 0.0 {
+            self.outcome = Some(Outcome::Failed);
+        } else if is_scan {
             self.outcome = self.referee.observe(&self.truth, self.actuation.as_ref());
-            if let Some((scan_id, scenario)) = self.repaired.take_if(|(scan_id, _)| *scan_id <= self.next_scan)
+            if let Some((scan_id, scenario)) =
+                self.repaired.take_if(|(scan_id, _)| *scan_id <= self.next_scan)
                 && !self.replace_robot(&scenario)
             {
                 self.repaired = Some((scan_id, scenario));
@@ -324,11 +346,18 @@ impl Rig {
             }
             self.note_some(Role::Actuator, found);
             self.controllers.observe(now_ns, &command);
+            if self.authority.accepts(command.header.incarnation, command.header.scan_id) {
+                if self.commands.len() == COMMANDS {
+                    self.commands.remove(0);
+                }
+                self.commands.push(command);
+            }
             any = true;
         }
         while let Some(actuation) = self.wires.actuation.receive(now_ns) {
             let found = self.ends.to_estimator.1.arrive(actuation, now_ns, &alone(Role::Actuator));
             self.note_some(Role::Estimator, found);
+            self.require_obedience(&actuation);
             self.wires.to_robot.send(actuation, now_ns, &mut self.ends.actuations);
             any = true;
         }
@@ -344,10 +373,10 @@ impl Rig {
     fn step(&mut self) -> bool {
         let (now_ns, mut any) = (self.now_ns, false);
         while let Some(actuation) = self.ends.to_robot.take() {
-            if self.emulator.actuate(&actuation) == Received::Refused {
+            any = true;
+            if !self.is_halted && self.emulator.actuate(&actuation) == Received::Refused {
                 self.note(Role::Robot, "refused");
             }
-            any = true;
         }
         while let Some(actuation) = self.ends.to_estimator.1.take() {
             self.estimator.note(&actuation, now_ns);
@@ -357,7 +386,8 @@ impl Rig {
             self.estimate(&odometry);
             any = true;
         }
-        while let Some((scan, pose)) = join(&mut self.ends.to_detector.0, &mut self.ends.to_detector.1, now_ns)
+        while let Some((scan, pose)) =
+            join(&mut self.ends.to_detector.0, &mut self.ends.to_detector.1, now_ns)
         {
             let mut obstacles = self.detector.step(&scan, &pose);
             let state = obstacles.scanner.state();
@@ -426,6 +456,17 @@ impl Rig {
         self.ends.actuations.complete(&mut actuation, self.now_ns);
         self.wires.actuation.send(actuation, self.now_ns, &mut self.ends.actuations);
         self.actuation = Some(actuation);
+    }
+
+    /// The check of the orchestrator: an actuator that disobeys a command to block is not trusted any more.
+    fn require_obedience(&mut self, actuation: &Actuation) {
+        let scan_id = actuation.header.scan_id;
+        let commands: Vec<Command> =
+            self.commands.iter().filter(|command| command.header.scan_id == scan_id).copied().collect();
+        if self.halted_ns.is_none() && is_disobedient(&commands, actuation) {
+            self.findings.note("orchestrator", "disobeyed", self.place());
+            self.halted_ns = Some(self.now_ns + (HALT_PERIODS * self.period_ns as f64) as u64);
+        }
     }
 
     /// Lets the state machine of a swap decide.

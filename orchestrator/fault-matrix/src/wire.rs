@@ -42,28 +42,37 @@ pub(crate) struct ActiveChange {
 pub(crate) struct Wire<S> {
     pending: Vec<(u64, S)>,
     held: Option<S>,
-    pub(crate) fault: Option<ActiveChange>,
+    /// The last good sample.
+    last: Option<S>,
+    fault: Option<ActiveChange>,
 }
 
 impl<S> Default for Wire<S> {
     fn default() -> Self {
-        Self { pending: Vec::new(), held: None, fault: None }
+        Self { pending: Vec::new(), held: None, last: None, fault: None }
     }
 }
 
 impl<S: Sample> Wire<S> {
+    /// Puts a fault on the way.
+    pub(crate) fn break_with(&mut self, mut fault: ActiveChange) {
+        if let Some(last) = &self.last {
+            fault.change.keep(bytemuck::bytes_of(last));
+        }
+        self.fault = Some(fault);
+    }
+
     /// Sends a complete sample; a fault may change, delay, lose or multiply it. `writer` numbers what is added.
     pub(crate) fn send(&mut self, mut sample: S, now_ns: u64, writer: &mut Writer) {
-        let Some(fault) = &mut self.fault else { return self.pending.push((now_ns, sample)) };
-        let is_wrong = now_ns >= fault.from_ns
-            && now_ns < fault.until_ns
-            && fault.of.is_none_or(|incarnation| incarnation == sample.header().incarnation);
-        if !is_wrong {
-            if now_ns < fault.from_ns {
-                fault.change.keep(bytemuck::bytes_of(&sample));
-            }
+        let is_wrong = |fault: &&mut ActiveChange| {
+            now_ns >= fault.from_ns
+                && now_ns < fault.until_ns
+                && fault.of.is_none_or(|incarnation| incarnation == sample.header().incarnation)
+        };
+        let Some(fault) = self.fault.as_mut().filter(is_wrong) else {
+            self.last = Some(sample);
             return self.pending.push((now_ns, sample));
-        }
+        };
         match fault.change.apply(S::TYPE, bytemuck::bytes_of_mut(&mut sample)) {
             Changed::Nothing => {}
             Changed::Once(delay_ns) => self.pending.push((now_ns + delay_ns, sample)),

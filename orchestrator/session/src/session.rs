@@ -18,7 +18,7 @@ mod swaps;
 
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
-use audit::samples::Samples;
+use audit::samples::{Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
 use plan::Plan;
@@ -261,6 +261,7 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            self.require_obedience(&scan);
             if self.conclusion.is_open()
                 && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
@@ -270,6 +271,19 @@ impl Session {
             self.follow(orders)?;
         }
         Ok(())
+    }
+
+    /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them:
+    /// it would not obey a directive either.
+    fn require_obedience(&mut self, scan: &ScanRecord) {
+        if self.conclusion.is_open() && scan.is_disobeyed() {
+            let (label, scan_id) = (self.fleet.label(Role::Actuator), scan.header.scan_id);
+            let reason = format!(
+                "actuator ({label}): it drives although the command for scan {scan_id} blocks the wheels"
+            );
+            self.decide(Outcome::Failed, &reason);
+            self.run.stop_word.latch();
+        }
     }
 
     /// In lock-step no scan after the one that decided the outcome belongs to the run.

@@ -105,7 +105,9 @@ impl Change {
                 (of.header_mut)(bytes).sequence = sequence;
             }
             Action::Set => self.numbers.iter().for_each(|number| number.change(bytes, |_| self.value)),
-            Action::Add => self.numbers.iter().for_each(|number| number.change(bytes, |was| was + self.value)),
+            Action::Add => {
+                self.numbers.iter().for_each(|number| number.change(bytes, |was| was + self.value))
+            }
             Action::Scale => {
                 self.numbers.iter().for_each(|number| number.change(bytes, |was| was * self.value));
             }

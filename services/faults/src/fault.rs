@@ -282,7 +282,9 @@ impl Fault {
                 let is_changing = matches!(fault.action, Action::Set | Action::Add | Action::Scale);
                 let may_have_fields = is_changing || fault.action == Action::Freeze;
                 if is_changing && fault.fields.is_empty() || !may_have_fields && !fault.fields.is_empty() {
-                    return Err("inject.sample.fields goes with the actions set, add, scale and freeze".to_owned());
+                    return Err(
+                        "inject.sample.fields goes with the actions set, add, scale and freeze".to_owned()
+                    );
                 }
                 if (fault.action == Action::Delay) != (fault.delay_ms > 0) {
                     return Err("inject.sample.delay_ms goes with the action delay".to_owned());
@@ -295,7 +297,9 @@ impl Fault {
             Injection::Process(ProcessFault { seconds: Some(seconds), .. })
                 if !(*seconds > 0.0 && *seconds <= MAX_SECONDS) =>
             {
-                Err(format!("inject.process.seconds = {seconds} is not allowed: above 0, up to {MAX_SECONDS}"))
+                Err(format!(
+                    "inject.process.seconds = {seconds} is not allowed: above 0, up to {MAX_SECONDS}"
+                ))
             }
             Injection::Process(_) | Injection::Scenario(_) => Ok(()),
         }

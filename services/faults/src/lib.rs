@@ -15,7 +15,7 @@ mod fault;
 
 pub use change::{Change, Changed, UnknownField};
 pub use fault::{
-    Action, Expectation, Fault, FaultError, Injection, InPhase, Phase, ProcessAction, ProcessFault,
+    Action, Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault,
     ProcessName, SampleFault, ScenarioFault,
 };
 

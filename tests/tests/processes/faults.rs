@@ -12,7 +12,8 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 fn faults(system: &System, arguments: &[&str]) -> (Option<i32>, Value) {
     let output = system.run(&[&["faults", "--json", "--out", "out"], arguments].concat());
     let printed = serde_json::from_slice(&output.stdout);
-    let printed = printed.unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
+    let printed =
+        printed.unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&output.stderr)));
     (output.status.code(), printed)
 }
 

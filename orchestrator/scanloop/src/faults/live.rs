@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use fault_matrix::course::{begins, live_scenario, settings};
-use fault_matrix::{Cell, Course, Finding, Limits, Observed, Place, Simulation, judge};
+use fault_matrix::{Course, Finding, Limits, Observed, Place, Simulation, judge};
 use faults::{Fault, Injection, Phase, ProcessAction, ProcessFault};
 use pipeline::Settings;
 use runtime::monotonic_ns;
@@ -135,9 +135,7 @@ fn with_ways(findings: Vec<Finding>, course: &Course, ends_as_planned: bool) -> 
 
 /// Waits until a phase begins.
 fn wait_for(watch: &mut Watch, phase: Phase, settings: &Settings) -> anyhow::Result<()> {
-    wait_until(watch, |watch| {
-        !watch.passed.is_empty() && begins(phase, &settings.scenario, &watch.newest)
-    })
+    wait_until(watch, |watch| !watch.passed.is_empty() && begins(phase, &settings.scenario, &watch.newest))
 }
 
 fn wait_until(watch: &mut Watch, condition: impl Fn(&Watch) -> bool) -> anyhow::Result<()> {
@@ -166,6 +164,7 @@ fn in_a_namespace(fault: &Fault, phase: Phase) -> anyhow::Result<Driven> {
     let output = command.stdin(Stdio::null()).output().context("unshare")?;
     let _ = std::fs::remove_dir_all(&out);
     let printed = || String::from_utf8_lossy(&output.stderr).into_owned();
-    let matrix: Matrix = serde_json::from_slice(&output.stdout).with_context(|| format!("{cell}: {}", printed()))?;
+    let matrix: Matrix =
+        serde_json::from_slice(&output.stdout).with_context(|| format!("{cell}: {}", printed()))?;
     matrix.cells.into_iter().next().map(Ok).with_context(|| format!("{cell}: {}", printed()))
 }

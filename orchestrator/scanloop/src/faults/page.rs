@@ -8,8 +8,7 @@ use faults::{Fault, Phase};
 /// `docs/faults.md`: what is injected and what must happen.
 pub(crate) fn faults_page(all: &[Fault]) -> String {
     let cells = all.iter().map(|fault| fault.phases().count()).sum::<usize>();
-    let live: usize =
-        all.iter().filter(|fault| fault.is_live()).map(|fault| fault.phases().count()).sum();
+    let live: usize = all.iter().filter(|fault| fault.is_live()).map(|fault| fault.phases().count()).sum();
     let mut text = include_str!("faults.md").to_owned();
     let _ = writeln!(text, "{} faults in {cells} cells, {live} of them with real processes.\n", all.len());
     text.push_str(
@@ -31,7 +30,13 @@ pub(crate) fn faults_page(all: &[Fault]) -> String {
     text.push_str("\n## What differs in a phase\n\n| cell | what differs | why |\n|---|---|---|\n");
     for fault in all {
         for (phase, differs) in &fault.in_phase {
-            let _ = writeln!(text, "| `{}/{phase}` | {} | {} |", fault.name, differences(fault, *phase), differs.because);
+            let _ = writeln!(
+                text,
+                "| `{}/{phase}` | {} | {} |",
+                fault.name,
+                differences(fault, *phase),
+                differs.because
+            );
         }
     }
     text

@@ -2,9 +2,7 @@
 
 use fault_matrix::{Finding, Findings, Passed, Place};
 use runtime::{Bus, Domain, Observer, RuntimeError, monotonic_ns};
-use shared_types::{
-    Actuation, ActuationKind, BlockReason, Directive, Heartbeat, ROLES, Role, Truth,
-};
+use shared_types::{Actuation, ActuationKind, BlockReason, Directive, Heartbeat, ROLES, Role, Truth};
 
 /// The counters of a heartbeat, by the names of findings.
 type Counters = [(&'static str, u64); 6];
@@ -82,9 +80,8 @@ impl Watch {
         }
         actuations.poll(|actuation| {
             let reason = BlockReason::try_from(actuation.reason);
-            let is_normal = |reason| {
-                matches!(reason, BlockReason::None | BlockReason::Landed | BlockReason::Commanded)
-            };
+            let is_normal =
+                |reason| matches!(reason, BlockReason::None | BlockReason::Landed | BlockReason::Commanded);
             if injected
                 && actuation.kind == ActuationKind::Block.wire()
                 && let Ok(reason) = reason
