@@ -106,13 +106,22 @@ impl Change {
             }
             Action::Set => self.numbers.iter().for_each(|number| number.change(bytes, |_| self.value)),
             Action::Add => {
-                self.numbers.iter().for_each(|number| number.change(bytes, |was| was + self.value))
+                self.numbers.iter().for_each(|number| number.change(bytes, |was| self.moved(was, number)))
             }
             Action::Scale => {
                 self.numbers.iter().for_each(|number| number.change(bytes, |was| was * self.value));
             }
         }
         Changed::Once(0)
+    }
+}
+
+impl Change {
+    /// A number with the value added. A whole number that is not zero does not become zero by its limit, because zero often
+    /// means that there is none.
+    fn moved(&self, was: f64, number: &Number) -> f64 {
+        let is = was + self.value;
+        if number.scalar != "f64" && was > 0.0 { is.max(1.0) } else { is }
     }
 }
 
@@ -129,9 +138,8 @@ impl Number {
                 let was = bytemuck::pod_read_unaligned::<$type>(place);
                 // The difference, so that large numbers keep their last digits. Casts saturate.
                 let difference = (change(was as f64) - was as f64).round() as i128;
-                // Zero often means that there is none: a number that is moved does not become zero by the limit.
-                let least = if was > 0 && difference < 0 { 1 } else { <$type>::MIN as i128 };
-                let is = (was as i128 + difference).clamp(least, <$type>::MAX as i128) as $type;
+                let is =
+                    (was as i128 + difference).clamp(<$type>::MIN as i128, <$type>::MAX as i128) as $type;
                 place.copy_from_slice(bytemuck::bytes_of(&is));
             }};
         }

@@ -49,6 +49,12 @@ fn numbers_are_set_added_and_scaled_wherever_they_stand() {
     apply(&mut half, &mut scan);
     assert_eq!(scan.ranges_mm, [500; BEAMS]);
 
+    let mut command = Command { verified: 1, ..Command::default() };
+    let mut unverified =
+        self::change("topic = \"command\"\naction = \"set\"\nfields = [\"verified\"]\nvalue = 0");
+    apply(&mut unverified, &mut command);
+    assert_eq!(command.verified, 0);
+
     let mut obstacles = Obstacles::default();
     let mut nan = change("topic = \"obstacles\"\naction = \"set\"\nfields = [\"items.1.y_m\"]\nvalue = nan");
     apply(&mut nan, &mut obstacles);

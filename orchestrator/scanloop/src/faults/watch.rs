@@ -5,7 +5,7 @@ use runtime::{Bus, Domain, Observer, RuntimeError, monotonic_ns};
 use shared_types::{Actuation, ActuationKind, BlockReason, Directive, Heartbeat, ROLES, Role, Truth};
 
 /// The counters of a heartbeat, by the names of findings.
-type Counters = [(&'static str, u64); 6];
+type Counters = [(&'static str, u64); 5];
 
 /// Observers of one system, and what they have seen.
 pub(super) struct Watch {
@@ -132,7 +132,6 @@ fn counters_of(beat: &Heartbeat) -> Counters {
         ("too_old", beat.stale),
         ("duplicate", beat.duplicate),
         ("reordered", beat.reordered),
-        ("foreign", beat.foreign),
         ("missing", beat.missing),
     ]
 }
