@@ -18,7 +18,8 @@ pub(super) struct Watch {
     /// The newest truth.
     pub(super) newest: Truth,
     findings: Findings,
-    counters: [Counters; ROLES],
+    /// By incarnation of the process.
+    counters: Vec<(u32, Counters)>,
     incarnations: [u32; ROLES],
     /// The role whose process is faulty: a new process of it is a finding.
     faulty: Option<Role>,
@@ -43,7 +44,7 @@ impl Watch {
             passed: Vec::new(),
             newest: Truth::default(),
             findings: Findings::default(),
-            counters: [Counters::default(); ROLES],
+            counters: Vec::new(),
             incarnations: [0; ROLES],
             faulty: None,
             had_dead_man: false,
@@ -78,10 +79,15 @@ impl Watch {
         if injected && newest.dead_man == 1 && !self.had_dead_man {
             findings.note(Role::Robot.name(), "dead_man", now);
         }
+        let stage_is_faulty = self.faulty.is_some_and(|role| role != Role::Robot);
         actuations.poll(|actuation| {
             let reason = BlockReason::try_from(actuation.reason);
-            let is_normal =
-                |reason| matches!(reason, BlockReason::None | BlockReason::Landed | BlockReason::Commanded);
+            let is_normal = |reason| match reason {
+                BlockReason::None | BlockReason::Landed | BlockReason::Commanded => true,
+                // The end of the run.
+                BlockReason::StopRequested => stage_is_faulty,
+                _ => false,
+            };
             if injected
                 && actuation.kind == ActuationKind::Block.wire()
                 && let Ok(reason) = reason
@@ -104,13 +110,15 @@ impl Watch {
         let counters = &mut self.counters;
         heartbeats.poll(|beat| {
             let Ok(role) = Role::try_from(beat.role) else { return };
-            let is = counters_of(beat);
-            let was = std::mem::replace(&mut counters[role.index()], is);
-            for ((what, is), (_, was)) in is.into_iter().zip(was) {
+            let (of, is) = (beat.header.incarnation, counters_of(beat));
+            let known = counters.iter_mut().find(|(incarnation, _)| *incarnation == of);
+            let Some((_, was)) = known else { return counters.push((of, is)) };
+            for ((what, is), (_, was)) in is.iter().zip(was.iter()) {
                 if injected && is > was {
                     findings.note(role.name(), what, now);
                 }
             }
+            *was = is;
         })?;
         Ok(())
     }
