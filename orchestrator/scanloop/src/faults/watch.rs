@@ -113,7 +113,7 @@ impl Watch {
             let (of, is) = (beat.header.incarnation, counters_of(beat));
             let known = counters.iter_mut().find(|(incarnation, _)| *incarnation == of);
             let Some((_, was)) = known else { return counters.push((of, is)) };
-            for ((what, is), (_, was)) in is.iter().zip(was.iter()) {
+            for ((what, is), (_, was)) in is.into_iter().zip(*was) {
                 if injected && is > was {
                     findings.note(role.name(), what, now);
                 }
