@@ -27,6 +27,13 @@ const RECENT: usize = 32;
 /// orchestrator polls less often.
 const ASIDE: usize = 16;
 
+/// So many scans in a row with an actuation that [`deviates`] are no limit of the actuator.
+pub const MAX_DEVIATING: u32 = 2;
+/// Velocity beyond that of the command that deviates [m/s].
+const FASTER_MPS: f64 = 0.2;
+/// Difference to the steering angle of the command that deviates, a third of the largest angle [rad].
+const OTHERWISE_RAD: f64 = 0.02;
+
 /// What is stored of a sample until its scan is complete.
 trait Stored<S> {
     fn of(sample: &S) -> Self;
@@ -173,10 +180,29 @@ pub struct ScanRecord {
 }
 
 impl ScanRecord {
+    /// Whether the actuator turns the wheels clearly otherwise than each command of the scan.
+    pub fn deviates(&self) -> bool {
+        self.actuations.iter().any(|actuation| deviates(&self.commands, actuation))
+    }
+
     /// Whether the actuator turns the wheels although every command of the scan blocks them.
     pub fn is_disobeyed(&self) -> bool {
         self.actuations.iter().any(|actuation| is_disobedient(&self.commands, actuation))
     }
+}
+
+/// Whether an answer turns the wheels clearly otherwise than each of the commands that it may answer: faster, or in another
+/// direction. A single one may be a limit of the actuator.
+pub fn deviates(commands: &[Command], actuation: &Actuation) -> bool {
+    let differs = |command: &Command| {
+        command.kind == CommandKind::Drive.wire()
+            && (actuation.desired_velocity_mps > command.velocity_mps + FASTER_MPS
+                || (actuation.desired_steering_rad - command.steering_rad).abs() > OTHERWISE_RAD)
+    };
+    actuation.answers == 1
+        && actuation.kind == ActuationKind::Drive.wire()
+        && !commands.is_empty()
+        && commands.iter().all(differs)
 }
 
 /// Whether an answer turns the wheels although none of the commands that it may answer asks for that.
@@ -393,5 +419,10 @@ mod tests {
         assert!(!is_disobedient(&[stop, go], &drive));
         assert!(!is_disobedient(&[], &drive), "a command that was not seen may have driven");
         assert!(!is_disobedient(&[stop], &actuation(ActuationKind::Drive, 0)), "it repeats an older scan");
+        let left = Command { velocity_mps: 0.5, steering_rad: 0.021, ..go };
+        let straight = |velocity| Actuation { desired_velocity_mps: velocity, ..drive };
+        assert!(deviates(&[left], &straight(0.5)) && !deviates(&[left, go], &straight(0.1)));
+        assert!(deviates(&[go], &straight(0.21)) && !deviates(&[left], &block));
+        assert!(!deviates(&[Command { steering_rad: 0.019, ..left }], &straight(0.0)), "slower is allowed");
     }
 }

@@ -115,6 +115,12 @@ impl Course {
         self.0.iter().map(|passed| other.distance_to(passed.at_m)).fold(apart_m, f64::max)
     }
 
+    /// When the robot is first [`UNAFFECTED_M`] away from another's way [ns].
+    fn leaves_ns(&self, other: &Self) -> Option<u64> {
+        let is_away = |passed: &&Passed| other.distance_to(passed.at_m) >= UNAFFECTED_M;
+        self.0.iter().find(is_away).map(|passed| passed.at_ns)
+    }
+
     /// Distance of a place to this way [m]; zero if there is none.
     fn distance_to(&self, place: [f64; 2]) -> f64 {
         let parts = self.0.windows(2).map(|ends| distance_to_part(place, ends[0].at_m, ends[1].at_m));
@@ -166,7 +172,12 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
     let Observed { from_ns, findings, course, unaffected, .. } = observed;
     let is_expected = |finding: &&Finding| expected.detected_by.iter().any(|name| name == finding.by);
     let found = findings.iter().find(is_expected);
-    let detectable_ns = from_ns + (expected.detectable_ms * 1e6) as u64;
+    let detectable_ns = match (expected.from_effect, course.leaves_ns(unaffected)) {
+        (true, Some(leaves_ns)) => leaves_ns.max(*from_ns),
+        (true, None) => u64::MAX,
+        (false, _) => from_ns + (expected.detectable_ms * 1e6) as u64,
+    };
+    let latest_ns = detectable_ns.saturating_add((expected.within_ms * 1e6) as u64);
     let deviation_m = course.deviation_m(unaffected, observed.ended);
     let has_no_effect = !unaffected.0.is_empty() && deviation_m < UNAFFECTED_M;
     let until_m = found.map(|finding| finding.place.way_m).or(course.0.last().map(|passed| passed.way_m));
@@ -174,9 +185,9 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
         None if has_no_effect => 0.0,
         _ => (until_m.unwrap_or(0.0) - course.way_m(detectable_ns)).max(0.0),
     };
-    let after_ms = found.map(|finding| finding.place.at_ns.saturating_sub(*from_ns) as f64 * 1e-6);
     let blind_limit_m = limits.blind_m(course.fastest_mps());
-    let reason = wrong(&expected, observed, after_ms, [blind_m, blind_limit_m], has_no_effect, deviation_m);
+    let late_ms = found.map(|finding| (finding.place.at_ns as f64 - latest_ns as f64).max(0.0) * 1e-6);
+    let reason = wrong(&expected, observed, late_ms, [blind_m, blind_limit_m], has_no_effect, deviation_m);
     let shown = found.or_else(|| findings.first());
     Cell {
         fault: fault.name.clone(),
@@ -195,31 +206,27 @@ pub fn judge(fault: &Fault, phase: Phase, observed: &Observed, limits: &Limits) 
     }
 }
 
-/// The first expectation that is not met; empty when all are.
+/// The first expectation that is not met; empty when all are. `late_ms` is by how much a detection is late.
 fn wrong(
     expected: &Expectation,
     observed: &Observed,
-    after_ms: Option<f64>,
+    late_ms: Option<f64>,
     [blind_m, limit_m]: [f64; 2],
     has_no_effect: bool,
     deviation_m: f64,
 ) -> String {
-    let Expectation { outcomes, within_ms, detectable_ms, .. } = expected;
     if observed.touched {
         return "the body touched something".to_owned();
     }
-    if !outcomes.contains(&observed.outcome) {
-        return format!("outcome {}, allowed: {}", observed.outcome, outcomes.join(", "));
+    if !expected.outcomes.contains(&observed.outcome) {
+        return format!("outcome {}, allowed: {}", observed.outcome, expected.outcomes.join(", "));
     }
     if has_no_effect {
         return String::new();
     }
-    let latest_ms = detectable_ms + within_ms;
-    match after_ms {
+    match late_ms {
         None => format!("not detected, the wheels deviate by {deviation_m:.3} m"),
-        Some(after_ms) if after_ms > latest_ms => {
-            format!("detected after {after_ms:.0} ms, allowed: {latest_ms:.0} ms")
-        }
+        Some(late_ms) if late_ms > 0.0 => format!("detected {late_ms:.0} ms too late"),
         Some(_) if blind_m > limit_m => {
             format!("{blind_m:.3} m driven until it was detected, allowed: {limit_m:.3} m")
         }
@@ -280,10 +287,7 @@ mod tests {
         assert_eq!(reason(EXPECT, &observed(0.1, &[("actuator", 300)])), "");
         let by_another = observed(0.1, &[("estimator", 300)]);
         assert_eq!(reason(EXPECT, &by_another), "not detected, the wheels deviate by 0.100 m");
-        assert_eq!(
-            reason(EXPECT, &observed(0.1, &[("actuator", 400)])),
-            "detected after 400 ms, allowed: 350 ms"
-        );
+        assert_eq!(reason(EXPECT, &observed(0.1, &[("actuator", 400)])), "detected 50 ms too late");
     }
 
     #[test]
@@ -312,6 +316,9 @@ mod tests {
         // Counted from when it can be detected.
         let grows = format!("{late}\ndetectable_ms = 300");
         assert_eq!(reason(&grows, &observed(0.1, &[("robot", 650)])), "");
+        // Counted from when it has an effect, which this one has at once.
+        let effect = format!("{late}\nfrom_effect = true");
+        assert_ne!(reason(&effect, &observed(0.1, &[("robot", 401)])), "");
     }
 
     #[test]

@@ -9,7 +9,7 @@
 mod controllers;
 
 use actuation::Actuator;
-use audit::samples::is_disobedient;
+use audit::samples::{MAX_DEVIATING, deviates, is_disobedient};
 use emulator::{Emulator, Outcome, Received, Referee, Scenario};
 use estimator::Estimator;
 use faults::{Change, Injection, SampleFault, ScenarioFault};
@@ -67,6 +67,8 @@ pub struct Rig {
     outcome: Option<Outcome>,
     /// The newest commands that count.
     commands: Vec<Command>,
+    /// Scans in a row in which the actuator turned the wheels otherwise than commanded.
+    deviating: u32,
     /// When the robot sees the stop word that the orchestrator has overwritten [ns].
     halted_ns: Option<u64>,
     /// Whether it has.
@@ -147,6 +149,7 @@ impl Rig {
             refused: [0; 4],
             outcome: None,
             commands: Vec::with_capacity(COMMANDS),
+            deviating: 0,
             halted_ns: None,
             is_halted: false,
         })
@@ -463,7 +466,11 @@ impl Rig {
         let scan_id = actuation.header.scan_id;
         let commands: Vec<Command> =
             self.commands.iter().filter(|command| command.header.scan_id == scan_id).copied().collect();
-        if self.halted_ns.is_none() && is_disobedient(&commands, actuation) {
+        if actuation.answers == 1 {
+            self.deviating = if deviates(&commands, actuation) { self.deviating + 1 } else { 0 };
+        }
+        let is_wrong = is_disobedient(&commands, actuation) || self.deviating > MAX_DEVIATING;
+        if self.halted_ns.is_none() && is_wrong {
             self.findings.note("orchestrator", "disobeyed", self.place());
             self.halted_ns = Some(self.now_ns + (HALT_PERIODS * self.period_ns as f64) as u64);
         }

@@ -18,7 +18,7 @@ mod swaps;
 
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
-use audit::samples::{Samples, ScanRecord};
+use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
 use plan::Plan;
@@ -62,6 +62,8 @@ pub struct Session {
     registry_file: RegistryFile,
     /// What decides the outcome; `None` until the robot is connected.
     judged_by: Option<JudgedBy>,
+    /// Scans in a row in which the actuator turned the wheels otherwise than commanded.
+    deviating: u32,
     control: ControlSocket,
     shutdown: Shutdown,
     progress: Progress,
@@ -117,6 +119,7 @@ impl Session {
             directives: Directives::new(&bus, directive)?,
             registry_file: RegistryFile::default(),
             judged_by: None,
+            deviating: 0,
             progress: Progress::new(options.quiet),
             manager: ServiceManager::new(),
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
@@ -273,15 +276,17 @@ impl Session {
         Ok(())
     }
 
-    /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them:
-    /// it would not obey a directive either.
+    /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them,
+    /// or several times otherwise than commanded: it would not obey a directive either.
     fn require_obedience(&mut self, scan: &ScanRecord) {
-        if self.conclusion.is_open() && scan.is_disobeyed() {
+        self.deviating = if scan.deviates() { self.deviating + 1 } else { 0 };
+        if self.conclusion.is_open() && (scan.is_disobeyed() || self.deviating > MAX_DEVIATING) {
             let (label, scan_id) = (self.fleet.label(Role::Actuator), scan.header.scan_id);
-            let reason = format!(
-                "actuator ({label}): it drives although the command for scan {scan_id} blocks the wheels"
-            );
-            self.decide(Outcome::Failed, &reason);
+            let what = match scan.is_disobeyed() {
+                true => "it drives although the command blocks the wheels",
+                false => "it drives otherwise than commanded",
+            };
+            self.decide(Outcome::Failed, &format!("actuator ({label}): {what}, scan {scan_id}"));
             self.run.stop_word.latch();
         }
     }

@@ -204,6 +204,9 @@ pub struct Expectation {
     /// From when on it can be told from what is normal: later than its beginning where it has to grow [ms].
     #[serde(default)]
     pub detectable_ms: f64,
+    /// `true`: it can be told only once the robot has left the way of the drive without the fault by 5 cm.
+    #[serde(default)]
+    pub from_effect: bool,
 }
 
 /// What differs in one phase.

@@ -50,6 +50,7 @@ fn or_dash(text: &str) -> &str {
 fn within(fault: &Fault) -> String {
     let expected = &fault.expect;
     match expected.detectable_ms {
+        _ if expected.from_effect => format!("{:.0} ms after 5 cm", expected.within_ms),
         0.0 => format!("{:.0} ms", expected.within_ms),
         from_ms => format!("{:.0} ms after {from_ms:.0} ms", expected.within_ms),
     }
