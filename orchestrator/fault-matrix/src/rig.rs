@@ -7,25 +7,24 @@
 //! What is not modelled: processes that die or hang, and their supervisor. Such cells run with real processes.
 
 mod controllers;
+mod inject;
+mod stages;
 
 use actuation::Actuator;
-use audit::samples::{MAX_DEVIATING, deviates, is_disobedient};
-use emulator::{Emulator, Outcome, Received, Referee, Scenario};
+use emulator::{Emulator, Outcome, Referee, Scenario};
 use estimator::Estimator;
-use faults::{Change, Injection, SampleFault, ScenarioFault};
 use nmpc::Budget;
 use obstacles::ObstacleDetector;
 use pipeline::Settings;
 use shared_types::{
-    Actuation, Authority, BlockReason, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan,
-    StopReason, Suspect, Topic, Truth,
+    Actuation, Authority, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan, StopReason, Truth,
 };
 use vehicle::Invalid;
 
 use self::controllers::Controllers;
 use crate::finding::{Findings, Place};
-use crate::reader::{Reader, join};
-use crate::wire::{ActiveChange, Wire, Writer};
+use crate::reader::Reader;
+use crate::wire::{Wire, Writer};
 
 /// The actuator looks at its timeouts so many times per scan.
 const POLLS: u64 = 10;
@@ -199,60 +198,6 @@ impl Rig {
         self.controllers.is_swapped()
     }
 
-    /// Injects a fault that begins with the next scan, and forgets earlier findings. Returns when it begins [ns].
-    ///
-    /// `None` for a fault of a process, and for one that makes the scenario invalid.
-    pub fn inject(&mut self, injection: &Injection) -> Option<u64> {
-        let from_ns = self.emulator.scan_ready_ns(self.next_scan) - LEAD_NS;
-        self.findings.restart(from_ns);
-        let is_injected = match injection {
-            Injection::Sample(fault) => self.inject_into_samples(fault, from_ns),
-            Injection::Scenario(fault) => self.inject_into_robot(fault),
-            Injection::Process(_) => false,
-        };
-        is_injected.then_some(from_ns)
-    }
-
-    fn inject_into_samples(&mut self, fault: &SampleFault, from_ns: u64) -> bool {
-        let Ok(change) = Change::new(fault) else { return false };
-        let lasts_ns = fault.scans.map_or(u64::MAX, |scans| scans * self.period_ns);
-        // Of two processes in a swap, the one in charge is faulty.
-        let of = (fault.topic == Topic::Command).then(|| incarnation(Role::Controller));
-        let fault_of = ActiveChange { change, from_ns, until_ns: from_ns.saturating_add(lasts_ns), of };
-        match fault.topic {
-            Topic::Scan => self.wires.scan.break_with(fault_of),
-            Topic::Odometry => self.wires.odometry.break_with(fault_of),
-            Topic::Pose => self.wires.pose.break_with(fault_of),
-            Topic::Obstacles => self.wires.obstacles.break_with(fault_of),
-            Topic::Command => self.wires.command.break_with(fault_of),
-            Topic::Actuation if fault.at_robot => self.wires.to_robot.break_with(fault_of),
-            Topic::Actuation => self.wires.actuation.break_with(fault_of),
-            Topic::Heartbeat | Topic::Directive | Topic::Checkpoint | Topic::Truth => return false,
-        }
-        true
-    }
-
-    fn inject_into_robot(&mut self, fault: &ScenarioFault) -> bool {
-        let Ok(mut table) = self.scenario.to_toml().parse::<toml::Table>() else { return false };
-        merge(&mut table, &fault.set);
-        let Ok(faulty) = Scenario::from_table(table, "fault") else { return false };
-        if let Some(scans) = fault.scans {
-            self.repaired = Some((self.next_scan + scans, self.scenario.clone()));
-        }
-        self.replace_robot(&faulty)
-    }
-
-    /// The robot continues as one of another scenario.
-    fn replace_robot(&mut self, scenario: &Scenario) -> bool {
-        let Some(state) = self.emulator.state(self.next_scan - 1) else { return false };
-        let mut emulator = Emulator::new(scenario, self.period_ns);
-        let continues = emulator.resume(&state).is_ok();
-        if continues {
-            self.emulator = emulator;
-        }
-        continues
-    }
-
     /// Goes to the next time at which something happens, and lets it happen.
     fn advance(&mut self) {
         let poll_ns = self.period_ns / POLLS;
@@ -316,166 +261,6 @@ impl Rig {
         self.next_scan += 1;
     }
 
-    /// Hands samples that have arrived to their readers; whether there were any.
-    fn deliver(&mut self) -> bool {
-        let (now_ns, mut any) = (self.now_ns, false);
-        while let Some(scan) = self.wires.scan.receive(now_ns) {
-            let found = self.ends.to_detector.0.arrive(scan, now_ns, &alone(Role::Robot));
-            self.note_some(Role::Obstacles, found);
-            any = true;
-        }
-        while let Some(odometry) = self.wires.odometry.receive(now_ns) {
-            let found = self.ends.to_estimator.0.arrive(odometry, now_ns, &alone(Role::Robot));
-            self.note_some(Role::Estimator, found);
-            any = true;
-        }
-        while let Some(pose) = self.wires.pose.receive(now_ns) {
-            let authority = alone(Role::Estimator);
-            let found = self.ends.to_detector.1.arrive(pose, now_ns, &authority);
-            self.note_some(Role::Obstacles, found);
-            let found = self.controllers.receive_pose(&pose, now_ns, &authority);
-            self.note_some(Role::Controller, found);
-            any = true;
-        }
-        while let Some(obstacles) = self.wires.obstacles.receive(now_ns) {
-            let found = self.controllers.receive_obstacles(&obstacles, now_ns, &alone(Role::Obstacles));
-            self.note_some(Role::Controller, found);
-            any = true;
-        }
-        while let Some(command) = self.wires.command.receive(now_ns) {
-            let found = self.ends.to_actuator.arrive(command, now_ns, &self.authority);
-            if found.is_some_and(|rule| rule != "missing") {
-                self.actuator.note_dropped();
-            }
-            self.note_some(Role::Actuator, found);
-            self.controllers.observe(now_ns, &command);
-            if self.authority.accepts(command.header.incarnation, command.header.scan_id) {
-                if self.commands.len() == COMMANDS {
-                    self.commands.remove(0);
-                }
-                self.commands.push(command);
-            }
-            any = true;
-        }
-        while let Some(actuation) = self.wires.actuation.receive(now_ns) {
-            let found = self.ends.to_estimator.1.arrive(actuation, now_ns, &alone(Role::Actuator));
-            self.note_some(Role::Estimator, found);
-            self.require_obedience(&actuation);
-            self.wires.to_robot.send(actuation, now_ns, &mut self.ends.actuations);
-            any = true;
-        }
-        while let Some(actuation) = self.wires.to_robot.receive(now_ns) {
-            let found = self.ends.to_robot.arrive(actuation, now_ns, &alone(Role::Actuator));
-            self.note_some(Role::Robot, found);
-            any = true;
-        }
-        any
-    }
-
-    /// Lets each stage do what its inputs allow; whether one did something.
-    fn step(&mut self) -> bool {
-        let (now_ns, mut any) = (self.now_ns, false);
-        while let Some(actuation) = self.ends.to_robot.take() {
-            any = true;
-            if !self.is_halted && self.emulator.actuate(&actuation) == Received::Refused {
-                self.note(Role::Robot, "refused");
-            }
-        }
-        while let Some(actuation) = self.ends.to_estimator.1.take() {
-            self.estimator.note(&actuation, now_ns);
-            any = true;
-        }
-        while let Some(odometry) = self.ends.to_estimator.0.take() {
-            self.estimate(&odometry);
-            any = true;
-        }
-        while let Some((scan, pose)) =
-            join(&mut self.ends.to_detector.0, &mut self.ends.to_detector.1, now_ns)
-        {
-            let mut obstacles = self.detector.step(&scan, &pose);
-            let state = obstacles.scanner.state();
-            if state != shared_types::ScannerState::Healthy {
-                self.note(Role::Obstacles, state.name());
-            }
-            self.ends.obstacles.complete(&mut obstacles, now_ns);
-            self.wires.obstacles.send(obstacles, now_ns, &mut self.ends.obstacles);
-            any = true;
-        }
-        let Self { controllers, wires, findings, .. } = self;
-        let place = Place { at_ns: now_ns, way_m: self.way_m };
-        any |= controllers.step(now_ns, &mut wires.command, |reason| {
-            findings.note(Role::Controller.name(), reason.name(), place);
-        });
-        while let Some(command) = self.ends.to_actuator.take() {
-            let actuation = self.actuator.answer(&command, now_ns);
-            if let Some(fault) = self.actuator.refusal() {
-                let rule = fault.rule().name();
-                self.note(Role::Actuator, rule);
-            }
-            self.controllers.record(&command, &actuation);
-            self.actuate(actuation);
-            any = true;
-        }
-        any
-    }
-
-    fn estimate(&mut self, odometry: &Odometry) {
-        let Some(mut pose) = self.estimator.step(odometry, None, self.now_ns) else {
-            return self.note_refused();
-        };
-        if let Ok(suspect) = Suspect::try_from(pose.suspect)
-            && suspect != Suspect::None
-        {
-            self.note(Role::Estimator, suspect.name());
-        }
-        self.note_refused();
-        self.ends.poses.complete(&mut pose, self.now_ns);
-        self.wires.pose.send(pose, self.now_ns, &mut self.ends.poses);
-    }
-
-    /// Notes what the estimator has refused since the last call.
-    fn note_refused(&mut self) {
-        let state = self.estimator.state();
-        let refused = [state.rejected, state.restarts, state.skipped, state.invalid];
-        let names = ["gate", "restarted", "not_newer", "refused"];
-        for ((now, before), name) in refused.into_iter().zip(self.refused).zip(names) {
-            if now > before {
-                self.note(Role::Estimator, name);
-            }
-        }
-        self.refused = refused;
-    }
-
-    fn poll_actuator(&mut self) {
-        if let Some(block) = self.actuator.tick(self.now_ns) {
-            if let Ok(reason) = BlockReason::try_from(block.reason) {
-                self.note(Role::Actuator, reason.name());
-            }
-            self.actuate(block);
-        }
-    }
-
-    fn actuate(&mut self, mut actuation: Actuation) {
-        self.ends.actuations.complete(&mut actuation, self.now_ns);
-        self.wires.actuation.send(actuation, self.now_ns, &mut self.ends.actuations);
-        self.actuation = Some(actuation);
-    }
-
-    /// The check of the orchestrator: an actuator that disobeys a command to block is not trusted any more.
-    fn require_obedience(&mut self, actuation: &Actuation) {
-        let scan_id = actuation.header.scan_id;
-        let commands: Vec<Command> =
-            self.commands.iter().filter(|command| command.header.scan_id == scan_id).copied().collect();
-        if actuation.answers == 1 {
-            self.deviating = if deviates(&commands, actuation) { self.deviating + 1 } else { 0 };
-        }
-        let is_wrong = is_disobedient(&commands, actuation) || self.deviating > MAX_DEVIATING;
-        if self.halted_ns.is_none() && is_wrong {
-            self.findings.note("orchestrator", "disobeyed", self.place());
-            self.halted_ns = Some(self.now_ns + (HALT_PERIODS * self.period_ns as f64) as u64);
-        }
-    }
-
     /// Lets the state machine of a swap decide.
     fn turn_swap(&mut self) {
         let answered = self.actuation.map_or(0, |actuation| actuation.header.scan_id);
@@ -508,16 +293,6 @@ const fn incarnation(role: Role) -> u32 {
 /// The first process of a role counts for all scans.
 const fn alone(role: Role) -> Authority {
     Authority { incarnation: incarnation(role), previous: 0, from_scan: 0 }
-}
-
-/// Puts the values of `changes` into `table`; arrays are replaced.
-fn merge(table: &mut toml::Table, changes: &toml::Table) {
-    for (key, value) in changes {
-        match (table.get_mut(key), value) {
-            (Some(toml::Value::Table(inner)), toml::Value::Table(changes)) => merge(inner, changes),
-            _ => _ = table.insert(key.clone(), value.clone()),
-        }
-    }
 }
 
 /// The budget of the solver in simulated time.

@@ -4,7 +4,7 @@ use std::mem::size_of;
 
 use shared_types::{Field, Header, Kind, SampleType};
 
-use crate::{Action, SampleFault};
+use crate::sample_fault::{Action, SampleFault};
 
 /// Copies of a sample that a flood adds.
 const FLOOD: u64 = 99;

@@ -12,12 +12,14 @@
 
 mod change;
 mod fault;
+mod sample_fault;
 
 pub use change::{Change, Changed, UnknownField};
 pub use fault::{
-    Action, Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault,
-    ProcessName, SampleFault, ScenarioFault,
+    Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault, ProcessName,
+    ScenarioFault,
 };
+pub use sample_fault::{Action, SampleFault};
 
 /// Name and text of each file in `faults/`.
 const FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/list.rs"));
