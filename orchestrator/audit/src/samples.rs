@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 
 use runtime::{Bus, Observer, RuntimeError, buffer, monotonic_ns};
 use shared_types::{
-    Actuation, Admission, AuthorityFilter, Command, Directive, Fault, Header, Obstacles, Odometry, Pose,
-    Rule, Sample, Scan, Truth, YOUNG_NS,
+    Actuation, ActuationKind, Admission, AuthorityFilter, Command, CommandKind, Directive, Fault, Header,
+    Obstacles, Odometry, Pose, Rule, Sample, Scan, Truth, YOUNG_NS,
 };
 
 use crate::ledger::SampleAudit;
@@ -26,6 +26,13 @@ const RECENT: usize = 32;
 /// Number of samples that are stored of the other process of a swap; more than processes store, because the
 /// orchestrator polls less often.
 const ASIDE: usize = 16;
+
+/// So many scans in a row with an actuation that [`deviates`] are no limit of the actuator.
+pub const MAX_DEVIATING: u32 = 2;
+/// Velocity beyond that of the command that deviates [m/s].
+const FASTER_MPS: f64 = 0.2;
+/// Difference to the steering angle of the command that deviates, a third of the largest angle [rad].
+const OTHERWISE_RAD: f64 = 0.02;
 
 /// What is stored of a sample until its scan is complete.
 trait Stored<S> {
@@ -170,6 +177,41 @@ pub struct ScanRecord {
     pub actuations: Vec<Actuation>,
     /// Whether the scanner gave no ranges.
     pub missing: bool,
+}
+
+impl ScanRecord {
+    /// Whether the actuator turns the wheels clearly otherwise than each command of the scan.
+    pub fn deviates(&self) -> bool {
+        self.actuations.iter().any(|actuation| deviates(&self.commands, actuation))
+    }
+
+    /// Whether the actuator turns the wheels although every command of the scan blocks them.
+    pub fn is_disobeyed(&self) -> bool {
+        self.actuations.iter().any(|actuation| is_disobedient(&self.commands, actuation))
+    }
+}
+
+/// Whether an answer turns the wheels clearly otherwise than each of the commands that it may answer: faster, or in another
+/// direction. A single one may be a limit of the actuator.
+pub fn deviates(commands: &[Command], actuation: &Actuation) -> bool {
+    let differs = |command: &Command| {
+        command.kind == CommandKind::Drive.wire()
+            && (actuation.desired_velocity_mps > command.velocity_mps + FASTER_MPS
+                || (actuation.desired_steering_rad - command.steering_rad).abs() > OTHERWISE_RAD)
+    };
+    actuation.answers == 1
+        && actuation.kind == ActuationKind::Drive.wire()
+        && !commands.is_empty()
+        && commands.iter().all(differs)
+}
+
+/// Whether an answer turns the wheels although none of the commands that it may answer asks for that.
+pub fn is_disobedient(commands: &[Command], actuation: &Actuation) -> bool {
+    let drives = |command: &Command| command.kind == CommandKind::Drive.wire();
+    actuation.answers == 1
+        && actuation.kind == ActuationKind::Drive.wire()
+        && !commands.is_empty()
+        && !commands.iter().any(drives)
 }
 
 /// All topics of the loop.
@@ -357,5 +399,30 @@ impl Samples {
         let answered = self.actuations.waiting.iter().find(is_new).map(|actuation| actuation.header);
         let swept = self.scans.waiting.front().map(|swept| swept.header);
         swept.into_iter().chain(answered).min_by_key(|header| header.scan_id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_that_drives_although_the_command_blocks_is_disobedient() {
+        let command = |kind: CommandKind| Command { kind: kind.wire(), ..Command::default() };
+        let actuation =
+            |kind: ActuationKind, answers| Actuation { kind: kind.wire(), answers, ..Actuation::default() };
+        let (drive, block) = (actuation(ActuationKind::Drive, 1), actuation(ActuationKind::Block, 1));
+        let [stop, land, go] = [CommandKind::Stop, CommandKind::Land, CommandKind::Drive].map(command);
+        assert!(is_disobedient(&[stop], &drive) && is_disobedient(&[land], &drive));
+        assert!(!is_disobedient(&[stop], &block) && !is_disobedient(&[go], &drive));
+        // In a swap both controllers answer, and the actuator one of them.
+        assert!(!is_disobedient(&[stop, go], &drive));
+        assert!(!is_disobedient(&[], &drive), "a command that was not seen may have driven");
+        assert!(!is_disobedient(&[stop], &actuation(ActuationKind::Drive, 0)), "it repeats an older scan");
+        let left = Command { velocity_mps: 0.5, steering_rad: 0.021, ..go };
+        let straight = |velocity| Actuation { desired_velocity_mps: velocity, ..drive };
+        assert!(deviates(&[left], &straight(0.5)) && !deviates(&[left, go], &straight(0.1)));
+        assert!(deviates(&[go], &straight(0.21)) && !deviates(&[left], &block));
+        assert!(!deviates(&[Command { steering_rad: 0.019, ..left }], &straight(0.0)), "slower is allowed");
     }
 }

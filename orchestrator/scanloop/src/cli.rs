@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::TypedValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use conformance::ConformanceArguments;
 use plan::Choice;
@@ -155,6 +156,15 @@ pub enum Command {
     /// `collision_excused`, `struck` (contained in `stopped_wrongly`), `collision_bound_95`,
     /// `min_clearance_m`, `gaps`; `causes`, `bad`.
     Campaign(CampaignArguments),
+    /// Inject each fault in each phase of a drive, and judge what the loop makes of it.
+    ///
+    /// Faults of samples and of the robot are driven in simulated time on all cores; processes that die, hang or flood are
+    /// real, in systems of their own. A cell passes if nothing is touched, the drive ends as its fault allows, and the
+    /// fault is detected in time, or has no effect on the wheels. `docs/faults.md` lists the faults. Exit code 1 if a cell
+    /// fails. JSON keys: `cells` with `fault`, `phase`, `live`, `detected_by` (empty: by none), `detection`,
+    /// `detected_after_ms`, `blind_m` (way driven until the detection), `blind_limit_m`, `deviation_m`,
+    /// `min_clearance_m`, `outcome`, `verdict` (`pass`, `fail`), `reason`; `passed`, `failed`, `skipped`.
+    Faults(FaultsArguments),
     /// Measure by driving what latency, scan rate and pose uncertainty cost in centimetres.
     ///
     /// Under each condition the robot drives through gaps between two boxes, which are bisected to 1 cm, and towards a box
@@ -228,6 +238,26 @@ pub struct CheckArguments {
     /// Options of `--live`.
     #[command(flatten)]
     pub live: LiveArguments,
+}
+
+/// Arguments of `faults`.
+#[derive(Debug, Args, Default)]
+pub struct FaultsArguments {
+    /// Only the cells with this in their name, as in `pose-late` or `*/swap`; `*` stands for any text.
+    #[arg(long, value_name = "PATTERN")]
+    pub only: Option<String>,
+    /// So many cells, spread evenly over the chosen ones.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000).map(|count| count as usize))]
+    pub sample: Option<usize>,
+    /// Print the names of the cells to standard output, and drive none.
+    #[arg(long)]
+    pub list: bool,
+    /// Print JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Folder for `faults.html` and `faults.json`.
+    #[arg(long, value_name = "DIR", default_value = "out/faults", value_parser = console::output::folder())]
+    pub out: PathBuf,
 }
 
 /// Arguments of `price`.

@@ -7,6 +7,7 @@ pub mod campaign;
 mod check;
 pub mod cli;
 mod cores;
+mod faults;
 pub mod live_check;
 mod live_latency;
 mod price;
@@ -93,6 +94,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Calibrate(arguments) => calibrate::calibrate(arguments),
         Command::Campaign(arguments) => campaign::campaign(arguments),
+        Command::Faults(arguments) => faults::faults(arguments),
         Command::Price(arguments) => price::price(arguments),
         Command::Bench(command) => {
             runtime::start_logging();

@@ -16,6 +16,8 @@ pub enum Page {
     System,
     /// All commands with their options: docs/commands.md.
     Commands,
+    /// The faults of `scanloop faults`: docs/faults.md.
+    Faults,
 }
 
 /// Arguments of `reference`.
@@ -38,6 +40,7 @@ pub(crate) fn text(arguments: &ReferenceArguments, root: Command) -> anyhow::Res
         Some(Page::Scenario) => Ok(scenario_page()),
         Some(Page::System) => Ok(system_page()),
         Some(Page::Commands) => Ok(commands_page(root)),
+        Some(Page::Faults) => Ok(crate::faults::faults_page(&faults::all()?)),
         None => match find(&arguments.text) {
             found if found.is_empty() => Err(Failure::bad_input(format!(
                 "{}: no key of the scenario or the system file has this in its name or meaning",

@@ -19,7 +19,7 @@ mod swaps;
 
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
-use audit::samples::Samples;
+use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
 use plan::Plan;
@@ -64,6 +64,8 @@ pub struct Session {
     registry_file: RegistryFile,
     /// What decides the outcome; `None` until the robot is connected.
     judged_by: Option<JudgedBy>,
+    /// Scans in a row in which the actuator turned the wheels otherwise than commanded.
+    deviating: u32,
     control: ControlSocket,
     shutdown: Shutdown,
     progress: Progress,
@@ -120,6 +122,7 @@ impl Session {
             directives: Directives::new(&bus, directive)?,
             registry_file: RegistryFile::default(),
             judged_by: None,
+            deviating: 0,
             progress: Progress::new(options.quiet),
             events: Events::default(),
             manager: ServiceManager::new(),
@@ -265,6 +268,7 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            self.require_obedience(&scan);
             if self.conclusion.is_open()
                 && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
@@ -274,6 +278,21 @@ impl Session {
             self.follow(orders)?;
         }
         Ok(())
+    }
+
+    /// Blocks the wheels by the stop word and ends the run when the actuator turns them against a command to block them,
+    /// or several times otherwise than commanded: it would not obey a directive either.
+    fn require_obedience(&mut self, scan: &ScanRecord) {
+        self.deviating = if scan.deviates() { self.deviating + 1 } else { 0 };
+        if self.conclusion.is_open() && (scan.is_disobeyed() || self.deviating > MAX_DEVIATING) {
+            let (label, scan_id) = (self.fleet.label(Role::Actuator), scan.header.scan_id);
+            let what = match scan.is_disobeyed() {
+                true => "it drives although the command blocks the wheels",
+                false => "it drives otherwise than commanded",
+            };
+            self.decide(Outcome::Failed, &format!("actuator ({label}): {what}, scan {scan_id}"));
+            self.run.stop_word.latch();
+        }
     }
 
     /// In lock-step no scan after the one that decided the outcome belongs to the run.

@@ -4,6 +4,10 @@ use shared_types::{BlockReason, Command, CommandKind, Fault, Level, Rule, SolveS
 use vehicle::bounds::ROUNDING;
 use vehicle::{Bounds, Control};
 
+/// Longest time from a scan to the first node of its plan [ns]: a plan that starts later, or before its scan, is another
+/// scan's.
+const MAX_PLAN_LEAD_NS: u64 = 1_000_000_000;
+
 /// The content of a valid command.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum DesiredCommand {
@@ -21,19 +25,39 @@ pub(crate) fn judge(command: &Command, bounds: &Bounds) -> Result<DesiredCommand
     let kind = CommandKind::try_from(command.kind)?;
     Level::try_from(command.level)?;
     SolveStatus::try_from(command.status)?;
-    StopReason::try_from(command.reason)?;
+    let stop_reason = StopReason::try_from(command.reason)?;
     let desired = Control { velocity: command.velocity_mps, steering: command.steering_rad };
     finite("velocity_mps", &[desired.velocity])?;
     finite("steering_rad", &[desired.steering])?;
+    if kind == CommandKind::Drive {
+        require_own_plan(command)?;
+    }
     match kind {
         CommandKind::Stop => Ok(DesiredCommand::Block(BlockReason::Commanded)),
         CommandKind::Land => Ok(DesiredCommand::Block(BlockReason::Landed)),
         CommandKind::Drive if command.verified != 1 => Err(Fault::NotVerified { value: command.verified }),
+        // It contradicts itself: the reason to stop counts.
+        CommandKind::Drive if stop_reason != StopReason::None => {
+            Err(Fault::OutOfRange { field: "reason", value: f64::from(command.reason) })
+        }
         CommandKind::Drive if bounds.contains(desired, ROUNDING) => {
             Ok(DesiredCommand::Drive(bounds.clamp(desired)))
         }
         CommandKind::Drive => Err(outside(desired, bounds)),
     }
+}
+
+/// Passes when the plan, if there is one, begins after the scan of the command: one that repeats an earlier command does
+/// not.
+fn require_own_plan(command: &Command) -> Result<(), Fault> {
+    let acquired_ns = command.header.acquired_ns;
+    let is_own =
+        (acquired_ns..=acquired_ns.saturating_add(MAX_PLAN_LEAD_NS)).contains(&command.plan_start_ns);
+    if command.plan_length == 0 || is_own {
+        return Ok(());
+    }
+    let value = (command.plan_start_ns as f64 - acquired_ns as f64) * 1e-6;
+    Err(Fault::OutOfRange { field: "plan_start_ms", value })
 }
 
 /// Which of the two is outside of its limits.

@@ -63,6 +63,8 @@ pub struct Referee {
     block: Option<Block>,
     /// The last scan that was answered with turning wheels.
     driven_scan: u64,
+    /// The last such scan whose answer had arrived at the robot.
+    turned_scan: u64,
     /// The wheels of a robot that publishes no truth.
     wheels: Wheels,
     reason: String,
@@ -109,6 +111,7 @@ impl Referee {
             blocked_since_s: None,
             block: None,
             driven_scan: 0,
+            turned_scan: 0,
             wheels: Wheels::default(),
             reason: String::new(),
         }
@@ -118,8 +121,12 @@ impl Referee {
     ///
     /// `actuation` is the newest one, the same as before when none was published since.
     pub fn observe(&mut self, truth: &Truth, actuation: Option<&Actuation>) -> Option<Outcome> {
-        // Wheels that turned until a gap between scans blocked them were not blocked without a break.
-        let turned = self.driven_scan > 0 && self.driven_scan == truth.actuation_scan;
+        // Wheels that turned until a gap between scans blocked them were not blocked without a break. One answer shows
+        // this once: without another one they have been blocked since.
+        let turned = self.driven_scan > self.turned_scan && self.driven_scan == truth.actuation_scan;
+        if turned {
+            self.turned_scan = self.driven_scan;
+        }
         if let Some(actuation) = actuation {
             self.block = Block::of(actuation);
             if self.block.is_none() && actuation.answers == 1 {
@@ -311,6 +318,23 @@ mod tests {
             referee.observe(&truth(0.2 * scan_id as f64, 9.0, 1), Some(&drive))
         });
         assert_eq!(outcomes.last(), Some(Outcome::Stopped));
+    }
+
+    #[test]
+    fn a_stage_that_falls_silent_ends_in_a_stop_although_its_last_answer_turned_the_wheels() {
+        let mut referee = referee();
+        let mut drive = Actuation { answers: 1, ..drive() };
+        drive.header.scan_id = 7;
+        assert_eq!(referee.observe(&truth(0.8, 9.0, 0), Some(&drive)), None);
+        let mut silent = block(BlockReason::NoCommand, StopReason::None);
+        silent.header.scan_id = 7;
+        let outcomes = (9..=70).filter_map(|tenth| {
+            let seen = Truth { actuation_scan: 7, ..truth(f64::from(tenth) / 10.0, 9.0, 1) };
+            referee.observe(&seen, Some(&silent)).map(|outcome| (tenth, outcome))
+        });
+        // Once the answer of scan 7 counts as turning, then 5 s pass.
+        assert_eq!(outcomes.collect::<Vec<_>>().first(), Some(&(60, Outcome::Stopped)));
+        assert_eq!(referee.reason(), "wheels blocked for 5 s: no_command");
     }
 
     #[test]

@@ -99,6 +99,13 @@ fn is_sound(item: &Obstacle) -> bool {
         && item.velocity_covariance.iter().all(|value| value.is_finite())
         && sizes.iter().all(|value| (0.0..=100.0).contains(value))
         && [item.a_m, item.b_m].iter().all(|value| (0.01..=100.0).contains(value))
+        && is_around_its_body(item)
+}
+
+/// Whether the ellipse and the box of its body touch; if not, one of the two is wrong.
+fn is_around_its_body(item: &Obstacle) -> bool {
+    let apart_m = (item.x_m - item.box_x_m).hypot(item.y_m - item.box_y_m);
+    apart_m <= item.a_m.max(item.b_m) + item.box_length_m.hypot(item.box_width_m) / 2.0
 }
 
 /// The velocity where its length is significant against its covariance, else zero.

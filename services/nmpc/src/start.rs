@@ -13,6 +13,10 @@ use crate::scene::Scene;
 const MAX_LEAD_S: f64 = 1.0;
 /// How far outside of its bounds a robot may start [m]. Further out, track and pose contradict each other.
 const FAR_OUTSIDE_M: f64 = 1.0;
+/// How much further than its speed allows the robot may be predicted from where it is [m]: turns and lags are not exact.
+const LEAD_SLACK_M: f64 = 0.3;
+/// A speed beyond this many times the largest velocity is no speed of this robot.
+const MAX_SPEED_RATIO: f64 = 2.0;
 /// How deep the body may overlap the box of an obstacle [m]: more is a contradiction, as the robot is not inside.
 const OVERLAP_M: f64 = 0.03;
 
@@ -105,8 +109,8 @@ pub(crate) fn read(
         && initial.sideslip.abs() < 1.0
         && initial.yaw.abs() < 10.0
         && initial.yaw_rate.abs() < 10.0
-        && (0.0..10.0).contains(&pose.predicted_speed_mps.abs())
         && (0.0..=MAX_LEAD_S).contains(&lead_s)
+        && is_near(config, pose, lead_s)
         && pose.local_covariance.iter().all(|value| value.is_finite())
         && pose.header.scan_id == obstacles.header.scan_id;
     if !sound || !predicted_obstacle::read(obstacles, lead_s, predicted) {
@@ -120,6 +124,16 @@ pub(crate) fn read(
             && body.distance_to_rectangle(&obstacle.body) < -OVERLAP_M
     };
     if predicted.iter().any(overlaps) { Err(StopReason::BadInput) } else { Ok(initial) }
+}
+
+/// Whether the robot can get from its place to the predicted one in `lead_s`, at a speed that it can have.
+fn is_near(config: &Config, pose: &Pose, lead_s: f64) -> bool {
+    let speed = pose.speed_mps.abs().max(pose.predicted_speed_mps.abs());
+    let way = (pose.predicted_x_m - pose.x_m).hypot(pose.predicted_y_m - pose.y_m);
+    // NaN is in no range.
+    (0.0..=MAX_SPEED_RATIO * config.vehicle.bounds.velocity_max_mps).contains(&speed)
+        && pose.predicted_speed_mps.is_finite()
+        && (0.0..=speed * lead_s + LEAD_SLACK_M).contains(&way)
 }
 
 /// Whether a state is finite and not far outside of the bounds.

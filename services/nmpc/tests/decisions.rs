@@ -25,7 +25,7 @@ fn judge() -> Judge {
 
 /// A robot at (x, y) that faces along the track, at scan `scan`.
 fn pose(scan: u64, x: f64, y: f64) -> Pose {
-    let mut pose = Pose { predicted_x_m: x, predicted_y_m: y, ..Pose::default() };
+    let mut pose = Pose { x_m: x, y_m: y, predicted_x_m: x, predicted_y_m: y, ..Pose::default() };
     pose.header.scan_id = scan;
     pose.header.acquired_ns = scan * 100_000_000;
     pose.predicted_ns = pose.header.acquired_ns + 33_000_000;
@@ -74,7 +74,7 @@ fn a_free_way_is_driven_with_a_converged_and_verified_plan() {
 #[test]
 fn inputs_without_meaning_stop_the_robot() {
     type Spoil = fn(&mut Pose, &mut Obstacles);
-    let spoiled: [(&str, Spoil); 17] = [
+    let spoiled: [(&str, Spoil); 19] = [
         ("position", |pose, _| pose.predicted_y_m = f64::NAN),
         ("outside", |pose, _| pose.predicted_y_m = 4.0),
         ("sideslip", |pose, _| pose.predicted_sideslip_rad = 1.5),
@@ -91,6 +91,8 @@ fn inputs_without_meaning_stop_the_robot() {
         ("box", |_, obstacles| obstacles.items[0].box_width_m = -0.1),
         ("place of the box", |_, obstacles| obstacles.items[0].box_yaw_rad = f64::INFINITY),
         ("covariance of a velocity", |_, obstacles| obstacles.items[0].velocity_covariance[1] = f64::NAN),
+        ("predicted far from the pose", |pose, _| pose.x_m += 1.0),
+        ("ellipse away from its body", |_, obstacles| obstacles.items[0].box_x_m -= 3.0),
         ("robot in a body", |_, obstacles| obstacles.items[0] = obstacle(0.0, 0.0, 0.4)),
     ];
     let sound = (pose(1, 0.0, 0.0), obstacles(1, &[obstacle(5.0, 0.0, 0.4)]));

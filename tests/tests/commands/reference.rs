@@ -9,9 +9,13 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 #[test]
 fn the_pages_are_what_the_executable_prints() {
     let system = System::new(EXECUTABLE);
-    for (page, file) in
-        [("scenario", "scenario-file.md"), ("system", "system-file.md"), ("commands", "commands.md")]
-    {
+    let pages = [
+        ("scenario", "scenario-file.md"),
+        ("system", "system-file.md"),
+        ("commands", "commands.md"),
+        ("faults", "faults.md"),
+    ];
+    for (page, file) in pages {
         let output = system.run(&["reference", "--page", page]);
         assert_eq!(output.status.code(), Some(0), "{page}");
         let printed = String::from_utf8(output.stdout).unwrap();

@@ -76,6 +76,24 @@ fn commands_outside_the_bounds_are_laid_to_the_controller_with_key_and_value() {
 }
 
 #[test]
+fn an_actuator_that_drives_against_a_command_to_stop_ends_the_run_and_the_robot_stops() {
+    let mut system = system_with(Role::Actuator, "drives-on");
+    system.start(&["free", "--system", "system.toml", "--set", "goal.x_m=2", "--duration", "20"]);
+    assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Failed, "{}", report.reason);
+    assert!(
+        report.reason.contains("actuator (") && report.reason.contains("it drives although"),
+        "{}",
+        report.reason
+    );
+    let [.., last] = report.trajectory.as_slice() else { panic!("no trajectory") };
+    // It lands within 0.1 m, disobeys at 0.5 m/s, and the robot blocks its wheels within 0.2 s.
+    assert!(last[1] < 2.4, "{last:?}");
+    system.assert_nothing_left();
+}
+
+#[test]
 fn in_lockstep_the_run_ends_with_the_writer_of_a_dropped_sample_and_the_rule() {
     for (role, fault, expected) in [
         (

@@ -6,6 +6,7 @@
 mod adoption;
 mod blame;
 mod control_socket;
+mod faults;
 mod hang;
 mod ladder;
 mod languages;

@@ -133,10 +133,17 @@ fn whatever_is_wrong_with_a_command_blocks_the_wheels() {
 #[test]
 fn a_refused_command_is_told_which_rule_it_fails() {
     type Spoil = fn(&mut Command);
-    let wrong: [(Rule, &str, Spoil); 7] = [
+    let wrong: [(Rule, &str, Spoil); 10] = [
         (Rule::NotFinite, "steering_rad", |c| c.steering_rad = f64::NAN),
         (Rule::NotVerified, "verified", |c| c.verified = 0),
         (Rule::UnknownValue, "Level", |c| c.level = 9),
+        (Rule::OutOfRange, "plan_start_ms", |c| {
+            (c.plan_length, c.plan_start_ns) = (13, c.header.acquired_ns - 1);
+        }),
+        (Rule::OutOfRange, "plan_start_ms", |c| {
+            (c.plan_length, c.plan_start_ns) = (13, c.header.acquired_ns + 1_000_000_001);
+        }),
+        (Rule::OutOfRange, "reason", |c| c.reason = StopReason::Blocked.wire()),
         (Rule::OutsideBounds, "velocity_mps", |c| c.velocity_mps = 1.5),
         (Rule::OutsideBounds, "steering_rad", |c| c.steering_rad = -0.5),
         (Rule::AnsweredBefore, "header.scan_id", |c| c.header.scan_id = 1),

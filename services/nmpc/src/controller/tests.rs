@@ -84,7 +84,8 @@ impl Case {
     /// What the controller reads for scan 1 or 2.
     fn inputs(&self, scan: u64) -> (Pose, Obstacles) {
         let x = 0.1 * scan as f64;
-        let mut pose = Pose { predicted_x_m: x, predicted_y_m: self.y, ..Pose::default() };
+        let [x_m, y_m] = [x, self.y];
+        let mut pose = Pose { x_m, y_m, predicted_x_m: x, predicted_y_m: self.y, ..Pose::default() };
         (pose.header.scan_id, pose.header.acquired_ns) = (scan, scan * 100_000_000);
         pose.predicted_ns = pose.header.acquired_ns + 33_000_000;
         let mut obstacles = Obstacles { scanner: ScannerHealth::healthy(5.0), ..Obstacles::default() };

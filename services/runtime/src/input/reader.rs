@@ -262,23 +262,28 @@ impl Reader {
             Admission::Aside => return self.push(&self.aside, sample, ASIDE, Fate::Foreign),
             Admission::Foreign => return self.discard(Fate::Foreign, sample),
         }
-        if let Some(age_ns) = self.age_of_stale(header) {
-            self.refuse(header, &Fault::TooOld { age_ms: age_ns as f64 * 1e-6 });
+        if let Some(fault) = self.wrong_time(header) {
+            self.refuse(header, &fault);
             return self.discard(Fate::Stale, sample);
         }
         self.push(&self.kept, sample, QUEUE_DEPTH, Fate::Replaced);
     }
 
-    /// The age of a sample that is too old [ns].
-    fn age_of_stale(&self, header: &Header) -> Option<u64> {
-        // An actuation is a request to the robot only. Others read from it what the wheels did, which stays true.
+    /// What is wrong with the time of a sample: it is too old, or from the future.
+    fn wrong_time(&self, header: &Header) -> Option<Fault> {
         let (topic, shared) = (self.of.topic, &self.shared);
-        let is_record = topic == Topic::Actuation && shared.role != Role::Robot;
-        if shared.clock.is_simulated() || topic.writer().is_none() || is_record || header.acquired_ns == 0 {
+        if shared.clock.is_simulated() || topic.writer().is_none() || header.acquired_ns == 0 {
             return None;
         }
-        let age_ns = shared.clock.now_ns().saturating_sub(header.acquired_ns);
-        (age_ns > shared.max_age_ns()).then_some(age_ns)
+        let (now_ns, limit_ns) = (shared.clock.now_ns(), shared.max_age_ns());
+        let ahead_ns = header.acquired_ns.saturating_sub(now_ns);
+        if ahead_ns > limit_ns {
+            return Some(Fault::FromTheFuture { ahead_ms: ahead_ns as f64 * 1e-6 });
+        }
+        // An actuation is a request to the robot only. Others read from it what the wheels did, which stays true.
+        let is_record = topic == Topic::Actuation && shared.role != Role::Robot;
+        let age_ns = now_ns.saturating_sub(header.acquired_ns);
+        (!is_record && age_ns > limit_ns).then_some(Fault::TooOld { age_ms: age_ns as f64 * 1e-6 })
     }
 
     fn note_taken(&self, sample: &[u8]) {

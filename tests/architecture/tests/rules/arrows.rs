@@ -11,11 +11,11 @@ use crate::root;
 /// Crates by layer, the lowest first. A crate uses crates of lower layers only.
 const LAYERS: &[&[&str]] = &[
     &["shared-types", "figures", "key-table", "device-clock"],
-    &["runtime", "vehicle", "urg"],
+    &["runtime", "vehicle", "urg", "faults"],
     &["emulator", "estimator", "obstacles", "ocp", "player", "console"],
     &["nmpc", "actuation", "supervision", "handover", "audit", "ride"],
     &["pipeline", "calibration", "c-library"],
-    &["plan", "report"],
+    &["plan", "report", "fault-matrix"],
     &["session", "conformance"],
     &["view"],
     &["scanloop", "hops"],

@@ -57,7 +57,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
                 "believes" => command.header.acquired_ns = now_ns,
                 "drives-on" if command.reason != StopReason::None.wire() => {
                     (command.kind, command.verified) = (CommandKind::Drive.wire(), 1);
-                    command.velocity_mps = 0.5;
+                    (command.velocity_mps, command.reason) = (0.5, StopReason::None.wire());
                 }
                 _ => {}
             }

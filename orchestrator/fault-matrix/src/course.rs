@@ -1,0 +1,68 @@
+//! The drive in which faults are injected, and where its phases begin.
+
+use emulator::Scenario;
+use faults::Phase;
+use pipeline::Settings;
+use shared_types::Truth;
+
+/// The course: the shipped corridor, shortened.
+const COURSE: &str = include_str!("course.toml");
+/// Full speed is reached from here on [m].
+const STRAIGHT_M: f64 = 1.6;
+/// Distance of the centre to that of the obstacle from which on the robot is beside it [m].
+const BESIDE_M: f64 = 0.25;
+/// Distance to the goal at which the landing begins [m].
+const LANDING_M: f64 = 0.8;
+/// Where the swap is requested [m]: the fault begins while the new process computes in shadow.
+const SWAP_M: f64 = 1.0;
+/// Scans from the request of a swap to the fault.
+pub(crate) const SHADOWED: u64 = 6;
+
+/// The scenario that is driven.
+///
+/// # Panics
+/// Never: a test reads it.
+pub fn scenario() -> Scenario {
+    Scenario::parse(COURSE, "course.toml").unwrap_or_default()
+}
+
+/// Scenario and default settings of all stages.
+pub fn settings() -> Settings {
+    Settings::of(scenario())
+}
+
+/// The scenario of a cell with real processes: the same course from a place just before the phase.
+pub fn live_scenario(phase: Phase) -> Scenario {
+    let mut scenario = scenario();
+    match phase {
+        Phase::Start | Phase::Straight | Phase::Swap => {}
+        Phase::Beside => (scenario.start.x_m, scenario.start.y_m) = (2.7, 0.75),
+        Phase::Landing => scenario.start.x_m = scenario.goal.x_m - 2.0,
+    }
+    scenario
+}
+
+/// Whether a phase begins with the scan after this one; for [`Phase::Swap`] its request.
+pub fn begins(phase: Phase, scenario: &Scenario, truth: &Truth) -> bool {
+    match phase {
+        Phase::Start => true,
+        Phase::Straight => truth.x_m >= STRAIGHT_M,
+        Phase::Beside => scenario.obstacles.first().is_some_and(|body| truth.x_m >= body.x_m - BESIDE_M),
+        Phase::Landing => truth.goal_distance_m <= LANDING_M,
+        Phase::Swap => truth.x_m >= SWAP_M,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_course_is_allowed_and_has_an_obstacle() {
+        let scenario = Scenario::parse(COURSE, "course.toml").unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((scenario.obstacles.len(), scenario.name.as_str()), (1, "faults"));
+        for phase in Phase::ALL {
+            assert_eq!(live_scenario(phase).validate(), Ok(()), "{phase}");
+        }
+    }
+}

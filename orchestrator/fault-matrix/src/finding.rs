@@ -1,0 +1,63 @@
+//! What the parts of the loop noticed, and when.
+
+use std::collections::BTreeMap;
+
+/// The first time of each finding, by the part that made it and what it is.
+#[derive(Debug, Clone, Default)]
+pub struct Findings {
+    first: BTreeMap<(&'static str, &'static str), Place>,
+    /// Findings before this time are not kept [ns].
+    from_ns: u64,
+}
+
+/// When something was found, and how far the wheels had driven by then.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Time since the start of the drive [ns].
+    pub at_ns: u64,
+    /// Way driven since the start of the drive [m].
+    pub way_m: f64,
+}
+
+/// One finding.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Finding {
+    /// The role, or `orchestrator`.
+    pub by: &'static str,
+    /// What was found, like `not_finite`.
+    pub what: &'static str,
+    /// When.
+    pub place: Place,
+}
+
+impl Findings {
+    /// Forgets everything, and keeps what is found from a time on.
+    pub fn restart(&mut self, from_ns: u64) {
+        self.first.clear();
+        self.from_ns = from_ns;
+    }
+
+    /// Notes that something was found.
+    pub fn note(&mut self, by: &'static str, what: &'static str, place: Place) {
+        if place.at_ns >= self.from_ns {
+            self.first.entry((by, what)).or_insert(place);
+        }
+    }
+
+    /// Whether the same was found.
+    pub fn has(&self, finding: &Finding) -> bool {
+        self.first.contains_key(&(finding.by, finding.what))
+    }
+
+    /// All findings in the order of time.
+    pub fn list(&self) -> Vec<Finding> {
+        let of = |((by, what), place): (&(&'static str, &'static str), &Place)| Finding {
+            by,
+            what,
+            place: *place,
+        };
+        let mut all: Vec<Finding> = self.first.iter().map(of).collect();
+        all.sort_by_key(|finding| finding.place.at_ns);
+        all
+    }
+}

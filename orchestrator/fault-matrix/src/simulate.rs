@@ -1,0 +1,108 @@
+//! Drives cells in simulated time: from the place where a phase begins, once without a fault and once with each.
+
+use emulator::{Outcome, Scenario};
+use faults::{Fault, Phase};
+use pipeline::Settings;
+use vehicle::Invalid;
+
+use crate::cell::{Cell, Course, Limits, Observed, Passed, judge};
+use crate::course::{SHADOWED, begins, settings};
+use crate::finding::{Finding, Findings};
+use crate::rig::Rig;
+
+/// The drives at the beginning of all phases.
+#[derive(Debug)]
+pub struct Simulation {
+    limits: Limits,
+    phases: Vec<(Phase, Rig, Twin)>,
+}
+
+/// A drive that continues without a fault.
+#[derive(Debug)]
+struct Twin {
+    course: Course,
+    findings: Findings,
+}
+
+impl Simulation {
+    /// Drives the course once per phase without a fault.
+    ///
+    /// # Errors
+    /// The first setting that is not allowed.
+    pub fn new() -> Result<Self, Invalid> {
+        let settings = settings();
+        let deceleration_mps2 = settings.tuning.vehicle.blocked_deceleration_mps2;
+        let limits = Limits { period_s: settings.period_ns as f64 * 1e-9, deceleration_mps2 };
+        let mut phases = Vec::new();
+        for phase in Phase::ALL {
+            let mut rig = Rig::new(&settings)?;
+            lead_to(phase, &mut rig, &settings.scenario);
+            let mut without = rig.clone();
+            let course = finish(&mut without).0;
+            phases.push((phase, rig, Twin { course, findings: without.findings }));
+        }
+        Ok(Self { limits, phases })
+    }
+
+    /// The way of a robot on a course without a fault, by the number of the scan.
+    ///
+    /// # Errors
+    /// The first setting that is not allowed.
+    pub fn unaffected(settings: &Settings) -> Result<Course, Invalid> {
+        Ok(finish(&mut Rig::new(settings)?).0)
+    }
+
+    /// Drives one cell; `None` for a fault that needs real processes, or that the course does not allow.
+    pub fn cell(&self, fault: &Fault, phase: Phase) -> Option<Cell> {
+        let (_, start, twin) = self.phases.iter().find(|(of, ..)| *of == phase)?;
+        let mut rig = start.clone();
+        let from_ns = rig.inject(&fault.inject)?;
+        let (course, outcome) = finish(&mut rig);
+        if outcome == Outcome::Stopped {
+            rig.findings.note("orchestrator", "stopped", rig.place());
+        }
+        let is_new = |finding: &Finding| !twin.findings.has(finding);
+        let truth = rig.truth();
+        let observed = Observed {
+            from_ns,
+            findings: rig.findings.list().into_iter().filter(is_new).collect(),
+            course,
+            unaffected: twin.course.clone(),
+            outcome: outcome.name().to_owned(),
+            ended: true,
+            touched: truth.collided == 1,
+            min_clearance_m: truth.min_clearance_m,
+        };
+        Some(judge(fault, phase, &observed, &self.limits))
+    }
+}
+
+/// Drives to the beginning of a phase.
+fn lead_to(phase: Phase, rig: &mut Rig, scenario: &Scenario) {
+    if phase == Phase::Start {
+        return;
+    }
+    while rig.scan().is_none() && !begins(phase, scenario, rig.truth()) {}
+    if phase == Phase::Swap {
+        rig.begin_swap();
+        (0..SHADOWED).for_each(|_| _ = rig.scan());
+    }
+}
+
+/// Drives to the end: where the robot was at each scan, and how the drive ended.
+fn finish(rig: &mut Rig) -> (Course, Outcome) {
+    let mut course = Course(vec![passed(rig)]);
+    loop {
+        let outcome = rig.scan();
+        course.0.push(passed(rig));
+        if let Some(outcome) = outcome {
+            return (course, outcome);
+        }
+    }
+}
+
+fn passed(rig: &Rig) -> Passed {
+    let (truth, place) = (rig.truth(), rig.place());
+    let at_m = [truth.x_m, truth.y_m];
+    Passed { at_ns: place.at_ns, at_m, way_m: place.way_m, speed_mps: truth.speed_mps }
+}

@@ -1,0 +1,36 @@
+//! The faults that are injected into the loop, and what is expected of it then.
+//!
+//! Each file in `faults/` is one fault: what fails and by how much, how a drive may end, which part must detect it, and
+//! within what time. The name of the file is the name of the fault. A fault acts at one of three places:
+//!
+//! * on the samples of a topic, [`SampleFault`]: [`Change`] applies it to the bytes of a sample;
+//! * in the emulated robot, as other values of keys of the scenario;
+//! * on a process, [`ProcessFault`]: it is killed, suspended, or floods its topic.
+//!
+//! This crate only reads the table and changes samples. It starts nothing and knows no process, so whatever injects
+//! faults can use it.
+
+mod change;
+mod fault;
+mod sample_fault;
+
+pub use change::{Change, Changed, UnknownField};
+pub use fault::{
+    Expectation, Fault, FaultError, InPhase, Injection, Phase, ProcessAction, ProcessFault, ProcessName,
+    ScenarioFault,
+};
+pub use sample_fault::{Action, SampleFault};
+
+/// Name and text of each file in `faults/`.
+const FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/list.rs"));
+
+/// All faults, in the order of their names.
+///
+/// # Errors
+/// The first file that is not allowed, with its key.
+pub fn all() -> Result<Vec<Fault>, FaultError> {
+    FILES.iter().map(|(name, text)| Fault::parse(name, text)).collect()
+}
+
+#[cfg(test)]
+mod tests;
