@@ -7,10 +7,11 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
+use bytemuck::Pod;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
+    Actuation, Checkpoint, Described, Directive, Heartbeat, Layouts, Phase, ProcessState, Role, Sample, SampleType,
     StageStamps, Topic,
 };
 
@@ -24,6 +25,7 @@ use crate::guard::Guard;
 use crate::input::{Input, Reader};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
+use crate::own::{Member, NamedTopic, Place};
 use crate::reserve::require_room;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
@@ -245,6 +247,21 @@ impl Process {
         let writer = Rc::new(Writer::new(&self.bus, Rc::clone(&self.shared), of)?);
         self.outputs.push(Rc::clone(&writer) as Rc<dyn Connect>);
         Ok(Enclosed::new(writer))
+    }
+
+    /// Opens a topic of your own that `also_reads` of the system file gives to this process, before
+    /// [`Process::start`].
+    ///
+    /// # Errors
+    /// [`RuntimeError::NoOwnTopic`] when the system file does not name it for this role, [`RuntimeError::Layout`] with
+    /// the field that differs, and errors of the bus.
+    pub fn open<S: Pod + Described>(&mut self, name: &str) -> Result<NamedTopic<S>, RuntimeError> {
+        let role = self.shared.role;
+        let place = Place::Role(role);
+        let member = Member::new(&self.domain, place, role.name(), self.shared.incarnation)?;
+        let (topic, port) = NamedTopic::open(&self.bus, &member, name)?;
+        self.on_connect(move || port.connect());
+        Ok(topic)
     }
 
     /// The role of this process.
