@@ -64,7 +64,7 @@ pub enum Command {
     ///
     /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
     /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. JSON keys:
-    /// `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `scanner`, `processes`, `refused`.
+    /// `system_id`, `state`, `scenario`, `scan`, `lockstep`, `blocking`, `scanner`, `processes`, `companions`, `refused`.
     Status {
         /// Print JSON to standard output.
         #[arg(long)]
@@ -82,7 +82,7 @@ pub enum Command {
     /// If the process works, the new one takes over first and then the old one ends. Exit code 1 if the new one does not
     /// start; the old one then keeps driving. A process that does not work is ended before the new one starts.
     Restart {
-        /// Role of the process: robot, estimator, obstacles, controller or actuator.
+        /// Role of the process: robot, estimator, obstacles, controller or actuator; or the name of a companion.
         role: String,
     },
     /// Replace one process of a running system by another one without losing a scan.
@@ -258,7 +258,7 @@ impl RobotPreset {
 /// What to show of the topics.
 #[derive(Debug, Subcommand)]
 pub enum TopicCommand {
-    /// List all topics: size, writer, readers, type.
+    /// List all topics: size, writer, readers, type; of a running system also those that its file adds.
     List,
     /// Measure the rate of a topic.
     Hz {
@@ -280,5 +280,14 @@ pub enum TopicCommand {
         /// Leave out arrays of more than 16 elements.
         #[arg(long)]
         short: bool,
+    },
+    /// Publish one sample by hand on a topic of your own whose writer is `operator`.
+    ///
+    /// Fields that the JSON object does not name are zero. Topics of the loop are refused.
+    Pub {
+        /// Name of the topic.
+        topic: String,
+        /// Values by the names of the fields, as `{"speed_mps": 0.5}`.
+        json: String,
     },
 }

@@ -26,6 +26,8 @@ use crate::supervisor::VisibleState;
 const FIRST_INCARNATION: u32 = 1 << 24;
 /// How many of its last lines are shown when a companion dies.
 const LAST_LOG_LINES: usize = 10;
+/// Rates are averages over this time [ns].
+const RATE_WINDOW_NS: u64 = 1_000_000_000;
 /// In lock-step, a companion that leaves a sample unanswered for this long leaves the grants [ns].
 const LOCKSTEP_LIMIT_NS: u64 = 2_000_000_000;
 
@@ -56,6 +58,8 @@ struct Member {
     holds: bool,
     /// The scan of its last answer, and when it had changed [ns].
     answered: (u64, u64),
+    /// When its rate was measured [ns], what it had published then, and the rate [Hz].
+    rate: (u64, u64, f64),
     left_at_scan: Option<u64>,
     last_log_lines: Vec<String>,
 }
@@ -81,7 +85,7 @@ pub enum CompanionEvent {
 }
 
 /// A companion in `status` and in the report.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct CompanionView {
     /// Its name.
     pub name: String,
@@ -97,6 +101,8 @@ pub struct CompanionView {
     pub needed: bool,
     /// What it uses of the machine.
     pub load: Load,
+    /// Samples published per second.
+    pub rate_hz: f64,
     /// What it reports.
     pub report: CompanionReport,
     /// The scan from which on lock-step did not wait for it any more.
@@ -125,7 +131,7 @@ impl Companions {
             let path = logs.join(format!("{}.log", entry.name()));
             let log = ChildLog::open(&path).with_context(|| format!("{}", path.display()))?;
             members.push(Member {
-                keeper: Keeper::new(entry.keeper_policy(period_ns)),
+                keeper: Keeper::new(policy_of(entry, period_ns, lockstep)),
                 log: Arc::new(log),
                 process: None,
                 successor: None,
@@ -134,6 +140,7 @@ impl Companions {
                 report: index,
                 holds: lockstep && entry.is_in_lockstep(),
                 answered: (0, monotonic_ns()),
+                rate: (monotonic_ns(), 0, 0.0),
                 left_at_scan: None,
                 last_log_lines: Vec::new(),
                 entry: entry.clone(),
@@ -158,15 +165,21 @@ impl Companions {
         self.page.beat(monotonic_ns(), phase);
     }
 
-    /// Starts, reaps and judges; `recorded_scan` is the newest scan that is recorded.
-    pub fn advance(&mut self, recorded_scan: u64) -> Vec<CompanionEvent> {
+    /// Starts, reaps and judges; `recorded_scan` is the newest scan that is recorded, `newest_scan` the newest published.
+    pub fn advance(&mut self, recorded_scan: u64, newest_scan: u64) -> Vec<CompanionEvent> {
         let mut events = Vec::new();
+        let working = |member: &Member| {
+            let report = self.page.report(member.report);
+            member.holds && report.taken > report.answered
+        };
+        let any_works = self.members.iter().any(working);
         for index in 0..self.members.len() {
             self.reap(index, &mut events);
+            self.members[index].measure(&self.page);
             if !self.ends {
                 self.keep(index, &mut events);
                 self.hand_over(index, recorded_scan, &mut events);
-                self.watch_lockstep(index, recorded_scan, &mut events);
+                self.watch_lockstep(index, newest_scan, any_works, &mut events);
             }
         }
         events
@@ -292,16 +305,24 @@ impl Companions {
         self.publish(index);
     }
 
-    fn watch_lockstep(&mut self, index: usize, recorded_scan: u64, events: &mut Vec<CompanionEvent>) {
+    /// One that has taken a sample and does not answer it keeps others waiting: it is the one that leaves.
+    fn watch_lockstep(
+        &mut self,
+        index: usize,
+        newest_scan: u64,
+        any_works: bool,
+        events: &mut Vec<CompanionEvent>,
+    ) {
         let member = &mut self.members[index];
         if !member.holds {
             return;
         }
         let now_ns = monotonic_ns();
-        let answered_scan = self.page.report(member.report).answered_scan;
-        if answered_scan != member.answered.0 || answered_scan > recorded_scan || recorded_scan == 0 {
+        let CompanionReport { answered_scan, taken, answered, .. } = self.page.report(member.report);
+        let is_late = now_ns.saturating_sub(member.answered.1) > LOCKSTEP_LIMIT_NS;
+        if answered_scan != member.answered.0 || answered_scan >= newest_scan {
             member.answered = (answered_scan, now_ns);
-        } else if now_ns.saturating_sub(member.answered.1) > LOCKSTEP_LIMIT_NS {
+        } else if is_late && (taken > answered || !any_works) {
             member.leave(now_ns, events);
             self.publish(index);
         }
@@ -397,7 +418,25 @@ impl Companions {
     }
 }
 
+/// In lock-step a companion may wait for another one that hangs, so its own limit is longer.
+fn policy_of(entry: &ProcessEntry, period_ns: u64, lockstep: bool) -> KeeperPolicy {
+    let policy = entry.keeper_policy(period_ns);
+    let least_ns = if lockstep { 2 * LOCKSTEP_LIMIT_NS } else { 0 };
+    KeeperPolicy { hang_ns: policy.hang_ns.max(least_ns), ..policy }
+}
+
 impl Member {
+    /// Measures the rate of its outputs once a second.
+    fn measure(&mut self, page: &CompanionPage) {
+        let (now_ns, published) = (monotonic_ns(), page.report(self.report).published);
+        let (at_ns, before, _) = self.rate;
+        let elapsed_ns = now_ns.saturating_sub(at_ns);
+        if elapsed_ns > RATE_WINDOW_NS {
+            let rate_hz = published.saturating_sub(before) as f64 / (elapsed_ns as f64 * 1e-9);
+            self.rate = (now_ns, published, rate_hz);
+        }
+    }
+
     fn died(&mut self, now_ns: u64, events: &mut Vec<CompanionEvent>) {
         self.keeper.died(now_ns);
         if self.left_at_scan.is_some() {
@@ -433,6 +472,7 @@ impl Member {
             restarts: self.keeper.restarts(),
             needed: self.entry.is_needed(),
             load: self.process.as_mut().map_or_else(Load::default, |running| running.process.load()),
+            rate_hz: self.rate.2,
             report,
             left_at_scan: self.left_at_scan,
             last_log_lines: self.last_log_lines.clone(),
