@@ -5,8 +5,10 @@
 
 mod adoption;
 mod blame;
+mod companions;
 mod control_socket;
 mod hang;
+mod imu;
 mod ladder;
 mod languages;
 mod ledger;

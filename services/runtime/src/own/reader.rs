@@ -90,6 +90,16 @@ impl OwnReader {
         Ok(self.take_last(is_wanted))
     }
 
+    /// The oldest sample of a scan up to `scan_id`; in real time the oldest that has come.
+    pub(super) fn up_to(&self, scan_id: u64) -> Result<Option<Enclosed<Received>>, RuntimeError> {
+        self.await_scan(scan_id)?;
+        let mut kept = self.kept.borrow_mut();
+        let is_wanted = |sample: &Received| !self.is_simulated() || header_of(sample).scan_id <= scan_id;
+        let sample = if kept.front().is_some_and(is_wanted) { kept.pop_front() } else { None };
+        drop(kept);
+        Ok(sample.map(|sample| self.hand_over(sample)))
+    }
+
     /// The sample of one scan.
     pub(super) fn by_scan(&self, scan_id: u64) -> Result<Option<Enclosed<Received>>, RuntimeError> {
         self.await_scan(scan_id)?;

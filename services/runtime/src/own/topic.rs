@@ -69,6 +69,15 @@ impl<S: Pod + Described> NamedTopic<S> {
         Ok(self.reader()?.newest(scan_id)?.map(OwnTaken::of))
     }
 
+    /// The oldest sample that was not taken, of a scan up to `scan_id`: call it until there is none. It waits as
+    /// [`NamedTopic::newest`] does, and takes samples of all scans in real time.
+    ///
+    /// # Errors
+    /// As [`NamedTopic::take`].
+    pub fn up_to(&self, scan_id: u64) -> Result<Option<OwnTaken<S>>, RuntimeError> {
+        Ok(self.reader()?.up_to(scan_id)?.map(OwnTaken::of))
+    }
+
     /// The sample of one scan; samples before it are dropped. It waits as [`NamedTopic::newest`] does.
     ///
     /// # Errors

@@ -19,7 +19,7 @@ const LAYERS: &[&[&str]] = &[
     &["session", "conformance"],
     &["scanloop", "hops"],
     &["scanloop-bench"],
-    &["scanloop-tests", "dead-reckoning", "architecture"],
+    &["scanloop-tests", "dead-reckoning", "imu", "architecture"],
 ];
 
 fn layer(name: &str) -> Option<usize> {
