@@ -318,7 +318,6 @@ class Companion:
         self._ended, self._readers, self._first = False, [], None
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._end)
-        self._member.write()
 
     def input(self, sample):
         """Opens a topic of the loop for reading."""

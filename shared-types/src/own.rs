@@ -91,10 +91,18 @@ impl OwnType {
             allowed: allowed.to_owned(),
         };
         if !is_type_name(name) {
-            return Err(fault("name", name.to_owned(), "a capital letter, then letters and digits; at most 32"));
+            return Err(fault(
+                "name",
+                name.to_owned(),
+                "a capital letter, then letters and digits; at most 32",
+            ));
         }
         if fields.is_empty() {
-            return Err(fault("field", "[]".to_owned(), "at least one field: a sample of size 0 says nothing"));
+            return Err(fault(
+                "field",
+                "[]".to_owned(),
+                "at least one field: a sample of size 0 says nothing",
+            ));
         }
         let header = "Identity and stamps of the sample that this one answers";
         let mut all = vec![Field { name: "header", doc: header, offset: 0, kind: Header::KIND }];
@@ -265,7 +273,8 @@ mod tests {
 
     #[test]
     fn fields_that_make_no_type_are_refused_by_name() {
-        let message = |name: &str, fields: &[OwnField<'_>]| OwnType::new(name, fields).unwrap_err().to_string();
+        let message =
+            |name: &str, fields: &[OwnField<'_>]| OwnType::new(name, fields).unwrap_err().to_string();
         let field = |name, kind| OwnField { name, kind, doc: "" };
         assert!(message("Imu", &[field("sensor", "u32"), FIELDS[0]]).starts_with(
             "yaw_rate_radps = a field that begins at byte 196 is not allowed: no hole before a field"

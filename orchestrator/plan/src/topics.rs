@@ -46,7 +46,9 @@ pub fn read_layout(path: &Path) -> Result<LayoutFile, String> {
 /// The first layout that is missing or not allowed, and topics that take too much memory; exit code 2.
 pub fn read(system: &System, file: &str) -> anyhow::Result<OwnTopics> {
     let table = table(system, read_layouts(system, file)?);
-    require_memory(&table, file)?;
+    if !table.topic.is_empty() {
+        require_memory(&table, file)?;
+    }
     Ok(table)
 }
 
@@ -76,7 +78,11 @@ fn table(system: &System, layouts: Vec<LayoutFile>) -> OwnTopics {
     let also = |entry: &ProcessEntry| {
         let role = entry.role.clone();
         let reads = entry.also_reads.clone().into_iter();
-        reads.map(move |also| AlsoReads { role: role.clone(), topic: also.topic, max_age_ms: also.max_age_ms })
+        reads.map(move |also| AlsoReads {
+            role: role.clone(),
+            topic: also.topic,
+            max_age_ms: also.max_age_ms,
+        })
     };
     OwnTopics {
         run: system.run_settings(false),
@@ -187,7 +193,8 @@ fn no_circle(system: &System) -> Result<(), Invalid> {
     let mut reads: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for role in Role::ALL.iter().filter(|role| **role != Role::Robot) {
         // Actuations are of the scan before: no estimator waits for those of its own scan.
-        let inputs = role.reads().iter().filter(|topic| **topic != Topic::Actuation).map(|topic| topic.name());
+        let inputs =
+            role.reads().iter().filter(|topic| **topic != Topic::Actuation).map(|topic| topic.name());
         let also = system.entry(*role).into_iter().flat_map(|entry| &entry.also_reads);
         reads.insert(role.name(), inputs.chain(also.map(|also| also.topic.as_str())).collect());
         writers.extend(role.writes().iter().map(|topic| (topic.name(), role.name())));

@@ -22,7 +22,9 @@ use vehicle::Surroundings;
 
 use self::write::join_leaves;
 
-pub use self::parts::{BlockingReport, CompanionReport, Difference, MarginReport, ScannerReport, ScannerStatus};
+pub use self::parts::{
+    BlockingReport, CompanionReport, Difference, MarginReport, ScannerReport, ScannerStatus,
+};
 pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.

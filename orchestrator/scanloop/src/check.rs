@@ -95,14 +95,21 @@ fn own_graph(plan: &Plan) -> anyhow::Result<String> {
     for entry in plan.system.companions() {
         let (inputs, outputs) = (entry.reads().join(", "), entry.writes().join(", "));
         let needed = if entry.is_needed() { ", needed" } else { "" };
-        let _ = writeln!(text, "  {inputs:<22} -> ({} = {}{needed}) -> {outputs}", entry.name(), entry.label());
+        let _ =
+            writeln!(text, "  {inputs:<22} -> ({} = {}{needed}) -> {outputs}", entry.name(), entry.label());
     }
     for row in own.topic.iter().filter(|row| row.writer == OPERATOR) {
         let _ = writeln!(text, "  {:<22} -> {}", "operator", row.name);
     }
     if !own.topic.is_empty() || !own.companion.is_empty() {
-        let (own_kib, sum_kib) = (own.bytes()?.div_ceil(1024), (own.bytes()? + Reserve::of_a_system()).div_ceil(1024));
-        let _ = writeln!(text, "  shared memory: {sum_kib} KiB, of these {own_kib} KiB for {} topics and {} companions", own.topic.len(), own.companion.len());
+        let (own_kib, sum_kib) =
+            (own.bytes()?.div_ceil(1024), (own.bytes()? + Reserve::of_a_system()).div_ceil(1024));
+        let _ = writeln!(
+            text,
+            "  shared memory: {sum_kib} KiB, of these {own_kib} KiB for {} topics and {} companions",
+            own.topic.len(),
+            own.companion.len()
+        );
     }
     Ok(text)
 }

@@ -87,10 +87,7 @@ fn table(status: &Status) -> String {
         let _ = writeln!(
             text,
             "{name:<11} {implementation:<16.16} {pid:>7}  {state:<9} {restarts:>8} {:>8.1} {:>8.0} {:>6.1} {:>9}",
-            companion.rate_hz,
-            companion.last_sample_age_ms,
-            companion.cpu_percent,
-            companion.memory_kib
+            companion.rate_hz, companion.last_sample_age_ms, companion.cpu_percent, companion.memory_kib
         );
         for line in &companion.last_words {
             let _ = writeln!(text, "            | {line}");

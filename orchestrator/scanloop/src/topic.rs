@@ -52,7 +52,10 @@ pub(crate) fn list(system_id: &str) -> anyhow::Result<String> {
     for row in own.iter().flat_map(|own| &own.topic) {
         let own_type = row.layout.own_type()?;
         let (size, readers) = (own_type.size().to_string(), readers_of(own.as_ref(), &row.name));
-        table.row([&row.name, &size, &row.writer, &readers, &own_type.type_name()].map(|cell: &String| cell.clone()));
+        table.row(
+            [&row.name, &size, &row.writer, &readers, &own_type.type_name()]
+                .map(|cell: &String| cell.clone()),
+        );
     }
     Ok(table.to_string())
 }

@@ -117,7 +117,8 @@ pub(crate) fn take_over(
     let judged_by = registry.judged_by;
     let generation = directive.header.incarnation;
     let companions = OwnProcesses::new(&bus, domain, &stop_word, &plan, false, generation, &options.out)?;
-    let startup = Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 0, judged_by };
+    let startup =
+        Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 0, judged_by };
     let mut session = Session::new(domain, &plan, &options, startup)?;
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)

@@ -8,7 +8,7 @@ use audit::digest::Digests;
 use plan::Plan;
 use report::CompanionReport;
 use runtime::{Bus, Domain, OwnObserver, RuntimeError, StopWord};
-use shared_types::{Authority, Header};
+use shared_types::{Authority, Header, ProcessState};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::companions::{CompanionEvent, CompanionView, Companions};
 
@@ -53,14 +53,19 @@ impl OwnProcesses {
         let period_ns = plan.system.period_ns();
         let companions =
             Companions::new(domain, stop_word, &entries, period_ns, lockstep, generation, &out.join("logs"))?;
-        let is_digested = |writer: &str| entries.iter().any(|entry| entry.name() == writer && entry.is_in_lockstep());
+        let is_digested =
+            |writer: &str| entries.iter().any(|entry| entry.name() == writer && entry.is_in_lockstep());
         let mut streams = Vec::new();
         for row in table.topic.iter().filter(|row| lockstep && is_digested(&row.writer)) {
             let observer = OwnObserver::new(bus, table, &row.name)?;
             streams.push(Stream { topic: row.name.clone(), observer, waiting: VecDeque::new() });
         }
         let queue = table.topic.iter().map(|row| row.queue.saturating_sub(SPARE).max(1)).min();
-        Ok(Self { companions: Some(companions), streams, queue: queue.map_or(u64::MAX, |queue| queue as u64) })
+        Ok(Self {
+            companions: Some(companions),
+            streams,
+            queue: queue.map_or(u64::MAX, |queue| queue as u64),
+        })
     }
 
     /// Tells companions the phase, and whose samples of the loop count.
@@ -95,9 +100,9 @@ impl OwnProcesses {
         Ok(())
     }
 
-    /// Whether all companions that the start waits for are connected.
-    pub(crate) fn are_connected(&self) -> bool {
-        self.companions.as_ref().is_none_or(Companions::are_connected)
+    /// Whether all companions that the start waits for report this state or a later one.
+    pub(crate) fn have_reached(&self, state: ProcessState) -> bool {
+        self.companions.as_ref().is_none_or(|companions| companions.have_reached(state))
     }
 
     /// In lock-step, the newest scan that companions allow the robot to publish.
@@ -117,7 +122,10 @@ impl OwnProcesses {
     /// Why it can't be replaced.
     pub(crate) fn replace(&mut self, name: &str, command: Option<&[String]>) -> Result<(), String> {
         let companions = self.companions.as_mut().ok_or("the system has no companions")?;
-        command.map_or_else(|| companions.restart(name), |command| companions.swap(name, command))
+        match command {
+            Some(command) => companions.swap(name, command),
+            None => companions.restart(name),
+        }
     }
 
     /// Descriptors that become readable when a companion ends.

@@ -98,7 +98,8 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } = startup;
+        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } =
+            startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -387,10 +388,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
+                    self.await_companions(ProcessState::Attached);
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions();
+                    self.await_companions(ProcessState::Connected);
                     self.find_judge()?;
                     self.audit.samples.driving();
                     self.directives.grant(GRANT_AHEAD.min(self.companions.granted_scan(GRANT_AHEAD)));

@@ -44,7 +44,16 @@ pub fn start(
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
     let events = vec![Event::Start];
-    let startup =
-        Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 1, judged_by: None };
+    let startup = Startup {
+        bus,
+        stop_word,
+        fleet,
+        companions,
+        shutdown,
+        events,
+        directive,
+        first_scan: 1,
+        judged_by: None,
+    };
     Session::new(domain, plan, options, startup)
 }

@@ -224,7 +224,11 @@ impl ProcessEntry {
             return Err(Invalid::new("name", if name.is_empty() { "(missing)" } else { name }, NAME_RULE));
         }
         if let Some(implementation) = &self.implementation {
-            return Err(Invalid::new("implementation", implementation, "`command`: no companion is built in"));
+            return Err(Invalid::new(
+                "implementation",
+                implementation,
+                "`command`: no companion is built in",
+            ));
         }
         if self.command.as_ref().and_then(|command| command.first()).is_none_or(String::is_empty) {
             return Err(Invalid::new("command", "[]", "a program and its arguments"));

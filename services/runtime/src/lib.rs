@@ -73,7 +73,8 @@ pub use crash::{latch_on_crash, report_crashes};
 pub use domain::{Domain, remove_bus_files_of};
 pub use environment::{
     CANDIDATE_VARIABLE, COMPANION_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, REPORT_VARIABLE,
-    RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
+    RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE,
+    SYSTEM_ID_VARIABLE,
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
@@ -89,9 +90,9 @@ pub use observer::{Checked, Observer, Publisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{
-    AlsoReads, Companion, CompanionPage, CompanionReport, CompanionRow, LayoutField, LayoutFile, LoopTopic,
-    MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken, OwnTopics, TOPICS_FILE, TopicRow,
-    memory_limit,
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, LayoutField, LayoutFile,
+    LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken, OwnTopics,
+    TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };
 pub use peer::peer_uid;
 pub use process::Process;

@@ -22,9 +22,10 @@ pub use builtin::LoopTopic;
 pub use companion::Companion;
 pub use page::{CompanionPage, CompanionReport, MAX_COMPANIONS};
 pub use table::{
-    AlsoReads, CompanionRow, LayoutField, LayoutFile, OPERATOR, OwnTopics, TOPICS_FILE, TopicRow, memory_limit,
+    AlsoReads, CompanionRow, LayoutField, LayoutFile, OPERATOR, OwnTopics, TOPICS_FILE, TopicRow,
+    memory_limit,
 };
-pub use topic::{NamedTopic, OwnTaken};
+pub use topic::{ByteTopic, NamedTopic, OwnTaken, TakenBytes};
 
 pub(crate) use member::{Member, Place};
 

@@ -13,7 +13,8 @@ use supervision::supervisor::VisibleState;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 const COMPANION: &str = env!("CARGO_BIN_EXE_faulty-companion");
 
-const LAYOUT: &str = "name = \"Echo\"\n[[field]]\nname = \"value\"\ntype = \"f64\"\ndoc = \"Number of the scan\"\n";
+const LAYOUT: &str =
+    "name = \"Echo\"\n[[field]]\nname = \"value\"\ntype = \"f64\"\ndoc = \"Number of the scan\"\n";
 
 /// The built-in system with the topic `echo`, a companion that writes it in this way, and one that reads it.
 fn system_with(mode: &str, more: &str) -> System {
@@ -47,7 +48,11 @@ fn reached(mut system: System) -> (Report, String) {
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!(report.outcome, Outcome::Reached);
-    assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0), "{report:?}");
+    assert_eq!(
+        (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
+        (0, 0, 0),
+        "{report:?}"
+    );
     system.assert_nothing_left();
     (report, system.stderr())
 }
@@ -92,7 +97,8 @@ fn a_companion_that_is_killed_is_started_again() {
     let before = companion(&system, "writer").unwrap();
     system.signal(before.pid.cast_signed(), Signal::KILL);
     system.wait_until("it is there again", |system| {
-        companion(system, "writer").is_some_and(|it| it.restarts == 1 && it.published > 3 && it.pid != before.pid)
+        companion(system, "writer")
+            .is_some_and(|it| it.restarts == 1 && it.published > 3 && it.pid != before.pid)
     });
     let (_, stderr) = reached(system);
     assert!(stderr.contains("companion writer ended: killed by signal 9"), "{stderr}");
@@ -201,10 +207,22 @@ fn bad_systems_are_refused_with_file_key_and_value() {
     assert!(text(&checked).contains("shared memory: "), "{}", text(&checked));
     let lab = std::fs::read_to_string(system.folder().join("lab.toml")).unwrap();
     for (from, to, message) in [
-        ("reads = [\"odometry\"]", "reads = [\"truth\"]", "lab.toml: process[5].reads = truth is not allowed"),
+        (
+            "reads = [\"odometry\"]",
+            "reads = [\"truth\"]",
+            "lab.toml: process[5].reads = truth is not allowed",
+        ),
         ("writes = [\"echo\"]", "writes = []", "lab.toml: topic[0].name = echo is not allowed: a writer"),
-        ("name = \"reader\"", "name = \"writer\"", "lab.toml: process[6].name = writer is not allowed: each name once"),
-        ("reads = [\"odometry\"]", "reads = [\"echo\"]", "lab.toml: process.reads = writer -> writer is not allowed"),
+        (
+            "name = \"reader\"",
+            "name = \"writer\"",
+            "lab.toml: process[6].name = writer is not allowed: each name once",
+        ),
+        (
+            "reads = [\"odometry\"]",
+            "reads = [\"echo\"]",
+            "lab.toml: process.reads = writer -> writer is not allowed",
+        ),
     ] {
         std::fs::write(system.folder().join("lab.toml"), lab.replace(from, to)).unwrap();
         for command in [&["check", "lab.toml"][..], &["run", "--system", "lab.toml"]] {

@@ -41,8 +41,16 @@ fn yaw_error_rad(seed: u32, estimator: &[&str]) -> f64 {
     overrides.iter().for_each(|text| arguments.extend(["--set", text]));
     arguments.extend(WORSE);
     let report = system.lockstep(&arguments);
-    assert!([Outcome::Reached, Outcome::Missed].contains(&report.outcome), "{}: {}", report.outcome, report.reason);
-    assert!(report.companions.iter().all(|companion| companion.left_lockstep_at_scan.is_none()), "{report:?}");
+    assert!(
+        [Outcome::Reached, Outcome::Missed].contains(&report.outcome),
+        "{}: {}",
+        report.outcome,
+        report.reason
+    );
+    assert!(
+        report.companions.iter().all(|companion| companion.left_lockstep_at_scan.is_none()),
+        "{report:?}"
+    );
     let log = std::fs::read_to_string(system.folder().join("out/logs/judge.log")).unwrap();
     let line = log.lines().find_map(|line| line.trim().strip_prefix("yaw_error_rad = "));
     line.unwrap_or_else(|| panic!("no error in {log}")).parse().unwrap()
@@ -64,8 +72,11 @@ fn with_the_sensor_the_median_yaw_error_is_at_most_half() {
 #[test]
 fn the_struct_of_the_example_is_what_the_executable_prints() {
     let layout = example().join("imu.toml");
-    for (form, expected) in [("--rust", "pub yaw_rate_radps: f64"), ("--c", "double yaw_rate_radps"), ("--python", "class Imu")] {
-        let output = Command::new(EXECUTABLE).args(["types", form, "--layout"]).arg(&layout).output().unwrap();
+    for (form, expected) in
+        [("--rust", "pub yaw_rate_radps: f64"), ("--c", "double yaw_rate_radps"), ("--python", "class Imu")]
+    {
+        let output =
+            Command::new(EXECUTABLE).args(["types", form, "--layout"]).arg(&layout).output().unwrap();
         let printed = String::from_utf8(output.stdout).unwrap();
         assert!(printed.contains(expected), "{printed}");
         if form == "--rust" {

@@ -74,14 +74,23 @@ fn names_writers_and_readers_that_do_not_fit_are_refused() {
     let of_loop = folder.error(&TOPIC.replace("\"imu\"", "\"scan\""));
     assert_eq!(of_loop, "topic[0].name = scan is not allowed: another name: the loop has this topic");
     let writes = folder.error(&companion("bad", "writes = [\"command\"]"));
-    assert!(writes.starts_with("process[5].writes = command is not allowed: a topic of your own"), "{writes}");
+    assert!(
+        writes.starts_with("process[5].writes = command is not allowed: a topic of your own"),
+        "{writes}"
+    );
     let truth = folder.error(&companion("spy", "reads = [\"truth\"]"));
-    assert!(truth.starts_with("process[5].reads = truth is not allowed: with `reads_truth = true`"), "{truth}");
+    assert!(
+        truth.starts_with("process[5].reads = truth is not allowed: with `reads_truth = true`"),
+        "{truth}"
+    );
     let role = folder.error(&companion("controller", ""));
     assert!(role.starts_with("process[5].name = controller is not allowed: no name of a role"), "{role}");
     let also = folder.error("[[process]]\nrole = \"companion\"\nname = \"x\"\ncommand = [\"x\"]\nalso_reads = [{topic = \"imu\"}]");
     assert!(also.starts_with("process[5].also_reads"), "{also}");
-    let place = BUILT_IN.replace("role = \"controller\"\nimplementation = \"nmpc\"", "role = \"companion\"\nname = \"mine\"\ncommand = [\"x\"]");
+    let place = BUILT_IN.replace(
+        "role = \"controller\"\nimplementation = \"nmpc\"",
+        "role = \"companion\"\nname = \"mine\"\ncommand = [\"x\"]",
+    );
     let missing = System::from_table(place.parse().unwrap(), "lab.toml").unwrap_err().to_string();
     assert!(missing.contains("no process of role controller"), "{missing}");
 }
@@ -96,7 +105,10 @@ fn a_layout_with_a_hole_or_without_fields_is_refused_with_its_file() {
     let hole = format!("name = \"Imu\"\n{}{}", field("a", "u32"), field("b", "f64"));
     std::fs::write(folder.0.join("imu.toml"), hole).unwrap();
     let message = folder.system(&more).unwrap_err().to_string();
-    assert!(message.contains("imu.toml: b = a field that begins at byte 196 is not allowed: no hole"), "{message}");
+    assert!(
+        message.contains("imu.toml: b = a field that begins at byte 196 is not allowed: no hole"),
+        "{message}"
+    );
     std::fs::remove_file(folder.0.join("imu.toml")).unwrap();
     assert!(folder.system(&more).unwrap_err().to_string().contains("imu.toml: "));
 }
@@ -105,13 +117,15 @@ fn a_layout_with_a_hole_or_without_fields_is_refused_with_its_file() {
 fn a_circle_of_processes_is_refused_by_their_names() {
     let folder = Folder::new("circle");
     let own = |also: &str| {
-        BUILT_IN.replace("implementation = \"ekf\"", &format!("command = [\"./mine\"]\nalso_reads = [{also}]"))
+        BUILT_IN
+            .replace("implementation = \"ekf\"", &format!("command = [\"./mine\"]\nalso_reads = [{also}]"))
     };
     let with = |text: String, more: &str| {
         let file = folder.0.join("lab.toml").display().to_string();
         System::from_table(format!("{text}\n{TOPIC}{more}").parse().unwrap(), &file)
     };
-    let circle = with(own("{topic = \"imu\"}"), &companion("sensor", "reads = [\"pose\"]\nwrites = [\"imu\"]"));
+    let circle =
+        with(own("{topic = \"imu\"}"), &companion("sensor", "reads = [\"pose\"]\nwrites = [\"imu\"]"));
     let message = circle.unwrap_err().to_string();
     assert!(message.contains("estimator -> sensor -> estimator"), "{message}");
     assert!(with(own("{topic = \"imu\"}"), &writer("sensor")).is_ok());
@@ -126,7 +140,9 @@ fn topics_that_take_more_than_half_of_shared_memory_are_refused_with_the_sum() {
     let mut more = writer("sensor");
     let names: Vec<String> = (0..40).map(|number| format!("t{number}")).collect();
     for name in &names {
-        more += &TOPIC.replace("\"imu\"", &format!("\"{name}\"")).replace("[[topic]]", "[[topic]]\nqueue = 256\nreaders = 24");
+        more += &TOPIC
+            .replace("\"imu\"", &format!("\"{name}\""))
+            .replace("[[topic]]", "[[topic]]\nqueue = 256\nreaders = 24");
     }
     let quoted: Vec<String> = names.iter().map(|name| format!("\"{name}\"")).collect();
     let message = folder.error(&more.replace("\"imu\"", &quoted.join(", ")));

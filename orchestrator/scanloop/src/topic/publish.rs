@@ -22,7 +22,8 @@ pub(crate) fn publish(system_id: &str, topic: &str, json: &str) -> anyhow::Resul
     }
     let domain = supervision::runs::existing(system_id)?;
     let table = OwnTopics::of(&domain)?;
-    let unknown = || Failure::bad_input(format!("unknown topic `{topic}`: system {system_id} does not have it"));
+    let unknown =
+        || Failure::bad_input(format!("unknown topic `{topic}`: system {system_id} does not have it"));
     let table = table.filter(|table| table.find(topic).is_some()).ok_or_else(unknown)?;
     if let Some(row) = table.find(topic).filter(|row| row.writer != OPERATOR) {
         let message = format!(
@@ -117,7 +118,10 @@ mod tests {
     fn values_reach_their_fields() {
         let sample = filled("{\"speed_mps\": 0.5, \"pair\": [-1, 2]}").unwrap();
         assert_eq!(sample[192..200], 0.5_f64.to_ne_bytes());
-        assert_eq!((&sample[200..204], &sample[204..208]), (&(-1_i32).to_ne_bytes()[..], &2_i32.to_ne_bytes()[..]));
+        assert_eq!(
+            (&sample[200..204], &sample[204..208]),
+            (&(-1_i32).to_ne_bytes()[..], &2_i32.to_ne_bytes()[..])
+        );
         assert!(sample[208..].iter().all(|byte| *byte == 0));
     }
 
@@ -127,7 +131,9 @@ mod tests {
         let unknown = refused("{\"speed\": 1}");
         assert_eq!(unknown, "speed = 1 is not allowed: one of speed_mps, pair, letters");
         assert_eq!(refused("{\"pair\": [1]}"), "pair = [1] is not allowed: 2 values");
-        assert!(refused("{\"pair\": [1, 3000000000]}").ends_with("a whole number from -2147483648 to 2147483647"));
+        assert!(
+            refused("{\"pair\": [1, 3000000000]}").ends_with("a whole number from -2147483648 to 2147483647")
+        );
         assert!(refused("{\"speed_mps\": \"fast\"}").ends_with("is not allowed: a number"));
         assert!(refused("{\"letters\": 3}").ends_with("a list of 8 values"));
         assert!(refused("{\"header\": 3}").contains("is not allowed: one of"));

@@ -110,7 +110,10 @@ pub(super) fn of_layout(own: &OwnType, doc: &str) -> String {
     );
     let doc = if doc.is_empty() { "A sample of a topic of your own" } else { doc.trim_end_matches('.') };
     declare(&mut text, &type_name, doc, own.size(), own.fields());
-    let _ = writeln!(text, "\n/* Its fields as the compiler laid them out, the way `scanloop_open_topic` takes them. */");
+    let _ = writeln!(
+        text,
+        "\n/* Its fields as the compiler laid them out, the way `scanloop_open_topic` takes them. */"
+    );
     let _ = writeln!(text, "static const scanloop_layout_row {type_name}_layout[] = {{");
     let _ = writeln!(text, "    SCANLOOP_SAMPLE(\"\", {type_name}, \"{}\"),", own.name());
     rows(&mut text, &format!("\"\", {type_name}"), "", "", own.fields());

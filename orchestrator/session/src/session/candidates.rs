@@ -135,7 +135,7 @@ impl Session {
             && self.is_recorded()
             && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
         {
-            let held = self.companions.granted_scan(GRANT_AHEAD);
+            let held = self.companions.granted_scan(super::GRANT_AHEAD);
             self.directives.grant(scan.min(held));
         }
         for asked in self.shadows.take_asked() {

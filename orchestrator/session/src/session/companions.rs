@@ -2,7 +2,7 @@
 
 use report::Outcome;
 use runtime::{monotonic_ns, wait_for};
-use shared_types::Phase;
+use shared_types::{Phase, ProcessState};
 use supervision::fleet::companions::CompanionEvent;
 
 use super::Session;
@@ -48,7 +48,8 @@ impl Session {
                 self.progress.warn(&format!("companion {name} makes no progress: killed"));
             }
             CompanionEvent::LeftLockstep(name, scan) => {
-                let text = format!("companion {name} left scan {scan} unanswered: lock-step goes on without it");
+                let text =
+                    format!("companion {name} left scan {scan} unanswered: lock-step goes on without it");
                 self.progress.warn(&text);
             }
             CompanionEvent::Replaced(name, scan) => {
@@ -63,10 +64,11 @@ impl Session {
         }
     }
 
-    /// Waits before the first scan for companions that would miss it.
-    pub(super) fn await_companions(&mut self) {
+    /// Waits for companions before the processes of the loop connect, and before the first scan: ports that do not exist
+    /// yet would lose samples.
+    pub(super) fn await_companions(&mut self, state: ProcessState) {
         let end_ns = monotonic_ns() + START_LIMIT_NS;
-        while !self.companions.are_connected() && monotonic_ns() < end_ns {
+        while !self.companions.have_reached(state) && monotonic_ns() < end_ns {
             if self.shutdown.requested() || !self.run.stop_word.is_armed() {
                 return;
             }

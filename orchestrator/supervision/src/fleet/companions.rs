@@ -263,10 +263,15 @@ impl Companions {
         let used = member.process.as_ref().map(|running| running.report);
         let report = if used == Some(index) { index + MAX_COMPANIONS } else { index };
         self.page.clear_report(report);
-        let mut environment = joining(&self.domain, &self.stop_word, incarnation, member.keeper.restarts() > 0);
+        let mut environment =
+            joining(&self.domain, &self.stop_word, incarnation, member.keeper.restarts() > 0);
         environment.push(variable(COMPANION_VARIABLE, member.entry.name()));
         environment.push(variable(REPORT_VARIABLE, report));
-        let _ = member.log.begin(&format!("{} incarnation {incarnation}: {}", member.entry.name(), member.entry.label()));
+        let _ = member.log.begin(&format!(
+            "{} incarnation {incarnation}: {}",
+            member.entry.name(),
+            member.entry.label()
+        ));
         let launch = Launch { command: command_of(&member.entry), environment };
         let child = Child::spawn(&launch, &member.log)?;
         Ok(Running { process: Process::new(member.entry.clone(), incarnation, child), report })
@@ -333,13 +338,14 @@ impl Companions {
         self.page.set_companion(index, &member.authority, member.report, member.holds);
     }
 
-    /// Whether all companions that the start waits for are connected: those in lock-step, and those that the run needs.
-    pub fn are_connected(&self) -> bool {
+    /// Whether all companions that the start waits for report this state or a later one: those in lock-step, and those
+    /// that the run needs.
+    pub fn have_reached(&self, wanted: ProcessState) -> bool {
         self.members.iter().all(|member| {
             let waits = member.holds || member.entry.is_needed();
             let is_gone = member.keeper.life() == Life::Failed;
             let report = self.page.report(member.report);
-            !waits || is_gone || report.state().is_some_and(|state| state >= ProcessState::Connected)
+            !waits || is_gone || report.state().is_some_and(|state| state >= wanted)
         })
     }
 

@@ -1,15 +1,14 @@
 //! A process that fills no role.
 
-use std::os::fd::BorrowedFd;
 use std::rc::Rc;
 
 use bytemuck::Pod;
-use shared_types::{Described, Phase, ProcessState, Sample, StageStamps};
+use shared_types::{Described, LayoutRow, Phase, ProcessState, Sample, StageStamps};
 
 use super::builtin::{Feed, LoopTopic};
 use super::member::{Member, Place};
 use super::page::{CompanionReport, MAX_COMPANIONS};
-use super::topic::{NamedTopic, Port};
+use super::topic::{ByteTopic, NamedTopic};
 use crate::crash::report_crashes;
 use crate::environment::{COMPANION_VARIABLE, REPORT_VARIABLE};
 use crate::{Bus, Clock, Domain, OwnTopics, RuntimeError, Shutdown, domain, monotonic_ns, wait_for};
@@ -59,13 +58,13 @@ pub struct Companion {
     /// The first topic that it reads.
     first: Option<Trigger>,
     feeds: Vec<Rc<dyn Feed>>,
-    ports: Vec<Port>,
+    ports: Vec<ByteTopic>,
     bus: Bus,
 }
 
 enum Trigger {
     Loop(Rc<dyn Feed>),
-    Own(Port),
+    Own(ByteTopic),
 }
 
 impl Companion {
@@ -84,7 +83,6 @@ impl Companion {
         let unknown = || RuntimeError::NotInASystem(COMPANION_VARIABLE);
         let index = OwnTopics::of(&domain)?.and_then(|table| table.index_of(&name)).ok_or_else(unknown)?;
         let member = Member::new(&domain, Place::Companion { index, report }, &name, incarnation)?;
-        member.write(&member.report.borrow());
         let (shutdown, bus) = (Shutdown::on_signals()?, Bus::open(&domain, &name)?);
         Ok(Self { member, shutdown, first: None, feeds: Vec::new(), ports: Vec::new(), bus })
     }
@@ -114,11 +112,25 @@ impl Companion {
     /// field that differs, and errors of the bus.
     pub fn open<S: Pod + Described>(&mut self, name: &str) -> Result<NamedTopic<S>, RuntimeError> {
         let (topic, port) = NamedTopic::open(&self.bus, &self.member, name)?;
-        if self.member.is_first(name) {
-            self.first = Some(Trigger::Own(port.clone()));
-        }
-        self.ports.push(port);
+        self.keep(port);
         Ok(topic)
+    }
+
+    /// [`Companion::open`] for another language, with the fields as it lays them out.
+    ///
+    /// # Errors
+    /// As [`Companion::open`].
+    pub fn open_rows(&mut self, name: &str, mine: &[LayoutRow]) -> Result<ByteTopic, RuntimeError> {
+        let topic = ByteTopic::open_rows(&self.bus, &self.member, name, mine)?;
+        self.keep(topic.clone());
+        Ok(topic)
+    }
+
+    fn keep(&mut self, topic: ByteTopic) {
+        if self.member.is_first(topic.name()) {
+            self.first = Some(Trigger::Own(topic.clone()));
+        }
+        self.ports.push(topic);
     }
 
     /// Waits until the system drives; false when asked to end.
@@ -131,7 +143,7 @@ impl Companion {
         loop {
             let phase = self.member.page.phase();
             if phase >= Phase::Connecting {
-                self.ports.iter().for_each(Port::connect);
+                self.ports.iter().for_each(ByteTopic::connect);
                 self.feeds.iter().for_each(|feed| feed.connect());
                 self.enter(ProcessState::Connected);
             }
@@ -163,12 +175,13 @@ impl Companion {
                 feed.sleep(timeout_ns);
                 feed.poll()?;
             }
-            Some(Trigger::Own(Port::Reads(reader))) => {
-                let descriptors: [BorrowedFd<'_>; 2] = [reader.descriptor(), self.shutdown.descriptor()];
-                wait_for(&descriptors, timeout_ns);
-                reader.poll()?;
+            Some(Trigger::Own(topic)) => {
+                if let Some(reader) = topic.reading() {
+                    wait_for(&[reader.descriptor(), self.shutdown.descriptor()], timeout_ns);
+                    reader.poll()?;
+                }
             }
-            _ => _ = wait_for(&[self.shutdown.descriptor()], timeout_ns),
+            None => _ = wait_for(&[self.shutdown.descriptor()], timeout_ns),
         }
         let woken_ns = self.member.clock.now_ns();
         self.member.stamps.set(StageStamps { woken_ns, ..StageStamps::default() });

@@ -3,7 +3,9 @@
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-use shared_types::{Described, Difference, Header, LayoutRow, Layouts, OwnType, Phase, Role, StageStamps, difference_in};
+use shared_types::{
+    Described, Difference, Header, LayoutRow, Layouts, OwnType, Phase, Role, StageStamps, difference_in,
+};
 
 use super::page::{CompanionPage, CompanionReport};
 use super::table::{OPERATOR, OwnTopics, TopicRow};
@@ -50,7 +52,8 @@ impl Member {
     ) -> Result<Rc<Self>, RuntimeError> {
         let none = || RuntimeError::NoOwnTopic { process: name.to_owned(), topic: "any".to_owned() };
         let table = OwnTopics::of(domain)?.ok_or_else(none)?;
-        let report = CompanionReport { incarnation, pid: u64::from(std::process::id()), ..CompanionReport::default() };
+        let report =
+            CompanionReport { incarnation, pid: u64::from(std::process::id()), ..CompanionReport::default() };
         Ok(Rc::new(Self {
             place,
             name: name.to_owned(),
@@ -70,7 +73,9 @@ impl Member {
         let row = self.table.find(topic).ok_or_else(unknown)?;
         let reads = match self.place {
             Place::Role(role) => self.table.of_role(role, topic).is_some(),
-            Place::Companion { index, .. } => self.table.companion[index].reads.iter().any(|name| name == topic),
+            Place::Companion { index, .. } => {
+                self.table.companion[index].reads.iter().any(|name| name == topic)
+            }
         };
         match reads {
             true => Ok((row.clone(), true)),

@@ -64,7 +64,8 @@ struct Page {
 }
 
 const _: () = assert!(size_of::<Right>() == 32 && size_of::<Cell>() == 128);
-const _: () = assert!(std::mem::offset_of!(Page, roles) == 64 && std::mem::offset_of!(Page, companions) == 224);
+const _: () =
+    assert!(std::mem::offset_of!(Page, roles) == 64 && std::mem::offset_of!(Page, companions) == 224);
 const _: () = assert!(std::mem::offset_of!(Page, reports) == 2304);
 
 /// The page of one system.

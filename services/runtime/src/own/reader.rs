@@ -152,7 +152,9 @@ impl OwnReader {
             let authority = self.member.page.companion(index);
             let is_answered = incarnation != header.incarnation && header.scan_id <= scan;
             // A successor does not answer again what the process before it has answered.
-            if !authority.accepts(header.incarnation, header.scan_id) || (is_answered && authority.previous != 0) {
+            if !authority.accepts(header.incarnation, header.scan_id)
+                || (is_answered && authority.previous != 0)
+            {
                 report.foreign += 1;
                 return;
             }
@@ -175,9 +177,9 @@ impl OwnReader {
     }
 
     fn is_finite(&self, sample: &[u8]) -> bool {
-        self.numbers.iter().all(|at| {
-            bytemuck::pod_read_unaligned::<f64>(&sample[*at..at + size_of::<f64>()]).is_finite()
-        })
+        self.numbers
+            .iter()
+            .all(|at| bytemuck::pod_read_unaligned::<f64>(&sample[*at..at + size_of::<f64>()]).is_finite())
     }
 }
 

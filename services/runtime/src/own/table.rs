@@ -120,7 +120,8 @@ impl OwnTopics {
             return Ok(None);
         }
         let text = domain.folder().read_text(TOPICS_FILE)?;
-        let refuse = |error: toml::de::Error| RuntimeError::settings(domain.directory().join(TOPICS_FILE), error);
+        let refuse =
+            |error: toml::de::Error| RuntimeError::settings(domain.directory().join(TOPICS_FILE), error);
         toml::from_str(&text).map(Some).map_err(refuse)
     }
 

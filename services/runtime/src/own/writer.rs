@@ -80,7 +80,8 @@ impl Sender {
     fn open(bus: &Bus, shape: &Shape) -> Result<Self, RuntimeError> {
         let topic = shape.topic.clone();
         let notifier = bus.events(&topic)?.notifier_builder().create();
-        let notifier = notifier.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
+        let notifier =
+            notifier.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
         Ok(Self { publisher: bus.publisher_of(shape)?, notifier, topic })
     }
 
@@ -117,7 +118,8 @@ impl OwnPublisher {
     /// # Errors
     /// [`RuntimeError::NoOwnTopic`], also for a topic that a companion writes, and [`RuntimeError::Bus`].
     pub fn new(bus: &Bus, table: &OwnTopics, topic: &str) -> Result<Self, RuntimeError> {
-        let unknown = || RuntimeError::NoOwnTopic { process: super::OPERATOR.to_owned(), topic: topic.to_owned() };
+        let unknown =
+            || RuntimeError::NoOwnTopic { process: super::OPERATOR.to_owned(), topic: topic.to_owned() };
         let row = table.find(topic).filter(|row| row.writer == super::OPERATOR).ok_or_else(unknown)?;
         let (own, shape) = row.shape()?;
         let sender = Enclosed::new(Sender::open(bus, &shape)?);
