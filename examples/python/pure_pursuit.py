@@ -86,17 +86,22 @@ def plan(pose, described, settings, last_line):
     return command, line
 
 
-process = Process(Role.CONTROLLER)
-poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
-settings = process.settings() | {"period_s": process.period_ns * 1e-9}
-handover, state = process.resume(STATE_KIND)
-line = struct.unpack("d", state)[0] if handover == Handover.STATE else settings["goal"]["y_m"]
-command = Command()
-if process.start():
-    while process.wait():
-        for pose, described in process.join(poses, obstacles):
-            if command.kind != CommandKind.LAND:  # a landed robot stays landed
-                command, line = plan(pose, described, settings, line)
-            command.header = answer(described, pose)
-            commands.publish(command)
-            process.save(command.header, STATE_KIND, struct.pack("d", line))
+def main():
+    process = Process(Role.CONTROLLER)
+    poses, obstacles, commands = process.input(Pose), process.input(Obstacles), process.output(Command)
+    settings = process.settings() | {"period_s": process.period_ns * 1e-9}
+    handover, state = process.resume(STATE_KIND)
+    line = struct.unpack("d", state)[0] if handover == Handover.STATE else settings["goal"]["y_m"]
+    command = Command()
+    if process.start():
+        while process.wait():
+            for pose, described in process.join(poses, obstacles):
+                if command.kind != CommandKind.LAND:  # a landed robot stays landed
+                    command, line = plan(pose, described, settings, line)
+                command.header = answer(described, pose)
+                commands.publish(command)
+                process.save(command.header, STATE_KIND, struct.pack("d", line))
+
+
+if __name__ == "__main__":
+    main()

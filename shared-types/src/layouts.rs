@@ -87,19 +87,8 @@ pub struct Both<T> {
 impl Layouts {
     /// The layouts that this program was built with.
     pub fn built_in() -> Self {
-        let mut rows = Vec::new();
-        for topic in TOPICS {
-            rows.push(LayoutRow {
-                topic: topic.name().to_owned(),
-                field: WHOLE.to_owned(),
-                kind: topic.type_name().to_owned(),
-                count: 1,
-                size: topic.size(),
-                offset: 0,
-            });
-            add(&mut rows, topic, "", 0, topic.fields());
-        }
-        Self { rows }
+        let rows = |topic: Topic| rows_of(topic.name(), topic.type_name(), topic.size(), topic.fields());
+        Self { rows: TOPICS.into_iter().flat_map(rows).collect() }
     }
 
     fn of<'a>(&'a self, topic: &'a str) -> Vec<&'a LayoutRow> {
@@ -119,14 +108,13 @@ pub fn difference(
     theirs: &Layouts,
     topics: impl IntoIterator<Item = Topic>,
 ) -> Option<Difference> {
-    topics.into_iter().find_map(|topic| {
-        let (mine, theirs) = (mine.of(topic.name()), theirs.of(topic.name()));
-        deviation(&mine, &theirs).map(|(field, what)| Difference {
-            topic: topic.name().to_owned(),
-            field: field.to_owned(),
-            what,
-        })
-    })
+    topics.into_iter().find_map(|topic| difference_in(mine, theirs, topic.name()))
+}
+
+/// [`difference`] of one topic, also one that a system file added.
+pub fn difference_in(mine: &Layouts, theirs: &Layouts, topic: &str) -> Option<Difference> {
+    let (field, what) = deviation(&mine.of(topic), &theirs.of(topic))?;
+    Some(Difference { topic: topic.to_owned(), field, what })
 }
 
 fn deviation(mine: &[&LayoutRow], theirs: &[&LayoutRow]) -> Option<(String, Deviation)> {
@@ -200,7 +188,16 @@ fn within(field: &str, outer: &str) -> bool {
     outer == WHOLE || field.strip_prefix(outer).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
-fn add(rows: &mut Vec<LayoutRow>, topic: Topic, around: &str, start: usize, fields: &'static [Field]) {
+/// The rows of one topic: the sample as a whole, then its fields.
+pub(crate) fn rows_of(topic: &str, kind: &str, size: usize, fields: &'static [Field]) -> Vec<LayoutRow> {
+    let (topic, kind) = (topic.to_owned(), kind.to_owned());
+    let whole = LayoutRow { topic, field: WHOLE.to_owned(), kind, count: 1, size, offset: 0 };
+    let mut rows = vec![whole.clone()];
+    add(&mut rows, &whole.topic, "", 0, fields);
+    rows
+}
+
+fn add(rows: &mut Vec<LayoutRow>, topic: &str, around: &str, start: usize, fields: &'static [Field]) {
     for Field { name, offset, kind, .. } in fields {
         let (element, count) = match kind {
             Kind::Array(element, count) => (*element, *count),
@@ -213,7 +210,7 @@ fn add(rows: &mut Vec<LayoutRow>, topic: Topic, around: &str, start: usize, fiel
         };
         let (field, offset) = (format!("{around}{name}"), start + offset);
         rows.push(LayoutRow {
-            topic: topic.name().to_owned(),
+            topic: topic.to_owned(),
             field: field.clone(),
             kind: kind.to_owned(),
             count,

@@ -21,6 +21,7 @@ mod layouts;
 mod named;
 mod obstacles;
 mod odometry;
+mod own;
 mod pose;
 mod refusal;
 mod role;
@@ -45,10 +46,13 @@ pub use device::{DEVICE_REASON_BYTES, Device, DeviceState};
 pub use fault::{Fault, finite};
 pub use header::{Header, StageStamps, YOUNG_NS};
 pub use health::{SECTOR_BEAMS, SECTORS, ScannerHealth, ScannerState, TOLERATED_ERRORS};
-pub use layouts::{Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, topics_of};
+pub use layouts::{
+    Both, Deviation, Difference, LayoutRow, Layouts, NotALayout, difference, difference_in, topics_of,
+};
 pub use named::UnknownName;
 pub use obstacles::{MAX_OBSTACLES, Obstacle, Obstacles};
 pub use odometry::Odometry;
+pub use own::{LayoutFault, MAX_OWN_BYTES, OwnField, OwnType};
 pub use pose::{Alarm, Pose, Suspect};
 pub use refusal::{FIELD_NAME_BYTES, Refusal};
 pub use role::{PORTS, ROLES, Role};

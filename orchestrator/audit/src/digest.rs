@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use shared_types::Sample;
+use shared_types::{Header, Sample};
 
 /// Running 64-bit FNV-1a hashes, one per topic, over the bytes of all samples in their order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -14,10 +14,16 @@ pub struct Digests(BTreeMap<String, u64>);
 impl Digests {
     /// Adds a sample.
     pub fn add<S: Sample>(&mut self, sample: &S) {
-        let mut sample = *sample;
-        (sample.header_mut().incarnation, sample.header_mut().sequence) = (0, 0);
-        let hash = self.0.entry(S::TOPIC.name().to_owned()).or_insert(0xcbf2_9ce4_8422_2325);
-        for byte in bytemuck::bytes_of(&sample) {
+        self.add_bytes(S::TOPIC.name(), bytemuck::bytes_of_mut(&mut { *sample }));
+    }
+
+    /// Adds a sample of any topic; its incarnation and sequence number are cleared.
+    pub fn add_bytes(&mut self, topic: &str, sample: &mut [u8]) {
+        let place = &mut sample[..size_of::<Header>()];
+        let header = Header { incarnation: 0, sequence: 0, ..bytemuck::pod_read_unaligned(place) };
+        place.copy_from_slice(bytemuck::bytes_of(&header));
+        let hash = self.0.entry(topic.to_owned()).or_insert(0xcbf2_9ce4_8422_2325);
+        for byte in sample {
             *hash = (*hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
         }
     }

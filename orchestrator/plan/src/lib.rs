@@ -9,6 +9,7 @@ mod rate;
 pub mod reference;
 pub mod settings;
 pub mod system;
+pub mod topics;
 mod vehicle_table;
 
 use std::path::{Path, PathBuf};
@@ -17,7 +18,7 @@ use clap::Args;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
-use runtime::{ClockKind, Domain, RunSettings};
+use runtime::{Domain, OwnTopics};
 use supervision::realtime;
 use toml::{Table, Value};
 use vehicle::{Description, Invalid, Setting, Surroundings};
@@ -58,6 +59,8 @@ pub struct Plan {
     pub scenario: Scenario,
     /// The system.
     pub system: System,
+    /// Topics and companions of the system.
+    pub own_topics: OwnTopics,
     /// Keys of the files that a user should replace.
     pub warnings: Vec<String>,
 }
@@ -114,7 +117,8 @@ impl Plan {
         let together = system.tuning().for_scenario(&scenario).validate();
         let together = together.and_then(|()| scenario.scanner.validate_mean(system.period_ns()));
         together.map_err(|invalid| Failure::bad_input(format!("{scenario_file}: {invalid}")))?;
-        Ok(Self { scenario, system, warnings })
+        let own_topics = topics::read(&system, &system_file)?;
+        Ok(Self { scenario, system, own_topics, warnings })
     }
 
     /// Where the scenario differs from the description that the stages read; the largest share first.
@@ -149,12 +153,8 @@ impl Plan {
             let message = "--lockstep: the robot `player` drives in real time only";
             return Err(Failure::bad_input(message));
         }
-        let run = RunSettings {
-            period_ns: system.period_ns(),
-            clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
-            orphan_stop_ns: (system.orphan_stop_s() * 1e9) as u64,
-            orphan_timeout_ns: (system.orphan_timeout_s * 1e9) as u64,
-        };
+        let run = system.run_settings(lockstep);
+        OwnTopics { run: run.clone(), ..self.own_topics.clone() }.write(domain)?;
         let tuning = system.tuning().for_scenario(scenario);
         settings::write(domain, &run, &system.realtime, scenario, &tuning, system.player())
     }

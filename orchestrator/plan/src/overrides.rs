@@ -46,7 +46,8 @@ pub fn set(table: &mut Table, key: &str, value: Value) -> anyhow::Result<()> {
                 .ok_or_else(|| Failure::bad_input(format!("--set {key}: expected {first}.WHICH.KEY")))?;
             let count = items.len();
             let found = items.iter_mut().enumerate().find(|(index, item)| {
-                index.to_string() == which || item.get("role").and_then(Value::as_str) == Some(which)
+                let is_it = |key: &str| item.get(key).and_then(Value::as_str) == Some(which);
+                index.to_string() == which || is_it("role") || is_it("name")
             });
             match found {
                 Some((_, Value::Table(inner))) => set(inner, rest, value),

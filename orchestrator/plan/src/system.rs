@@ -5,6 +5,7 @@ use std::path::Path;
 use console::exit::Failure;
 use console::user_file::{self, TEXT_BYTES};
 use pipeline::{Tuning, profile};
+use runtime::{ClockKind, RunSettings};
 use shared_types::Role;
 use supervision::entry::ProcessEntry;
 use supervision::realtime;
@@ -12,6 +13,7 @@ use toml::Table;
 use vehicle::{Description, Invalid, parse, read, require, settings};
 
 use crate::rate::require_safe_speed;
+use crate::topics::{self, TopicEntry};
 
 /// The built-in process table.
 pub const BUILT_IN: &str = include_str!("../../systems/default.toml");
@@ -35,6 +37,9 @@ settings! {
         /// One table for each role.
         #[serde(rename = "process")]
         pub processes: Vec<ProcessEntry> = Vec::new();
+        /// Topics in addition to those of the loop.
+        #[serde(rename = "topic")]
+        pub topics: Vec<TopicEntry> = Vec::new();
         /// Settings of the estimator: measured states, noise, odometry correction and prediction.
         pub estimator: estimator::Config = estimator::Config::default();
         /// Settings of the obstacle detector: walls, ellipses, noise and memory.
@@ -56,6 +61,7 @@ impl System {
         let refuse = |invalid: Invalid| Failure::bad_input(format!("{file}: {invalid}"));
         let system: Self = read(table).map_err(refuse)?;
         system.validate().map_err(refuse)?;
+        topics::read(&system, file)?;
         Ok(system)
     }
 
@@ -63,6 +69,16 @@ impl System {
     pub fn emulates_robot(&self) -> bool {
         let mut robots = self.processes.iter().filter(|entry| entry.role() == Role::Robot);
         robots.any(|entry| entry.implementation.as_deref() == Some("emulator"))
+    }
+
+    /// What all processes need to know.
+    pub fn run_settings(&self, lockstep: bool) -> RunSettings {
+        RunSettings {
+            period_ns: self.period_ns(),
+            clock: if lockstep { ClockKind::Simulated } else { ClockKind::Monotonic },
+            orphan_stop_ns: (self.orphan_stop_s() * 1e9) as u64,
+            orphan_timeout_ns: (self.orphan_timeout_s * 1e9) as u64,
+        }
     }
 
     /// The table of a file, or the built-in one.
@@ -106,7 +122,17 @@ impl System {
 
     /// The entry of a role; a checked system has one for each.
     pub fn entry(&self, role: Role) -> Option<&ProcessEntry> {
-        self.processes.iter().find(|entry| entry.role() == role)
+        self.roles().find(|entry| entry.role() == role)
+    }
+
+    /// The processes of the loop.
+    pub fn roles(&self) -> impl Iterator<Item = &ProcessEntry> {
+        self.processes.iter().filter(|entry| !entry.is_companion())
+    }
+
+    /// The processes beside the loop.
+    pub fn companions(&self) -> impl Iterator<Item = &ProcessEntry> {
+        self.processes.iter().filter(|entry| entry.is_companion())
     }
 
     fn validate(&self) -> Result<(), Invalid> {
@@ -118,7 +144,7 @@ impl System {
             entry.validate().map_err(|error| error.within(&format!("process[{index}]")))?;
         }
         for role in Role::ALL {
-            let count = self.processes.iter().filter(|entry| entry.role() == *role).count();
+            let count = self.roles().filter(|entry| entry.role() == *role).count();
             if count > 1 {
                 let topics: Vec<&str> = role.writes().iter().map(|topic| topic.name()).collect();
                 let allowed = format!(
@@ -135,6 +161,7 @@ impl System {
                 ));
             }
         }
+        topics::validate(self)?;
         require_safe_speed(&self.controller, self.rate_hz)?;
         self.tuning().validate()
     }

@@ -72,6 +72,8 @@ pub struct RunResult {
     pub reason: String,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
+    /// The processes beside the loop.
+    pub companions: Vec<crate::report::CompanionReport>,
     /// Swaps of processes.
     pub swaps: Vec<Certificate>,
     /// What became of every sample.
@@ -339,6 +341,7 @@ impl Recorder {
             stop_reasons: self.tally.stops(),
             self_check: self.tally.self_check(),
             processes: result.processes.clone(),
+            companions: result.companions.clone(),
             swaps: result.swaps.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),

@@ -22,7 +22,9 @@ use vehicle::Surroundings;
 
 use self::write::join_leaves;
 
-pub use self::parts::{BlockingReport, Difference, MarginReport, ScannerReport, ScannerStatus};
+pub use self::parts::{
+    BlockingReport, CompanionReport, Difference, MarginReport, ScannerReport, ScannerStatus,
+};
 pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -86,6 +88,9 @@ pub struct Report {
     pub self_check: SelfCheckReport,
     /// The processes that filled the roles.
     pub processes: Vec<ProcessReport>,
+    /// Processes beside the loop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub companions: Vec<CompanionReport>,
     /// Swaps of processes, in the order in which they ended.
     pub swaps: Vec<Certificate>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.

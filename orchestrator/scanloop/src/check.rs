@@ -11,7 +11,7 @@ use console::user_file::{self, TEXT_BYTES};
 use emulator::Scenario;
 use plan::system::System;
 use plan::{Choice, Plan, difference};
-use runtime::printable;
+use runtime::{OPERATOR, Reserve, printable};
 use shared_types::{Role, TOPICS, Topic};
 use toml::Table;
 use vehicle::Setting;
@@ -56,7 +56,7 @@ pub(crate) fn check(arguments: &CheckArguments) -> anyhow::Result<Exit> {
             plan
         }
     };
-    data(&printable(&graph(&plan.system)))?;
+    data(&printable(&(graph(&plan.system) + &own_graph(&plan)?)))?;
     Ok(Exit::Done)
 }
 
@@ -80,11 +80,38 @@ pub(crate) fn graph(system: &System) -> String {
     for role in Role::ALL {
         let label = system.entry(*role).map_or_else(String::new, |entry| entry.label());
         let (inputs, outputs) = (names(role.reads()), names(role.writes()));
+        let also = system.entry(*role).into_iter().flat_map(|entry| &entry.also_reads);
+        let inputs = also.fold(inputs, |text, also| format!("{text}, {}", also.topic));
         let _ = writeln!(text, "  {inputs:<22} -> [{role} = {label}] -> {outputs}");
     }
     let latched: Vec<Topic> = TOPICS.into_iter().filter(|topic| topic.writer().is_none()).collect();
     let _ = writeln!(text, "  outside the loop: {}, truth", names(&latched));
     text
+}
+
+/// The companions with what they read and write, the topics that the operator writes, and the memory of all.
+fn own_graph(plan: &Plan) -> anyhow::Result<String> {
+    let (mut text, own) = (String::new(), &plan.own_topics);
+    for entry in plan.system.companions() {
+        let (inputs, outputs) = (entry.reads().join(", "), entry.writes().join(", "));
+        let needed = if entry.is_needed() { ", needed" } else { "" };
+        let _ =
+            writeln!(text, "  {inputs:<22} -> ({} = {}{needed}) -> {outputs}", entry.name(), entry.label());
+    }
+    for row in own.topic.iter().filter(|row| row.writer == OPERATOR) {
+        let _ = writeln!(text, "  {:<22} -> {}", "operator", row.name);
+    }
+    if !own.topic.is_empty() || !own.companion.is_empty() {
+        let (own_kib, sum_kib) =
+            (own.bytes()?.div_ceil(1024), (own.bytes()? + Reserve::of_a_system()).div_ceil(1024));
+        let _ = writeln!(
+            text,
+            "  shared memory: {sum_kib} KiB, of these {own_kib} KiB for {} topics and {} companions",
+            own.topic.len(),
+            own.companion.len()
+        );
+    }
+    Ok(text)
 }
 
 fn names(topics: &[Topic]) -> String {

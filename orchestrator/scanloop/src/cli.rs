@@ -70,7 +70,7 @@ pub enum Command {
     /// If the wheels are blocked for an obstacle, it is named with its place, the gap past it and the gap that the robot
     /// needs. A scanner that is not healthy is shown with its state and the figures that explain it. A driver shows what
     /// its devices do, since when, and why. JSON keys: `system_id`, `state`, `scenario`, `scan`, `judged_by` (`truth`,
-    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `refused`; per process also `device`
+    /// `estimate`, or null), `lockstep`, `blocking`, `scanner`, `processes`, `companions`, `refused`; per process also `device`
     /// (`connecting`, `running`, `fault`; null without devices), `device_for_s`, `device_reason`.
     Status {
         /// Print JSON to standard output.
@@ -101,7 +101,7 @@ pub enum Command {
     /// If the process works, the new one takes over first and then the old one ends. Exit code 1 if the new one does not
     /// start; the old one then keeps driving. A process that does not work is ended before the new one starts.
     Restart {
-        /// Role of the process: robot, estimator, obstacles, controller or actuator.
+        /// Role of the process: robot, estimator, obstacles, controller or actuator; or the name of a companion.
         role: String,
     },
     /// Replace one process of a running system by another one without losing a scan.
@@ -303,7 +303,7 @@ impl RobotPreset {
 /// What to show of the topics.
 #[derive(Debug, Subcommand)]
 pub enum TopicCommand {
-    /// List all topics: size, writer, readers, type.
+    /// List all topics: size, writer, readers, type; of a running system also those that its file adds.
     List,
     /// Measure the rate of a topic.
     Hz {
@@ -325,5 +325,14 @@ pub enum TopicCommand {
         /// Leave out arrays of more than 16 elements.
         #[arg(long)]
         short: bool,
+    },
+    /// Publish one sample by hand on a topic of your own whose writer is `operator`.
+    ///
+    /// Fields that the JSON object does not name are zero. Topics of the loop are refused.
+    Pub {
+        /// Name of the topic.
+        topic: String,
+        /// Values by the names of the fields, as `{"speed_mps": 0.5}`.
+        json: String,
     },
 }

@@ -116,15 +116,18 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Conformance(arguments) => conformance::conformance(arguments),
         Command::Shadow(arguments) => shadow::shadow(&cli.system_id, arguments),
         Command::Service { name } => service::run(name),
-        Command::Topic(TopicCommand::List) => print(&topic::list()),
+        Command::Topic(TopicCommand::List) => print(&topic::list(&cli.system_id)?),
         Command::Topic(TopicCommand::Hz { topic, duration }) => {
             topic::hz(&cli.system_id, topic, *duration).map(|()| Exit::Done)
         }
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
+        Command::Topic(TopicCommand::Pub { topic, json }) => {
+            topic::publish(&cli.system_id, topic, json).map(|()| Exit::Done)
+        }
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
-        Command::Types(arguments) => print(&types::print(arguments)),
+        Command::Types(arguments) => print(&types::print(arguments)?),
         Command::Urg(command) => urg::urg(command),
     }
 }

@@ -6,7 +6,7 @@ use console::exit::Exit;
 use console::note;
 use emulator::JudgedBy;
 use runtime::{Domain, RuntimeError};
-use session::control::{ProcessStatus, Reply, Request, Status, ask};
+use session::control::{CompanionStatus, ProcessStatus, Reply, Request, Status, ask};
 use session::orphaned::{self, ORPHANED};
 use shared_types::{Role, ScannerState};
 
@@ -94,6 +94,17 @@ fn table(status: &Status) -> String {
         }
         for row in status.refused.iter().filter(|row| row.writer == process.role.name()) {
             let _ = writeln!(text, "            ! {row}");
+        }
+    }
+    for companion in &status.companions {
+        let CompanionStatus { name, implementation, pid, state, restarts, .. } = companion;
+        let _ = writeln!(
+            text,
+            "{name:<11} {implementation:<16.16} {pid:>7}  {state:<9} {restarts:>8} {:>8.1} {:>8.0} {:>6.1} {:>9}",
+            companion.rate_hz, companion.last_sample_age_ms, companion.cpu_percent, companion.memory_kib
+        );
+        for line in &companion.last_words {
+            let _ = writeln!(text, "            | {line}");
         }
     }
     text

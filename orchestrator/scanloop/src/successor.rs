@@ -11,7 +11,7 @@ use session::control::{Reply, Request, Successor, ask};
 #[derive(Debug, Clone, Args)]
 #[command(group = ArgGroup::new("successor").required(true))]
 pub struct SuccessorArguments {
-    /// Role of the process: robot, estimator, obstacles, controller or actuator.
+    /// Role of the process: robot, estimator, obstacles, controller or actuator. `swap` also takes the name of a companion.
     pub role: String,
     /// Built-in implementation: emulator, player, ekf, ellipses, nmpc or actuation.
     #[arg(long, value_name = "IMPLEMENTATION", group = "successor")]
@@ -28,8 +28,13 @@ impl SuccessorArguments {
     /// An unknown role; exit code 2.
     pub(crate) fn named(&self) -> anyhow::Result<Successor> {
         let role = self.role.parse().map_err(Failure::bad_input)?;
-        let command = (!self.command.is_empty()).then(|| from_here(&self.command));
+        let command = (!self.command.is_empty()).then(|| self.command_from_here());
         Ok(Successor { role, implementation: self.to.clone(), command })
+    }
+
+    /// The command as the orchestrator finds it.
+    pub(crate) fn command_from_here(&self) -> Vec<String> {
+        from_here(&self.command)
     }
 }
 

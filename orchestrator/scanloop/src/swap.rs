@@ -8,7 +8,7 @@ use console::exit::{Exit, Failure};
 use console::note;
 use handover::swap::{Certificate, MAX_TOLERANCE, SwapOutcome};
 use plan::change;
-use runtime::Domain;
+use runtime::{Domain, OwnTopics};
 use session::control::{Reply, Request, Successor, SwapRequest, ask};
 use shared_types::Role;
 
@@ -67,6 +67,12 @@ pub struct GateArguments {
 /// # Errors
 /// An unknown role or implementation, a system that is not running or already swaps a process; exit code 2.
 pub(crate) fn swap(system_id: &str, arguments: &SwapArguments) -> anyhow::Result<Exit> {
+    if arguments.successor.role.parse::<Role>().is_err()
+        && is_companion(system_id, &arguments.successor.role)
+        && !arguments.successor.command.is_empty()
+    {
+        return replace(system_id, &arguments.successor.role, Some(arguments.successor.command_from_here()));
+    }
     let request = arguments.gate.request(arguments.successor.named()?, Vec::new())?;
     let domain = &supervision::runs::existing(system_id)?;
     if arguments.watch {
@@ -113,6 +119,9 @@ impl GateArguments {
 /// # Errors
 /// An unknown role, a role that is not restarted, or a system that is not running; exit code 2.
 pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
+    if role.parse::<Role>().is_err() && is_companion(system_id, role) {
+        return replace(system_id, role, None);
+    }
     let role: Role = role.parse().map_err(Failure::bad_input)?;
     let domain = &supervision::runs::existing(system_id)?;
     let number = match ask(domain, &Request::Restart { role })? {
@@ -126,6 +135,25 @@ pub(crate) fn restart(system_id: &str, role: &str) -> anyhow::Result<Exit> {
     let Some(certificate) = certificate(domain, number, || false)? else { return Ok(Exit::NotReached) };
     note!("{}", certificate.of_restart());
     Ok(exit_of(&certificate))
+}
+
+/// Whether the running system has a companion of that name.
+fn is_companion(system_id: &str, name: &str) -> bool {
+    let domain = supervision::runs::find(system_id).ok().flatten();
+    let own = domain.and_then(|domain| OwnTopics::of(&domain).ok().flatten());
+    own.is_some_and(|own| own.index_of(name).is_some())
+}
+
+/// Replaces a companion: the new process takes over as soon as it is connected.
+fn replace(system_id: &str, name: &str, command: Option<Vec<String>>) -> anyhow::Result<Exit> {
+    let domain = &supervision::runs::existing(system_id)?;
+    match ask(domain, &Request::ReplaceCompanion { name: name.to_owned(), command })? {
+        Reply::Refused(reason) => Err(Failure::bad_input(reason)),
+        _ => {
+            note!("companion {name} is being replaced");
+            Ok(Exit::Done)
+        }
+    }
 }
 
 /// Waits for the certificate of a swap; `None` when the system ends first, or `is_over`.

@@ -1,11 +1,13 @@
-//! `scanloop topic list / hz / echo`.
+//! `scanloop topic list / hz / echo / pub`.
+
+mod publish;
 
 use std::time::Duration;
 
 use console::exit::Failure;
 use console::output::data;
 use figures::{Align, Table};
-use runtime::{Bus, Observer, RuntimeError, Shutdown, monotonic_ns, wait_for};
+use runtime::{Bus, Observer, OwnObserver, OwnTopics, RuntimeError, Shutdown, monotonic_ns, wait_for};
 use serde_json::{Map, Value, json};
 use session::arguments::check_duration;
 use shared_types::{
@@ -13,14 +15,19 @@ use shared_types::{
     Pose, Role, Sample, Scan, TOPICS, Topic, Truth,
 };
 
+pub(crate) use self::publish::publish;
+
 /// Longest sleep between two polls of a topic; a buffer of 16 samples lasts longer than this at 500 Hz.
 const POLL_NS: u64 = 20_000_000;
 
 /// Arrays of bytes up to this length are texts [bytes].
 const MAX_TEXT: usize = 64;
 
-/// The table of topics as text.
-pub(crate) fn list() -> String {
+/// The table of topics as text, with those that the running system adds, if there is one.
+///
+/// # Errors
+/// A table of the system that can't be read.
+pub(crate) fn list(system_id: &str) -> anyhow::Result<String> {
     let [left, right] = [Align::Left, Align::Right];
     let mut table =
         Table::new(&[("topic", left), ("bytes", right), ("writer", left), ("readers", left), ("type", left)]);
@@ -40,7 +47,26 @@ pub(crate) fn list() -> String {
         let size = topic.size().to_string();
         table.row([topic.name(), &size, writer, &readers, topic.type_name()].map(str::to_owned));
     }
-    table.to_string()
+    let running = supervision::runs::find(system_id)?;
+    let own = running.map_or(Ok(None), |domain| OwnTopics::of(&domain))?;
+    for row in own.iter().flat_map(|own| &own.topic) {
+        let own_type = row.layout.own_type()?;
+        let (size, readers) = (own_type.size().to_string(), readers_of(own.as_ref(), &row.name));
+        table.row(
+            [&row.name, &size, &row.writer, &readers, &own_type.type_name()]
+                .map(|cell: &String| cell.clone()),
+        );
+    }
+    Ok(table.to_string())
+}
+
+/// The processes that read a topic of a system.
+fn readers_of(own: Option<&OwnTopics>, topic: &str) -> String {
+    let Some(own) = own else { return String::new() };
+    let companions = own.companion.iter().filter(|row| row.reads.iter().any(|name| name == topic));
+    let roles = own.also_reads.iter().filter(|also| also.topic == topic);
+    let names = roles.map(|also| also.role.as_str()).chain(companions.map(|row| row.name.as_str()));
+    names.collect::<Vec<_>>().join(", ")
 }
 
 /// Counts the samples of a topic and prints its rate once a second.
@@ -76,7 +102,7 @@ pub(crate) fn echo(system_id: &str, topic: &str, count: Option<u64>, short: bool
     let mut watch = Watch::open(system_id, topic)?;
     let mut left = count.unwrap_or(u64::MAX);
     while left > 0 && watch.sleep() {
-        let fields = watch.topic.fields();
+        let fields = watch.fields;
         let mut written = Ok(true);
         watch.poll(&mut |bytes| {
             if left > 0 {
@@ -95,7 +121,9 @@ type NextSample = Box<dyn FnMut() -> Result<Option<Vec<u8>>, RuntimeError>>;
 
 /// A topic under observation, of any type.
 struct Watch {
-    topic: Topic,
+    fields: &'static [Field],
+    /// Whether its samples are numbered by one process.
+    is_numbered: bool,
     next: NextSample,
     shutdown: Shutdown,
     seen: u64,
@@ -106,8 +134,13 @@ struct Watch {
 
 impl Watch {
     fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
+        let domain = supervision::runs::existing(system_id)?;
+        let own = OwnTopics::of(&domain)?.filter(|own| own.find(topic).is_some());
+        let bus = Bus::open(&domain, "observer")?;
+        if let Some(own) = own {
+            return Self::own(bus, &own, topic);
+        }
         let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
-        let bus = Bus::open(&supervision::runs::existing(system_id)?, "observer")?;
         fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))
@@ -124,7 +157,19 @@ impl Watch {
             Topic::Checkpoint => of::<Checkpoint>(&bus),
             Topic::Truth => of::<Truth>(&bus),
         }?;
-        Ok(Self { topic, next, shutdown: Shutdown::on_signals()?, seen: 0, lost: 0, last: (0, 0), _bus: bus })
+        Self::of(bus, topic.fields(), topic.writer().is_some(), next)
+    }
+
+    /// A topic that the system file added.
+    fn own(bus: Bus, own: &OwnTopics, topic: &str) -> anyhow::Result<Self> {
+        let observer = OwnObserver::new(&bus, own, topic)?;
+        let fields = observer.own_type().fields();
+        Self::of(bus, fields, true, Box::new(move || observer.next()))
+    }
+
+    fn of(bus: Bus, fields: &'static [Field], is_numbered: bool, next: NextSample) -> anyhow::Result<Self> {
+        let shutdown = Shutdown::on_signals()?;
+        Ok(Self { fields, is_numbered, next, shutdown, seen: 0, lost: 0, last: (0, 0), _bus: bus })
     }
 
     /// Sleeps until the next poll; false when the user wants to end.
@@ -139,7 +184,7 @@ impl Watch {
             self.seen += 1;
             let header: shared_types::Header =
                 bytemuck::pod_read_unaligned(&bytes[..size_of::<shared_types::Header>()]);
-            if self.topic.writer().is_some() {
+            if self.is_numbered {
                 if self.last.0 == header.incarnation && header.sequence > self.last.1 {
                     self.lost += header.sequence - self.last.1 - 1;
                 }

@@ -3,8 +3,13 @@
 mod c;
 mod markdown;
 mod python;
+mod rust;
+
+use std::path::PathBuf;
 
 use clap::Args;
+use console::exit::Failure;
+use plan::topics::read_layout;
 use shared_types::{Field, Kind, TOPICS};
 
 /// Arguments of `types`.
@@ -19,15 +24,35 @@ pub struct TypesArguments {
     /// Print a Python module of ctypes classes.
     #[arg(long, group = "form")]
     pub python: bool,
+    /// Print a Rust struct; with `--layout` only.
+    #[arg(long, group = "form", requires = "layout")]
+    pub rust: bool,
+    /// Print the type of a layout file instead, for a topic of your own.
+    #[arg(long, value_name = "FILE")]
+    pub layout: Option<PathBuf>,
 }
 
-/// The samples of all topics in the requested form.
-pub(crate) fn print(arguments: &TypesArguments) -> String {
-    match arguments {
+/// The samples of all topics in the requested form, or the type of one layout file.
+///
+/// # Errors
+/// A layout file that is not allowed; exit code 2.
+pub(crate) fn print(arguments: &TypesArguments) -> anyhow::Result<String> {
+    if let Some(path) = &arguments.layout {
+        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
+        let layout = read_layout(path).map_err(refuse)?;
+        let own = layout.own_type().map_err(|fault| refuse(fault.to_string()))?;
+        return Ok(match arguments {
+            TypesArguments { c: true, .. } => c::of_layout(&own, &layout.doc),
+            TypesArguments { python: true, .. } => python::of_layout(&own, &layout.doc),
+            TypesArguments { rust: true, .. } => rust::of_layout(&own, &layout.doc),
+            _ => markdown::of_layout(&own, &layout.doc),
+        });
+    }
+    Ok(match arguments {
         TypesArguments { c: true, .. } => c::header(),
         TypesArguments { python: true, .. } => python::module(),
         _ => markdown::page(),
-    }
+    })
 }
 
 /// All structs inside of samples, each after the structs it contains.

@@ -19,6 +19,7 @@ use supervision::runs::LivingRun;
 use supervision::supervisor::{Event, MIN_HANG_AFTER_MS};
 
 use crate::arguments::{AdoptArguments, check_duration, out_folder};
+use crate::own_processes::OwnProcesses;
 use crate::process_registry::{ProcessRegistry, RoleRow, RunFile};
 use crate::results::conclude;
 use crate::session::Session;
@@ -88,7 +89,7 @@ pub(crate) fn take_over(
         lock,
         stop_word.clone(),
         &plan.system.realtime,
-        &plan.system.processes,
+        &plan.system.roles().cloned().collect::<Vec<_>>(),
         out.join("logs"),
         true,
     )?;
@@ -118,7 +119,10 @@ pub(crate) fn take_over(
     let duration_s = arguments.duration.or(run.duration_s);
     let options = RunOptions { lockstep: false, duration_s, quiet: arguments.quiet, out };
     let judged_by = registry.judged_by;
-    let startup = Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 0, judged_by };
+    let generation = directive.header.incarnation;
+    let companions = OwnProcesses::new(&bus, domain, &stop_word, &plan, false, generation, &options.out)?;
+    let startup =
+        Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 0, judged_by };
     let mut session = Session::new(domain, &plan, &options, startup)?;
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)

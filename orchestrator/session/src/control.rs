@@ -18,13 +18,14 @@ use emulator::JudgedBy;
 use handover::shadow::ShadowReport;
 use handover::swap::Certificate;
 use report::{BlockingReport, ScannerStatus};
-use runtime::{Domain, RuntimeError, peer_uid};
+use runtime::{Domain, RuntimeError, monotonic_ns, peer_uid};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 use shared_types::{Device, DeviceState, Role};
 use supervision::entry::role_name;
+use supervision::fleet::companions::CompanionView;
 use supervision::supervisor::VisibleState;
 
 use self::line::{read_line, write_line};
@@ -83,6 +84,9 @@ pub struct Status {
     pub scanner: Option<ScannerStatus>,
     /// One row per process.
     pub processes: Vec<ProcessStatus>,
+    /// One row per process beside the loop.
+    #[serde(default)]
+    pub companions: Vec<CompanionStatus>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     #[serde(default)]
     pub refused: Vec<RefusedRow>,
@@ -140,6 +144,71 @@ pub struct ProcessStatus {
     pub device_reason: Option<String>,
     /// Last log lines of the process before the one that runs.
     pub last_words: Vec<String>,
+}
+
+/// One process beside the loop in [`Status`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CompanionStatus {
+    /// Its name.
+    pub name: String,
+    /// Its command.
+    pub implementation: String,
+    /// Process id, 0 when none runs.
+    pub pid: u32,
+    /// starting, ready, hung, backoff or failed.
+    pub state: VisibleState,
+    /// Starts after the first.
+    pub restarts: u32,
+    /// Whether the run ends when it has failed.
+    pub needed: bool,
+    /// Samples published per second.
+    pub rate_hz: f64,
+    /// Age of the newest one [ms].
+    pub last_sample_age_ms: f64,
+    /// Share of one processor since the status before [%].
+    pub cpu_percent: f64,
+    /// Resident memory [KiB].
+    pub memory_kib: u64,
+    /// Samples of its first topic that it has taken.
+    pub taken: u64,
+    /// Of these, those that it is done with.
+    pub answered: u64,
+    /// Samples that it has published.
+    pub published: u64,
+    /// Inputs dropped because of their content.
+    pub invalid: u64,
+    /// Inputs dropped because their writer was not in charge.
+    pub foreign: u64,
+    /// Inputs that never arrived.
+    pub missed: u64,
+    /// Last log lines of the process before the one that runs.
+    pub last_words: Vec<String>,
+}
+
+impl From<CompanionView> for CompanionStatus {
+    fn from(view: CompanionView) -> Self {
+        let CompanionView { report, load, .. } = view;
+        let age_ns = monotonic_ns().saturating_sub(report.published_ns);
+        Self {
+            name: view.name,
+            implementation: view.command,
+            pid: view.pid,
+            state: view.state,
+            restarts: view.restarts,
+            needed: view.needed,
+            rate_hz: view.rate_hz,
+            last_sample_age_ms: if report.published_ns == 0 { 0.0 } else { age_ns as f64 * 1e-6 },
+            cpu_percent: load.cpu_percent,
+            memory_kib: load.memory_kib,
+            taken: report.taken,
+            answered: report.answered,
+            published: report.published,
+            invalid: report.invalid,
+            foreign: report.foreign,
+            missed: report.missed,
+            last_words: view.last_log_lines,
+        }
+    }
 }
 
 impl ProcessStatus {

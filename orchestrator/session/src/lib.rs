@@ -5,6 +5,7 @@ pub mod arguments;
 pub mod control;
 mod directives;
 pub mod orphaned;
+mod own_processes;
 mod process_registry;
 mod results;
 pub mod run;

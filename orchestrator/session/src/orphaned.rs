@@ -62,6 +62,7 @@ pub fn status(domain: &Domain) -> Option<Status> {
     let mut processes: Vec<_> = rows.collect();
     processes.sort_by_key(|process| process.role.index());
     Some(Status {
+        companions: Vec::new(),
         system_id: domain.system_id().to_owned(),
         state: if is_stopped(domain) { STOPPED } else { ORPHANED }.to_owned(),
         scenario: RunFile::read(domain).map_or_else(|_| String::new(), |(_, plan)| plan.scenario.name),

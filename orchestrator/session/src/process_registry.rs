@@ -10,7 +10,7 @@ use anyhow::Context;
 use emulator::{JudgedBy, Outcome, Scenario};
 use plan::Plan;
 use plan::system::System;
-use runtime::{Domain, PROCESSES_FILE};
+use runtime::{Domain, OwnTopics, PROCESSES_FILE};
 use serde::{Deserialize, Serialize};
 use shared_types::{Authority, ROLES, Role};
 use supervision::entry::{ProcessEntry, ProcessRow, role_name};
@@ -149,7 +149,15 @@ impl RunFile {
     /// A file that is missing or cannot be read.
     pub(crate) fn read(domain: &Domain) -> anyhow::Result<(Self, Plan)> {
         let run: Self = read(domain, RUN_FILE)?;
-        let plan = Plan { scenario: run.scenario.clone(), system: run.system.clone(), warnings: Vec::new() };
+        let (scenario, system) = (run.scenario.clone(), run.system.clone());
+        let none = || OwnTopics {
+            run: system.run_settings(run.lockstep),
+            topic: Vec::new(),
+            companion: Vec::new(),
+            also_reads: Vec::new(),
+        };
+        let own_topics = OwnTopics::of(domain)?.unwrap_or_else(none);
+        let plan = Plan { scenario, system, own_topics, warnings: Vec::new() };
         Ok((run, plan))
     }
 }

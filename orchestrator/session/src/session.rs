@@ -6,6 +6,7 @@
 //! The drive does not depend on the loop: the processes talk to each other, and drive on when it hangs or dies.
 
 mod candidates;
+mod companions;
 mod conclusion;
 mod events;
 mod judge;
@@ -32,6 +33,7 @@ use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, Visible
 
 use crate::control::ControlSocket;
 use crate::directives::Directives;
+use crate::own_processes::OwnProcesses;
 use crate::service_manager::ServiceManager;
 use crate::startup::{RunOptions, Startup};
 use crate::vitals::Vitals;
@@ -54,6 +56,9 @@ pub struct Session {
     supervisor: Supervisor,
     swaps: Swaps,
     shadows: Shadows,
+    companions: OwnProcesses,
+    /// Their rows in the report, once the loop has ended.
+    companion_reports: Vec<report::CompanionReport>,
     conclusion: Conclusion,
     audit: Reconciliation,
     recording: Recording,
@@ -98,7 +103,8 @@ impl Session {
         options: &RunOptions,
         startup: Startup,
     ) -> anyhow::Result<Self> {
-        let Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan, judged_by } = startup;
+        let Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan, judged_by } =
+            startup;
         shutdown.latch_also(&stop_word)?;
         let (lockstep, period_ns) = (options.lockstep, plan.system.period_ns());
         let entries = Role::ALL.iter().filter_map(|role| fleet.entry(*role));
@@ -113,6 +119,8 @@ impl Session {
             supervisor: if lockstep { supervisor.in_lockstep() } else { supervisor },
             swaps: Swaps::new(period_ns, lockstep),
             shadows: Shadows::new(period_ns),
+            companions,
+            companion_reports: Vec::new(),
             conclusion: Conclusion::new(lockstep, period_ns),
             audit: Reconciliation::new(audit, lockstep),
             recording: Recording::new(domain.run_id(), &plan.scenario, options, first_scan, period_ns),
@@ -163,6 +171,7 @@ impl Session {
             self.advance_audit();
             self.advance_end()?;
             self.advance_candidates()?;
+            self.advance_companions()?;
             // Starts and clean-ups take long on a busy machine: no process is judged before its waiting heartbeats.
             self.take_heartbeats()?;
             self.excuse_starved()?;
@@ -175,6 +184,7 @@ impl Session {
         self.take_heartbeats()?;
         self.samples.poll(&self.directives.current, &mut self.audit.samples)?;
         self.record(true)?;
+        self.end_companions()?;
         self.reconcile(true);
         self.progress.finish();
         Ok(self.result())
@@ -204,6 +214,7 @@ impl Session {
             descriptors.push(self.shutdown.descriptor());
         }
         descriptors.extend(self.fleet.descriptors());
+        descriptors.extend(self.companions.descriptors());
         wait_for(&descriptors, limit_ns);
     }
 
@@ -229,7 +240,9 @@ impl Session {
         let suspects: Vec<_> = self.supervisor.suspects(monotonic_ns()).collect();
         self.fleet.forget_suspects(|role| suspects.iter().any(|(suspect, ..)| *suspect == role));
         for (role, incarnation, is_over) in suspects {
-            if self.fleet.is_starved(role, incarnation) && is_over {
+            // In lock-step it may wait for a companion, which is judged by itself.
+            let waits = self.companions.delays(self.samples.newest_scan());
+            if (self.fleet.is_starved(role, incarnation) || waits) && is_over {
                 self.handle(Event::Starved { role, incarnation })?;
             }
         }
@@ -412,12 +425,14 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
+                    self.await_companions(ProcessState::Attached);
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
+                    self.await_companions(ProcessState::Connected);
                     self.find_judge()?;
                     self.audit.samples.driving();
-                    self.directives.grant(GRANT_AHEAD);
+                    self.directives.grant(GRANT_AHEAD.min(self.companions.granted_scan(GRANT_AHEAD)));
                     self.audit.moved(monotonic_ns());
                 }
                 self.directives.enter(phase);
@@ -482,6 +497,7 @@ impl Session {
                 false => self.fleet.trim_logs(),
             }
             self.directives.publish(now)?;
+            self.announce_to_companions();
         }
         Ok(())
     }
@@ -502,6 +518,7 @@ impl Session {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
+            companions: self.companion_reports.clone(),
             swaps: self.swaps.certificates(),
             ledger: self.audit.samples.report(),
         }

@@ -7,6 +7,7 @@ use supervision::fleet::Fleet;
 use supervision::lock::SystemLock;
 use supervision::supervisor::Event;
 
+use crate::own_processes::OwnProcesses;
 use crate::process_registry::RunFile;
 use crate::session::Session;
 use crate::startup::{RunOptions, Startup};
@@ -35,14 +36,24 @@ pub fn start(
         lock,
         stop_word.clone(),
         &plan.system.realtime,
-        &plan.system.processes,
+        &plan.system.roles().cloned().collect::<Vec<_>>(),
         logs,
         false,
     )?;
+    let companions = OwnProcesses::new(&bus, domain, &stop_word, plan, options.lockstep, 1, &options.out)?;
     let mut directive = Directive::default();
     directive.header.incarnation = 1;
     let events = vec![Event::Start];
-    let startup =
-        Startup { bus, stop_word, fleet, shutdown, events, directive, first_scan: 1, judged_by: None };
+    let startup = Startup {
+        bus,
+        stop_word,
+        fleet,
+        companions,
+        shutdown,
+        events,
+        directive,
+        first_scan: 1,
+        judged_by: None,
+    };
     Session::new(domain, plan, options, startup)
 }

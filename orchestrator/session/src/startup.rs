@@ -8,6 +8,8 @@ use shared_types::Directive;
 use supervision::fleet::Fleet;
 use supervision::supervisor::Event;
 
+use crate::own_processes::OwnProcesses;
+
 /// Options of a run, apart from scenario and system.
 #[derive(Debug, Clone)]
 pub struct RunOptions {
@@ -26,6 +28,7 @@ pub(crate) struct Startup {
     pub(crate) bus: Bus,
     pub(crate) stop_word: StopWord,
     pub(crate) fleet: Fleet,
+    pub(crate) companions: OwnProcesses,
     /// Receives signals since before the first file was made.
     pub(crate) shutdown: Shutdown,
     pub(crate) events: Vec<Event>,

@@ -5,18 +5,35 @@ use serde::{Deserialize, Serialize};
 use shared_types::Role;
 use vehicle::{Invalid, settings};
 
+use crate::keeper::KeeperPolicy;
 use crate::supervisor::{ProcessPolicy, Restart};
 
 /// What the key `role` may be.
-const ROLES: &str = "one of robot, estimator, obstacles, controller, actuator";
+const ROLES: &str = "one of robot, estimator, obstacles, controller, actuator, companion";
+/// The key `role` of a process that fills none.
+const COMPANION: &str = "companion";
+/// What the name of a companion or a topic may be.
+pub const NAME_RULE: &str = "a small letter, then small letters, digits, `-` or `_`; at most 24";
+
+settings! {
+    /// A topic that a process of the loop reads in addition to those of its role.
+    pub struct AlsoRead {
+        /// Name of the topic.
+        pub topic: String = String::new(), "a topic of the system file";
+        /// Older samples are dropped; in lock-step none is [ms].
+        pub max_age_ms: f64 = 200.0, 1.0..=3_600_000.0;
+    }
+}
 
 settings! {
     /// One process of the system.
     pub struct ProcessEntry {
-        /// Role that the process fills.
+        /// Role that the process fills, or `companion` for a process beside the loop.
         pub role: String = String::new(), (ROLES, "must be given");
         /// Built-in implementation that fills the role; it needs this or `command`.
         pub implementation: Option<String> = None, "emulator or player, ekf, ellipses, nmpc or actuation, in the order of the roles";
+        /// Name of a companion; a role has none.
+        pub name: Option<String> = None, NAME_RULE;
         /// Program of your own with its arguments, which fills the role instead.
         pub command: Option<Vec<String>> = None, "a list of texts, instead of `implementation`";
         /// When a process that ended is started again. With `on-failure` an end with exit code 0 ends the run; the robot is
@@ -32,6 +49,18 @@ settings! {
         pub start_timeout_s: f64 = 10.0, 0.1..=3600.0;
         /// Time between the request to end and the kill [ms].
         pub grace_ms: u64 = 1000, 1.0..=3_600_000.0;
+        /// Topics that a companion reads. In lock-step it answers each sample of the first.
+        pub reads: Option<Vec<String>> = None, "names of topics";
+        /// Topics that a companion writes.
+        pub writes: Option<Vec<String>> = None, "names of topics of the system file";
+        /// Whether the run ends when the companion has failed; without the key, false.
+        pub needed: Option<bool> = None, "true, false";
+        /// Whether lock-step waits for the companion; without the key, true.
+        pub lockstep: Option<bool> = None, "true, false";
+        /// Whether a companion may read the topic `truth`; without the key, false.
+        pub reads_truth: Option<bool> = None, "true, false";
+        /// Topics that a command of your own reads in addition to those of its role.
+        pub also_reads: Vec<AlsoRead> = Vec::new();
     }
 }
 
@@ -65,6 +94,47 @@ impl ProcessEntry {
     #[must_use]
     pub fn role(&self) -> Role {
         self.role.parse().expect("an entry is validated when it is read")
+    }
+
+    /// Whether the process fills no role.
+    pub fn is_companion(&self) -> bool {
+        self.role == COMPANION
+    }
+
+    /// Name of the companion, or of the role.
+    pub fn name(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.role)
+    }
+
+    /// The topics that a companion reads.
+    pub fn reads(&self) -> &[String] {
+        self.reads.as_deref().unwrap_or_default()
+    }
+
+    /// The topics that a companion writes.
+    pub fn writes(&self) -> &[String] {
+        self.writes.as_deref().unwrap_or_default()
+    }
+
+    /// Whether the run ends when the companion has failed.
+    pub fn is_needed(&self) -> bool {
+        self.needed.unwrap_or(false)
+    }
+
+    /// Whether lock-step waits for the companion: it has to read something for that.
+    pub fn is_in_lockstep(&self) -> bool {
+        self.lockstep.unwrap_or(true) && !self.reads().is_empty()
+    }
+
+    /// The policy by which the companion is kept running.
+    pub fn keeper_policy(&self, period_ns: u64) -> KeeperPolicy {
+        KeeperPolicy {
+            restarts: self.restart != Restart::Never,
+            restart_limit: self.restart_limit as usize,
+            window_ns: (self.restart_window_s * 1e9) as u64,
+            hang_ns: KeeperPolicy::hang_ns(period_ns),
+            start_ns: (self.start_timeout_s * 1e9) as u64,
+        }
     }
 
     /// A command that fills a role, with the default policy.
@@ -101,6 +171,9 @@ impl ProcessEntry {
     /// # Errors
     /// The first value that is not allowed, with what is.
     pub fn validate(&self) -> Result<(), Invalid> {
+        if self.is_companion() {
+            return self.validate_companion();
+        }
         let role: Role = self.role.parse().map_err(|_| {
             let given = if self.role.is_empty() { "(missing)" } else { &self.role };
             Invalid::new("role", given, ROLES)
@@ -124,9 +197,57 @@ impl ProcessEntry {
                 return Err(Invalid::new("implementation", "both or none", allowed));
             }
         }
+        let of_companions = [
+            ("name", self.name.is_some()),
+            ("reads", self.reads.is_some()),
+            ("writes", self.writes.is_some()),
+            ("needed", self.needed.is_some()),
+            ("lockstep", self.lockstep.is_some()),
+            ("reads_truth", self.reads_truth.is_some()),
+        ];
+        if let Some((key, _)) = of_companions.into_iter().find(|(_, is_set)| *is_set) {
+            return Err(Invalid::new(key, format!("a key of role {role}"), "a key of role companion only"));
+        }
+        if self.command.is_none() && !self.also_reads.is_empty() {
+            let allowed = "a key of a `command` of your own: built-in implementations read nothing else";
+            return Err(Invalid::new("also_reads", format!("a key of {}", self.label()), allowed));
+        }
+        self.require_ranges()
+    }
+
+    fn validate_companion(&self) -> Result<(), Invalid> {
+        let name = self.name.as_deref().unwrap_or_default();
+        if name.parse::<Role>().is_ok() {
+            return Err(Invalid::new("name", name, "no name of a role: a companion takes the place of none"));
+        }
+        if !is_name(name) || [COMPANION, runtime::OPERATOR, "orchestrator"].contains(&name) {
+            return Err(Invalid::new("name", if name.is_empty() { "(missing)" } else { name }, NAME_RULE));
+        }
+        if let Some(implementation) = &self.implementation {
+            return Err(Invalid::new(
+                "implementation",
+                implementation,
+                "`command`: no companion is built in",
+            ));
+        }
+        if self.command.as_ref().and_then(|command| command.first()).is_none_or(String::is_empty) {
+            return Err(Invalid::new("command", "[]", "a program and its arguments"));
+        }
+        if !self.also_reads.is_empty() {
+            return Err(Invalid::new("also_reads", "a key of role companion", "`reads` for companions"));
+        }
         self.require_ranges()
     }
 }
+
+/// Whether a text may be the name of a companion or a topic.
+pub fn is_name(text: &str) -> bool {
+    let rest = text.strip_prefix(|first: char| first.is_ascii_lowercase());
+    let allowed =
+        |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit() || "-_".contains(letter);
+    rest.is_some_and(|rest| rest.len() < 24 && rest.chars().all(allowed))
+}
+
 /// A role in files and messages, by its name.
 pub mod role_name {
     use serde::de::Error;

@@ -8,7 +8,7 @@ use runtime::{
 };
 use shared_types::Role;
 
-/// The variables by which a process joins its run.
+/// The variables by which a process of a role joins its run.
 pub fn environment_of(
     domain: &Domain,
     stop_word: &StopWord,
@@ -16,11 +16,22 @@ pub fn environment_of(
     incarnation: u32,
     restart: bool,
 ) -> Vec<(OsString, OsString)> {
+    let mut variables = joining(domain, stop_word, incarnation, restart);
+    variables.push(variable(ROLE_VARIABLE, role.name()));
+    variables
+}
+
+/// The variables by which any process joins its run.
+pub(crate) fn joining(
+    domain: &Domain,
+    stop_word: &StopWord,
+    incarnation: u32,
+    restart: bool,
+) -> Vec<(OsString, OsString)> {
     vec![
         variable(SYSTEM_ID_VARIABLE, domain.system_id()),
         variable(RUN_ID_VARIABLE, domain.run_id()),
         (DIRECTORY_VARIABLE.into(), domain.directory().into()),
-        variable(ROLE_VARIABLE, role.name()),
         variable(INCARNATION_VARIABLE, incarnation),
         variable(RESTART_VARIABLE, u8::from(restart)),
         variable(STOP_FD_VARIABLE, stop_word.descriptor()),

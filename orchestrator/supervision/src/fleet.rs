@@ -1,5 +1,6 @@
 //! The processes of a run as the operating system sees them: started, signalled, reaped, recorded.
 
+pub mod companions;
 mod process;
 
 use std::collections::BTreeMap;

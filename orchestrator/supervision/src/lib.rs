@@ -7,6 +7,7 @@ pub mod entry;
 pub mod environment;
 pub mod fleet;
 pub mod halt;
+pub mod keeper;
 pub mod lock;
 pub mod realtime;
 pub mod room;

@@ -120,6 +120,41 @@ int scanloop_report_device(scanloop_process *process, uint32_t state, const char
  * drives, and a robot's port delivers none. */
 int scanloop_status(scanloop_process *process, scanloop_heartbeat *counters, scanloop_directive *orders);
 
+/* A topic that the system file adds. `layout` and `count` are the table that `scanloop types --c --layout FILE` prints and
+ * its length:
+ *
+ *     scanloop_open_topic(process, "imu", scanloop_imu_layout,
+ *                         sizeof scanloop_imu_layout / sizeof scanloop_imu_layout[0], &imu);
+ *
+ * A process of the loop opens those that `also_reads` gives to it, before scanloop_start. */
+typedef struct scanloop_topic scanloop_topic;
+int scanloop_open_topic(scanloop_process *process, const char *name, const scanloop_layout_row *layout, size_t count,
+                        scanloop_topic **topic);
+
+/* The oldest sample not taken yet; the newest; that of one scan. SCANLOOP_NO when there is none. Nothing is waited for in
+ * real time; in lock-step the last two wait until the writer is done with `scan_id`. The pointer is valid until the next
+ * of these calls for the same topic, or scanloop_topic_close. */
+int scanloop_topic_take(scanloop_topic *topic, const void **sample);
+int scanloop_topic_newest(scanloop_topic *topic, uint64_t scan_id, const void **sample);
+int scanloop_topic_by_scan(scanloop_topic *topic, uint64_t scan_id, const void **sample);
+
+/* Completes header and `stage` of `sample` and publishes a copy of it; `size` is sizeof of its struct. */
+int scanloop_topic_publish(scanloop_topic *topic, void *sample, size_t size);
+
+/* Frees the topic; NULL is allowed. */
+void scanloop_topic_close(scanloop_topic *topic);
+
+/* A process beside the loop, docs/companions.md. It opens topics of the loop by name, and topics of your own with their
+ * layout; then it starts, and waits for samples of the first topic in `reads`. */
+typedef struct scanloop_companion scanloop_companion;
+int scanloop_companion_open(scanloop_companion **companion);
+int scanloop_companion_input(scanloop_companion *companion, const char *name, scanloop_topic **topic);
+int scanloop_companion_topic(scanloop_companion *companion, const char *name, const scanloop_layout_row *layout,
+                             size_t count, scanloop_topic **topic);
+int scanloop_companion_start(scanloop_companion *companion);
+int scanloop_companion_wait(scanloop_companion *companion, uint64_t deadline_ns);
+void scanloop_companion_close(scanloop_companion *companion);
+
 /* Writes a line to the log of the process, logs/ROLE.log; the user sees the last lines of a process that ends. */
 void scanloop_log(int level, const char *text);
 

@@ -25,6 +25,10 @@ pub(crate) enum Refusal {
     NoPair,
     #[error("a sample of topic {topic} has {expected} bytes, not {found}")]
     Size { topic: Topic, expected: usize, found: usize },
+    #[error("a sample of topic {topic} has {expected} bytes, not {found}")]
+    OwnSize { topic: String, expected: usize, found: usize },
+    #[error("a companion does not write topics of the loop")]
+    OfTheLoop,
     #[error("topic {0}: {1}")]
     Sample(Topic, Fault),
     #[error("{0}")]

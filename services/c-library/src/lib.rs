@@ -9,6 +9,7 @@
 #![expect(clippy::missing_safety_doc, reason = "the header states the rules for all functions")]
 
 mod error;
+pub mod own;
 mod process;
 
 use std::ffi::{CStr, c_char, c_int, c_void};

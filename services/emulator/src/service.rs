@@ -301,6 +301,8 @@ impl Robot {
         }
         self.scans.publish(&mut scan)?;
         self.odometries.publish(&mut odometry)?;
+        // After the samples of the loop: only processes beside it sleep until a truth comes.
+        self.truths.iter().for_each(|truths| truths.wake());
         self.state.next_scan = scan_id + 1;
         self.save(process, &odometry.header)
     }

@@ -12,7 +12,8 @@ use shared_types::{Sample, SampleType, TOPICS, Topic};
 
 use crate::bell::Bells;
 use crate::enclosed::Enclosed;
-use crate::port::{self, BytePublisher, ByteSubscriber, Samples};
+use crate::own::OwnTopics;
+use crate::port::{self, BytePublisher, ByteSubscriber, Samples, Shape};
 use crate::qos::{EVENT_PORTS, NODES, Qos, qos};
 use crate::reserve::{Reserve, allocate_files, remove_empty_files, require_room};
 use crate::{Domain, RuntimeError, layouts, node};
@@ -40,7 +41,8 @@ impl Bus {
     /// [`RuntimeError::File`] when the layouts of the samples can't be written.
     pub fn create(domain: &Domain) -> Result<Self, RuntimeError> {
         // Checked as a whole and freed at once; the services then take it piece by piece.
-        Reserve::take(Reserve::of_a_system())?;
+        let own = OwnTopics::of(domain)?.map_or(Ok(0), |table| table.bytes())?;
+        Reserve::take(Reserve::of_a_system() + own)?;
         Self::create_empty(domain)?.with_topics(false)
     }
 
@@ -59,7 +61,12 @@ impl Bus {
 
     fn with_topics(mut self, take_over: bool) -> Result<Self, RuntimeError> {
         for topic in TOPICS {
-            self.create_topic(topic.sample_type(), qos(topic), take_over)?;
+            self.create_topic(&topic.sample_type().into(), qos(topic), take_over)?;
+        }
+        if let Some(table) = OwnTopics::of(&self.domain)? {
+            for row in &table.topic {
+                self.create_topic(&row.shape()?.1, row.qos(), take_over)?;
+            }
         }
         self.allocate()?;
         Ok(self)
@@ -112,16 +119,26 @@ impl Bus {
     /// # Errors
     /// [`RuntimeError::Bus`] when the topic can't be opened.
     pub fn has_publisher(&self, topic: Topic) -> Result<bool, RuntimeError> {
-        Ok(port::publishers(&self.open_samples(topic.sample_type())?) > 0)
+        Ok(port::publishers(&self.open_samples(&topic.sample_type().into())?) > 0)
     }
 
     pub(crate) fn publisher(&self, of: &SampleType) -> Result<BytePublisher, RuntimeError> {
+        self.publisher_of(&of.into())
+    }
+
+    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<ByteSubscriber, RuntimeError> {
+        self.subscriber_of(&of.into(), qos(of.topic).history)
+    }
+
+    /// The writing end of any topic.
+    pub(crate) fn publisher_of(&self, of: &Shape) -> Result<BytePublisher, RuntimeError> {
         let created = BytePublisher::new(self.open_samples(of)?);
         created.map_err(|reason| RuntimeError::bus(format!("write topic {}", of.topic), reason))
     }
 
-    pub(crate) fn subscriber(&self, of: &SampleType) -> Result<ByteSubscriber, RuntimeError> {
-        let created = ByteSubscriber::new(&self.open_samples(of)?, of);
+    /// The reading end of any topic, which gets so many earlier samples.
+    pub(crate) fn subscriber_of(&self, of: &Shape, history: usize) -> Result<ByteSubscriber, RuntimeError> {
+        let created = ByteSubscriber::new(&self.open_samples(of)?, of, history);
         created.map_err(|reason| RuntimeError::bus(format!("read topic {}", of.topic), reason))
     }
 
@@ -131,7 +148,7 @@ impl Bus {
     }
 
     /// The event service of a topic.
-    pub(crate) fn events(&self, topic: Topic) -> Result<Events, RuntimeError> {
+    pub(crate) fn events(&self, topic: &str) -> Result<Events, RuntimeError> {
         let name = service_name(topic)?;
         let open = || self.node.service_builder(&name).event().open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open events of topic {topic}"), reason))
@@ -144,11 +161,11 @@ impl Bus {
     /// [`RuntimeError::Bus`] when iceoryx2 refuses.
     pub fn create_topic_for<S: Sample>(&mut self, readers: usize) -> Result<(), RuntimeError> {
         let qos = Qos { subscribers: readers, ..qos(S::TOPIC) };
-        self.create_topic(S::TYPE, qos, false)
+        self.create_topic(&S::TYPE.into(), qos, false)
     }
 
-    fn create_topic(&mut self, of: &SampleType, qos: Qos, take_over: bool) -> Result<(), RuntimeError> {
-        let (name, detail) = (service_name(of.topic)?, port::of_samples(of)?);
+    fn create_topic(&mut self, of: &Shape, qos: Qos, take_over: bool) -> Result<(), RuntimeError> {
+        let (name, detail) = (service_name(&of.topic)?, port::of_samples(of)?);
         let samples = || {
             port::samples(&self.node, &name, &detail)
                 .max_publishers(qos.publishers)
@@ -163,8 +180,8 @@ impl Bus {
             self.node
                 .service_builder(&name)
                 .event()
-                .max_notifiers(EVENT_PORTS)
-                .max_listeners(EVENT_PORTS)
+                .max_notifiers(EVENT_PORTS.max(qos.publishers))
+                .max_listeners(EVENT_PORTS.max(qos.subscribers))
                 .max_nodes(NODES)
                 .event_id_max_value(15)
         };
@@ -186,8 +203,8 @@ impl Bus {
         Ok(())
     }
 
-    fn open_samples(&self, of: &SampleType) -> Result<Samples, RuntimeError> {
-        let (name, detail) = (service_name(of.topic)?, port::of_samples(of)?);
+    fn open_samples(&self, of: &Shape) -> Result<Samples, RuntimeError> {
+        let (name, detail) = (service_name(&of.topic)?, port::of_samples(of)?);
         let open = || port::samples(&self.node, &name, &detail).open();
         retry(open).map_err(|reason| RuntimeError::bus(format!("open topic {}", of.topic), reason))
     }
@@ -198,8 +215,8 @@ impl Bus {
     }
 }
 
-fn service_name(topic: Topic) -> Result<ServiceName, RuntimeError> {
-    ServiceName::new(topic.name()).map_err(|reason| RuntimeError::bus("name a topic", reason))
+fn service_name(topic: &str) -> Result<ServiceName, RuntimeError> {
+    ServiceName::new(topic).map_err(|reason| RuntimeError::bus("name a topic", reason))
 }
 
 /// Retries, because opening can collide with a clean-up by another process.

@@ -233,7 +233,7 @@ pub(crate) fn identity() -> Result<(String, u32), RuntimeError> {
     }
 }
 
-fn variable(name: &'static str) -> Result<String, RuntimeError> {
+pub(crate) fn variable(name: &'static str) -> Result<String, RuntimeError> {
     std::env::var(name).map_err(|_| RuntimeError::NotInASystem(name))
 }
 

@@ -10,6 +10,10 @@ pub const RUN_ID_VARIABLE: &str = "SCANLOOP_RUN_ID";
 pub const DIRECTORY_VARIABLE: &str = "SCANLOOP_DIRECTORY";
 /// Names the role that the process was started for.
 pub const ROLE_VARIABLE: &str = "SCANLOOP_ROLE";
+/// Names the companion that the process was started as, instead of a role.
+pub const COMPANION_VARIABLE: &str = "SCANLOOP_COMPANION";
+/// Gives a companion the number of its report in the page that it shares with the orchestrator.
+pub const REPORT_VARIABLE: &str = "SCANLOOP_REPORT";
 /// Gives the number of the inherited descriptor of the stop word.
 pub const STOP_FD_VARIABLE: &str = "SCANLOOP_STOP_FD";
 /// Chooses the directory in which the directories of systems are; for users.

@@ -66,6 +66,22 @@ pub enum RuntimeError {
         /// The topic.
         topic: Topic,
     },
+    /// A process opens a topic that the system file does not give it.
+    #[error("{process} neither reads nor writes topic {topic} by the system file")]
+    NoOwnTopic {
+        /// Name of the process.
+        process: String,
+        /// The topic.
+        topic: String,
+    },
+    /// A process uses the wrong end of a topic.
+    #[error("topic {topic} is {verb} by this process, by the system file")]
+    WrongEnd {
+        /// The topic.
+        topic: String,
+        /// `read` or `written`.
+        verb: &'static str,
+    },
     /// The process was built against another layout of a sample than the system.
     #[error(
         "built against another layout: {0}; build it again with what `scanloop types` of this system prints"

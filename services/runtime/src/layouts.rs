@@ -2,7 +2,7 @@
 
 use shared_types::{Layouts, NotALayout, Role, difference, topics_of};
 
-use crate::{Domain, RuntimeError};
+use crate::{Domain, OwnTopics, RuntimeError};
 
 /// Name of the file in the directory of the system.
 pub const LAYOUTS_FILE: &str = "layouts.txt";
@@ -34,7 +34,9 @@ pub(crate) fn verify_all(domain: &Domain) -> Result<(), RuntimeError> {
 
 /// Writes the layouts of the system: the orchestrator, when it creates the bus.
 pub(crate) fn write(domain: &Domain) -> Result<(), RuntimeError> {
-    domain.folder().write(LAYOUTS_FILE, Layouts::built_in().to_string().as_bytes())
+    let mut layouts = Layouts::built_in();
+    layouts.rows.extend(OwnTopics::of(domain)?.map_or_else(Vec::new, |table| table.rows()));
+    domain.folder().write(LAYOUTS_FILE, layouts.to_string().as_bytes())
 }
 
 #[cfg(test)]

@@ -45,6 +45,7 @@ mod node;
 mod observer;
 mod orphan;
 mod output;
+mod own;
 mod peer;
 mod place;
 mod port;
@@ -71,8 +72,9 @@ pub use clock::{Clock, monotonic_ns};
 pub use crash::{latch_on_crash, report_crashes};
 pub use domain::{Domain, remove_bus_files_of};
 pub use environment::{
-    CANDIDATE_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, RESTART_VARIABLE, ROLE_VARIABLE,
-    RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE, SYSTEM_ID_VARIABLE,
+    CANDIDATE_VARIABLE, COMPANION_VARIABLE, DIRECTORY_VARIABLE, INCARNATION_VARIABLE, REPORT_VARIABLE,
+    RESTART_VARIABLE, ROLE_VARIABLE, RUN_ID_VARIABLE, RUNTIME_DIR_VARIABLE, STOP_FD_VARIABLE,
+    SYSTEM_ID_VARIABLE,
 };
 pub use error::RuntimeError;
 pub use folder::Folder;
@@ -87,6 +89,11 @@ pub use logging::{Priority, check_log_filter, print, start_logging, writes_to_jo
 pub use observer::{Checked, Observer, Publisher};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
+pub use own::{
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, LayoutField, LayoutFile,
+    LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken, OwnTopics,
+    TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
+};
 pub use peer::peer_uid;
 pub use process::Process;
 pub use qos::buffer;

@@ -21,10 +21,9 @@ use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::port_factory::publish_subscribe;
 use iceoryx2::service::static_config::message_type_details::{TypeDetail, TypeVariant};
-use shared_types::{SampleType, Topic};
+use shared_types::SampleType;
 
 use crate::RuntimeError;
-use crate::qos::qos;
 
 /// A service for samples.
 pub(crate) type Samples =
@@ -32,9 +31,29 @@ pub(crate) type Samples =
 /// The builder that creates or opens one.
 pub(crate) type SamplesBuilder = Builder<[CustomPayloadMarker], CustomHeaderMarker, ipc::Service>;
 
+/// What a service is made from: the name of its topic, and the type of its samples.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Shape {
+    /// Name of the topic.
+    pub(crate) topic: String,
+    /// Name of the type on the bus.
+    pub(crate) type_name: String,
+    /// Size of a sample [bytes].
+    pub(crate) size: usize,
+    /// Its alignment [bytes].
+    pub(crate) alignment: usize,
+}
+
+impl From<&SampleType> for Shape {
+    fn from(of: &SampleType) -> Self {
+        let (topic, type_name) = (of.topic.name().to_owned(), of.name.to_owned());
+        Self { topic, type_name, size: of.size, alignment: of.alignment }
+    }
+}
+
 /// The description of a sample type for a service, as a port of that type gives it.
-pub(crate) fn of_samples(of: &SampleType) -> Result<TypeDetail, RuntimeError> {
-    TypeDetail::__internal_new_from_parts(TypeVariant::FixedSize, of.name, of.size, of.alignment)
+pub(crate) fn of_samples(of: &Shape) -> Result<TypeDetail, RuntimeError> {
+    TypeDetail::__internal_new_from_parts(TypeVariant::FixedSize, &of.type_name, of.size, of.alignment)
         .map_err(|reason| RuntimeError::bus(format!("describe samples of topic {}", of.topic), reason))
 }
 
@@ -122,17 +141,16 @@ impl Loan {
 #[derive(Debug)]
 pub(crate) struct ByteSubscriber {
     port: subscriber::Subscriber<ipc::Service, [CustomPayloadMarker], CustomHeaderMarker>,
-    topic: Topic,
+    topic: String,
     /// Size of each sample [bytes].
     size: usize,
 }
 
 impl ByteSubscriber {
     /// A port that also receives as many earlier samples as the topic keeps.
-    pub(crate) fn new(service: &Samples, of: &SampleType) -> Result<Self, SubscriberCreateError> {
-        let history = qos(of.topic).history;
+    pub(crate) fn new(service: &Samples, of: &Shape, history: usize) -> Result<Self, SubscriberCreateError> {
         let port = service.subscriber_builder().history_request(history).create()?;
-        Ok(Self { port, topic: of.topic, size: of.size })
+        Ok(Self { port, topic: of.topic.clone(), size: of.size })
     }
 
     /// The next sample. Samples of another size are skipped: their publisher is damaged.

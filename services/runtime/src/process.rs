@@ -7,11 +7,12 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::Arc;
 
+use bytemuck::Pod;
 use iceoryx2::prelude::{Node, ipc};
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Checkpoint, Device, DeviceState, Directive, Heartbeat, Layouts, Phase, ProcessState, Role,
-    Sample, SampleType, StageStamps, Topic,
+    Actuation, Checkpoint, Described, Device, DeviceState, Directive, Heartbeat, LayoutRow, Layouts, Phase,
+    ProcessState, Role, Sample, SampleType, StageStamps, Topic,
 };
 
 use self::waiting::Need;
@@ -24,6 +25,7 @@ use crate::guard::Guard;
 use crate::input::{Input, Reader};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
+use crate::own::{ByteTopic, Member, NamedTopic, Place};
 use crate::reserve::require_room;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
@@ -254,6 +256,35 @@ impl Process {
         let writer = Rc::new(Writer::new(&self.bus, Rc::clone(&self.shared), of)?);
         self.outputs.push(Rc::clone(&writer) as Rc<dyn Connect>);
         Ok(Enclosed::new(writer))
+    }
+
+    /// Opens a topic of your own that `also_reads` of the system file gives to this process, before
+    /// [`Process::start`].
+    ///
+    /// # Errors
+    /// [`RuntimeError::NoOwnTopic`] when the system file does not name it for this role, [`RuntimeError::Layout`] with
+    /// the field that differs, and errors of the bus.
+    pub fn open<S: Pod + Described>(&mut self, name: &str) -> Result<NamedTopic<S>, RuntimeError> {
+        let (topic, port) = NamedTopic::open(&self.bus, &self.member()?, name)?;
+        self.on_connect(move || port.connect());
+        Ok(topic)
+    }
+
+    /// [`Process::open`] for another language, with the fields as it lays them out.
+    ///
+    /// # Errors
+    /// As [`Process::open`].
+    pub fn open_rows(&mut self, name: &str, mine: &[LayoutRow]) -> Result<ByteTopic, RuntimeError> {
+        let topic = ByteTopic::open_rows(&self.bus, &self.member()?, name, mine)?;
+        let port = topic.clone();
+        self.on_connect(move || port.connect());
+        Ok(topic)
+    }
+
+    /// This process as a user of topics of your own.
+    fn member(&self) -> Result<Rc<Member>, RuntimeError> {
+        let Shared { role, incarnation, .. } = *self.shared;
+        Member::new(&self.domain, Place::Role(role), role.name(), incarnation)
     }
 
     /// The role of this process.

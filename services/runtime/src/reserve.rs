@@ -19,12 +19,12 @@ use rustix::fs::{FallocateFlags, Mode, OFlags, fallocate, fstatvfs, open};
 use rustix::io::Errno;
 use shared_types::{Role, TOPICS, Topic};
 
-use crate::qos::qos;
+use crate::qos::{Qos, qos};
 use crate::shared_memory::{self, SHARED_MEMORY, Shortage};
 use crate::{Domain, RuntimeError};
 
 /// Files of a node: its own, its monitor and its marks in the services that it uses, a page each [bytes].
-const NODE_BYTES: u64 = 128 << 10;
+pub(crate) const NODE_BYTES: u64 = 128 << 10;
 /// Files of the two services of a topic, for samples and for events [bytes].
 const SERVICE_BYTES: u64 = 64 << 10;
 /// Size of one block of `st_blocks` [bytes].
@@ -179,15 +179,33 @@ fn observer_bytes() -> u64 {
     NODE_BYTES + TOPICS.iter().map(|topic| input_bytes(*topic)).sum::<u64>()
 }
 
+/// Shared memory of a topic that a system file adds: its services, its writer and the successor of it, and all readers that
+/// there may be [bytes].
+pub(crate) fn bytes_of_topic(qos: Qos, size: usize) -> u64 {
+    SERVICE_BYTES + 2 * output_of(qos, size) + qos.subscribers as u64 * input_of(qos)
+}
+
+/// Size of the file system; `None` when it has no limit [bytes].
+pub(crate) fn total() -> Result<Option<u64>, RuntimeError> {
+    let status = fstatvfs(directory()?).map_err(error)?;
+    Ok((status.f_blocks > 0).then(|| status.f_blocks * status.f_frsize))
+}
+
 /// Samples of one publisher, and its connections to all readers that there may be [bytes].
 fn output_bytes(topic: Topic) -> u64 {
-    let qos = qos(topic);
-    qos.samples_bytes(topic.size()) + qos.subscribers as u64 * qos.connection_bytes()
+    output_of(qos(topic), topic.size())
+}
+
+fn output_of(qos: Qos, size: usize) -> u64 {
+    qos.samples_bytes(size) + qos.subscribers as u64 * qos.connection_bytes()
 }
 
 /// Connections of one reader to all publishers that there may be [bytes].
 fn input_bytes(topic: Topic) -> u64 {
-    let qos = qos(topic);
+    input_of(qos(topic))
+}
+
+fn input_of(qos: Qos) -> u64 {
     qos.publishers as u64 * qos.connection_bytes()
 }
 

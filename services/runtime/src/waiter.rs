@@ -37,7 +37,7 @@ pub(crate) struct Ringer {
 
 impl Ringer {
     pub(crate) fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
-        let events = bus.events(topic)?;
+        let events = bus.events(topic.name())?;
         let created = events.notifier_builder().name(&rings()?).create();
         let notifier =
             created.map_err(|reason| RuntimeError::bus(format!("notify topic {topic}"), reason))?;
@@ -75,7 +75,7 @@ impl Waiter {
         Ok(Self {
             topic,
             bells: Arc::clone(bus.bells()),
-            events: bus.events(topic)?,
+            events: bus.events(topic.name())?,
             listener: RefCell::new(None),
             rings: rings()?,
             notifiers: Cell::new(0),

@@ -1,6 +1,7 @@
 //! Processes in other languages: their samples are the same bytes, they drive, and one of another version is refused.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod advisor;
 mod bytes;
 mod refusals;
 mod robots;

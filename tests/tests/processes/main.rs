@@ -5,9 +5,11 @@
 
 mod adoption;
 mod blame;
+mod companions;
 mod control_socket;
 mod faults;
 mod hang;
+mod imu;
 mod ladder;
 mod languages;
 mod ledger;

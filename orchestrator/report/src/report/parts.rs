@@ -137,3 +137,31 @@ pub struct Difference {
     /// `vehicle.KEY` of the system.
     pub believed: Value,
 }
+
+/// A process beside the loop.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct CompanionReport {
+    /// Its name.
+    pub name: String,
+    /// Its command.
+    pub command: String,
+    /// Starts after the first.
+    pub restarts: u32,
+    /// What it did at the end.
+    pub state: String,
+    /// Samples of its first topic that its last process has taken.
+    pub taken: u64,
+    /// Of these, those that it was done with.
+    pub answered: u64,
+    /// Samples that it published.
+    pub published: u64,
+    /// Inputs dropped because of their content.
+    pub invalid: u64,
+    /// Inputs dropped because their writer was not in charge.
+    pub foreign: u64,
+    /// Inputs that never arrived.
+    pub missed: u64,
+    /// The scan from which on lock-step did not wait for it.
+    pub left_lockstep_at_scan: Option<u64>,
+}

@@ -141,7 +141,7 @@ fn plan(arguments: &LatencyArguments, scheduling: &Scheduling) -> anyhow::Result
         return Ok(plan);
     }
     let program = instrument::find_current()?.to_string_lossy().into_owned();
-    for entry in &mut plan.system.processes {
+    for entry in plan.system.processes.iter_mut().filter(|entry| !entry.is_companion()) {
         entry.implementation = None;
         entry.command =
             Some([vec![program.clone()], echo::arguments(entry.role(), arguments.payload).to_vec()].concat());

@@ -66,7 +66,7 @@ impl Bench {
         shutdown.latch_also(&stop_word)?;
         plan.write_settings(&domain, false)?;
         let bus = Bus::create(&domain)?;
-        let all = plan.system.processes.iter();
+        let all = plan.system.roles();
         let entries: Vec<_> = all.filter(|entry| STARTED.contains(&entry.role())).cloned().collect();
         let (realtime, logs) = (&plan.system.realtime, domain.directory().to_path_buf());
         let fleet = Fleet::new(domain, lock, stop_word.clone(), realtime, &entries, logs, false)?;
@@ -112,7 +112,7 @@ impl Bench {
 
     /// Waits until all processes report this state or a later one.
     fn wait_for_state(&mut self, plan: &Plan, state: ProcessState) -> anyhow::Result<()> {
-        let limits = plan.system.processes.iter().map(|entry| entry.start_timeout_s);
+        let limits = plan.system.roles().map(|entry| entry.start_timeout_s);
         let limit_s = limits.fold(0.0, f64::max);
         let missing = |bench: &Self| {
             let has = |role: &Role| bench.states[role.index()].is_some_and(|number| number >= state.wire());

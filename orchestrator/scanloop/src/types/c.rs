@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, TOPICS};
+use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, OwnType, TOPICS};
 
 use super::{element, snake, struct_name, structs};
 
@@ -97,6 +97,27 @@ pub(super) fn header() -> String {
         rows(&mut text, &format!("\"{topic_name}\", {type_name}"), "", "", topic.fields());
     }
     text.push_str(FOOT);
+    text
+}
+
+/// The struct of a layout file and its table of fields, for a program that includes the header above.
+pub(super) fn of_layout(own: &OwnType, doc: &str) -> String {
+    let (name, type_name) = (snake(own.name()), type_name(own.name()));
+    let guard = format!("SCANLOOP_OWN_{}_H", name.to_uppercase());
+    let mut text = format!(
+        "/* Made by `scanloop types --c --layout FILE`: do not edit, make it again. */\n#ifndef {guard}\n#define \
+         {guard}\n\n#include \"scanloop_types.h\"\n"
+    );
+    let doc = if doc.is_empty() { "A sample of a topic of your own" } else { doc.trim_end_matches('.') };
+    declare(&mut text, &type_name, doc, own.size(), own.fields());
+    let _ = writeln!(
+        text,
+        "\n/* Its fields as the compiler laid them out, the way `scanloop_open_topic` takes them. */"
+    );
+    let _ = writeln!(text, "static const scanloop_layout_row {type_name}_layout[] = {{");
+    let _ = writeln!(text, "    SCANLOOP_SAMPLE(\"\", {type_name}, \"{}\"),", own.name());
+    rows(&mut text, &format!("\"\", {type_name}"), "", "", own.fields());
+    text.push_str("};\n\n#endif\n");
     text
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use shared_types::{Field, Kind, TOPICS};
+use shared_types::{Field, Kind, OwnType, TOPICS};
 
 use super::structs;
 
@@ -23,6 +23,13 @@ pub(super) fn page() -> String {
         let _ = writeln!(text, "\n## struct {name}");
         field_table(&mut text, fields);
     }
+    text
+}
+
+/// The type of a layout file.
+pub(super) fn of_layout(own: &OwnType, doc: &str) -> String {
+    let mut text = format!("# {}\n\n{doc}\n\n`{}`, {} bytes.\n", own.name(), own.type_name(), own.size());
+    field_table(&mut text, own.fields());
     text
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, Role, TOPICS, Topic};
+use shared_types::{CONSTANTS, ENUMERATIONS, Field, Kind, OwnType, Role, TOPICS, Topic};
 
 use super::{element, struct_name, structs};
 
@@ -96,6 +96,25 @@ pub(super) fn module() -> String {
     table(&mut text, "What each role reads.", "READS", Role::reads);
     table(&mut text, "What each role writes.", "WRITES", Role::writes);
     text.push_str(FOOT);
+    text
+}
+
+/// The class of a layout file.
+pub(super) fn of_layout(own: &OwnType, doc: &str) -> String {
+    let doc = if doc.is_empty() { "A sample of a topic of your own." } else { doc };
+    let mut text = format!(
+        "\"\"\"Made by `scanloop types --python --layout FILE`: do not edit, make it again.\"\"\"\n\nimport \
+         ctypes\n\nfrom scanloop_types import Header, StageStamps\n\n\nclass {}(ctypes.Structure):\n    \
+         \"\"\"{doc}\"\"\"\n\n    LAYOUT = {:#010x}\n",
+        own.name(),
+        own.layout()
+    );
+    declare(&mut text, own.fields());
+    let _ = writeln!(
+        text,
+        "\n    @staticmethod\n    def type_name() -> str:\n        return \"{}\"",
+        own.type_name()
+    );
     text
 }
 

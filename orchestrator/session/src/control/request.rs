@@ -18,6 +18,13 @@ pub enum Request {
         #[serde(with = "role_name")]
         role: Role,
     },
+    /// Replace a companion: by a command, or by a new process of its own.
+    ReplaceCompanion {
+        /// Its name.
+        name: String,
+        /// Program and arguments.
+        command: Option<Vec<String>>,
+    },
     /// Replace one process by another.
     Swap(SwapRequest),
     /// Ask for the certificate of a swap.

@@ -145,7 +145,8 @@ impl Session {
             && self.is_recorded()
             && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
         {
-            self.directives.grant(scan);
+            let held = self.companions.granted_scan(super::GRANT_AHEAD);
+            self.directives.grant(scan.min(held));
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();

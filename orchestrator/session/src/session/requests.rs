@@ -20,11 +20,16 @@ impl Session {
         let stopped = !self.run.stop_word.is_armed();
         let (mut restarts, mut is_stop) = (Vec::new(), false);
         let status = Reply::Status(Box::new(self.status()));
-        let Self { control, swaps, shadows, fleet, supervisor, run, .. } = self;
+        let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
         let live = |role| Live::of(role, fleet, supervisor);
         control.serve(|request| match request {
             Request::Status => status.clone(),
-            Request::Swap(_) | Request::Shadow(_) | Request::Restart { .. } if stopped => {
+            Request::Swap(_)
+            | Request::Shadow(_)
+            | Request::Restart { .. }
+            | Request::ReplaceCompanion { .. }
+                if stopped =>
+            {
                 Reply::Refused("the run was stopped".to_owned())
             }
             Request::Swap(request) => {
@@ -51,6 +56,9 @@ impl Session {
             }
             Request::ShadowResult { number } => shadows.result(number),
             Request::ShadowEnd { number } => shadows.end_early(number),
+            Request::ReplaceCompanion { name, command } => {
+                companions.replace(&name, command.as_deref()).map_or_else(Reply::Refused, |()| Reply::Done)
+            }
             Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } if swaps.concern(role) => {
                 Reply::Refused(format!("{role} is not restarted: it is being swapped"))

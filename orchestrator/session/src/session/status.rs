@@ -56,6 +56,7 @@ impl Session {
             blocking: self.recording.recorder.stopped_for().map(Into::into),
             scanner: self.recording.recorder.scanner().map(Into::into),
             processes,
+            companions: self.companions.views().into_iter().map(Into::into).collect(),
             refused: self.audit.samples.refused().to_vec(),
             events: self.events.rows(),
         }

@@ -290,6 +290,11 @@ impl Swaps {
         orders.collect()
     }
 
+    /// The newest recorded scan.
+    pub(super) fn recorded_scan(&self) -> u64 {
+        self.recorded_scan
+    }
+
     /// In lock-step: the scan up to which the robot may publish, unless the loop is held.
     pub(super) fn granted_scan(&self, now_ns: u64) -> Option<u64> {
         let ahead = if self.is_busy() { 1 } else { GRANT_AHEAD };

@@ -39,7 +39,7 @@ fn typed<S: Sample>(bus: &Bus) -> Typed<S> {
 }
 
 fn untyped<S: Sample>(bus: &Bus, name: &str) -> Samples {
-    let detail = port::of_samples(S::TYPE).unwrap();
+    let detail = port::of_samples(&S::TYPE.into()).unwrap();
     port::samples(bus.node(), &ServiceName::new(name).unwrap(), &detail).open().unwrap()
 }
 
@@ -74,7 +74,7 @@ fn samples_of_another_size_or_alignment_are_refused() {
     let lab = Lab::new();
     let name = ServiceName::new(Topic::Pose.name()).unwrap();
     let open = |of: &SampleType| {
-        let detail = port::of_samples(of).unwrap();
+        let detail = port::of_samples(&of.into()).unwrap();
         port::samples(lab.bus().node(), &name, &detail).open()
     };
     let pose = Pose::TYPE;

@@ -292,9 +292,9 @@ impl<W: Sample, R: Sample> Plain<W, R> {
     fn new(bus: &Bus) -> Self {
         Self {
             publisher: publisher(bus),
-            notifier: bus.events(W::TOPIC).unwrap().notifier_builder().create().unwrap(),
+            notifier: bus.events(W::TOPIC.name()).unwrap().notifier_builder().create().unwrap(),
             subscriber: subscriber(bus),
-            listener: bus.events(R::TOPIC).unwrap().listener_builder().create().unwrap(),
+            listener: bus.events(R::TOPIC.name()).unwrap().listener_builder().create().unwrap(),
         }
     }
 

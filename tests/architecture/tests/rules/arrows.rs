@@ -20,7 +20,7 @@ const LAYERS: &[&[&str]] = &[
     &["view"],
     &["scanloop", "hops"],
     &["scanloop-bench"],
-    &["scanloop-tests", "dead-reckoning", "architecture"],
+    &["scanloop-tests", "dead-reckoning", "imu", "architecture"],
 ];
 
 fn layer(name: &str) -> Option<usize> {

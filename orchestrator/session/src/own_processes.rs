@@ -1,0 +1,172 @@
+//! The companions of a run and the topics that they write, as the session sees them.
+
+use std::collections::VecDeque;
+use std::os::fd::BorrowedFd;
+use std::path::Path;
+
+use audit::digest::Digests;
+use plan::Plan;
+use report::CompanionReport;
+use runtime::{Bus, Domain, OwnObserver, RuntimeError, StopWord};
+use shared_types::{Authority, Header, ProcessState};
+use supervision::entry::ProcessEntry;
+use supervision::fleet::companions::{CompanionEvent, CompanionView, Companions};
+
+/// A queue of this many samples takes all that a companion may publish before it is polled: two are on their way.
+const SPARE: usize = 2;
+
+/// Companions and topics of a run; empty without them.
+pub(crate) struct OwnProcesses {
+    companions: Option<Companions>,
+    /// In lock-step: topics whose samples are part of the digests.
+    streams: Vec<Stream>,
+    /// The shortest queue of all topics: grants go no further ahead.
+    queue: u64,
+}
+
+/// One topic in lock-step: the samples of scans that are not recorded yet wait.
+struct Stream {
+    topic: String,
+    observer: OwnObserver,
+    waiting: VecDeque<Vec<u8>>,
+}
+
+impl OwnProcesses {
+    /// The companions of a plan, none started yet. `generation` numbers the orchestrators of a run.
+    ///
+    /// # Errors
+    /// Errors of the bus, and a page or a log that can't be opened.
+    pub(crate) fn new(
+        bus: &Bus,
+        domain: &Domain,
+        stop_word: &StopWord,
+        plan: &Plan,
+        lockstep: bool,
+        generation: u32,
+        out: &Path,
+    ) -> anyhow::Result<Self> {
+        let entries: Vec<ProcessEntry> = plan.system.companions().cloned().collect();
+        let table = &plan.own_topics;
+        if entries.is_empty() && table.topic.is_empty() {
+            return Ok(Self { companions: None, streams: Vec::new(), queue: u64::MAX });
+        }
+        let period_ns = plan.system.period_ns();
+        let companions =
+            Companions::new(domain, stop_word, &entries, period_ns, lockstep, generation, &out.join("logs"))?;
+        let is_digested =
+            |writer: &str| entries.iter().any(|entry| entry.name() == writer && entry.is_in_lockstep());
+        let mut streams = Vec::new();
+        for row in table.topic.iter().filter(|row| lockstep && is_digested(&row.writer)) {
+            let observer = OwnObserver::new(bus, table, &row.name)?;
+            streams.push(Stream { topic: row.name.clone(), observer, waiting: VecDeque::new() });
+        }
+        let queue = table.topic.iter().map(|row| row.queue.saturating_sub(SPARE).max(1)).min();
+        Ok(Self {
+            companions: Some(companions),
+            streams,
+            queue: queue.map_or(u64::MAX, |queue| queue as u64),
+        })
+    }
+
+    /// Tells companions the phase, and whose samples of the loop count.
+    pub(crate) fn announce(&self, phase: u32, authority: &[Authority]) {
+        if let Some(companions) = &self.companions {
+            companions.announce(phase, authority);
+        }
+        self.streams.iter().for_each(|stream| stream.observer.connect());
+    }
+
+    /// Starts, reaps and judges companions.
+    pub(crate) fn advance(&mut self, recorded_scan: u64, newest_scan: u64) -> Vec<CompanionEvent> {
+        let advance = |companions: &mut Companions| companions.advance(recorded_scan, newest_scan);
+        self.companions.as_mut().map_or_else(Vec::new, advance)
+    }
+
+    /// Adds the samples of recorded scans to the digests.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub(crate) fn digest(&mut self, recorded_scan: u64, digests: &mut Digests) -> Result<(), RuntimeError> {
+        for Stream { topic, observer, waiting, .. } in &mut self.streams {
+            while let Some(sample) = observer.next()? {
+                waiting.push_back(sample);
+            }
+            while waiting.front().is_some_and(|sample| scan_of(sample) <= recorded_scan) {
+                if let Some(mut sample) = waiting.pop_front() {
+                    digests.add_bytes(topic, &mut sample);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether all companions that the start waits for report this state or a later one.
+    pub(crate) fn have_reached(&self, state: ProcessState) -> bool {
+        self.companions.as_ref().is_none_or(|companions| companions.have_reached(state))
+    }
+
+    /// In lock-step, the newest scan that companions allow the robot to publish.
+    pub(crate) fn granted_scan(&self, ahead: u64) -> u64 {
+        let answered = self.companions.as_ref().and_then(Companions::answered_scan);
+        answered.map_or(u64::MAX, |scan| scan.saturating_add(ahead.min(self.queue)))
+    }
+
+    /// Whether lock-step waits for a companion that has not answered a scan.
+    pub(crate) fn delays(&self, scan: u64) -> bool {
+        self.companions.as_ref().and_then(Companions::answered_scan).is_some_and(|answered| answered < scan)
+    }
+
+    /// Replaces a companion, by a new process of its command when there is none.
+    ///
+    /// # Errors
+    /// Why it can't be replaced.
+    pub(crate) fn replace(&mut self, name: &str, command: Option<&[String]>) -> Result<(), String> {
+        let companions = self.companions.as_mut().ok_or("the system has no companions")?;
+        match command {
+            Some(command) => companions.swap(name, command),
+            None => companions.restart(name),
+        }
+    }
+
+    /// Descriptors that become readable when a companion ends.
+    pub(crate) fn descriptors(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
+        self.companions.iter().flat_map(Companions::descriptors)
+    }
+
+    /// The companions as they are now.
+    pub(crate) fn views(&mut self) -> Vec<CompanionView> {
+        self.companions.as_mut().map_or_else(Vec::new, Companions::views)
+    }
+
+    /// Their rows in the report, as of the end of the run.
+    pub(crate) fn reports(&mut self) -> Vec<CompanionReport> {
+        let row = |view: CompanionView| CompanionReport {
+            name: view.name,
+            command: view.command,
+            restarts: view.restarts,
+            state: view.state.name().to_owned(),
+            taken: view.report.taken,
+            answered: view.report.answered,
+            published: view.report.published,
+            invalid: view.report.invalid,
+            foreign: view.report.foreign,
+            missed: view.report.missed,
+            left_lockstep_at_scan: view.left_at_scan,
+        };
+        self.views().into_iter().map(row).collect()
+    }
+
+    /// Asks all companions to end.
+    pub(crate) fn end(&mut self) {
+        self.companions.iter_mut().for_each(Companions::end);
+    }
+
+    /// Whether all have ended.
+    pub(crate) fn have_ended(&mut self) -> bool {
+        self.companions.as_mut().is_none_or(Companions::have_ended)
+    }
+}
+
+fn scan_of(sample: &[u8]) -> u64 {
+    bytemuck::pod_read_unaligned::<Header>(&sample[..size_of::<Header>()]).scan_id
+}

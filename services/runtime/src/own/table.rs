@@ -1,0 +1,208 @@
+//! The table of topics and companions of a system, as a file in its directory.
+
+use serde::{Deserialize, Serialize};
+use shared_types::{LayoutFault, LayoutRow, OwnField, OwnType, Role};
+
+use crate::port::Shape;
+use crate::qos::Qos;
+use crate::reserve::{NODE_BYTES, bytes_of_topic, total};
+use crate::settings::RunSettings;
+use crate::{Domain, RuntimeError};
+
+/// Name of the file in the directory of the system; it is there only when the system has such topics or processes.
+pub const TOPICS_FILE: &str = "own-topics.toml";
+/// Writer of a topic whose samples are published by hand.
+pub const OPERATOR: &str = "operator";
+
+/// The layout of samples as a file describes it.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayoutFile {
+    /// Name of the type, as `Imu`.
+    pub name: String,
+    /// What a sample is.
+    #[serde(default)]
+    pub doc: String,
+    /// The fields between header and stamps.
+    #[serde(default)]
+    pub field: Vec<LayoutField>,
+}
+
+/// One field in a [`LayoutFile`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayoutField {
+    /// Its name.
+    pub name: String,
+    /// `u8`, `u16`, `u32`, `u64`, `i32` or `f64`, also with a number of elements: `f64[3]`.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// What it means, with the unit in brackets.
+    #[serde(default)]
+    pub doc: String,
+}
+
+impl LayoutFile {
+    /// The type of the samples.
+    ///
+    /// # Errors
+    /// Fields that make no type of samples.
+    pub fn own_type(&self) -> Result<OwnType, LayoutFault> {
+        let field = |field: &LayoutField| (field.name.clone(), field.kind.clone(), field.doc.clone());
+        let fields: Vec<_> = self.field.iter().map(field).collect();
+        let fields: Vec<_> = fields.iter().map(|(name, kind, doc)| OwnField { name, kind, doc }).collect();
+        OwnType::new(&self.name, &fields)
+    }
+}
+
+/// One topic that the system file adds.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TopicRow {
+    /// Its name.
+    pub name: String,
+    /// The companion that writes it, or [`OPERATOR`].
+    pub writer: String,
+    /// Samples that wait at one reader.
+    pub queue: usize,
+    /// Readers, observers included.
+    pub readers: usize,
+    /// Its samples.
+    pub layout: LayoutFile,
+}
+
+/// One companion.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CompanionRow {
+    /// Its name.
+    pub name: String,
+    /// Topics that it reads; in lock-step it answers each sample of the first.
+    pub reads: Vec<String>,
+    /// Topics that it writes.
+    pub writes: Vec<String>,
+    /// Whether lock-step waits for it.
+    pub lockstep: bool,
+}
+
+/// A topic that a process of the loop reads in addition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AlsoReads {
+    /// Its role.
+    pub role: String,
+    /// The topic.
+    pub topic: String,
+    /// Samples older than this are dropped [ms].
+    pub max_age_ms: f64,
+}
+
+/// The topics and processes that a system file adds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OwnTopics {
+    /// What all processes need to know.
+    pub run: RunSettings,
+    /// The topics.
+    #[serde(default)]
+    pub topic: Vec<TopicRow>,
+    /// The companions; their order is that of the page.
+    #[serde(default)]
+    pub companion: Vec<CompanionRow>,
+    /// What roles read in addition.
+    #[serde(default)]
+    pub also_reads: Vec<AlsoReads>,
+}
+
+impl OwnTopics {
+    /// The table of a system; `None` when it has neither such topics nor companions.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`], and [`RuntimeError::Settings`] for a file that can't be read.
+    pub fn of(domain: &Domain) -> Result<Option<Self>, RuntimeError> {
+        if !domain.folder().contains(TOPICS_FILE) {
+            return Ok(None);
+        }
+        let text = domain.folder().read_text(TOPICS_FILE)?;
+        let refuse =
+            |error: toml::de::Error| RuntimeError::settings(domain.directory().join(TOPICS_FILE), error);
+        toml::from_str(&text).map(Some).map_err(refuse)
+    }
+
+    /// Writes the table; one without topics and companions is not written.
+    ///
+    /// # Errors
+    /// [`RuntimeError::File`].
+    pub fn write(&self, domain: &Domain) -> Result<(), RuntimeError> {
+        if self.topic.is_empty() && self.companion.is_empty() {
+            return Ok(());
+        }
+        let path = domain.directory().join(TOPICS_FILE);
+        let text = toml::to_string(self).map_err(|error| RuntimeError::settings(path, error))?;
+        domain.folder().write(TOPICS_FILE, text.as_bytes())
+    }
+
+    /// A topic by its name.
+    pub fn find(&self, topic: &str) -> Option<&TopicRow> {
+        self.topic.iter().find(|row| row.name == topic)
+    }
+
+    /// Number of a companion in the page.
+    pub fn index_of(&self, companion: &str) -> Option<usize> {
+        self.companion.iter().position(|row| row.name == companion)
+    }
+
+    /// The entry of a topic that a role reads in addition.
+    pub(crate) fn of_role(&self, role: Role, topic: &str) -> Option<&AlsoReads> {
+        self.also_reads.iter().find(|also| also.role == role.name() && also.topic == topic)
+    }
+
+    /// Shared memory that the topics need in addition to those of the loop, their processes included [bytes].
+    ///
+    /// # Errors
+    /// [`RuntimeError::Settings`] for a layout that is not allowed.
+    pub fn bytes(&self) -> Result<u64, RuntimeError> {
+        let topics = self.topic.iter().map(|row| Ok(row.bytes(row.shape()?.0.size())));
+        let topics: u64 = topics.sum::<Result<u64, RuntimeError>>()?;
+        Ok(topics + NODE_BYTES * self.companion.len() as u64)
+    }
+
+    /// Rows of the table of layouts.
+    pub(crate) fn rows(&self) -> Vec<LayoutRow> {
+        let types = self.topic.iter().filter_map(|row| Some((row, row.layout.own_type().ok()?)));
+        types.flat_map(|(row, own)| own.rows(&row.name)).collect()
+    }
+}
+
+impl TopicRow {
+    /// Sizes of the service.
+    pub(crate) fn qos(&self) -> Qos {
+        Qos {
+            // The one in charge, its successor, and two that are ending.
+            publishers: 4,
+            // The orchestrator reads it too, in lock-step.
+            subscribers: self.readers + 1,
+            buffer: self.queue,
+            borrowed: self.queue + 2,
+            history: 0,
+        }
+    }
+
+    /// Name, type and size on the bus.
+    pub(crate) fn shape(&self) -> Result<(OwnType, Shape), RuntimeError> {
+        let own = self.layout.own_type().map_err(|fault| {
+            RuntimeError::settings(TOPICS_FILE.into(), format_args!("topic {}: {fault}", self.name))
+        })?;
+        let (size, alignment) = (own.size(), align_of::<shared_types::Header>());
+        Ok((own, Shape { topic: self.name.clone(), type_name: own.type_name(), size, alignment }))
+    }
+
+    /// Shared memory for samples of `size`: the service, two writers, and all readers that there may be [bytes].
+    pub fn bytes(&self, size: usize) -> u64 {
+        bytes_of_topic(self.qos(), size)
+    }
+}
+
+/// What topics of your own may take of shared memory, together: half of it [bytes]; `None` when it has no limit.
+///
+/// # Errors
+/// [`RuntimeError::File`] when the file system can't be asked.
+pub fn memory_limit() -> Result<Option<u64>, RuntimeError> {
+    Ok(total()?.map(|bytes| bytes / 2))
+}

@@ -1,0 +1,234 @@
+//! Processes beside the loop: they are kept running, and whatever they do, the robot reaches its goal.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::process::Output;
+
+use emulator::Outcome;
+use report::Report;
+use rustix::process::Signal;
+use scanloop_tests::{SHORT_FREE, System};
+use session::control::CompanionStatus;
+use supervision::supervisor::VisibleState;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+const COMPANION: &str = env!("CARGO_BIN_EXE_faulty-companion");
+
+const LAYOUT: &str =
+    "name = \"Echo\"\n[[field]]\nname = \"value\"\ntype = \"f64\"\ndoc = \"Number of the scan\"\n";
+
+/// The built-in system with the topic `echo`, a companion that writes it in this way, and one that reads it.
+fn system_with(mode: &str, more: &str) -> System {
+    let system = System::new(EXECUTABLE);
+    let built_in = include_str!("../../../orchestrator/systems/default.toml");
+    let text = format!(
+        "{built_in}\n[[topic]]\nname = \"echo\"\nlayout = \"echo.toml\"\n[[topic]]\nname = \"limit\"\nlayout = \
+         \"echo.toml\"\nwriter = \"operator\"\n[[process]]\nrole = \"companion\"\nname = \"writer\"\ncommand = \
+         [{COMPANION:?}, {mode:?}]\nreads = [\"odometry\"]\nwrites = [\"echo\"]\n{more}\n[[process]]\nrole = \
+         \"companion\"\nname = \"reader\"\ncommand = [{COMPANION:?}, \"read\"]\nreads = [\"echo\"]\n"
+    );
+    std::fs::write(system.folder().join("lab.toml"), text).unwrap();
+    std::fs::write(system.folder().join("echo.toml"), LAYOUT).unwrap();
+    system
+}
+
+const SYSTEM: [&str; 2] = ["--system", "lab.toml"];
+
+fn started(mode: &str, more: &str) -> System {
+    let mut system = system_with(mode, more);
+    system.start(&[&SHORT_FREE[..], &SYSTEM].concat());
+    system
+}
+
+fn companion(system: &System, name: &str) -> Option<CompanionStatus> {
+    system.status()?.companions.into_iter().find(|companion| companion.name == name)
+}
+
+/// Waits for the goal; the loop has lost nothing.
+fn reached(mut system: System) -> (Report, String) {
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Reached);
+    assert_eq!(
+        (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
+        (0, 0, 0),
+        "{report:?}"
+    );
+    system.assert_nothing_left();
+    (report, system.stderr())
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+#[test]
+fn topics_of_a_system_are_listed_measured_echoed_and_published_by_hand() {
+    let system = started("echo", "");
+    let list = text(&system.run(&["topic", "list"]));
+    let row = list.lines().find(|line| line.starts_with("echo ")).unwrap();
+    assert!(row.contains("writer") && row.contains("reader") && row.contains("own.Echo."), "{list}");
+    let echoed = system.run(&["topic", "echo", "echo", "-n", "1"]);
+    let sample: serde_json::Value = serde_json::from_slice(&echoed.stdout).unwrap();
+    assert_eq!(sample["value"].as_f64(), sample["header"]["scan_id"].as_f64());
+    assert!(sample["stage"]["published_ns"].as_u64() > sample["header"]["acquired_ns"].as_u64());
+    let published = system.run(&["topic", "pub", "limit", "{\"value\": 0.5}"]);
+    assert_eq!(published.status.code(), Some(0), "{}", text(&published));
+    for (topic, json, message) in [
+        ("command", "{}", "topic command belongs to the loop"),
+        ("echo", "{}", "topic echo is written by companion writer"),
+        ("limit", "{\"speed\": 1}", "speed = 1 is not allowed: one of value"),
+        ("other", "{}", "unknown topic `other`"),
+    ] {
+        let refused = system.run(&["topic", "pub", topic, json]);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(text(&refused).contains(message), "{}", text(&refused));
+    }
+    let writer = companion(&system, "writer").unwrap();
+    assert!(writer.published > 0 && writer.state == VisibleState::Ready, "{writer:?}");
+    let (report, _) = reached(system);
+    assert_eq!(report.companions.len(), 2);
+    assert!(report.companions.iter().all(|companion| companion.answered > 20 && companion.invalid == 0));
+}
+
+#[test]
+fn a_companion_that_is_killed_is_started_again() {
+    let system = started("echo", "");
+    system.wait_until("it is ready", |system| companion(system, "writer").is_some_and(|it| it.published > 3));
+    let before = companion(&system, "writer").unwrap();
+    system.signal(before.pid.cast_signed(), Signal::KILL);
+    system.wait_until("it is there again", |system| {
+        companion(system, "writer")
+            .is_some_and(|it| it.restarts == 1 && it.published > 3 && it.pid != before.pid)
+    });
+    let (_, stderr) = reached(system);
+    assert!(stderr.contains("companion writer ended: killed by signal 9"), "{stderr}");
+}
+
+#[test]
+fn a_companion_is_replaced_and_restarted_while_the_robot_drives() {
+    let system = started("echo", "");
+    let pid = |system: &System| companion(system, "writer").map_or(0, |it| it.pid);
+    let first = pid(&system);
+    let swapped = system.run(&["swap", "writer", "--", COMPANION, "echo"]);
+    assert_eq!(swapped.status.code(), Some(0), "{}", text(&swapped));
+    system.wait_until("it is replaced", |system| ![0, first].contains(&pid(system)));
+    let second = pid(&system);
+    let restarted = system.run(&["restart", "reader"]);
+    assert_eq!(restarted.status.code(), Some(0), "{}", text(&restarted));
+    let unknown = system.run(&["restart", "pilot"]);
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(text(&unknown).contains("unknown role `pilot`"), "{}", text(&unknown));
+    let (report, stderr) = reached(system);
+    assert!(stderr.contains("companion writer was replaced at scan") || second != first, "{stderr}");
+    assert!(report.companions.iter().all(|companion| companion.invalid == 0), "{report:?}");
+}
+
+#[test]
+fn one_that_hangs_is_killed_and_named() {
+    let (_, stderr) = reached(started("hang", ""));
+    assert!(stderr.contains("companion writer makes no progress: killed"), "{stderr}");
+}
+
+#[test]
+fn one_that_dies_again_and_again_has_failed_and_the_robot_drives_on() {
+    let (report, stderr) = reached(started("die", "restart_limit = 1"));
+    assert!(stderr.contains("companion writer ended: exit code 7"), "{stderr}");
+    assert!(stderr.contains("companion writer has failed: the robot drives on without it"), "{stderr}");
+    assert_eq!(report.companions[0].state, "failed");
+}
+
+#[test]
+fn one_that_is_needed_ends_the_run_when_it_has_failed() {
+    let mut system = started("die", "restart = \"never\"\nneeded = true");
+    assert_eq!(system.wait().code(), Some(4), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(report.outcome, Outcome::Failed);
+    assert!(report.reason.contains("companion writer, which the run needs, has failed"), "{}", report.reason);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn one_that_floods_its_topic_loses_its_own_samples_only() {
+    let (report, _) = reached(started("flood", ""));
+    assert!(report.companions[0].published > 10_000, "{report:?}");
+}
+
+#[test]
+fn numbers_that_are_not_finite_do_not_reach_a_reader() {
+    let (report, stderr) = reached(started("garbage", ""));
+    assert!(report.companions[1].invalid > 10, "{report:?}");
+    assert!(!stderr.contains("companion reader ended"), "{stderr}");
+}
+
+#[test]
+fn commands_of_a_companion_are_dropped() {
+    let (report, _) = reached(started("command", ""));
+    assert!(report.companions[0].published > 20, "{report:?}");
+}
+
+#[test]
+fn memory_that_a_companion_does_not_free_is_shown() {
+    let system = started("leak", "");
+    system.wait_until("it has grown", |system| {
+        companion(system, "writer").is_some_and(|it| it.memory_kib > 100_000)
+    });
+    reached(system);
+}
+
+#[test]
+fn lock_step_waits_for_companions_and_their_samples_are_part_of_the_digests() {
+    let drive = |more: &str| {
+        let system = system_with("echo", more);
+        let report = system.lockstep(&[&SHORT_FREE[..], &SYSTEM].concat());
+        assert_eq!(report.outcome, Outcome::Reached);
+        report
+    };
+    let (one, other, left_out) = (drive(""), drive(""), drive("lockstep = false"));
+    assert_eq!(one.digests, other.digests);
+    assert!(one.digests.contains_key("echo"));
+    assert!(!left_out.digests.contains_key("echo"));
+    assert_eq!(one.digests["actuation"], left_out.digests["actuation"], "the loop does not depend on it");
+    assert!(one.companions[0].answered >= one.scans.published - 1, "{:?}", one.companions);
+}
+
+#[test]
+fn one_that_hangs_in_lock_step_leaves_it_and_is_named_in_the_report() {
+    let report = system_with("hang", "").lockstep(&[&SHORT_FREE[..], &SYSTEM].concat());
+    assert_eq!(report.outcome, Outcome::Reached);
+    assert_eq!(report.companions[0].left_lockstep_at_scan, Some(11));
+}
+
+#[test]
+fn bad_systems_are_refused_with_file_key_and_value() {
+    let system = system_with("echo", "");
+    let checked = system.run(&["check", "lab.toml"]);
+    assert_eq!(checked.status.code(), Some(0), "{}", text(&checked));
+    assert!(text(&checked).contains("(writer = "), "{}", text(&checked));
+    assert!(text(&checked).contains("shared memory: "), "{}", text(&checked));
+    let lab = std::fs::read_to_string(system.folder().join("lab.toml")).unwrap();
+    for (from, to, message) in [
+        (
+            "reads = [\"odometry\"]",
+            "reads = [\"truth\"]",
+            "lab.toml: process[5].reads = truth is not allowed",
+        ),
+        ("writes = [\"echo\"]", "writes = []", "lab.toml: topic[0].name = echo is not allowed: a writer"),
+        (
+            "name = \"reader\"",
+            "name = \"writer\"",
+            "lab.toml: process[6].name = writer is not allowed: each name once",
+        ),
+        (
+            "reads = [\"odometry\"]",
+            "reads = [\"echo\"]",
+            "lab.toml: process.reads = writer -> writer is not allowed",
+        ),
+    ] {
+        std::fs::write(system.folder().join("lab.toml"), lab.replace(from, to)).unwrap();
+        for command in [&["check", "lab.toml"][..], &["run", "--system", "lab.toml"]] {
+            let refused = system.run(command);
+            assert_eq!(refused.status.code(), Some(2), "{to}: {}", text(&refused));
+            assert!(text(&refused).contains(message), "{}", text(&refused));
+        }
+    }
+}
