@@ -22,7 +22,9 @@ use vehicle::Surroundings;
 
 use self::write::join_leaves;
 
-pub use self::parts::{BlockingReport, Difference, MarginReport, ScannerReport, ScannerStatus};
+pub use self::parts::{
+    BlockingReport, Difference, MarginReport, RecordingReport, ScannerReport, ScannerStatus,
+};
 pub use self::write::write_atomically;
 
 /// Version of the fields; it grows when a field changes its meaning, not when one is added.
@@ -88,6 +90,9 @@ pub struct Report {
     pub processes: Vec<ProcessReport>,
     /// Swaps of processes, in the order in which they ended.
     pub swaps: Vec<Certificate>,
+    /// The recording of the run; `None` when it was not recorded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingReport>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
     /// Number of first rows that `trajectory` lacks because the run was too long to keep them.

@@ -11,6 +11,7 @@ use crate::analyse::AnalyseCommand;
 use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::live_check::LiveArguments;
+use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::SwapArguments;
@@ -152,6 +153,14 @@ pub enum Command {
     /// The result is merged into a calibration file with standard errors and 95 % intervals. A picture shows the
     /// residuals of the fit. Runs that are too few, out of range or implausible are refused with the reason.
     Calibrate(CalibrateArguments),
+    /// Record every sample of a running system into a file that Foxglove, Lichtblick and ROS 2 read too.
+    ///
+    /// The recorder only observes: killed, stopped or on a full disk it does not delay a scan. A file that is cut off is
+    /// readable up to its last whole second. JSON keys: `file`, `bytes`, `samples`, `lost`, `error`.
+    Record(RecordArguments),
+    /// Show, repair, cut or export a recording.
+    #[command(subcommand)]
+    Recording(RecordingCommand),
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),

@@ -10,6 +10,7 @@ mod cores;
 pub mod live_check;
 mod live_latency;
 mod price;
+mod record;
 mod reference;
 mod service;
 pub mod shadow;
@@ -115,6 +116,8 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Topic(TopicCommand::Echo { topic, count, short }) => {
             topic::echo(&cli.system_id, topic, *count, *short).map(|()| Exit::Done)
         }
+        Command::Record(arguments) => record::record(&cli.system_id, arguments),
+        Command::Recording(command) => record::recording(command),
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)),
         Command::Urg(command) => urg::urg(command),

@@ -16,6 +16,8 @@ mod shadows;
 mod status;
 mod swaps;
 
+use std::path::Path;
+
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::Samples;
@@ -29,6 +31,7 @@ use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
+use crate::companion::Companion;
 use crate::control::ControlSocket;
 use crate::directives::Directives;
 use crate::service_manager::ServiceManager;
@@ -66,6 +69,8 @@ pub struct Session {
     shutdown: Shutdown,
     progress: Progress,
     manager: ServiceManager,
+    /// Records the run, if that was asked for.
+    companion: Option<Companion>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -119,6 +124,7 @@ impl Session {
             judged_by: None,
             progress: Progress::new(options.quiet),
             manager: ServiceManager::new(),
+            companion: None,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -132,6 +138,15 @@ impl Session {
     /// Calls `observer` with each scan that is recorded: for a bench.
     pub fn observe_scans(&mut self, observer: ScanObserver) {
         self.recording.observer = Some(observer);
+    }
+
+    /// Starts a recorder of this run; call it before [`Session::drive`]. Its messages go to `recorder.log` in `logs`.
+    ///
+    /// # Errors
+    /// A recorder that does not start; exit code 4.
+    pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
+        self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
+        Ok(())
     }
 
     /// Drives until all processes have ended.
@@ -163,6 +178,7 @@ impl Session {
             self.update_registry();
             self.keep_room();
             self.publish_directive()?;
+            self.check_companion();
             self.show();
         }
         self.take_heartbeats()?;
@@ -170,7 +186,12 @@ impl Session {
         self.record(true)?;
         self.reconcile(true);
         self.progress.finish();
-        Ok(self.result())
+        let mut result = self.result();
+        if let Some(mut companion) = self.companion.take() {
+            result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
+            result.recording = Some(companion.finish());
+        }
+        Ok(result)
     }
 
     /// What was recorded; everything else of the system is gone when this returns.
@@ -261,6 +282,9 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            if let Some(companion) = &mut self.companion {
+                companion.belongs(scan.header.scan_id);
+            }
             if self.conclusion.is_open()
                 && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
@@ -270,6 +294,13 @@ impl Session {
             self.follow(orders)?;
         }
         Ok(())
+    }
+
+    /// Tells once when the recorder has failed; the drive goes on without it.
+    fn check_companion(&mut self) {
+        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
+            self.progress.warn(&reason);
+        }
     }
 
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
@@ -378,6 +409,10 @@ impl Session {
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
+                    if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
+                        self.progress
+                            .warn("the recorder did not connect in time: the first samples may be missing");
+                    }
                     self.find_judge()?;
                     self.audit.samples.driving();
                     self.directives.grant(GRANT_AHEAD);
@@ -397,12 +432,17 @@ impl Session {
                 self.publish_directive()?;
             }
             Action::AllStopped => {}
-            Action::Log(severity, text) => match severity {
-                Severity::Info => tracing::debug!("{text}"),
-                Severity::Warn if self.conclusion.is_open() => self.progress.warn(&text),
-                Severity::Error => self.progress.warn(&text),
-                Severity::Warn => {}
-            },
+            Action::Log(severity, text) => {
+                if let Some(companion) = &mut self.companion {
+                    companion.note(&text);
+                }
+                match severity {
+                    Severity::Info => tracing::debug!("{text}"),
+                    Severity::Warn if self.conclusion.is_open() => self.progress.warn(&text),
+                    Severity::Error => self.progress.warn(&text),
+                    Severity::Warn => {}
+                }
+            }
         }
         Ok(None)
     }
@@ -464,6 +504,7 @@ impl Session {
             processes: processes.collect(),
             swaps: self.swaps.certificates(),
             ledger: self.audit.samples.report(),
+            recording: None,
         }
     }
 }

@@ -12,7 +12,8 @@ use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
 use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
 
-use super::Session;
+use super::{GRANT_AHEAD, Session};
+use crate::companion::Companion;
 
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
 pub(crate) type Watches = BTreeMap<u32, Watch>;
@@ -135,7 +136,8 @@ impl Session {
             && self.is_recorded()
             && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
         {
-            self.directives.grant(scan);
+            let copied = self.companion.as_mut().and_then(Companion::copied_scan);
+            self.directives.grant(copied.map_or(scan, |copied| scan.min(copied + GRANT_AHEAD)));
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();
