@@ -139,7 +139,7 @@ fn value(kind: &Kind, bytes: &[u8], row: &mut String) {
 }
 
 /// A number as text that reads back to the same bits.
-pub(crate) fn number(name: &str, bytes: &[u8]) -> String {
+pub fn number(name: &str, bytes: &[u8]) -> String {
     match name {
         "u8" => bytes[0].to_string(),
         "u16" => bytemuck::pod_read_unaligned::<u16>(&bytes[..2]).to_string(),

@@ -1,7 +1,7 @@
 //! What viewers draw: scan, pose, path, obstacles and log lines in the well-known types of Foxglove, encoded as CDR.
 //!
-//! These messages are made from the samples, so they hold nothing new. Ranges are rounded to 1/2048 m, half of the
-//! scanner's millimetre, because such numbers end with zeros and compress well.
+//! These messages are made from the samples, so they hold nothing new. Ranges are rounded to 1/256 m, less than half of
+//! the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and compress well.
 
 mod cdr;
 
@@ -16,7 +16,9 @@ const TRACK: &str = "track";
 /// Frame of the robot.
 const ROBOT: &str = "robot";
 /// Rounding of ranges [1/m].
-const RANGE_STEPS: f64 = 2048.0;
+const RANGE_STEPS: f64 = 256.0;
+/// Rounding of the path [1/m].
+const PATH_STEPS: f64 = 1024.0;
 /// Height that bodies are drawn with [m].
 const HEIGHT_M: f64 = 0.3;
 
@@ -64,7 +66,7 @@ pub(crate) fn scan(scan: &Scan) -> Vec<u8> {
     cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(scan.ranges_mm.len() - 1));
     cdr.length(scan.ranges_mm.len());
     for beam in 0..scan.ranges_mm.len() {
-        let range_m = scan.range_m(beam).map(|range_m| (range_m * RANGE_STEPS).round() / RANGE_STEPS);
+        let range_m = scan.range_m(beam).map(|range_m| rounded(range_m, RANGE_STEPS));
         cdr.f64(range_m.unwrap_or(f64::INFINITY));
     }
     cdr.length(0);
@@ -91,8 +93,16 @@ pub(crate) fn path(command: &Command) -> Vec<u8> {
     let nodes = if drives { command.nodes() } else { &[] };
     let mut cdr = Cdr::new();
     cdr.time(command.header.acquired_ns).text(TRACK).length(nodes.len());
-    nodes.iter().for_each(|node| _ = cdr.pose([node.x_m, node.y_m], 0.0, node.yaw_rad));
+    for node in nodes {
+        let (sin, cos) = (node.yaw_rad / 2.0).sin_cos();
+        let numbers = [node.x_m, node.y_m, 0.0, 0.0, 0.0, sin, cos];
+        cdr.numbers(&numbers.map(|number| rounded(number, PATH_STEPS)));
+    }
     cdr.finish()
+}
+
+fn rounded(number: f64, steps: f64) -> f64 {
+    (number * steps).round() / steps
 }
 
 /// Boxes and ellipses of obstacles; those of earlier scans are removed.

@@ -15,7 +15,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use console::exit::Failure;
-use runtime::{Bus, Domain, LAYOUTS_FILE, Shutdown, TopicObserver, monotonic_ns, settings_file, wait_for};
+use runtime::{
+    Bus, Domain, LAYOUTS_FILE, PROCESSES_FILE, Shutdown, TopicObserver, monotonic_ns, settings_file, wait_for,
+};
 use serde::{Deserialize, Serialize};
 use shared_types::{Role, TOPICS, Topic};
 
@@ -93,6 +95,13 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
         for observer in &observers {
             let topic = observer.topic();
             observer.poll(&mut |bytes| {
+                let incarnation = (topic.sample_type().header)(bytes).incarnation;
+                if losses.is_first(topic, incarnation)
+                    && let Ok(processes) = domain.folder().read(PROCESSES_FILE)
+                {
+                    // It names the process, as the orchestrator writes it before it announces one.
+                    queue.attach(format!("processes-{incarnation}.toml"), processes);
+                }
                 losses.note(topic, bytes);
                 if topic == Topic::Actuation {
                     newest = newest.max((topic.sample_type().header)(bytes).scan_id);

@@ -31,6 +31,9 @@ pub struct Tape<W: Write> {
     /// The newest checkpoint of each role, and when the last one was recorded.
     checkpoints: [(Option<Box<Checkpoint>>, u64); ROLES],
     authority: [u32; ROLES],
+    /// The newest process of each role, and until when all checkpoints of the role are recorded, because a process that
+    /// joins takes one of them [ns].
+    joins: [(u32, u64); ROLES],
     simulated: bool,
 }
 
@@ -58,7 +61,15 @@ impl<W: Write> Tape<W> {
             .collect();
         let writer = Writer::new(out, LIBRARY, &schemas, &channels)?;
         let checkpoints = std::array::from_fn(|_| (None, 0));
-        Ok(Self { writer, chunk_start_ns: None, now_ns: 0, checkpoints, authority: [0; ROLES], simulated })
+        Ok(Self {
+            writer,
+            chunk_start_ns: None,
+            now_ns: 0,
+            checkpoints,
+            authority: [0; ROLES],
+            joins: [(0, 0); ROLES],
+            simulated,
+        })
     }
 
     /// Adds a file as an attachment.
@@ -80,7 +91,8 @@ impl<W: Write> Tape<W> {
 
     /// Adds a sample of a topic, as its bytes, and what viewers draw of it.
     ///
-    /// Of checkpoints, one per role and second is added, and each that was newest when another process took over.
+    /// Of checkpoints, one per role and second is added, each that was newest when another process took over, and all
+    /// in the second after a process has started.
     ///
     /// # Errors
     /// Those of the output.
@@ -90,7 +102,8 @@ impl<W: Write> Tape<W> {
                 let checkpoint: &Checkpoint = from_bytes(bytes);
                 let Ok(role) = Role::try_from(checkpoint.role) else { return Ok(()) };
                 let (newest, recorded_ns) = &mut self.checkpoints[role.index()];
-                if self.now_ns < *recorded_ns + CHECKPOINT_NS && *recorded_ns > 0 {
+                let is_due = self.now_ns >= *recorded_ns + CHECKPOINT_NS || *recorded_ns == 0;
+                if !is_due && self.now_ns >= self.joins[role.index()].1 {
                     match newest {
                         Some(newest) => **newest = *checkpoint,
                         None => *newest = Some(Box::new(*checkpoint)),
@@ -100,6 +113,7 @@ impl<W: Write> Tape<W> {
                 (*newest, *recorded_ns) = (None, self.now_ns.max(1));
             }
             Topic::Directive => self.keep_handed_over(from_bytes(bytes))?,
+            Topic::Heartbeat => self.keep_joined(from_bytes(bytes))?,
             _ => {}
         }
         self.put(topic, bytes)?;
@@ -158,6 +172,19 @@ impl<W: Write> Tape<W> {
             if std::mem::replace(&mut self.authority[index], incarnation) != incarnation
                 && let Some(handed) = self.checkpoints[index].0.take()
             {
+                self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// When a process starts, the newest checkpoint of its role may be what it resumes from.
+    fn keep_joined(&mut self, heartbeat: &Heartbeat) -> io::Result<()> {
+        let Ok(role) = Role::try_from(heartbeat.role) else { return Ok(()) };
+        let (newest, until_ns) = &mut self.joins[role.index()];
+        if heartbeat.header.incarnation > *newest {
+            (*newest, *until_ns) = (heartbeat.header.incarnation, self.now_ns + CHECKPOINT_NS);
+            if let Some(handed) = self.checkpoints[role.index()].0.take() {
                 self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
             }
         }

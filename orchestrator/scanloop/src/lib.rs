@@ -12,6 +12,7 @@ mod live_latency;
 mod price;
 mod record;
 mod reference;
+mod replay;
 mod service;
 pub mod shadow;
 mod status;
@@ -118,6 +119,7 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         }
         Command::Record(arguments) => record::record(&cli.system_id, arguments),
         Command::Recording(command) => record::recording(command),
+        Command::Replay(arguments) => replay::replay(arguments),
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)),
         Command::Urg(command) => urg::urg(command),

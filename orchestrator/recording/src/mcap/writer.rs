@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::ops::Range;
 
 use lz4_flex::frame::FrameEncoder;
 
@@ -45,8 +46,10 @@ pub struct Writer<W: Write> {
     record: Vec<u8>,
     /// Time range of the open chunk, and of all before.
     times: [Option<[u64; 2]>; 2],
-    /// Per channel: log time and place of each message of the open chunk.
-    index: BTreeMap<u16, Vec<[u64; 2]>>,
+    /// Per channel: log time, and place of each message in the open chunk.
+    index: BTreeMap<u16, Vec<(u64, Range<usize>)>>,
+    /// The open chunk channel by channel, which compresses better.
+    sorted: Vec<u8>,
     messages: BTreeMap<u16, u64>,
     chunks: Vec<Vec<u8>>,
     attachments: Vec<Vec<u8>>,
@@ -66,6 +69,7 @@ impl<W: Write> Writer<W> {
             counts: [schemas.len(), channels.len()],
             chunk: Vec::new(),
             compressed: Vec::new(),
+            sorted: Vec::new(),
             record: Vec::new(),
             times: [None; 2],
             index: BTreeMap::new(),
@@ -93,7 +97,7 @@ impl<W: Write> Writer<W> {
         // In the first chunk too: some readers look for them only there.
         let definitions = writer.definitions.concat();
         writer.put(&definitions)?;
-        writer.chunk = definitions;
+        writer.sorted = definitions;
         Ok(writer)
     }
 
@@ -137,7 +141,7 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Adds a message to the open chunk.
+    /// Adds a message to the open chunk. A chunk holds its messages channel by channel.
     ///
     /// # Errors
     /// None today; an output may have some.
@@ -156,7 +160,7 @@ impl<W: Write> Writer<W> {
         log_ns: u64,
         data: &[&[u8]],
     ) -> io::Result<()> {
-        let place = self.chunk.len() as u64;
+        let place = self.chunk.len();
         let length = 22 + data.iter().map(|part| part.len() as u64).sum::<u64>();
         self.chunk.push(opcode::MESSAGE);
         self.chunk.u64(length).u16(channel).u32(sequence).u64(log_ns).u64(log_ns);
@@ -165,7 +169,7 @@ impl<W: Write> Writer<W> {
             let [first, last] = times.unwrap_or([log_ns; 2]);
             *times = Some([first.min(log_ns), last.max(log_ns)]);
         }
-        self.index.entry(channel).or_default().push([log_ns, place]);
+        self.index.entry(channel).or_default().push((log_ns, place..self.chunk.len()));
         *self.messages.entry(channel).or_default() += 1;
         Ok(())
     }
@@ -176,32 +180,47 @@ impl<W: Write> Writer<W> {
     /// Those of the output.
     pub fn end_chunk(&mut self) -> io::Result<()> {
         let Some([first, last]) = self.times[0].take() else { return Ok(()) };
+        let index = self.sort();
         let mut encoder = FrameEncoder::new(std::mem::take(&mut self.compressed));
-        encoder.write_all(&self.chunk)?;
+        encoder.write_all(&self.sorted)?;
         self.compressed = encoder.finish().map_err(io::Error::other)?;
         let mut record = std::mem::take(&mut self.record);
         record.clear();
-        record.u64(first).u64(last).u64(self.chunk.len() as u64).u32(crc32fast::hash(&self.chunk));
+        record.u64(first).u64(last).u64(self.sorted.len() as u64).u32(crc32fast::hash(&self.sorted));
         record.text("lz4").u64(self.compressed.len() as u64).extend_from_slice(&self.compressed);
         let (start, length) = self.record(opcode::CHUNK, &record)?;
         self.record = record;
         let index_start = self.written;
         let mut offsets: Vec<u8> = Vec::new();
-        for (channel, entries) in std::mem::take(&mut self.index) {
-            let mut body = Vec::with_capacity(6 + 16 * entries.len());
-            body.u16(channel).u32(16 * entries.len() as u32);
-            entries.iter().for_each(|[time, place]| _ = body.u64(*time).u64(*place));
+        for (channel, entries) in index {
+            let mut body = Vec::with_capacity(6 + entries.len());
+            body.u16(channel).u32(entries.len() as u32).extend(entries);
             let (place, _) = self.record(opcode::MESSAGE_INDEX, &body)?;
             offsets.u16(channel).u64(place);
         }
         let mut index = Vec::new();
         index.u64(first).u64(last).u64(start).u64(length).u32(offsets.len() as u32).extend(&offsets);
         index.u64(self.written - index_start).text("lz4");
-        index.u64(self.compressed.len() as u64).u64(self.chunk.len() as u64);
+        index.u64(self.compressed.len() as u64).u64(self.sorted.len() as u64);
         self.chunks.push(index);
         self.chunk.clear();
+        self.sorted.clear();
         self.compressed.clear();
         self.out.flush()
+    }
+
+    /// Sorts the open chunk by channel; returns the entries of the index of each: log time and new place.
+    fn sort(&mut self) -> Vec<(u16, Vec<u8>)> {
+        let mut index = Vec::new();
+        for (channel, messages) in std::mem::take(&mut self.index) {
+            let mut entries = Vec::with_capacity(16 * messages.len());
+            for (log_ns, place) in messages {
+                entries.u64(log_ns).u64(self.sorted.len() as u64);
+                self.sorted.extend_from_slice(&self.chunk[place]);
+            }
+            index.push((channel, entries));
+        }
+        index
     }
 
     /// Ends the file with its summary; returns the output and the length of the file.

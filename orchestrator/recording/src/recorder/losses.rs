@@ -25,6 +25,11 @@ impl Losses {
         *newest = header.sequence.max(*newest);
     }
 
+    /// Whether the heartbeat is the first of its process.
+    pub(super) fn is_first(&self, topic: Topic, incarnation: u32) -> bool {
+        topic == Topic::Heartbeat && !self.newest.contains_key(&(topic, incarnation))
+    }
+
     /// Samples missed until now.
     pub(super) fn lost(&self) -> u64 {
         self.lost

@@ -25,6 +25,8 @@ struct Batch {
     words: Vec<u64>,
     /// Role and line.
     lines: Vec<(String, String)>,
+    /// Name and content of files.
+    files: Vec<(String, Vec<u8>)>,
     /// Samples lost and the last scan of the run: in the last batch.
     end: Option<(u64, u64)>,
 }
@@ -73,11 +75,16 @@ impl Queue {
         self.batch.lines.push((role.to_owned(), line.to_owned()));
     }
 
+    /// Adds a file.
+    pub(super) fn attach(&mut self, name: String, data: Vec<u8>) {
+        self.batch.files.push((name, data));
+    }
+
     /// Hands what was added to the writing thread.
     pub(super) fn pass_on(&mut self) {
         let batch = std::mem::take(&mut self.batch);
         let samples = batch.samples.len() as u64;
-        if samples == 0 && batch.lines.is_empty() {
+        if samples == 0 && batch.lines.is_empty() && batch.files.is_empty() {
             return;
         }
         let is_sent = match self.waits {
@@ -126,6 +133,11 @@ fn write(mut tape: Tape<BufWriter<File>>, receiver: &Receiver<Batch>, failed: &A
                     written.error = written.error.or(result.err());
                     failed.store(true, Ordering::Relaxed);
                 }
+            }
+        }
+        for (name, data) in &batch.files {
+            if written.error.is_none() {
+                written.error = tape.attach(name, data).err();
             }
         }
         for (role, line) in &batch.lines {

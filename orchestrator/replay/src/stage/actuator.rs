@@ -1,0 +1,63 @@
+//! Recomputes actuations.
+
+use actuation::{Actuator, ActuatorState, Config};
+use shared_types::{Actuation, BlockReason, Role};
+
+use super::{Findings, Origin, Window, each_process};
+use crate::{Drive, Options};
+
+pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) -> anyhow::Result<()> {
+    let config: Config = drive.table(Role::Actuator, "actuator")?;
+    let window = Window::of(drive, options);
+    let role = Role::Actuator;
+    each_process::<Actuation, ActuatorState>(
+        role,
+        &drive.actuations,
+        drive,
+        options,
+        findings,
+        |outputs: &[&Actuation], origin, findings| {
+            let mut actuator = Actuator::new(config.clone(), drive.period_ns)?;
+            if let Origin::State(_, state) = &origin {
+                actuator.resume(state)?;
+            }
+            for output in outputs {
+                if output.header.scan_id > window.to {
+                    break;
+                }
+                let now_ns = output.header.stage(role).taken_ns;
+                let replayed = match output.answers {
+                    1 => {
+                        if actuator.is_stopped() && !drive.is_stopped(now_ns) {
+                            actuator.release();
+                        }
+                        let command = drive.input(&drive.commands, Role::Controller, &output.header);
+                        command.map(|command| actuator.answer(command, now_ns))
+                    }
+                    _ => by_itself(&mut actuator, output, now_ns, drive.period_ns),
+                };
+                if !window.holds(&output.header, findings) {
+                    continue;
+                }
+                match replayed {
+                    Some(replayed) => findings.compare(*output, replayed, role, drive, options),
+                    None => findings.skip(*output, "its command was not recorded"),
+                }
+            }
+            Ok(())
+        },
+    )
+}
+
+/// A block that the actuator decided by itself: for a stop, or because no valid command came.
+fn by_itself(actuator: &mut Actuator, output: &Actuation, now_ns: u64, period_ns: u64) -> Option<Actuation> {
+    if output.reason == BlockReason::StopRequested.wire() {
+        return Some(actuator.stop(now_ns));
+    }
+    if output.reason == BlockReason::InvalidCommand.wire() {
+        actuator.note_dropped();
+    }
+    // The process had ticked long before; the time of that is not in the sample.
+    actuator.tick(now_ns.saturating_sub(10 * period_ns));
+    actuator.tick(now_ns)
+}
