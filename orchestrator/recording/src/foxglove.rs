@@ -1,6 +1,6 @@
 //! What viewers draw: scan, pose, path, obstacles and log lines in the well-known types of Foxglove, encoded as CDR.
 //!
-//! These messages are made from the samples, so they hold nothing new. Ranges are rounded to 1/256 m, less than half of
+//! These messages are made from the samples, so they hold nothing new. Of a scan every second beam is drawn. Ranges are rounded to 1/256 m, less than half of
 //! the scanner's noise, and the path to 1/1024 m, because such numbers end with zeros and compress well.
 
 mod cdr;
@@ -63,9 +63,10 @@ pub(crate) enum Level {
 pub(crate) fn scan(scan: &Scan) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.time(scan.header.acquired_ns).text(ROBOT).pose([0.0; 2], 0.0, 0.0);
-    cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(scan.ranges_mm.len() - 1));
-    cdr.length(scan.ranges_mm.len());
-    for beam in 0..scan.ranges_mm.len() {
+    let beams = (0..scan.ranges_mm.len()).step_by(2);
+    cdr.f64(Scan::beam_yaw_rad(0)).f64(Scan::beam_yaw_rad(beams.clone().last().unwrap_or_default()));
+    cdr.length(beams.len());
+    for beam in beams {
         let range_m = scan.range_m(beam).map(|range_m| rounded(range_m, RANGE_STEPS));
         cdr.f64(range_m.unwrap_or(f64::INFINITY));
     }

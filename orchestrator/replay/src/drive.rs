@@ -11,8 +11,8 @@ use runtime::settings_file;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
-    Actuation, Authority, Checkpoint, Command, Directive, Header, Obstacles, Odometry, Pose, ROLES, Role,
-    Sample, Scan, Topic, Truth,
+    Actuation, Authority, Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Odometry, Pose,
+    ROLES, Role, Sample, Scan, Topic, Truth,
 };
 use supervision::entry::ProcessRow;
 use toml::{Table, Value};
@@ -67,6 +67,10 @@ pub struct Drive {
     settings: BTreeMap<Role, Table>,
     /// Keys were changed: outputs are expected to differ.
     pub(crate) is_changed: bool,
+    /// Per process: the first sample of each actuator that it received.
+    first_actuations: BTreeMap<u32, BTreeMap<u32, u64>>,
+    /// When a process got authority, if that was before it was started [ns].
+    granted_ns: BTreeMap<u32, u64>,
     /// Processes that are no implementation of this program, and what they are.
     foreign: BTreeMap<u32, String>,
 }
@@ -186,6 +190,17 @@ impl Drive {
         changes.iter().any(|authority| authority.accepts(header.incarnation, header.scan_id))
     }
 
+    /// Whether an estimator has received an actuation: on the bus, or handed over when it was started.
+    ///
+    /// One that was published in between reached neither the process before it nor this one.
+    pub(crate) fn has_received(&self, incarnation: u32, actuation: &Header) -> bool {
+        let Some(granted_ns) = self.granted_ns.get(&incarnation) else { return true };
+        let first =
+            self.first_actuations.get(&incarnation).and_then(|first| first.get(&actuation.incarnation));
+        actuation.stage(Role::Actuator).published_ns <= *granted_ns
+            || first.is_none_or(|first| actuation.sequence >= *first)
+    }
+
     /// What a process is, if it is no implementation of this program.
     pub(crate) fn foreign(&self, incarnation: u32) -> Option<&str> {
         self.foreign.get(&incarnation).map(String::as_str)
@@ -222,11 +237,26 @@ impl Drive {
                 self.stops.push((log_ns, directive.stop == 1));
                 for (known, authority) in self.authority.iter_mut().zip(directive.authority) {
                     if known.last() != Some(&authority) {
+                        // A process that takes over from one that works gets its state otherwise.
+                        if !known.is_empty() && authority.previous == 0 {
+                            self.granted_ns.entry(authority.incarnation).or_insert(log_ns);
+                        }
                         known.push(authority);
                     }
                 }
             }
-            Topic::Heartbeat => {}
+            Topic::Heartbeat => {
+                let heartbeat: &Heartbeat = bytemuck::from_bytes(bytes);
+                if heartbeat.role == Role::Estimator.wire() {
+                    let known = self.first_actuations.entry(heartbeat.header.incarnation).or_default();
+                    for span in heartbeat.inputs.iter().skip(1).flat_map(|input| &input.writers) {
+                        if span.incarnation != 0 {
+                            let first = known.entry(span.incarnation).or_insert(span.first);
+                            *first = span.first.min(*first);
+                        }
+                    }
+                }
+            }
         }
     }
 }

@@ -48,7 +48,9 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
                     if !is_before {
                         break;
                     }
-                    estimator.note(actuation, now_ns);
+                    if drive.has_received(pose.header.incarnation, &actuation.header) {
+                        estimator.note(actuation, now_ns);
+                    }
                     noted += 1;
                 }
                 let odometry = drive.input(&drive.odometries, Role::Robot, &pose.header);
