@@ -28,7 +28,8 @@ fn text(path: &Path) -> &str {
 }
 
 fn json(output: &Output) -> Value {
-    serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&output.stderr)))
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&output.stderr)))
 }
 
 /// The report of a replay, and its exit code.
@@ -45,16 +46,25 @@ fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
     assert_eq!(report.digests, unrecorded.digests);
     let file = report.recording.unwrap().file;
     let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
-    assert_eq!((&info["complete"], &info["lost"], &info["lockstep"]), (&true.into(), &0.into(), &true.into()));
+    assert_eq!(
+        (&info["complete"], &info["lost"], &info["lockstep"]),
+        (&true.into(), &0.into(), &true.into())
+    );
     for topic in ["scan", "odometry", "truth", "pose", "obstacles", "command", "actuation"] {
-        assert!(info["channels"][format!("/scanloop/{topic}")].as_u64() >= Some(report.scans.published), "{info}");
+        assert!(
+            info["channels"][format!("/scanloop/{topic}")].as_u64() >= Some(report.scans.published),
+            "{info}"
+        );
     }
     let (whole, code) = replayed(&system, &file, &[]);
     assert_eq!((code, whole["compared"].as_u64()), (0, Some(7 * report.scans.published)), "{whole}");
     assert_eq!((&whole["identical"], &whole["skipped"]), (&whole["compared"], &0.into()), "{whole}");
     let (later, code) = replayed(&system, &file, &["--from", "50", "--stage", "controller"]);
     assert_eq!((code, &later["identical"]), (0, &later["compared"]), "{later}");
-    assert_eq!((later["compared"].as_u64(), &later["skipped"]), (Some(report.scans.published - 49), &0.into()));
+    assert_eq!(
+        (later["compared"].as_u64(), &later["skipped"]),
+        (Some(report.scans.published - 49), &0.into())
+    );
 }
 
 #[test]
@@ -66,7 +76,10 @@ fn a_flipped_bit_is_found_with_its_field() {
     let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
     assert_eq!((code, report["compared"].as_u64().unwrap() - report["identical"].as_u64().unwrap()), (1, 1));
     let difference = &report["differences"][0];
-    assert_eq!((&difference["topic"], &difference["scan"], &difference["field"]), (&"pose".into(), &10.into(), &"yaw_rad".into()));
+    assert_eq!(
+        (&difference["topic"], &difference["scan"], &difference["field"]),
+        (&"pose".into(), &10.into(), &"yaw_rad".into())
+    );
 }
 
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
@@ -141,13 +154,19 @@ fn files_that_are_no_recordings_are_refused_and_none_is_replaced() {
 fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
     let mut system = System::new(EXECUTABLE);
     system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
-    system.wait_until("three seconds are driven", |system| system.status().is_some_and(|status| status.scan > 30));
+    system.wait_until("three seconds are driven", |system| {
+        system.status().is_some_and(|status| status.scan > 30)
+    });
     let recorder = recorder_of(&system).expect("a recorder");
     system.signal(recorder, Signal::KILL);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     assert!(system.stderr().contains("the rest of the drive is not recorded"), "{}", system.stderr());
     let report = system.report();
-    assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0), "{report:?}");
+    assert_eq!(
+        (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
+        (0, 0, 0),
+        "{report:?}"
+    );
     let file = report.recording.unwrap().file;
     let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
     assert_eq!(info["complete"], false);
@@ -184,7 +203,8 @@ fn a_live_drive_with_a_restart_and_a_swap_is_replayed_to_the_bit() {
 #[test]
 fn another_setting_is_judged_by_the_bounds_of_a_swap() {
     let (system, file) = recorded(&SHORT_CORRIDOR);
-    let (same, code) = replayed(&system, &file, &["--stage", "controller", "--set", "controller.horizon_s=5.5"]);
+    let (same, code) =
+        replayed(&system, &file, &["--stage", "controller", "--set", "controller.horizon_s=5.5"]);
     assert_eq!((code, &same["beyond"]), (0, &0.into()), "{same}");
     let change = ["--stage", "controller", "--set", "controller.horizon_s=3.0", "--tolerance", "0"];
     let (other, code) = replayed(&system, &file, &change);
