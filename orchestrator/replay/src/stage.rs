@@ -152,16 +152,18 @@ impl Window {
     }
 }
 
-/// Replays each process of a role: `run` gets its outputs, what it starts from, and counts what it finds.
+/// Replays each process of a role: `run` gets outputs without a gap, what it starts from, and counts what it finds. It
+/// returns how many it recomputed: fewer than all where an input was not recorded.
 ///
-/// Outputs of programs that are not part of this one, and those before the first recorded state, are skipped.
+/// Behind a gap a process is replayed from its next recorded state. Outputs up to there, those before the first recorded
+/// state, and those of programs that are not part of this one are skipped.
 pub(crate) fn each_process<S: Sample, T: Pod + Described>(
     role: Role,
     lane: &Lane<S>,
     drive: &Drive,
     options: &Options,
     findings: &mut Findings,
-    mut run: impl FnMut(&[&S], Origin<T>, &mut Findings) -> anyhow::Result<()>,
+    mut run: impl FnMut(&[&S], Origin<T>, &mut Findings) -> anyhow::Result<usize>,
 ) -> anyhow::Result<()> {
     let window = Window::of(drive, options);
     let processes: BTreeSet<u32> = lane.samples.iter().map(|sample| sample.header().incarnation).collect();
@@ -211,7 +213,24 @@ pub(crate) fn each_process<S: Sample, T: Pod + Described>(
             }
         };
         skip(&outputs[..begin], "before the first recorded state", findings);
-        run(&outputs[begin..], origin, findings)?;
+        let (mut rest, mut origin) = (&outputs[begin..], origin);
+        loop {
+            let follows = |pair: &[&S]| pair[1].header().sequence == pair[0].header().sequence + 1;
+            let length = rest.windows(2).position(|pair| !follows(pair)).map_or(rest.len(), |last| last + 1);
+            let done = run(&rest[..length], origin, findings)?;
+            rest = &rest[done..];
+            let Some(lost) = rest.first().map(|output| output.header().scan_id) else { break };
+            let next = states.clone().filter(own).find(|checkpoint| checkpoint.header.scan_id >= lost);
+            let state =
+                next.and_then(|checkpoint| Some((checkpoint.header.scan_id, checkpoint.state::<T>().ok()?)));
+            let Some((scan_id, state)) = state else {
+                skip(rest, "behind a gap of the recording", findings);
+                break;
+            };
+            let known = rest.partition_point(|output| output.header().scan_id <= scan_id);
+            skip(&rest[..known], "behind a gap of the recording", findings);
+            (rest, origin) = (&rest[known..], Origin::State(scan_id, Box::new(state)));
+        }
     }
     Ok(())
 }

@@ -27,9 +27,9 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
             if let Origin::State(_, state) = &origin {
                 controller.resume(state);
             }
-            for command in commands {
+            for (index, command) in commands.iter().enumerate() {
                 if command.header.scan_id > window.to {
-                    break;
+                    return Ok(commands.len());
                 }
                 let pose = drive.input(&drive.poses, Role::Estimator, &command.header);
                 let obstacles = drive.input(&drive.obstacles, Role::Obstacles, &command.header);
@@ -69,18 +69,13 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
                     }
                     replayed
                 });
-                if !window.holds(&command.header, findings) {
-                    continue;
-                }
-                match replayed {
-                    Some(replayed) => {
-                        let replayed = Command { solve_ns: command.solve_ns, ..replayed };
-                        findings.compare(*command, replayed, role, drive, options);
-                    }
-                    None => findings.skip(*command, "pose or obstacles were not recorded"),
+                let Some(replayed) = replayed else { return Ok(index) };
+                if window.holds(&command.header, findings) {
+                    let replayed = Command { solve_ns: command.solve_ns, ..replayed };
+                    findings.compare(*command, replayed, role, drive, options);
                 }
             }
-            Ok(())
+            Ok(commands.len())
         },
     )
 }

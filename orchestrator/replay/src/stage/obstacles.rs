@@ -21,22 +21,19 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
             if let Origin::State(_, state) = &origin {
                 detector.resume(state)?;
             }
-            for output in outputs {
+            for (index, output) in outputs.iter().enumerate() {
                 if output.header.scan_id > window.to {
-                    break;
+                    return Ok(outputs.len());
                 }
                 let scan = drive.input(&drive.scans, Role::Robot, &output.header);
                 let pose = drive.input(&drive.poses, Role::Estimator, &output.header);
                 let replayed = scan.zip(pose).map(|(scan, pose)| detector.step(scan, pose));
-                if !window.holds(&output.header, findings) {
-                    continue;
-                }
-                match replayed {
-                    Some(replayed) => findings.compare(*output, replayed, role, drive, options),
-                    None => findings.skip(*output, "scan or pose was not recorded"),
+                let Some(replayed) = replayed else { return Ok(index) };
+                if window.holds(&output.header, findings) {
+                    findings.compare(*output, replayed, role, drive, options);
                 }
             }
-            Ok(())
+            Ok(outputs.len())
         },
     )
 }

@@ -22,7 +22,7 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
         options,
         findings,
         |odometries: &[&Odometry], origin, findings| {
-            let Some(first) = odometries.first().map(|odometry| odometry.header) else { return Ok(()) };
+            let Some(first) = odometries.first().map(|odometry| odometry.header) else { return Ok(0) };
             let mut emulator = Emulator::new(&scenario, drive.period_ns);
             let mut origin_ns = first.acquired_ns.wrapping_sub(emulator.stamp_ns(first.scan_id));
             let mut next = 0;
@@ -38,7 +38,7 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
             for odometry in odometries {
                 let header = odometry.header;
                 if header.scan_id > window.to {
-                    break;
+                    return Ok(odometries.len());
                 }
                 let ready_ns = emulator.scan_ready_ns(header.scan_id);
                 while let Some(actuation) = all.get(next) {
@@ -87,7 +87,7 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
                     findings.compare(recorded, truth, role, drive, options);
                 }
             }
-            Ok(())
+            Ok(odometries.len())
         },
     )
 }
