@@ -296,7 +296,7 @@ impl Session {
         Ok(())
     }
 
-    /// Tells once when the recorder has failed; the drive goes on without it.
+    /// Tells once when the recorder has failed; the drive continues without it.
     fn check_companion(&mut self) {
         if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
             self.progress.warn(&reason);

@@ -155,7 +155,7 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Goes on to the next message; returns where it stands in the open chunk.
+    /// Advances to the next message; returns where it stands in the open chunk.
     fn advance(&mut self) -> Result<Option<Range<usize>>, ReadError> {
         loop {
             while self.place < self.chunk.len() {

@@ -1,7 +1,7 @@
 //! The recorder as the companion of a run: orders come from the orchestrator by standard input, reports go to standard
 //! output.
 //!
-//! An orchestrator that dies closes both. The recorder then goes on until the system ends, because processes drive on
+//! An orchestrator that dies closes both. The recorder then continues until the system ends, because processes drive on
 //! and may be adopted.
 
 use std::io::{Read, Stdin, Write, stdin, stdout};
