@@ -32,7 +32,9 @@ use self::scanner::Scanner;
 use self::tally::Tally;
 use crate::latency::{self, Latencies};
 use crate::picture::{Drive, Ellipse, Moment};
-use crate::report::{DriveReport, LedgerReport, Outcome, ProcessReport, Report, SCHEMA, TrueDrive};
+use crate::report::{
+    DriveReport, LedgerReport, Outcome, ProcessReport, RecordingReport, Report, SCHEMA, TrueDrive,
+};
 
 pub use self::rows::MAX_ROWS;
 
@@ -78,6 +80,8 @@ pub struct RunResult {
     pub swaps: Vec<Certificate>,
     /// What became of every sample.
     pub ledger: LedgerReport,
+    /// The recording; `None` when the run was not recorded.
+    pub recording: Option<RecordingReport>,
 }
 
 /// What is recorded of one run.
@@ -343,6 +347,7 @@ impl Recorder {
             processes: result.processes.clone(),
             companions: result.companions.clone(),
             swaps: result.swaps.clone(),
+            recording: result.recording.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),

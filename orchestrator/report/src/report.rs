@@ -23,7 +23,7 @@ use vehicle::Surroundings;
 use self::write::join_leaves;
 
 pub use self::parts::{
-    BlockingReport, CompanionReport, Difference, MarginReport, ScannerReport, ScannerStatus,
+    BlockingReport, CompanionReport, Difference, MarginReport, RecordingReport, ScannerReport, ScannerStatus,
 };
 pub use self::write::write_atomically;
 
@@ -93,6 +93,9 @@ pub struct Report {
     pub companions: Vec<CompanionReport>,
     /// Swaps of processes, in the order in which they ended.
     pub swaps: Vec<Certificate>,
+    /// The recording of the run; `None` when it was not recorded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingReport>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
     /// Number of first rows that `trajectory` lacks because the run was too long to keep them.

@@ -34,6 +34,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     rows.push(("scans", scans(&report.scans)));
     rows.push(("samples", samples(&report.ledger)));
     rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
+    rows.extend(report.recording.iter().map(|recording| ("recording", recording.to_string())));
     if !report.controller.status.is_empty() {
         rows.push(("solver", counts(report.controller.status.iter())));
     }

@@ -13,7 +13,9 @@ use crate::bench::BenchCommand;
 use crate::calibrate::CalibrateArguments;
 use crate::campaign::arguments::CampaignArguments;
 use crate::live_check::LiveArguments;
+use crate::record::{RecordArguments, RecordingCommand};
 use crate::reference::ReferenceArguments;
+use crate::replay::ReplayArguments;
 use crate::shadow::ShadowArguments;
 use crate::swap::{SetArguments, SwapArguments};
 use crate::top::TopArguments;
@@ -194,6 +196,21 @@ pub enum Command {
     /// The result is merged into a calibration file with standard errors and 95 % intervals. A picture shows the
     /// residuals of the fit. Runs that are too few, out of range or implausible are refused with the reason.
     Calibrate(CalibrateArguments),
+    /// Record every sample of a running system into a file that Foxglove, Lichtblick and ROS 2 read too.
+    ///
+    /// The recorder only observes: killed, stopped or on a full disk it does not delay a scan. A file that is cut off is
+    /// readable up to its last whole second. JSON keys: `file`, `bytes`, `samples`, `lost`, `error`.
+    Record(RecordArguments),
+    /// Recompute a recorded drive stage by stage and compare every output with the recorded one.
+    ///
+    /// Exit code 0 if all compared outputs are identical, or with `--set` within the bounds; else 1. JSON keys: `scans`,
+    /// `samples`, `compared`, `skipped`, `identical`, `beyond`, `differences` with `topic`, `scan`, `field`, `recorded`,
+    /// `replayed`; `reasons` with `topic`, `incarnation`, `reason`, `samples`; `after_end` (outputs after the last scan of
+    /// a run in lock-step).
+    Replay(ReplayArguments),
+    /// Show, repair, cut or export a recording.
+    #[command(subcommand)]
+    Recording(RecordingCommand),
     /// Show the samples on the bus.
     #[command(subcommand)]
     Topic(TopicCommand),

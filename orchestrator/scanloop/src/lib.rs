@@ -11,7 +11,9 @@ mod faults;
 pub mod live_check;
 mod live_latency;
 mod price;
+mod record;
 mod reference;
+mod replay;
 mod service;
 pub mod shadow;
 mod status;
@@ -126,6 +128,9 @@ fn dispatch(cli: &Cli) -> anyhow::Result<Exit> {
         Command::Topic(TopicCommand::Pub { topic, json }) => {
             topic::publish(&cli.system_id, topic, json).map(|()| Exit::Done)
         }
+        Command::Record(arguments) => record::record(&cli.system_id, arguments),
+        Command::Recording(command) => record::recording(command),
+        Command::Replay(arguments) => replay::replay(arguments),
         Command::Reference(arguments) => print(&reference::text(arguments, Cli::command())?),
         Command::Types(arguments) => print(&types::print(arguments)?),
         Command::Urg(command) => urg::urg(command),

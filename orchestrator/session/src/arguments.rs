@@ -25,6 +25,9 @@ pub struct RunArguments {
     /// Simulate time: as fast as the machine allows, no sample lost, repeatable to the last bit.
     #[arg(long)]
     pub lockstep: bool,
+    /// Record the drive, by default into `recording.mcap` in the folder of the report, where it replaces an earlier one.
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
+    pub record: Option<Option<PathBuf>>,
     /// Print no progress.
     #[arg(long)]
     pub quiet: bool,
@@ -36,7 +39,7 @@ pub struct RunArguments {
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "7117")]
     pub view: Option<u16>,
     /// Take over the orphaned processes of a run whose orchestrator died; scenario and system are those of that run.
-    #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep"])]
+    #[arg(long, conflicts_with_all = ["scenario", "system", "calibration", "seed", "overrides", "lockstep", "record"])]
     pub adopt: bool,
     /// Adopt orphaned processes if there are any, else start a run; for a service manager.
     #[arg(long, conflicts_with = "adopt")]

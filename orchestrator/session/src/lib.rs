@@ -2,6 +2,7 @@
 
 pub mod adopt;
 pub mod arguments;
+mod companion;
 pub mod control;
 mod directives;
 pub mod orphaned;

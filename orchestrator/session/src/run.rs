@@ -1,8 +1,9 @@
 //! `scanloop run`: from the command line to the summary.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use console::exit::Exit;
+use console::exit::{Exit, Failure};
+use console::output::require_writable;
 use plan::{Plan, difference};
 use runtime::{Domain, RuntimeError, Shutdown};
 use supervision::lock::{Claim, clear};
@@ -50,6 +51,11 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
         clear(&domain, lock)?;
     }
     let out = out_folder(out.clone().unwrap_or_else(|| PathBuf::from("out").join(&plan.scenario.name)))?;
+    let recording = match &arguments.record {
+        Some(Some(file)) => Some(new_file(file)?),
+        Some(None) => Some(out.join("recording.mcap")),
+        None => None,
+    };
     let (domain, lock) = Claim::take_new(system_id)?;
     let options = RunOptions { lockstep: arguments.lockstep, duration_s: *duration, quiet: *quiet, out };
     if shutdown.requested() {
@@ -59,8 +65,24 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     announce(&plan, *quiet);
     // Dropped after the run: the terminal is free again for its summary.
     let _view = arguments.top.then(|| TopView::start(system_id)).transpose()?;
-    let session = start(&domain, &plan, &options, lock, shutdown)?;
+    let mut session = start(&domain, &plan, &options, lock, shutdown)?;
+    if let Some(file) = recording {
+        session.record_to(&file, &options.out.join("logs"))?;
+    }
     conclude(session, &plan, &options.out)
+}
+
+/// A file of `--record` that does not exist yet, as an absolute path.
+fn new_file(file: &Path) -> anyhow::Result<PathBuf> {
+    let refuse =
+        |reason: &dyn std::fmt::Display| Failure::bad_input(format!("--record {}: {reason}", file.display()));
+    if file.exists() {
+        return Err(refuse(&"the file exists; name another one"));
+    }
+    if let Some(Err(reason)) = file.parent().map(require_writable) {
+        return Err(refuse(&reason));
+    }
+    std::path::absolute(file).map_err(|error| refuse(&error))
 }
 
 /// Prints what a user should know before the drive: warnings always; unless `quiet`, differences to the description, and

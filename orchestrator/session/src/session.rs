@@ -18,6 +18,8 @@ mod shadows;
 mod status;
 mod swaps;
 
+use std::path::Path;
+
 use audit::digest::Digests;
 use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
@@ -31,6 +33,7 @@ use shared_types::{Authority, Phase, ProcessState, Role, StopReason};
 use supervision::fleet::{Fleet, Reaped};
 use supervision::supervisor::{Action, Event, Exit, Severity, Supervisor, VisibleState};
 
+use crate::companion::Companion;
 use crate::control::ControlSocket;
 use crate::directives::Directives;
 use crate::own_processes::OwnProcesses;
@@ -76,6 +79,8 @@ pub struct Session {
     progress: Progress,
     events: Events,
     manager: ServiceManager,
+    /// Records the run, if that was asked for.
+    companion: Option<Companion>,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -134,6 +139,7 @@ impl Session {
             progress: Progress::new(options.quiet),
             events: Events::default(),
             manager: ServiceManager::new(),
+            companion: None,
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -147,6 +153,15 @@ impl Session {
     /// Calls `observer` with each scan that is recorded: for a bench.
     pub fn observe_scans(&mut self, observer: ScanObserver) {
         self.recording.observer = Some(observer);
+    }
+
+    /// Starts a recorder of this run; call it before [`Session::drive`]. Its messages go to `recorder.log` in `logs`.
+    ///
+    /// # Errors
+    /// A recorder that does not start; exit code 4.
+    pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
+        self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
+        Ok(())
     }
 
     /// Drives until all processes have ended.
@@ -179,6 +194,7 @@ impl Session {
             self.update_registry();
             self.keep_room();
             self.publish_directive()?;
+            self.check_companion();
             self.show();
         }
         self.take_heartbeats()?;
@@ -187,7 +203,12 @@ impl Session {
         self.end_companions()?;
         self.reconcile(true);
         self.progress.finish();
-        Ok(self.result())
+        let mut result = self.result();
+        if let Some(mut companion) = self.companion.take() {
+            result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
+            result.recording = Some(companion.finish());
+        }
+        Ok(result)
     }
 
     /// What was recorded; everything else of the system is gone when this returns.
@@ -282,6 +303,9 @@ impl Session {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
             self.require_obedience(&scan);
+            if let Some(companion) = &mut self.companion {
+                companion.belongs(scan.header.scan_id);
+            }
             if self.conclusion.is_open()
                 && let Some((outcome, reason)) = self.recording.judge(&scan)
             {
@@ -305,6 +329,13 @@ impl Session {
             };
             self.decide(Outcome::Failed, &format!("actuator ({label}): {what}, scan {scan_id}"));
             self.run.stop_word.latch();
+        }
+    }
+
+    /// Tells once when the recorder has failed; the drive continues without it.
+    fn check_companion(&mut self) {
+        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
+            self.progress.warn(&reason);
         }
     }
 
@@ -430,6 +461,10 @@ impl Session {
                 }
                 if phase == Phase::Driving {
                     self.await_companions(ProcessState::Connected);
+                    if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
+                        self.progress
+                            .warn("the recorder did not connect in time: the first samples may be missing");
+                    }
                     self.find_judge()?;
                     self.audit.samples.driving();
                     self.directives.grant(GRANT_AHEAD.min(self.companions.granted_scan(GRANT_AHEAD)));
@@ -449,15 +484,20 @@ impl Session {
                 self.publish_directive()?;
             }
             Action::AllStopped => {}
-            Action::Log(severity, text) => match severity {
-                Severity::Info => {
-                    tracing::debug!("{text}");
-                    self.events.push(self.recording.recorder.view().time_s, false, text);
+            Action::Log(severity, text) => {
+                if let Some(companion) = &mut self.companion {
+                    companion.note(&text);
                 }
-                Severity::Warn if self.conclusion.is_open() => self.warn(&text),
-                Severity::Error => self.warn(&text),
-                Severity::Warn => {}
-            },
+                match severity {
+                    Severity::Info => {
+                        tracing::debug!("{text}");
+                        self.events.push(self.recording.recorder.view().time_s, false, text);
+                    }
+                    Severity::Warn if self.conclusion.is_open() => self.warn(&text),
+                    Severity::Error => self.warn(&text),
+                    Severity::Warn => {}
+                }
+            }
         }
         Ok(None)
     }
@@ -521,6 +561,7 @@ impl Session {
             companions: self.companion_reports.clone(),
             swaps: self.swaps.certificates(),
             ledger: self.audit.samples.report(),
+            recording: None,
         }
     }
 }

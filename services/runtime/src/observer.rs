@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 
 use bytemuck::{bytes_of, bytes_of_mut};
-use shared_types::{Fault, Sample, SampleType};
+use shared_types::{Fault, Sample, SampleType, Topic};
 
 use crate::bell::{Bells, bit};
 use crate::enclosed::Enclosed;
@@ -90,6 +90,37 @@ impl<S: Sample> Observer<S> {
             let sample = view::<S>(sample);
             each(sample, sample.check());
         })
+    }
+}
+
+/// Copies samples of one topic as bytes: for observers of all topics.
+pub struct TopicObserver(Enclosed<Source>);
+
+impl TopicObserver {
+    /// Observes the topic from now on; call [`TopicObserver::poll`] before the queue is full.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when the topic can't be opened.
+    pub fn new(bus: &Bus, topic: Topic) -> Result<Self, RuntimeError> {
+        Source::open(bus, topic.sample_type(), false).map(Self)
+    }
+
+    /// Makes this end of all connections.
+    pub fn connect(&self) {
+        self.0.subscriber.connect();
+    }
+
+    /// The topic.
+    pub fn topic(&self) -> Topic {
+        self.0.of.topic
+    }
+
+    /// Hands all waiting samples to `each`, whatever their content; see [`Observer::poll_checked`].
+    ///
+    /// # Errors
+    /// [`RuntimeError::Bus`] when receiving fails.
+    pub fn poll(&self, each: &mut dyn FnMut(&[u8])) -> Result<(), RuntimeError> {
+        self.0.poll(each)
     }
 }
 

@@ -69,7 +69,8 @@ pub(crate) fn qos(topic: Topic) -> Qos {
         // The ledger is made from these two: 256 samples last a quarter of a second at 1 kHz.
         Topic::Actuation | Topic::Truth => Qos { buffer: 256, ..stream },
         Topic::Heartbeat => Qos { publishers: 16, subscribers: 6, ..stream },
-        Topic::Directive => Qos { publishers: 2, subscribers: 24, buffer: 2, borrowed: 2, history: 1 },
+        // In lock-step each scan is granted by one: a recorder takes them a few scans later.
+        Topic::Directive => Qos { publishers: 2, subscribers: 24, buffer: 16, borrowed: 2, history: 1 },
         Topic::Checkpoint => Qos { publishers: 16, subscribers: 12, buffer: 4, borrowed: 2, history: 1 },
     }
 }

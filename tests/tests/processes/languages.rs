@@ -7,7 +7,7 @@ mod refusals;
 mod robots;
 mod swaps;
 mod tables;
-mod tools;
+pub(crate) mod tools;
 mod tutorial;
 
 use std::process::Command;

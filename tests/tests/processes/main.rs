@@ -20,6 +20,7 @@ mod other_user;
 mod output;
 mod player;
 mod private_place;
+mod recording;
 mod restart;
 mod service_manager;
 mod set;

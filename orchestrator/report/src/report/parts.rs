@@ -1,10 +1,36 @@
 //! Small parts of the report: margins, the scanner, the obstacle of a stop, differences between scenario and description.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shared_types::{Blocking, ScannerHealth};
+
+/// The recording of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordingReport {
+    /// The file.
+    pub file: PathBuf,
+    /// Its length.
+    pub bytes: u64,
+    /// Samples in it.
+    pub samples: u64,
+    /// Samples of the drive that are missing in it.
+    pub lost: u64,
+    /// Why the recording ended before the drive; empty if it did not.
+    pub error: String,
+}
+
+impl fmt::Display for RecordingReport {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { file, bytes, samples, lost, error } = self;
+        let megabytes = *bytes as f64 * 1e-6;
+        write!(formatter, "{}, {megabytes:.2} MB, {samples} samples, {lost} lost", file.display())?;
+        if error.is_empty() { Ok(()) } else { write!(formatter, "; incomplete: {error}") }
+    }
+}
 
 /// The clearance that the driven plans kept, as the mean of each part over all commands that drive [m].
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]

@@ -13,7 +13,8 @@ use supervision::entry::ProcessEntry;
 use supervision::fleet::Fleet;
 use supervision::supervisor::{Event, Exit, Supervisor, VisibleState};
 
-use super::Session;
+use super::{GRANT_AHEAD, Session};
+use crate::companion::Companion;
 
 /// The outputs of each candidate and of the process in charge, by incarnation of the candidate.
 pub(crate) type Watches = BTreeMap<u32, Watch>;
@@ -146,7 +147,9 @@ impl Session {
             && let Some(scan) = self.swaps.granted_scan(monotonic_ns())
         {
             let held = self.companions.granted_scan(super::GRANT_AHEAD);
-            self.directives.grant(scan.min(held));
+            let copied = self.companion.as_mut().and_then(Companion::copied_scan);
+            let recorded = copied.map_or(scan, |copied| scan.min(copied + GRANT_AHEAD));
+            self.directives.grant(recorded.min(held));
         }
         for asked in self.shadows.take_asked() {
             let incarnation = self.supervisor.next_incarnation();

@@ -1,0 +1,15 @@
+//! Recordings of drives: every sample of every topic in one file that other programs read too.
+
+pub mod copy;
+pub mod export;
+mod foxglove;
+pub mod info;
+pub mod mcap;
+pub mod read;
+pub mod recorder;
+mod schema;
+mod tape;
+
+pub use read::{Recorded, Recording};
+pub use schema::{schema, type_name};
+pub use tape::Tape;

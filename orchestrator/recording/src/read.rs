@@ -1,0 +1,159 @@
+//! A recording read from its file: samples in the order in which they were recorded, and the files inside.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use console::exit::Failure;
+use shared_types::{Layouts, Topic};
+
+use crate::mcap::{Contents, ReadError, Reader};
+use crate::schema::ENCAPSULATION;
+use crate::tape::PREFIX;
+
+/// Name of the attached table of layouts.
+pub(crate) const LAYOUTS: &str = "layouts.txt";
+/// Name of the attached run: scenario, system and options.
+pub const RUN: &str = "run.toml";
+
+/// A recording that is open for reading.
+pub struct Recording {
+    path: PathBuf,
+    reader: Reader<BufReader<File>>,
+}
+
+/// A sample as it was recorded.
+#[derive(Debug, Clone, Copy)]
+pub struct Recorded<'a> {
+    /// Its topic.
+    pub topic: Topic,
+    /// When it was recorded, on the clock of the loop [ns].
+    pub log_ns: u64,
+    /// The sample.
+    pub bytes: &'a [u8],
+}
+
+impl Recording {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// A file that can't be read or is no recording of this program; exit code 2.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        let refuse =
+            |reason: &dyn std::fmt::Display| Failure::bad_input(format!("{}: {reason}", path.display()));
+        let file = File::open(path).map_err(|error| refuse(&error))?;
+        if file.metadata().is_ok_and(|metadata| metadata.len() == 0) {
+            return Err(refuse(&"the file is empty"));
+        }
+        let reader = Reader::new(BufReader::with_capacity(1 << 18, file)).map_err(|error| refuse(&error))?;
+        Ok(Self { path: path.to_owned(), reader })
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What was read beside the samples until now.
+    pub fn contents(&self) -> &Contents {
+        self.reader.contents()
+    }
+
+    /// Hands all samples to `each`, in the order in which they were recorded; other messages are left out.
+    ///
+    /// # Errors
+    /// A damaged file, or one whose samples have another size; exit code 2. Errors of `each`.
+    pub fn samples(
+        &mut self,
+        mut each: impl FnMut(&Contents, Recorded<'_>) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let mut aligned = Vec::new();
+        loop {
+            let message = match self.reader.next_message() {
+                Ok(Some(message)) => message,
+                Ok(None) => break,
+                Err(error) => return Err(refusal(&self.path, &error)),
+            };
+            let (channel, log_ns) = (message.channel, message.log_ns);
+            aligned.clear();
+            let words = message.data.get(ENCAPSULATION.len()..).unwrap_or_default();
+            // Samples begin at multiples of eight bytes.
+            aligned.resize(words.len().div_ceil(8), 0_u64);
+            bytemuck::cast_slice_mut::<u64, u8>(&mut aligned)[..words.len()].copy_from_slice(words);
+            let bytes = &bytemuck::cast_slice::<u64, u8>(&aligned)[..words.len()];
+            let contents = self.reader.contents();
+            let Some(topic) = contents.channels.get(&channel).and_then(|channel| topic_of(&channel.topic))
+            else {
+                continue;
+            };
+            if bytes.len() != topic.size() {
+                let (path, length, size) = (self.path.display(), bytes.len(), topic.size());
+                return Err(Failure::bad_input(format!(
+                    "{path}: topic {topic}: a sample has {length} bytes instead of {size}"
+                )));
+            }
+            each(contents, Recorded { topic, log_ns, bytes })?;
+        }
+        self.require_a_second()
+    }
+
+    /// Its reader.
+    pub(crate) fn reader(&mut self) -> &mut Reader<BufReader<File>> {
+        &mut self.reader
+    }
+
+    /// Passes when it was read and held at least one chunk.
+    pub(crate) fn require_a_second(&self) -> anyhow::Result<()> {
+        match self.contents().chunks {
+            0 => Err(Failure::bad_input(format!(
+                "{}: the recording holds not one whole second",
+                self.path.display()
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// The first difference between the layouts of its samples and those of this program.
+    pub fn layout_difference(contents: &Contents) -> Option<String> {
+        let text = attachment(contents, LAYOUTS)?;
+        let recorded: Layouts = match text.parse() {
+            Ok(layouts) => layouts,
+            Err(error) => return Some(format!("{LAYOUTS}: {error}")),
+        };
+        let difference = shared_types::difference(&Layouts::built_in(), &recorded, shared_types::TOPICS);
+        difference.map(|difference| difference.to_string())
+    }
+}
+
+/// The error about a file that can't be read.
+pub(crate) fn refusal(path: &Path, error: &ReadError) -> anyhow::Error {
+    Failure::bad_input(format!("{}: {error}", path.display()))
+}
+
+/// The topic of a channel; `None` for one that only viewers read.
+pub(crate) fn topic_of(channel: &str) -> Option<Topic> {
+    channel.strip_prefix(PREFIX)?.parse().ok()
+}
+
+/// The text of an attached file.
+pub fn attachment<'a>(contents: &'a Contents, name: &str) -> Option<&'a str> {
+    let found = contents.attachments.iter().find(|attachment| attachment.name == name)?;
+    std::str::from_utf8(&found.data).ok()
+}
+
+/// The value of a key in the metadata of that name.
+pub fn metadata<'a>(contents: &'a Contents, name: &str, key: &str) -> Option<&'a str> {
+    let found = contents.metadata.iter().rfind(|metadata| metadata.name == name)?;
+    found.map.iter().find(|(known, _)| known == key).map(|(_, value)| value.as_str())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_channels_of_the_system_are_topics() {
+        assert_eq!(topic_of("/scanloop/pose"), Some(Topic::Pose));
+        assert_eq!(topic_of("/foxglove/pose"), None);
+    }
+}

@@ -1,0 +1,226 @@
+//! The samples of a system as a recording: which channel a sample goes to, and what is kept of checkpoints.
+
+use std::io::{self, Write};
+
+use bytemuck::from_bytes;
+use shared_types::{
+    Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Pose, ROLES, Role, Scan, TOPICS, Topic,
+};
+
+use crate::foxglove::{self, Level};
+use crate::mcap::{Channel, Schema, Writer};
+use crate::schema::{ENCAPSULATION, ROS2MSG, schema, type_name};
+
+/// Chunks end after this recorded time: what a cut-off recording may lose at most [ns].
+const CHUNK_NS: u64 = 1_000_000_000;
+/// Or with this many bytes.
+const CHUNK_BYTES: usize = 4 << 20;
+/// Of the checkpoints of a role, one is recorded in this time [ns].
+const CHECKPOINT_NS: u64 = 1_000_000_000;
+/// What the file names as its writer.
+pub(crate) const LIBRARY: &str = concat!("scanloop ", env!("CARGO_PKG_VERSION"));
+/// In front of the topics of the system.
+pub(crate) const PREFIX: &str = "/scanloop/";
+
+/// A recording that is being written.
+pub struct Tape<W: Write> {
+    writer: Writer<W>,
+    chunk_start_ns: Option<u64>,
+    /// The newest time of the loop that was recorded [ns].
+    now_ns: u64,
+    /// The newest checkpoint of each role, and when the last one was recorded.
+    checkpoints: [(Option<Box<Checkpoint>>, u64); ROLES],
+    authority: [u32; ROLES],
+    /// The newest process of each role, and until when all checkpoints of the role are recorded, because a process that
+    /// joins takes one of them [ns].
+    joins: [(u32, u64); ROLES],
+    simulated: bool,
+}
+
+impl<W: Write> Tape<W> {
+    /// Begins a recording; in `simulated` time the stamps of all samples are those of the loop.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn new(out: W, simulated: bool) -> io::Result<Self> {
+        let of_topic = |topic: &Topic| Schema {
+            name: type_name(*topic),
+            encoding: ROS2MSG.to_owned(),
+            text: schema(*topic),
+        };
+        let schemas: Vec<Schema> = TOPICS.iter().map(of_topic).chain(foxglove::schemas()).collect();
+        let topics = TOPICS.iter().map(|topic| {
+            let layout = [("type".to_owned(), topic.type_name().to_owned())];
+            (format!("{PREFIX}{topic}"), layout.to_vec())
+        });
+        let drawn = foxglove::CHANNELS.iter().map(|(topic, ..)| ((*topic).to_owned(), Vec::new()));
+        let channels: Vec<Channel> = topics
+            .chain(drawn)
+            .enumerate()
+            .map(|(index, (topic, metadata))| Channel { topic, schema: index as u16, metadata })
+            .collect();
+        let writer = Writer::new(out, LIBRARY, &schemas, &channels)?;
+        let checkpoints = std::array::from_fn(|_| (None, 0));
+        Ok(Self {
+            writer,
+            chunk_start_ns: None,
+            now_ns: 0,
+            checkpoints,
+            authority: [0; ROLES],
+            joins: [(0, 0); ROLES],
+            simulated,
+        })
+    }
+
+    /// Adds a file as an attachment.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn attach(&mut self, name: &str, data: &[u8]) -> io::Result<()> {
+        let media_type = if name.ends_with(".toml") { "application/toml" } else { "text/plain" };
+        self.writer.attach(name, media_type, data, self.now_ns)
+    }
+
+    /// Adds texts about the recording.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn describe(&mut self, name: &str, map: &[(String, String)]) -> io::Result<()> {
+        self.writer.metadata(name, map)
+    }
+
+    /// Adds a sample of a topic, as its bytes, and what viewers draw of it.
+    ///
+    /// Of checkpoints, one per role and second is added, each that was newest when another process took over, and all
+    /// in the second after a process has started.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn sample(&mut self, topic: Topic, bytes: &[u8]) -> io::Result<()> {
+        match topic {
+            Topic::Checkpoint => {
+                let checkpoint: &Checkpoint = from_bytes(bytes);
+                let Ok(role) = Role::try_from(checkpoint.role) else { return Ok(()) };
+                let (newest, recorded_ns) = &mut self.checkpoints[role.index()];
+                let is_due = self.now_ns >= *recorded_ns + CHECKPOINT_NS || *recorded_ns == 0;
+                if !is_due && self.now_ns >= self.joins[role.index()].1 {
+                    match newest {
+                        Some(newest) => **newest = *checkpoint,
+                        None => *newest = Some(Box::new(*checkpoint)),
+                    }
+                    return Ok(());
+                }
+                (*newest, *recorded_ns) = (None, self.now_ns.max(1));
+            }
+            Topic::Directive => self.keep_handed_over(from_bytes(bytes))?,
+            Topic::Heartbeat => self.keep_joined(from_bytes(bytes))?,
+            _ => {}
+        }
+        self.put(topic, bytes)?;
+        match topic {
+            Topic::Scan => self.draw(foxglove::SCAN, &foxglove::scan(from_bytes::<Scan>(bytes))),
+            Topic::Pose => {
+                let pose: &Pose = from_bytes(bytes);
+                self.draw(foxglove::POSE, &foxglove::pose(pose))?;
+                self.draw(foxglove::TRANSFORM, &foxglove::transform(pose))
+            }
+            Topic::Command => self.draw(foxglove::PATH, &foxglove::path(from_bytes::<Command>(bytes))),
+            Topic::Obstacles => {
+                self.draw(foxglove::OBSTACLES, &foxglove::obstacles(from_bytes::<Obstacles>(bytes)))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds a line of a log; `name` is the role.
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn log(&mut self, name: &str, line: &str) -> io::Result<()> {
+        let level = match line {
+            _ if line.contains("ERROR") => Level::Error,
+            _ if line.contains("WARN") => Level::Warning,
+            _ => Level::Info,
+        };
+        let message = foxglove::log(self.now_ns, level, name, line);
+        self.draw(foxglove::LOG, &message)
+    }
+
+    /// Bytes written until now.
+    pub fn bytes(&self) -> u64 {
+        self.writer.bytes()
+    }
+
+    /// The newest time of the loop in it [ns].
+    pub fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    /// Ends the recording; returns its length [bytes].
+    ///
+    /// # Errors
+    /// Those of the output.
+    pub fn finish(self) -> io::Result<u64> {
+        self.writer.finish().map(|(_, bytes)| bytes)
+    }
+
+    /// When another process gets authority, the newest checkpoint of its role is what it resumed from.
+    fn keep_handed_over(&mut self, directive: &Directive) -> io::Result<()> {
+        for role in Role::ALL {
+            let index = role.index();
+            let incarnation = directive.authority[index].incarnation;
+            if std::mem::replace(&mut self.authority[index], incarnation) != incarnation
+                && let Some(handed) = self.checkpoints[index].0.take()
+            {
+                self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// When a process starts, the newest checkpoint of its role may be what it resumes from.
+    fn keep_joined(&mut self, heartbeat: &Heartbeat) -> io::Result<()> {
+        let Ok(role) = Role::try_from(heartbeat.role) else { return Ok(()) };
+        let (newest, until_ns) = &mut self.joins[role.index()];
+        if heartbeat.header.incarnation > *newest {
+            (*newest, *until_ns) = (heartbeat.header.incarnation, self.now_ns + CHECKPOINT_NS);
+            if let Some(handed) = self.checkpoints[role.index()].0.take() {
+                self.put(Topic::Checkpoint, bytemuck::bytes_of(&*handed))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn put(&mut self, topic: Topic, bytes: &[u8]) -> io::Result<()> {
+        let header = (topic.sample_type().header)(bytes);
+        let stamp_ns = match topic {
+            // These carry the time of the machine.
+            Topic::Heartbeat if !self.simulated => from_bytes::<Heartbeat>(bytes).issued_ns,
+            Topic::Directive if !self.simulated => from_bytes::<Directive>(bytes).issued_ns,
+            Topic::Checkpoint if !self.simulated => from_bytes::<Checkpoint>(bytes).issued_ns,
+            _ => topic.writer().map_or(0, |role| published_ns(header, role)),
+        };
+        self.now_ns = self.now_ns.max(stamp_ns);
+        let log_ns = if stamp_ns == 0 { self.now_ns } else { stamp_ns };
+        self.message(topic as u16, header.sequence as u32, log_ns, &[&ENCAPSULATION, bytes])
+    }
+
+    fn draw(&mut self, channel: usize, message: &[u8]) -> io::Result<()> {
+        self.message((TOPICS.len() + channel) as u16, 0, self.now_ns, &[message])
+    }
+
+    fn message(&mut self, channel: u16, sequence: u32, log_ns: u64, data: &[&[u8]]) -> io::Result<()> {
+        let start_ns = *self.chunk_start_ns.get_or_insert(self.now_ns);
+        self.writer.message_parts(channel, sequence, log_ns, data)?;
+        if self.now_ns >= start_ns + CHUNK_NS || self.writer.open_bytes() >= CHUNK_BYTES {
+            self.chunk_start_ns = None;
+            self.writer.end_chunk()?;
+        }
+        Ok(())
+    }
+}
+
+/// When the sample of a role was published [ns].
+pub(crate) fn published_ns(header: &Header, role: Role) -> u64 {
+    header.stage(role).published_ns
+}

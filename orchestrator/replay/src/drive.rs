@@ -1,0 +1,296 @@
+//! A recorded drive in memory: its samples by process and by scan, its settings, and who was in charge.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use anyhow::Context;
+use console::exit::Failure;
+use recording::Recording;
+use recording::read::{attachment, metadata};
+use runtime::settings_file;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use shared_types::{
+    Actuation, Authority, Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Odometry, Pose,
+    ROLES, Role, Sample, Scan, Topic, Truth,
+};
+use supervision::entry::ProcessRow;
+use toml::{Table, Value};
+
+/// Samples of one topic in the order of the recording.
+#[derive(Debug, Default)]
+pub(crate) struct Lane<S> {
+    pub(crate) samples: Vec<S>,
+    by_scan: BTreeMap<u64, Vec<usize>>,
+}
+
+impl<S: Sample> Lane<S> {
+    fn add(&mut self, bytes: &[u8]) {
+        let sample: &S = bytemuck::from_bytes(bytes);
+        self.by_scan.entry(sample.header().scan_id).or_default().push(self.samples.len());
+        self.samples.push(*sample);
+    }
+
+    /// The samples of a scan.
+    pub(crate) fn of_scan(&self, scan_id: u64) -> impl Iterator<Item = &S> {
+        self.by_scan.get(&scan_id).into_iter().flatten().map(|index| &self.samples[*index])
+    }
+
+    /// The samples of a process, by number.
+    pub(crate) fn of_process(&self, incarnation: u32) -> Vec<&S> {
+        let mut found: Vec<&S> =
+            self.samples.iter().filter(|sample| sample.header().incarnation == incarnation).collect();
+        found.sort_by_key(|sample| sample.header().sequence);
+        found
+    }
+}
+
+/// A recorded drive.
+#[derive(Debug, Default)]
+pub struct Drive {
+    pub(crate) scans: Lane<Scan>,
+    pub(crate) odometries: Lane<Odometry>,
+    pub(crate) truths: Lane<Truth>,
+    pub(crate) poses: Lane<Pose>,
+    pub(crate) obstacles: Lane<Obstacles>,
+    pub(crate) commands: Lane<Command>,
+    pub(crate) actuations: Lane<Actuation>,
+    pub(crate) checkpoints: Vec<Checkpoint>,
+    /// When each directive was published, and whether it demanded a stop.
+    pub(crate) stops: Vec<(u64, bool)>,
+    /// Changes of authority per role, in their order.
+    authority: [Vec<Authority>; ROLES],
+    pub(crate) simulated: bool,
+    pub(crate) period_ns: u64,
+    /// The last scan of the run in lock-step.
+    pub(crate) last_scan: Option<u64>,
+    settings: BTreeMap<Role, Table>,
+    /// Keys were changed: outputs are expected to differ.
+    pub(crate) is_changed: bool,
+    /// Per process: the first sample of each actuator that it received.
+    first_actuations: BTreeMap<u32, BTreeMap<u32, u64>>,
+    /// When a process got authority, if that was before it was started [ns].
+    granted_ns: BTreeMap<u32, u64>,
+    /// Processes that are no implementation of this program, and what they are.
+    foreign: BTreeMap<u32, String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Processes {
+    #[serde(default)]
+    process: Vec<ProcessRow>,
+}
+
+impl Drive {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// A file that can't be read, or samples of another layout; exit code 2.
+    pub fn read(path: &Path) -> anyhow::Result<Self> {
+        let mut recording = Recording::open(path)?;
+        let mut drive = Self::default();
+        let mut is_checked = false;
+        recording.samples(|contents, sample| {
+            if !std::mem::replace(&mut is_checked, true)
+                && let Some(difference) = Recording::layout_difference(contents)
+            {
+                return Err(Failure::bad_input(format!("{}: another layout: {difference}", path.display())));
+            }
+            drive.add(sample.topic, sample.log_ns, sample.bytes);
+            Ok(())
+        })?;
+        let contents = recording.contents();
+        let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
+        for role in Role::ALL {
+            let name = settings_file(*role);
+            let text = attachment(contents, &name).ok_or_else(|| refuse(format!("{name} is missing")))?;
+            let table: Table = text.parse().map_err(|error| refuse(format!("{name}: {error}")))?;
+            drive.settings.insert(*role, table);
+        }
+        let run: runtime::RunSettings = drive.table(Role::Robot, "run")?;
+        drive.period_ns = run.period_ns;
+        drive.simulated = run.clock == runtime::ClockKind::Simulated;
+        let last_scan = metadata(contents, "end", "last_scan").and_then(|scan| scan.parse().ok());
+        drive.last_scan = last_scan.filter(|scan| drive.simulated && *scan > 0);
+        for attached in contents.attachments.iter().filter(|attached| attached.name.starts_with("processes-"))
+        {
+            let processes = toml::from_slice::<Processes>(&attached.data)
+                .map_err(|error| refuse(format!("{}: {error}", attached.name)))?;
+            drive.note_foreign(processes.process);
+        }
+        Ok(drive)
+    }
+
+    /// Changes keys of the stages.
+    ///
+    /// # Errors
+    /// What is wrong with a text that is no `ROLE.KEY=VALUE`.
+    pub fn set(&mut self, texts: &[String]) -> Result<(), String> {
+        for text in texts {
+            let allowed = "KEY=VALUE, where KEY begins with estimator, obstacles, controller, actuator, vehicle or scenario";
+            let (key, value) = text.split_once('=').ok_or_else(|| format!("{text}: expected {allowed}"))?;
+            let value: Value = format!("value = {value}")
+                .parse::<Table>()
+                .ok()
+                .and_then(|mut table| table.remove("value"))
+                .unwrap_or_else(|| Value::String(value.to_owned()));
+            let (table, rest) = key.split_once('.').ok_or_else(|| format!("{text}: expected {allowed}"))?;
+            let targets: Vec<(Role, String)> = match table {
+                "scenario" => vec![(Role::Robot, key.to_owned())],
+                "vehicle" => {
+                    let stages = Role::ALL.iter().filter(|role| **role != Role::Robot);
+                    stages.map(|role| (*role, format!("{role}.vehicle.{rest}"))).collect()
+                }
+                name => match name.parse::<Role>() {
+                    Ok(role) if role != Role::Robot => vec![(role, key.to_owned())],
+                    _ => return Err(format!("{text}: expected {allowed}")),
+                },
+            };
+            for (role, key) in targets {
+                let table = self.settings.get_mut(&role).ok_or("a role has no settings")?;
+                set_key(table, &key, value.clone()).map_err(|reason| format!("{text}: {reason}"))?;
+            }
+            self.is_changed = true;
+        }
+        Ok(())
+    }
+
+    /// Scans between two limits.
+    pub(crate) fn scans(&self, from: Option<u64>, to: Option<u64>) -> u64 {
+        let ids: BTreeSet<u64> = self.scans.samples.iter().map(|scan| scan.header.scan_id).collect();
+        ids.range(from.unwrap_or(0)..=to.unwrap_or(u64::MAX)).count() as u64
+    }
+
+    /// One table of the settings of a role.
+    pub(crate) fn table<T: DeserializeOwned>(&self, role: Role, name: &str) -> anyhow::Result<T> {
+        let table = self.settings.get(&role).and_then(|table| table.get(name)).cloned();
+        let value = table.with_context(|| format!("{}: table {name} is missing", settings_file(role)))?;
+        T::deserialize(value)
+            .map_err(|error| Failure::bad_input(format!("{}: {name}: {error}", settings_file(role))))
+    }
+
+    /// The sample that an output with this header was made from: same scan, same stamps of the role that wrote it.
+    pub(crate) fn input<'a, S: Sample>(
+        &self,
+        lane: &'a Lane<S>,
+        writer: Role,
+        output: &Header,
+    ) -> Option<&'a S> {
+        let stamps = output.stage(writer);
+        let fits = |sample: &&S| sample.header().stage(writer) == stamps;
+        let found: Vec<&S> = lane.of_scan(output.scan_id).filter(fits).collect();
+        // In lock-step two processes of a swap have the same stamps.
+        let counts = |sample: &&&S| self.counts(writer, sample.header());
+        found.iter().find(counts).or(found.first()).copied()
+    }
+
+    /// Whether a sample of a role counts for its scan.
+    pub(crate) fn counts(&self, role: Role, header: &Header) -> bool {
+        let changes = &self.authority[role.index()];
+        changes.iter().any(|authority| authority.accepts(header.incarnation, header.scan_id))
+    }
+
+    /// Whether an estimator has received an actuation: on the bus, or handed over when it was started.
+    ///
+    /// One that was published in between reached neither the process before it nor this one.
+    pub(crate) fn has_received(&self, incarnation: u32, actuation: &Header) -> bool {
+        let Some(granted_ns) = self.granted_ns.get(&incarnation) else { return true };
+        let first =
+            self.first_actuations.get(&incarnation).and_then(|first| first.get(&actuation.incarnation));
+        actuation.stage(Role::Actuator).published_ns <= *granted_ns
+            || first.is_none_or(|first| actuation.sequence >= *first)
+    }
+
+    /// What a process is, if it is no implementation of this program.
+    pub(crate) fn foreign(&self, incarnation: u32) -> Option<&str> {
+        self.foreign.get(&incarnation).map(String::as_str)
+    }
+
+    /// Whether a stop was demanded at a time [ns].
+    pub(crate) fn is_stopped(&self, time_ns: u64) -> bool {
+        let newest = self.stops.iter().take_while(|(issued_ns, _)| *issued_ns <= time_ns).last();
+        newest.is_some_and(|(_, stop)| *stop)
+    }
+
+    fn note_foreign(&mut self, rows: Vec<ProcessRow>) {
+        const BUILT_IN: [&str; 5] = ["emulator", "ekf", "ellipses", "nmpc", "actuation"];
+        for row in rows {
+            let implementation = row.entry.implementation.as_deref().unwrap_or_default();
+            if row.entry.command.is_some() || !BUILT_IN.contains(&implementation) {
+                self.foreign.insert(row.identity.incarnation, row.entry.label());
+            }
+        }
+    }
+
+    fn add(&mut self, topic: Topic, log_ns: u64, bytes: &[u8]) {
+        match topic {
+            Topic::Scan => self.scans.add(bytes),
+            Topic::Odometry => self.odometries.add(bytes),
+            Topic::Truth => self.truths.add(bytes),
+            Topic::Pose => self.poses.add(bytes),
+            Topic::Obstacles => self.obstacles.add(bytes),
+            Topic::Command => self.commands.add(bytes),
+            Topic::Actuation => self.actuations.add(bytes),
+            Topic::Checkpoint => self.checkpoints.push(*bytemuck::from_bytes(bytes)),
+            Topic::Directive => {
+                let directive: &Directive = bytemuck::from_bytes(bytes);
+                self.stops.push((log_ns, directive.stop == 1));
+                for (known, authority) in self.authority.iter_mut().zip(directive.authority) {
+                    if known.last() != Some(&authority) {
+                        // A process that takes over from one that works gets its state otherwise.
+                        if !known.is_empty() && authority.previous == 0 {
+                            self.granted_ns.entry(authority.incarnation).or_insert(log_ns);
+                        }
+                        known.push(authority);
+                    }
+                }
+            }
+            Topic::Heartbeat => {
+                let heartbeat: &Heartbeat = bytemuck::from_bytes(bytes);
+                if heartbeat.role == Role::Estimator.wire() {
+                    let known = self.first_actuations.entry(heartbeat.header.incarnation).or_default();
+                    for span in heartbeat.inputs.iter().skip(1).flat_map(|input| &input.writers) {
+                        if span.incarnation != 0 {
+                            let first = known.entry(span.incarnation).or_insert(span.first);
+                            *first = span.first.min(*first);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn set_key(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
+    let (name, rest) = key.split_once('.').map_or((key, None), |(name, rest)| (name, Some(rest)));
+    match (table.get_mut(name), rest) {
+        (Some(Value::Table(inner)), Some(rest)) => set_key(inner, rest, value),
+        (Some(known), None) => {
+            // `1` for a number with a fraction.
+            *known = match (&*known, value) {
+                (Value::Float(_), Value::Integer(number)) => Value::Float(number as f64),
+                (_, value) => value,
+            };
+            Ok(())
+        }
+        _ => {
+            let keys: Vec<&str> = table.keys().map(String::as_str).collect();
+            Err(format!("unknown key {name}; known are {}", keys.join(", ")))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_set_where_they_are() {
+        let mut table: Table =
+            "[controller]\nhorizon_s = 2.0\n[controller.stop]\ntime_s = 1.0".parse().unwrap();
+        set_key(&mut table, "controller.stop.time_s", Value::Integer(3)).unwrap();
+        assert_eq!(table["controller"]["stop"]["time_s"], Value::Float(3.0));
+        let refused = set_key(&mut table, "controller.horizon", Value::Integer(3)).unwrap_err();
+        assert_eq!(refused, "unknown key horizon; known are horizon_s, stop");
+    }
+}

@@ -1,0 +1,236 @@
+//! One stage: its processes one after the other, each from its start or from a recorded state.
+
+mod actuator;
+mod controller;
+mod estimator;
+mod obstacles;
+mod robot;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytemuck::Pod;
+use handover::swap::agreement::{OutputSummary, disagreement};
+use shared_types::{Checkpoint, Described, Header, Role, Sample};
+
+use crate::compare::{Difference, difference, take_over};
+use crate::drive::Lane;
+use crate::{Drive, MAX_DIFFERENCES, Options, Report, Skipped};
+
+/// What a stage starts from.
+pub(crate) enum Origin<S> {
+    /// Nothing: the first process of a role.
+    Start,
+    /// The state after this scan.
+    State(u64, Box<S>),
+}
+
+/// What was found in the outputs of one role.
+#[derive(Debug, Default)]
+pub(crate) struct Findings {
+    report: Report,
+    reasons: BTreeMap<(&'static str, u32, &'static str), u64>,
+}
+
+impl Findings {
+    /// Compares an output with the recorded one.
+    pub(crate) fn compare<S: Sample>(
+        &mut self,
+        recorded: &S,
+        mut replayed: S,
+        role: Role,
+        drive: &Drive,
+        options: &Options,
+    ) {
+        self.report.samples += 1;
+        self.report.compared += 1;
+        take_over(recorded, &mut replayed, role);
+        match difference(recorded, &replayed) {
+            None => self.report.identical += 1,
+            Some(difference) => {
+                if drive.is_changed && is_beyond(recorded, &replayed, options.tolerance) {
+                    self.report.beyond += 1;
+                }
+                self.note(difference);
+            }
+        }
+    }
+
+    fn note(&mut self, difference: Difference) {
+        if self.report.differences.len() < MAX_DIFFERENCES {
+            self.report.differences.push(difference);
+        }
+    }
+
+    /// Counts an output that can't be recomputed.
+    pub(crate) fn skip<S: Sample>(&mut self, recorded: &S, reason: &'static str) {
+        self.report.samples += 1;
+        self.report.skipped += 1;
+        *self.reasons.entry((S::TOPIC.name(), recorded.header().incarnation, reason)).or_default() += 1;
+    }
+
+    /// Counts an output that does not belong to the run.
+    pub(crate) fn after_end(&mut self) {
+        self.report.after_end += 1;
+    }
+
+    /// Adds it to the report of all roles.
+    pub(crate) fn add_to(self, report: &mut Report) {
+        let Report { samples, compared, skipped, identical, beyond, differences, after_end, .. } =
+            self.report;
+        report.samples += samples;
+        report.compared += compared;
+        report.skipped += skipped;
+        report.identical += identical;
+        report.beyond += beyond;
+        report.after_end += after_end;
+        report.differences.extend(differences);
+        report.reasons.extend(self.reasons.into_iter().map(|((topic, incarnation, reason), samples)| {
+            Skipped { topic, incarnation, reason: reason.to_owned(), samples }
+        }));
+    }
+}
+
+/// Whether two outputs of one scan differ more than two processes of one role may.
+fn is_beyond<S: Sample>(recorded: &S, replayed: &S, tolerance: f64) -> bool {
+    fn summary<S: Sample>(sample: &S) -> Option<OutputSummary> {
+        let bytes = bytemuck::bytes_of(sample);
+        match S::TOPIC {
+            shared_types::Topic::Pose => Some(bytemuck::from_bytes::<shared_types::Pose>(bytes).into()),
+            shared_types::Topic::Obstacles => {
+                Some(bytemuck::from_bytes::<shared_types::Obstacles>(bytes).into())
+            }
+            shared_types::Topic::Command => Some(bytemuck::from_bytes::<shared_types::Command>(bytes).into()),
+            shared_types::Topic::Actuation => {
+                Some(bytemuck::from_bytes::<shared_types::Actuation>(bytes).into())
+            }
+            _ => None,
+        }
+    }
+    match (summary(recorded), summary(replayed)) {
+        (Some(recorded), Some(replayed)) => disagreement(&recorded, &replayed, tolerance).is_some(),
+        _ => true,
+    }
+}
+
+/// Replays one role.
+pub(crate) fn replay(role: Role, drive: &Drive, options: &Options) -> anyhow::Result<Findings> {
+    let mut findings = Findings::default();
+    match role {
+        Role::Robot => robot::replay(drive, options, &mut findings)?,
+        Role::Estimator => estimator::replay(drive, options, &mut findings)?,
+        Role::Obstacles => obstacles::replay(drive, options, &mut findings)?,
+        Role::Controller => controller::replay(drive, options, &mut findings)?,
+        Role::Actuator => actuator::replay(drive, options, &mut findings)?,
+    }
+    Ok(findings)
+}
+
+/// Which outputs of a process are recomputed.
+pub(crate) struct Window {
+    /// From this scan on.
+    pub(crate) from: u64,
+    /// Up to this scan.
+    pub(crate) to: u64,
+    last_scan: u64,
+}
+
+impl Window {
+    /// The window of the options.
+    pub(crate) fn of(drive: &Drive, options: &Options) -> Self {
+        let (from, to) = (options.from.unwrap_or(0), options.to.unwrap_or(u64::MAX));
+        Self { from, to, last_scan: drive.last_scan.unwrap_or(u64::MAX) }
+    }
+
+    /// Whether an output is compared; it is counted if it does not belong to the run.
+    pub(crate) fn holds(&self, header: &Header, findings: &mut Findings) -> bool {
+        let holds = (self.from..=self.to).contains(&header.scan_id);
+        if holds && header.scan_id > self.last_scan {
+            findings.after_end();
+            return false;
+        }
+        holds
+    }
+}
+
+/// Replays each process of a role: `run` gets outputs without a gap, what it starts from, and counts what it finds. It
+/// returns how many it recomputed: fewer than all where an input was not recorded.
+///
+/// Behind a gap a process is replayed from its next recorded state. Outputs up to there, those before the first recorded
+/// state, and those of programs that are not part of this one are skipped.
+pub(crate) fn each_process<S: Sample, T: Pod + Described>(
+    role: Role,
+    lane: &Lane<S>,
+    drive: &Drive,
+    options: &Options,
+    findings: &mut Findings,
+    mut run: impl FnMut(&[&S], Origin<T>, &mut Findings) -> anyhow::Result<usize>,
+) -> anyhow::Result<()> {
+    let window = Window::of(drive, options);
+    let processes: BTreeSet<u32> = lane.samples.iter().map(|sample| sample.header().incarnation).collect();
+    let first = processes.first().copied();
+    for incarnation in processes {
+        let outputs = lane.of_process(incarnation);
+        let Some(start) = outputs.first().map(|output| *output.header()) else { continue };
+        let skip = |outputs: &[&S], reason: &'static str, findings: &mut Findings| {
+            for output in outputs {
+                if window.holds(output.header(), findings) {
+                    findings.skip(*output, reason);
+                }
+            }
+        };
+        if drive.foreign(incarnation).is_some() {
+            skip(&outputs, "not_compared: the process is no implementation of this program", findings);
+            continue;
+        }
+        let is_start = Some(incarnation) == first && start.sequence == 1;
+        let wanted = window.from.saturating_sub(1);
+        let states = drive.checkpoints.iter().filter(|checkpoint| checkpoint.role == role.wire());
+        let own = |checkpoint: &&Checkpoint| checkpoint.header.incarnation == incarnation;
+        // The state nearest before the window, else the first of this process.
+        let nearest =
+            states.clone().filter(own).filter(|checkpoint| checkpoint.header.scan_id <= wanted).last();
+        let inherited = || {
+            let others = states.clone().filter(|checkpoint| checkpoint.header.incarnation != incarnation);
+            others.filter(|checkpoint| checkpoint.header.scan_id < start.scan_id).last()
+        };
+        let chosen = match nearest {
+            Some(nearest) if options.from.is_some() => Some(nearest),
+            _ if is_start => None,
+            _ => inherited().filter(|_| start.sequence == 1).or_else(|| states.clone().find(own)),
+        };
+        let origin = match chosen.map(|checkpoint| (checkpoint.header.scan_id, checkpoint.state::<T>())) {
+            Some((scan_id, Ok(state))) => Origin::State(scan_id, Box::new(state)),
+            None if is_start => Origin::Start,
+            _ => {
+                skip(&outputs, "no state of the process was recorded", findings);
+                continue;
+            }
+        };
+        let begin = match &origin {
+            Origin::Start => 0,
+            Origin::State(scan_id, _) => {
+                outputs.partition_point(|output| output.header().scan_id <= *scan_id)
+            }
+        };
+        skip(&outputs[..begin], "before the first recorded state", findings);
+        let (mut rest, mut origin) = (&outputs[begin..], origin);
+        loop {
+            let follows = |pair: &[&S]| pair[1].header().sequence == pair[0].header().sequence + 1;
+            let length = rest.windows(2).position(|pair| !follows(pair)).map_or(rest.len(), |last| last + 1);
+            let done = run(&rest[..length], origin, findings)?;
+            rest = &rest[done..];
+            let Some(lost) = rest.first().map(|output| output.header().scan_id) else { break };
+            let next = states.clone().filter(own).find(|checkpoint| checkpoint.header.scan_id >= lost);
+            let state =
+                next.and_then(|checkpoint| Some((checkpoint.header.scan_id, checkpoint.state::<T>().ok()?)));
+            let Some((scan_id, state)) = state else {
+                skip(rest, "behind a gap of the recording", findings);
+                break;
+            };
+            let known = rest.partition_point(|output| output.header().scan_id <= scan_id);
+            skip(&rest[..known], "behind a gap of the recording", findings);
+            (rest, origin) = (&rest[known..], Origin::State(scan_id, Box::new(state)));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,165 @@
+//! `scanloop record` and `scanloop recording`.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use console::exit::{Exit, Failure};
+use console::note;
+use console::output::data;
+use recording::info::Info;
+use recording::recorder::{Options, record as record_system};
+use recording::{copy, export};
+use runtime::Shutdown;
+use session::arguments::check_duration;
+
+use crate::print_json;
+
+/// Arguments of `record`.
+#[derive(Debug, Args)]
+pub struct RecordArguments {
+    /// The recording.
+    #[arg(value_name = "FILE", default_value = "recording.mcap")]
+    pub file: PathBuf,
+    /// Stop after this many seconds; without it at Ctrl-C, or when the system ends.
+    #[arg(long, value_name = "S")]
+    pub duration: Option<f64>,
+    /// Replace a file of that name.
+    #[arg(long)]
+    pub force: bool,
+    /// Print what was recorded as JSON to standard output.
+    #[arg(long)]
+    pub json: bool,
+    /// Take orders from standard input; `run --record` starts the recorder with this option.
+    #[arg(long, hide = true)]
+    pub companion: bool,
+}
+
+/// What to do with a recording.
+#[derive(Debug, Subcommand)]
+pub enum RecordingCommand {
+    /// Show what a recording holds.
+    Info {
+        /// The recording.
+        file: PathBuf,
+        /// Print JSON to standard output.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Make a whole recording of one that was cut off.
+    Repair {
+        /// The recording that was cut off.
+        file: PathBuf,
+        /// The new recording; without it `NAME-repaired.mcap` beside the old one.
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+        /// Replace a file of that name.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Copy some seconds of a recording into a new one.
+    Cut {
+        /// The recording.
+        file: PathBuf,
+        /// The first second, counted from the start of the recording.
+        #[arg(long, value_name = "S", default_value_t = 0.0)]
+        from: f64,
+        /// The last second.
+        #[arg(long, value_name = "S")]
+        to: Option<f64>,
+        /// The new recording.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// Replace a file of that name.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Export a recording for other programs.
+    #[command(group = clap::ArgGroup::new("form").required(true).multiple(true))]
+    Export {
+        /// The recording.
+        file: PathBuf,
+        /// Folder for one table per topic.
+        #[arg(long, value_name = "DIR", group = "form")]
+        csv: Option<PathBuf>,
+        /// Folder for a bag of ROS 2.
+        #[arg(long, value_name = "DIR", group = "form")]
+        rosbag2: Option<PathBuf>,
+        /// Replace files of the same name.
+        #[arg(long)]
+        force: bool,
+    },
+}
+
+/// Records a running system.
+///
+/// # Errors
+/// A system that does not run, a file that exists; exit code 2. Errors of the bus.
+pub(crate) fn record(system_id: &str, arguments: &RecordArguments) -> anyhow::Result<Exit> {
+    check_duration(arguments.duration)?;
+    let domain = supervision::runs::existing(system_id)?;
+    let shutdown = Shutdown::on_signals()?;
+    let RecordArguments { file, duration, force, companion, .. } = arguments;
+    let options = Options {
+        file: file.clone(),
+        force: *force,
+        duration: duration.map(Duration::from_secs_f64),
+        companion: *companion,
+    };
+    let summary = record_system(&domain, &options, &shutdown)?;
+    let megabytes = summary.bytes as f64 * 1e-6;
+    note!("{}: {megabytes:.2} MB, {} samples, {} lost", file.display(), summary.samples, summary.lost);
+    print_json(arguments.json, &summary)?;
+    if summary.error.is_empty() {
+        return Ok(Exit::Done);
+    }
+    note!("error: {}: {}; what was written before is readable", file.display(), summary.error);
+    Ok(Exit::NotReached)
+}
+
+/// Shows, repairs, cuts or exports a recording.
+///
+/// # Errors
+/// A file that can't be read or written; exit code 2.
+pub(crate) fn recording(command: &RecordingCommand) -> anyhow::Result<Exit> {
+    match command {
+        RecordingCommand::Info { file, json } => {
+            let info = Info::read(file)?;
+            print_json(*json, &info)?;
+            if !json {
+                data(&info.to_string())?;
+            }
+        }
+        RecordingCommand::Repair { file, out, force } => {
+            let out = out.clone().unwrap_or_else(|| repaired(file));
+            let copied = copy::copy(file, &out, *force, 0..=u64::MAX)?;
+            let state = if copied.was_complete { "was complete" } else { "was cut off" };
+            note!("{} {state}; {} has {} messages", file.display(), out.display(), copied.messages);
+        }
+        RecordingCommand::Cut { file, from, to, out, force } => {
+            let allowed = |seconds: f64| (0.0..=1e6).contains(&seconds);
+            if !allowed(*from) || to.is_some_and(|to| !allowed(to) || to < *from) {
+                return Err(Failure::bad_input(
+                    "--from and --to are seconds: 0 to 1000000, --from before --to",
+                ));
+            }
+            let ns = |seconds: f64| (seconds * 1e9) as u64;
+            let copied = copy::copy(file, out, *force, ns(*from)..=to.map_or(u64::MAX, ns))?;
+            note!("{}: {} messages, {} bytes", out.display(), copied.messages, copied.bytes);
+        }
+        RecordingCommand::Export { file, csv, rosbag2, force } => {
+            if let Some(folder) = csv {
+                note!("{}: {} rows", folder.display(), export::csv(file, folder, *force)?);
+            }
+            if let Some(folder) = rosbag2 {
+                note!("{}: {} messages", folder.display(), export::rosbag2(file, folder, *force)?);
+            }
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn repaired(file: &Path) -> PathBuf {
+    let name = file.file_stem().unwrap_or_default().to_string_lossy();
+    file.with_file_name(format!("{name}-repaired.mcap"))
+}

@@ -1,0 +1,206 @@
+//! The recorder of a run as the orchestrator sees it: a process that observes, and may fail without an effect.
+//!
+//! It is no process of the run: it has no role and no authority, and it is neither restarted nor adopted. In lock-step
+//! the grants wait for it while it copies; one that copies nothing for [`SILENT_NS`] is not waited for any more.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use anyhow::Context;
+use console::exit::Failure;
+use report::RecordingReport;
+use runtime::{Domain, monotonic_ns, wait_for};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use supervision::child::this_program;
+
+/// Limit for the start of the recorder, and for the end of the recording [ns].
+const LIMIT_NS: u64 = 10_000_000_000;
+/// Limit for its connections, after which the drive begins without it [ns].
+const CONNECT_NS: u64 = 2_000_000_000;
+/// In lock-step, a recorder that makes no progress is waited for no longer than this [ns].
+const SILENT_NS: u64 = 5_000_000_000;
+
+/// The recorder of a run.
+pub(crate) struct Companion {
+    process: Child,
+    input: Option<ChildStdin>,
+    output: ChildStdout,
+    text: Vec<u8>,
+    file: PathBuf,
+    scan: u64,
+    moved_ns: u64,
+    is_connected: bool,
+    is_lost: bool,
+    report: Option<RecordingReport>,
+    last_scan: u64,
+}
+
+impl Companion {
+    /// Starts the recorder of a system whose topics exist, and waits until it has opened them.
+    ///
+    /// # Errors
+    /// A recorder that does not start, with its message; exit code 4.
+    pub(crate) fn start(domain: &Domain, file: &Path, log: &Path) -> anyhow::Result<Self> {
+        if let Some(folder) = log.parent() {
+            std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
+        }
+        let errors = File::create(log).with_context(|| format!("{}", log.display()))?;
+        let mut process = Command::new(this_program())
+            .args(["--system-id", domain.system_id(), "record", "--companion", "--force"])
+            .arg(file)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(errors)
+            // Ctrl-C in the terminal reaches the orchestrator alone.
+            .process_group(0)
+            .spawn()
+            .map_err(|error| Failure::process(format!("the recorder could not be started: {error}")))?;
+        let (Some(input), Some(output)) = (process.stdin.take(), process.stdout.take()) else {
+            anyhow::bail!("the recorder has no pipes");
+        };
+        for end in [input.as_fd(), output.as_fd()] {
+            fcntl_setfl(end, fcntl_getfl(end)? | OFlags::NONBLOCK)?;
+        }
+        let file = file.to_owned();
+        let mut companion = Self {
+            process,
+            input: Some(input),
+            output,
+            text: Vec::new(),
+            file,
+            scan: 0,
+            moved_ns: monotonic_ns(),
+            is_connected: false,
+            is_lost: false,
+            report: None,
+            last_scan: 0,
+        };
+        let mut is_attached = false;
+        companion.wait(LIMIT_NS, |line| {
+            is_attached |= line == "attached";
+            is_attached
+        });
+        if !is_attached {
+            let said = std::fs::read_to_string(log).unwrap_or_default();
+            return Err(Failure::process(format!("the recorder did not start: {}", said.trim())));
+        }
+        Ok(companion)
+    }
+
+    /// Lets it connect to all publishers before the first sample; returns whether it did.
+    pub(crate) fn connect(&mut self) -> bool {
+        if !self.is_connected && !self.is_lost {
+            self.say("connect");
+            let mut is_connected = false;
+            self.wait(CONNECT_NS, |line| {
+                is_connected |= line == "connected";
+                is_connected
+            });
+            self.is_connected = is_connected;
+            self.moved_ns = monotonic_ns();
+        }
+        self.is_connected
+    }
+
+    /// The newest scan that belongs to the run.
+    pub(crate) fn belongs(&mut self, scan_id: u64) {
+        self.last_scan = scan_id;
+    }
+
+    /// Puts a line into the recording.
+    pub(crate) fn note(&mut self, text: &str) {
+        self.say(&format!("note {}", text.replace('\n', " ")));
+    }
+
+    /// In lock-step, the scan up to which it has copied all samples; `None` when it is not waited for.
+    pub(crate) fn copied_scan(&mut self) -> Option<u64> {
+        self.take_lines(|_| false);
+        (!self.is_lost && monotonic_ns() < self.moved_ns + SILENT_NS).then_some(self.scan)
+    }
+
+    /// Whether it has ended or gave up before it was asked to, told once.
+    pub(crate) fn has_failed(&mut self) -> Option<String> {
+        self.take_lines(|_| false);
+        let ended = !self.is_lost && self.report.is_none() && matches!(self.process.try_wait(), Ok(Some(_)));
+        let error = self.report.as_ref().filter(|report| !report.error.is_empty() && !self.is_lost);
+        let reason = match error {
+            Some(report) => report.error.clone(),
+            None if ended => "the recorder ended".to_owned(),
+            None => return None,
+        };
+        self.is_lost = true;
+        Some(format!(
+            "the rest of the drive is not recorded: {reason}; {} holds the drive so far",
+            self.file.display()
+        ))
+    }
+
+    /// Ends the recording; what it holds.
+    pub(crate) fn finish(mut self) -> RecordingReport {
+        self.say(&format!("end {}", self.last_scan));
+        self.input = None;
+        self.wait(LIMIT_NS, |line| line.starts_with("done "));
+        let unknown = || RecordingReport {
+            file: self.file.clone(),
+            bytes: self.file.metadata().map_or(0, |metadata| metadata.len()),
+            error: "the recorder did not end the recording".to_owned(),
+            ..RecordingReport::default()
+        };
+        self.report.take().unwrap_or_else(unknown)
+    }
+
+    fn say(&mut self, line: &str) {
+        // A full pipe belongs to a recorder that is stopped; it loses this line.
+        if let Some(input) = &mut self.input {
+            let _ = input.write_all(format!("{line}\n").as_bytes());
+        }
+    }
+
+    /// Waits until a line is accepted, the recorder ends, or the time is over.
+    fn wait(&mut self, limit_ns: u64, mut accept: impl FnMut(&str) -> bool) {
+        let until_ns = monotonic_ns() + limit_ns;
+        while !self.take_lines(&mut accept) {
+            let now_ns = monotonic_ns();
+            if now_ns >= until_ns || matches!(self.process.try_wait(), Ok(Some(_))) {
+                self.take_lines(&mut accept);
+                return;
+            }
+            wait_for(&[self.output.as_fd()], (until_ns - now_ns).min(50_000_000));
+        }
+    }
+
+    /// Takes what it has reported; true when a line was accepted.
+    fn take_lines(&mut self, mut accept: impl FnMut(&str) -> bool) -> bool {
+        let mut bytes = [0; 4096];
+        while let Ok(length @ 1..) = self.output.read(&mut bytes) {
+            self.text.extend_from_slice(&bytes[..length]);
+        }
+        let mut is_accepted = false;
+        while let Some(end) = self.text.iter().position(|byte| *byte == b'\n') {
+            let line: Vec<u8> = self.text.drain(..=end).collect();
+            let line = String::from_utf8_lossy(&line[..end]);
+            match line.split_once(' ') {
+                Some(("scan", scan)) => {
+                    self.scan = scan.parse().unwrap_or(self.scan);
+                    self.moved_ns = monotonic_ns();
+                }
+                Some(("done", report)) => self.report = serde_json::from_str(report).ok(),
+                _ => {}
+            }
+            is_accepted |= accept(&line);
+        }
+        is_accepted
+    }
+}
+
+impl Drop for Companion {
+    /// A recorder that was not asked to end is killed: its file is readable up to the last whole second.
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

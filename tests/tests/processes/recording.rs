@@ -1,0 +1,235 @@
+//! Drives that are recorded, recordings that are cut off, and replays.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use recording::mcap::{Channel, Reader, Schema, Writer};
+use rustix::process::Signal;
+use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
+use serde_json::Value;
+
+use crate::languages::tools;
+
+const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
+
+/// A recorded drive in lock-step; its system and the recording.
+fn recorded(arguments: &[&str]) -> (System, PathBuf) {
+    let system = System::new(EXECUTABLE);
+    let report = system.lockstep(&[arguments, &["--record"]].concat());
+    let recording = report.recording.expect("a recording");
+    assert_eq!((recording.lost, recording.error.as_str()), (0, ""), "{recording:?}");
+    assert_eq!(recording.bytes, recording.file.metadata().unwrap().len());
+    (system, recording.file)
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&output.stderr)))
+}
+
+/// The report of a replay, and its exit code.
+fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Value, i32) {
+    let output = system.run(&[&["replay", text(file), "--json"], arguments].concat());
+    (json(&output), output.status.code().unwrap())
+}
+
+#[test]
+fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
+    let unrecorded = System::new(EXECUTABLE).lockstep(&SHORT_CORRIDOR);
+    let system = System::new(EXECUTABLE);
+    let report = system.lockstep(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+    assert_eq!(report.digests, unrecorded.digests);
+    let file = report.recording.unwrap().file;
+    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+    assert_eq!(
+        (&info["complete"], &info["lost"], &info["lockstep"]),
+        (&true.into(), &0.into(), &true.into())
+    );
+    for topic in ["scan", "odometry", "truth", "pose", "obstacles", "command", "actuation"] {
+        assert!(
+            info["channels"][format!("/scanloop/{topic}")].as_u64() >= Some(report.scans.published),
+            "{info}"
+        );
+    }
+    let (whole, code) = replayed(&system, &file, &[]);
+    assert_eq!((code, whole["compared"].as_u64()), (0, Some(7 * report.scans.published)), "{whole}");
+    assert_eq!((&whole["identical"], &whole["skipped"]), (&whole["compared"], &0.into()), "{whole}");
+    let (later, code) = replayed(&system, &file, &["--from", "50", "--stage", "controller"]);
+    assert_eq!((code, &later["identical"]), (0, &later["compared"]), "{later}");
+    assert_eq!(
+        (later["compared"].as_u64(), &later["skipped"]),
+        (Some(report.scans.published - 49), &0.into())
+    );
+}
+
+#[test]
+fn a_flipped_bit_is_found_with_its_field() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let flipped = system.folder().join("flipped.mcap");
+    // The yaw of the tenth pose stands behind the encapsulation and the header.
+    rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 192] ^= u8::from(number == 9));
+    let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
+    assert_eq!((code, report["compared"].as_u64().unwrap() - report["identical"].as_u64().unwrap()), (1, 1));
+    let difference = &report["differences"][0];
+    assert_eq!(
+        (&difference["topic"], &difference["scan"], &difference["field"]),
+        (&"pose".into(), &10.into(), &"yaw_rad".into())
+    );
+}
+
+/// Copies a recording; `change` gets the number and the bytes of each message of a channel.
+fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
+    let mut reader = Reader::new(File::open(from).unwrap()).unwrap();
+    let (mut writer, mut number) = (None, 0);
+    while let Some(message) = reader.next_message().unwrap() {
+        let (channel, sequence, log_ns, mut data) =
+            (message.channel, message.sequence, message.log_ns, message.data.to_vec());
+        let contents = reader.contents();
+        let writer = writer.get_or_insert_with(|| {
+            let schemas: Vec<Schema> = contents.schemas.values().cloned().collect();
+            let lowered = |channel: &Channel| Channel { schema: channel.schema - 1, ..channel.clone() };
+            let channels: Vec<Channel> = contents.channels.values().map(lowered).collect();
+            let mut writer = Writer::new(File::create(to).unwrap(), "test", &schemas, &channels).unwrap();
+            for file in &contents.attachments {
+                writer.attach(&file.name, &file.media_type, &file.data, 0).unwrap();
+            }
+            writer
+        });
+        if contents.channels[&channel].topic == topic {
+            change(number, &mut data);
+            number += 1;
+        }
+        writer.message(channel, sequence, log_ns, &data).unwrap();
+    }
+    writer.unwrap().finish().unwrap();
+}
+
+#[test]
+fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
+    let (system, file) = recorded(&SHORT_FREE);
+    let whole = std::fs::read(&file).unwrap();
+    let cut = system.folder().join("cut.mcap");
+    std::fs::write(&cut, &whole[..whole.len() * 2 / 3]).unwrap();
+    let info = json(&system.run(&["recording", "info", text(&cut), "--json"]));
+    assert_eq!(info["complete"], false);
+    assert!(info["duration_s"].as_f64() > Some(2.0), "{info}");
+    let repaired = system.run(&["recording", "repair", text(&cut)]);
+    assert_eq!(repaired.status.code(), Some(0), "{}", String::from_utf8_lossy(&repaired.stderr));
+    let repaired = system.folder().join("cut-repaired.mcap");
+    let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));
+    assert_eq!((&mended["complete"], &mended["channels"]), (&true.into(), &info["channels"]));
+    assert_eq!(replayed(&system, &repaired, &[]).1, 0);
+}
+
+#[test]
+fn files_that_are_no_recordings_are_refused_and_none_is_replaced() {
+    let system = System::new(EXECUTABLE);
+    let file = |name: &str, bytes: &[u8]| {
+        let path = system.folder().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    };
+    let empty = file("empty", b"");
+    let foreign = file("foreign", b"#ROSBAG V2.0\n");
+    let short = file("short", &recording::mcap::MAGIC);
+    for (path, reason) in [(&empty, "empty"), (&foreign, "no MCAP file"), (&short, "not one whole second")] {
+        for command in [&["recording", "info"][..], &["replay"]] {
+            let output = system.run(&[command, &[text(path)]].concat());
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{message}");
+            assert!(message.contains(reason) && message.contains(text(path)), "{message}");
+        }
+    }
+    let output = system.run(&["run", "--lockstep", "--quiet", &format!("--record={}", text(&foreign))]);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(std::fs::read(&foreign).unwrap(), b"#ROSBAG V2.0\n");
+}
+
+#[test]
+fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+    system.wait_until("three seconds are driven", |system| {
+        system.status().is_some_and(|status| status.scan > 30)
+    });
+    let recorder = recorder_of(&system).expect("a recorder");
+    system.signal(recorder, Signal::KILL);
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    assert!(system.stderr().contains("the rest of the drive is not recorded"), "{}", system.stderr());
+    let report = system.report();
+    assert_eq!(
+        (report.scans.lost, report.scans.unaccounted, report.ledger.residual),
+        (0, 0, 0),
+        "{report:?}"
+    );
+    let file = report.recording.unwrap().file;
+    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+    assert_eq!(info["complete"], false);
+    assert!(info["duration_s"].as_f64() > Some(1.0), "{info}");
+    system.assert_nothing_left();
+}
+
+/// The process that records a system.
+fn recorder_of(system: &System) -> Option<i32> {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+    pids.find(|pid| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        let words: Vec<&[u8]> = line.split(|byte| *byte == 0).collect();
+        words.contains(&system.id().as_bytes()) && words.contains(&&b"--companion"[..])
+    })
+}
+
+#[test]
+fn a_live_drive_with_a_restart_and_a_swap_is_replayed_to_the_bit() {
+    let mut system = System::new(EXECUTABLE);
+    system.start(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
+    for arguments in [["restart", "estimator"].as_slice(), &["swap", "controller", "--to", "nmpc"]] {
+        let output = system.run(arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
+    let file = system.report().recording.unwrap().file;
+    let (report, code) = replayed(&system, &file, &[]);
+    assert_eq!((code, &report["identical"]), (0, &report["compared"]), "{report}");
+    system.assert_nothing_left();
+}
+
+#[test]
+fn another_setting_is_judged_by_the_bounds_of_a_swap() {
+    let (system, file) = recorded(&SHORT_CORRIDOR);
+    let (same, code) =
+        replayed(&system, &file, &["--stage", "controller", "--set", "controller.horizon_s=5.5"]);
+    assert_eq!((code, &same["beyond"]), (0, &0.into()), "{same}");
+    let change = ["--stage", "controller", "--set", "controller.horizon_s=3.0", "--tolerance", "0"];
+    let (other, code) = replayed(&system, &file, &change);
+    assert_eq!(code, 1, "{other}");
+    assert!(other["beyond"].as_u64() > Some(0), "{other}");
+    let unknown = system.run(&["replay", text(&file), "--set", "controller.horizon=2"]);
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("unknown key horizon"));
+}
+
+#[test]
+fn programs_of_others_read_every_message_unchanged() {
+    let Some(python) = tools::python("programs_of_others_read_every_message_unchanged") else { return };
+    let (system, file) = recorded(&SHORT_FREE);
+    let bag = system.folder().join("bag");
+    let exported = system.run(&["recording", "export", text(&file), "--rosbag2", text(&bag)]);
+    assert_eq!(exported.status.code(), Some(0), "{}", String::from_utf8_lossy(&exported.stderr));
+    let script = tools::examples("python").join("read_recording.py");
+    let output = std::process::Command::new(python).arg(script).args([&file, &bag]).output().unwrap();
+    let (lines, errors) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{lines}{errors}");
+    let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
+    for (topic, count) in info["channels"].as_object().unwrap() {
+        let found = lines.lines().any(|line| line.starts_with(topic) && line.ends_with(&format!(" {count}")));
+        assert!(found || count == 0, "{topic} {count}: {lines}");
+    }
+    assert!(lines.ends_with("all messages are the same when they are encoded again\n"), "{lines}");
+}
