@@ -169,13 +169,13 @@ fn in_lock_step_the_new_process_starts_with_the_state_after_the_last_scan() {
     let (old, new) = (checkpoint(6), checkpoint(7));
     assert_eq!(swaps.due(1, 7, |_| Some(&old)), None, "the state is not there yet");
     assert_eq!(swaps.due(1, 8, |_| Some(&new)), None, "the robot may publish one more scan");
-    assert_eq!(swaps.due(1, 7, |_| Some(&new)), Some(candidate_of_request()));
+    let expected = Candidate { entry: entry_of_request(), settings: None };
+    assert_eq!(swaps.due(1, 7, |_| Some(&new)), Some(expected));
     assert!(swaps.due(LOCKSTEP_TIMEOUT_NS, 8, |_| None).is_some(), "it is not waited for longer");
 }
 
-fn candidate_of_request() -> Candidate {
-    let entry = ProcessEntry::of(Role::Controller, &["./new".to_owned()]);
-    Candidate { entry, settings: None }
+fn entry_of_request() -> ProcessEntry {
+    ProcessEntry::of(Role::Controller, &["./new".to_owned()])
 }
 
 #[test]
