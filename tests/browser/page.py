@@ -93,7 +93,7 @@ def main():
         browser.go("about:blank")
         browser.wait("location.href === 'about:blank'")
         browser.go(f"{url}#token={token}")
-        browser.wait("document.querySelector('#control-form .stop')")
+        browser.wait("document.querySelector('#control-form .stop') !== null")
         browser.value("document.querySelector('#control-form .stop').click()")
         browser.wait("document.getElementById('control-result').textContent.startsWith('stop: done')")
         browser.wait("document.body.dataset.state === 'over'")
