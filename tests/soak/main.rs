@@ -7,7 +7,7 @@
 use std::time::Instant;
 
 use clap::{Args, Parser, Subcommand};
-use scanloop_tests::long_drive::{LONGEST_S, LongTally, Plan, drive};
+use scanloop_tests::long_drive::{LongDrive, LongTally, MAX_DRIVE_S, drive};
 use scanloop_tests::operator::{place, quantile, trial};
 use scanloop_tests::soak::{Tally, faults, swap_in_lockstep, swap_live};
 
@@ -148,7 +148,7 @@ fn long(arguments: &LongArguments, executable: &str) -> std::process::ExitCode {
         }
         drive(
             executable,
-            &Plan { seed, duration_s: left_s.clamp(30.0, LONGEST_S), rate_hz, live },
+            &LongDrive { seed, duration_s: left_s.clamp(30.0, MAX_DRIVE_S), rate_hz, live },
             &mut tally,
         );
         println!("seed {seed}: {tally}");

@@ -18,11 +18,11 @@ use shared_types::Role;
 use crate::swaps::BUILT_IN;
 use crate::{System, Watch};
 
-/// One drive is at most this long: it has to end before the track of 10 km does [s].
-pub const LONGEST_S: f64 = 9500.0;
+/// Longest duration of one drive: it has to end before the track of 10 km does [s].
+pub const MAX_DRIVE_S: f64 = 9500.0;
 /// Scanner faults are this far apart on average [s].
 const FAULT_EVERY_S: f64 = 73.0;
-/// Roles that are killed: the run goes on without them for a moment.
+/// Roles that are killed: the run continues without them for a moment.
 const KILLED: [Role; 4] = [Role::Estimator, Role::Obstacles, Role::Controller, Role::Actuator];
 /// Growth of memory, descriptors and files that is allowed from the first to the last quarter of a drive.
 const GROWTH_MAX: f64 = 1.05;
@@ -33,7 +33,7 @@ const SAMPLE_EVERY: Duration = Duration::from_secs(1);
 
 /// What happens in one drive.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct LongDrive {
     /// Seed of the drive.
     pub seed: u64,
     /// Driven time [s].
@@ -44,7 +44,7 @@ pub struct Plan {
     pub live: bool,
 }
 
-impl Plan {
+impl LongDrive {
     /// Keys of the scenario that give the scanner its faults, and how many of these there are.
     pub fn faults(&self) -> (Vec<String>, usize) {
         let mut dice = Pcg64::seed_from_u64(self.seed);
@@ -117,7 +117,7 @@ impl fmt::Display for LongTally {
 ///
 /// # Panics
 /// When the system can't be started or asked.
-pub fn drive(executable: &str, plan: &Plan, tally: &mut LongTally) {
+pub fn drive(executable: &str, plan: &LongDrive, tally: &mut LongTally) {
     let (keys, faults) = plan.faults();
     let mut system = System::new(executable);
     let (duration, rate) = (format!("{:.0}", plan.duration_s), format!("rate_hz={}", plan.rate_hz));
@@ -309,7 +309,7 @@ mod tests {
 
     #[test]
     fn a_seed_gives_its_faults_and_they_end_before_the_drive() {
-        let plan = Plan { seed: 3, duration_s: 1000.0, rate_hz: 10.0, live: false };
+        let plan = LongDrive { seed: 3, duration_s: 1000.0, rate_hz: 10.0, live: false };
         let (keys, count) = plan.faults();
         assert_eq!((keys.clone(), count), plan.faults());
         assert!((8..30).contains(&count), "{keys:?}");

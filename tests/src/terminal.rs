@@ -85,6 +85,41 @@ impl Terminal {
         String::from_utf8_lossy(&self.output.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
     }
 
+    /// What the last programs that moved the cursor have drawn, as lines.
+    pub fn screen(&self, rows: usize) -> Vec<String> {
+        let (mut lines, mut row, mut column) = (vec![Vec::new(); rows], 0, 0);
+        let output = self.output();
+        let mut letters = output.chars();
+        while let Some(letter) = letters.next() {
+            if letter != '\u{1b}' {
+                let line: &mut Vec<char> = &mut lines[row];
+                line.resize(line.len().max(column + 1), ' ');
+                line[column] = letter;
+                column += 1;
+                continue;
+            }
+            // An escape sequence ends with its first letter.
+            let mut sequence = String::new();
+            letters.next();
+            for letter in letters.by_ref() {
+                sequence.push(letter);
+                if letter.is_ascii_alphabetic() {
+                    break;
+                }
+            }
+            match sequence.split_at(sequence.len().saturating_sub(1)) {
+                (place, "H") => {
+                    let mut numbers = place.split(';').map(|number| number.parse().unwrap_or(1_usize) - 1);
+                    row = numbers.next().unwrap_or(0).min(rows - 1);
+                    column = numbers.next().unwrap_or(0);
+                }
+                ("2", "J") => lines.iter_mut().for_each(Vec::clear),
+                _ => {}
+            }
+        }
+        lines.into_iter().map(|line| line.into_iter().collect()).collect()
+    }
+
     /// Whether it is as before: its settings, the main screen, and a cursor.
     pub fn is_restored(&self) -> bool {
         let output = self.output();

@@ -352,8 +352,11 @@ fn survives_damage(damage: DeviceFault, reason: &str) {
         poll();
         shows(system, "running", "")
     });
+    system.wait_until("it is near the goal", |_| {
+        poll();
+        server.truth().goal_distance_m < 2.0
+    });
     let status = system.wait();
-    poll();
     assert_eq!((status.code(), system.report().outcome), (Some(0), Outcome::Reached), "{}", system.stderr());
     assert_eq!(server.truth().collided, 0);
     let scans = scans.into_inner();

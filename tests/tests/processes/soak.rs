@@ -1,6 +1,6 @@
 //! A short soak in every run of the tests; the long one is the program `soak`.
 
-use scanloop_tests::long_drive::{LongTally, Plan, drive};
+use scanloop_tests::long_drive::{LongDrive, LongTally, drive};
 use scanloop_tests::soak::{faults, swap_in_lockstep, swap_live};
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
@@ -26,7 +26,7 @@ fn whatever_is_killed_or_stopped_the_robot_drives_on_or_rests() {
 #[test]
 fn nothing_grows_or_is_unexplained_in_a_drive_with_scanner_faults_and_swaps() {
     let mut tally = LongTally::default();
-    drive(EXECUTABLE, &Plan { seed: 9, duration_s: 1800.0, rate_hz: 10.0, live: false }, &mut tally);
+    drive(EXECUTABLE, &LongDrive { seed: 9, duration_s: 1800.0, rate_hz: 10.0, live: false }, &mut tally);
     assert_eq!(tally.problems, Vec::<String>::new(), "{tally}");
     assert!(tally.scanner_faults > 15 && tally.swaps > 0 && tally.stopped_by_scanner == 0, "{tally}");
 }

@@ -238,9 +238,8 @@ fn events(area: Rect, buffer: &mut Buffer, model: &Model) {
 }
 
 fn keys(area: Rect, buffer: &mut Buffer, model: &Model) {
-    let end = if model.of_run { "q leave the view  ^C end the run" } else { "q quit" };
-    let text =
-        format!(" ? help  s STOP  \u{2191}\u{2193} role  r restart {0}  w swap {0}  {end}", model.role());
+    let end = if model.of_run { "q leave  ^C end run" } else { "q quit" };
+    let text = format!(" ? help  s STOP  \u{2191}\u{2193} role  r restart, w swap {}  {end}", model.role());
     buffer.set_style(area, Style::new().add_modifier(Modifier::REVERSED));
     print(buffer, area, 0, &text, Style::new().add_modifier(Modifier::REVERSED));
 }

@@ -50,9 +50,13 @@ impl Backend for Screen {
     where
         I: Iterator<Item = (u16, u16, &'a Cell)>,
     {
-        let mut style = None;
+        let (mut style, mut cursor) = (None, None);
         for (column, row, cell) in content {
-            let _ = write!(self.pending, "\x1b[{};{}H", row + 1, column + 1);
+            if cursor != Some((column, row)) {
+                let _ = write!(self.pending, "\x1b[{};{}H", row + 1, column + 1);
+            }
+            // All that is drawn is one column wide.
+            cursor = Some((column + 1, row));
             let wanted = (cell.fg, cell.bg, cell.modifier);
             if style != Some(wanted) {
                 style = Some(wanted);

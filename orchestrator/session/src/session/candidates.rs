@@ -39,7 +39,7 @@ pub(super) enum Order {
     Note(String),
 }
 
-/// A process that is to be started beside the one that fills its role.
+/// A process that is to become a candidate or a shadow of the one that fills its role.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Candidate {
     pub(super) entry: ProcessEntry,

@@ -81,9 +81,7 @@ function take(rows, events) {
 }
 
 connect({
-  async open() {
-    const response = await ask("/history");
-    const { rows, events } = await response.json();
+  open({ rows, events }) {
     // Another server counts from the start.
     if ((rows.at(-1)?.number ?? 0) < (page.rows.at(-1)?.number ?? 0)) Object.assign(page, { rows: [], events: [], frame: null });
     take(rows, events);

@@ -16,11 +16,20 @@ export function ask(path, options = {}) {
 /** Whether the link carried a token. */
 export const hasToken = token !== "";
 
-/** Calls `on.system`, `on.events` and `on.frame` with what comes, and `on.open`, `on.lost` with a reason. */
+class Refused extends Error {}
+
+/** Calls `on.system`, `on.events` and `on.frame` with what comes, `on.open` with the past, `on.lost` with a reason. */
 export function connect(on) {
   let abort = null;
   let failures = 0;
   let timer = 0;
+
+  // An answer that is no refusal; a refusal is the reason that is shown.
+  async function answered(asked) {
+    const response = await asked;
+    if (!response.ok) throw new Refused((await response.text()).trim().slice(0, 120));
+    return response;
+  }
 
   async function open() {
     clearTimeout(timer);
@@ -35,12 +44,11 @@ export function connect(on) {
     };
     try {
       alive();
-      const response = await ask("/stream", { signal: mine.signal });
-      if (!response.ok) {
-        reason = (await response.text()).trim().slice(0, 120);
-        throw new Error(reason);
-      }
-      await on.open();
+      // The past first: it needs a connection, of which a browser has six, and the stream keeps one.
+      const past = await answered(ask("/history", { signal: mine.signal }));
+      on.open(await past.json());
+      const response = await answered(ask("/stream", { signal: mine.signal }));
+      alive();
       failures = 0;
       const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
       let rest = "";
@@ -52,7 +60,9 @@ export function connect(on) {
         rest = blocks.pop();
         blocks.forEach(deliver);
       }
-    } catch { /* The reason is shown below. */ }
+    } catch (error) {
+      if (error instanceof Refused) reason = error.message;
+    }
     clearTimeout(silence);
     if (abort === mine) abort = null;
     if (document.hidden) return;
@@ -66,13 +76,14 @@ export function connect(on) {
     on[first.slice(7)]?.(JSON.parse(second.slice(6)));
   }
 
-  document.addEventListener("visibilitychange", () => {
-    if (document.hidden) {
-      abort?.abort();
-      abort = null;
-    } else {
-      open();
-    }
-  });
+  function close() {
+    abort?.abort();
+    abort = null;
+  }
+
+  document.addEventListener("visibilitychange", () => { if (document.hidden) close(); else open(); });
+  // A page that the browser keeps for its back button would keep its connection, too.
+  addEventListener("pagehide", close);
+  addEventListener("pageshow", (event) => { if (event.persisted) open(); });
   open();
 }

@@ -35,7 +35,8 @@ impl Strip<'_> {
                 && (robot.x_m - labelled[0]).hypot(robot.y_m - labelled[1]) > LABELS_M
             {
                 labelled = [robot.x_m, robot.y_m];
-                self.label(chart, labelled, &label, TRUE_PATH)?;
+                let above = robot.y_m + 0.75 * self.scene.body_width_m;
+                self.label(chart, [robot.x_m, above], &label, TRUE_PATH)?;
             }
         }
         Ok(())
