@@ -280,6 +280,29 @@ fn a_scan_that_would_be_too_old_when_it_is_answered_gives_way_to_the_newest() {
 }
 
 #[test]
+fn a_sample_is_dropped_when_its_scan_is_too_old_or_lies_in_the_future() {
+    let lab = Lab::new();
+    let mut controller = Rc::into_inner(lab.shared(Role::Controller, 9)).unwrap();
+    controller.clock = Clock::Monotonic;
+    let output = Output::<Pose>::new(lab.bus(), lab.shared(Role::Estimator, 7)).unwrap();
+    let input = Input::<Pose>::new(lab.bus(), Rc::new(controller)).unwrap();
+    input.reader().drain().unwrap();
+    // Three periods of 100 ms are allowed, before and after.
+    let now_ns = crate::monotonic_ns();
+    for (scan_id, acquired_ns) in
+        [(1, now_ns - 300_000_001), (2, now_ns + 200_000_000), (3, now_ns + 10_000_000_000)]
+    {
+        let mut pose = pose(scan_id, 0.0);
+        pose.header.acquired_ns = acquired_ns;
+        output.publish(&mut pose).unwrap();
+    }
+    assert_eq!(taken(&input), [(2, 7)]);
+    assert_eq!(input.reader().account().stale, 2);
+    let refusal = input.reader().refusal();
+    assert_eq!((refusal.scan_id, refusal.rule), (3, shared_types::Rule::FromTheFuture.wire()));
+}
+
+#[test]
 fn at_a_high_rate_scans_may_wait_for_a_third_of_the_age_that_is_young_at_any_rate() {
     let lab = Lab::new();
     let shared = lab.shared(Role::Controller, 9);

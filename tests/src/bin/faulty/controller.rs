@@ -28,6 +28,7 @@ pub(crate) fn run(fault: &str) -> Outcome {
             if fault == "blind" {
                 obstacles.count = 0;
                 pose.predicted_y_m = pose.predicted_y_m.clamp(-1.0, 1.0);
+                pose.y_m = pose.predicted_y_m;
             }
             if fault == "careless" {
                 pose.alarm = 0;
