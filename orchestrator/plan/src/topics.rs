@@ -210,7 +210,7 @@ fn no_circle(system: &System) -> Result<(), Invalid> {
             let of = &reads[*process];
             of.iter().any(|topic| writers.get(topic).is_some_and(|writer| left.contains(writer)))
         };
-        let rest: Vec<&str> = left.iter().copied().filter(|process| waits(&process)).collect();
+        let rest: Vec<&str> = left.iter().copied().filter(|process| waits(process)).collect();
         if rest.len() == left.len() {
             break;
         }

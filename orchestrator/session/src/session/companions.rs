@@ -49,7 +49,7 @@ impl Session {
             }
             CompanionEvent::LeftLockstep(name, scan) => {
                 let text =
-                    format!("companion {name} left scan {scan} unanswered: lock-step goes on without it");
+                    format!("companion {name} left scan {scan} unanswered: lock-step continues without it");
                 self.progress.warn(&text);
             }
             CompanionEvent::Replaced(name, scan) => {
