@@ -67,7 +67,7 @@ pub struct Drive {
     settings: BTreeMap<Role, Table>,
     /// Keys were changed: outputs are expected to differ.
     pub(crate) is_changed: bool,
-    /// Per process: the first sample of each actuator that it received.
+    /// Per estimator: the first sample of each actuator that it used or could use.
     first_actuations: BTreeMap<u32, BTreeMap<u32, u64>>,
     /// When a process got authority, if that was before it was started [ns].
     granted_ns: BTreeMap<u32, u64>,
@@ -249,11 +249,12 @@ impl Drive {
                 let heartbeat: &Heartbeat = bytemuck::from_bytes(bytes);
                 if heartbeat.role == Role::Estimator.wire() {
                     let known = self.first_actuations.entry(heartbeat.header.incarnation).or_default();
-                    for span in heartbeat.inputs.iter().skip(1).flat_map(|input| &input.writers) {
-                        if span.incarnation != 0 {
-                            let first = known.entry(span.incarnation).or_insert(span.first);
-                            *first = span.first.min(*first);
-                        }
+                    let actuations = &heartbeat.inputs[1];
+                    for span in actuations.writers.iter().filter(|span| span.incarnation != 0) {
+                        // Before it has read the first directive, a process drops what arrives.
+                        let dropped = if actuations.used == 0 { actuations.foreign } else { 0 };
+                        let first = known.entry(span.incarnation).or_insert(span.first);
+                        *first = (span.first + dropped).max(*first);
                     }
                 }
             }

@@ -188,10 +188,10 @@ pub(crate) fn each_process<S: Sample, T: Pod + Described>(
         let own = |checkpoint: &&Checkpoint| checkpoint.header.incarnation == incarnation;
         // The state nearest before the window, else the first of this process.
         let nearest =
-            states.clone().filter(own).filter(|checkpoint| checkpoint.header.scan_id <= wanted).last();
+            states.clone().filter(own).filter(|checkpoint| checkpoint.header.scan_id <= wanted).next_back();
         let inherited = || {
             let others = states.clone().filter(|checkpoint| checkpoint.header.incarnation != incarnation);
-            others.filter(|checkpoint| checkpoint.header.scan_id < start.scan_id).last()
+            others.filter(|checkpoint| checkpoint.header.scan_id < start.scan_id).next_back()
         };
         let chosen = match nearest {
             Some(nearest) if options.from.is_some() => Some(nearest),

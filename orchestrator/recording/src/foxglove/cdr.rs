@@ -73,6 +73,6 @@ mod tests {
     fn numbers_are_aligned_behind_the_encapsulation() {
         let mut cdr = Cdr::new();
         cdr.text("ab").f64(1.0);
-        assert_eq!(cdr.finish(), b"\0\x01\0\0\x03\0\0\0ab\0\0\0\0\0\0\0\0\0\0\0\xf0\x3f".to_vec());
+        assert_eq!(cdr.finish(), b"\0\x01\0\0\x03\0\0\0ab\0\0\0\0\0\0\0\0\xf0\x3f".to_vec());
     }
 }
