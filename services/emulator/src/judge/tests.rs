@@ -116,7 +116,7 @@ fn a_contact_with_what_stands_is_never_excused() {
 
 #[test]
 fn a_contact_with_a_crossing_body_is_excused_only_if_braking_does_not_help() {
-    // It crosses 4 m ahead and is visible from the start: whoever brakes stays where he is.
+    // It crosses 4 m ahead and is visible from the start: a robot that brakes stays where it is.
     let crossing = Obstacle { velocity_y_mps: -0.5, ..boxed(4.0, 3.75, 0.3) };
     let scenario = course(vec![crossing], Preset::Summit);
     let judgement = judged(&scenario, 0.5, 1000);
