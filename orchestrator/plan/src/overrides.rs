@@ -16,14 +16,6 @@ pub fn parse_override(text: &str) -> anyhow::Result<(String, Value)> {
     Ok((key.trim().to_owned(), parsed.unwrap_or_else(|| Value::String(value.trim().to_owned()))))
 }
 
-/// Those of the overrides that change the system, not the scenario.
-pub fn system_overrides(overrides: &[String]) -> impl Iterator<Item = &String> {
-    overrides.iter().filter(|text| {
-        let first = text.split(['.', '=']).next().unwrap_or_default().trim();
-        !crate::is_of_scenario(first)
-    })
-}
-
 /// Puts `value` at the dotted `key`; elements of arrays are named by index, those with a `role` by role.
 ///
 /// # Errors

@@ -36,7 +36,7 @@ fn hostile_courses_are_driven_without_contact_and_each_drive_has_one_verdict() {
 #[test]
 fn a_bad_course_is_a_file_in_the_folder_of_its_cause_that_run_replays() {
     let system = System::new(EXECUTABLE);
-    // No robot with encoders lands within 1 cm of the true goal, and the weights are no part of a scenario.
+    // No robot with encoders lands within 1 cm of the true goal, and the speed is no part of a scenario.
     let set = ["--set", "goal.tolerance_m=0.01", "--set", "controller.cruise_mps=0.9"];
     let chosen = ["--family", "anywhere", "--robot", "random", "--runs", "2"];
     let (code, results) = results(&system, &[&chosen[..], &set].concat());
@@ -46,14 +46,14 @@ fn a_bad_course_is_a_file_in_the_folder_of_its_cause_that_run_replays() {
     assert!(cause.starts_with("missed-") && file.starts_with(&format!("out/{cause}/anywhere-")), "{bad}");
     assert_eq!(results["causes"][cause].as_u64().map(|count| count > 0), Some(true));
 
-    let replay =
-        ["run", "--lockstep", "--quiet", "--out", "replay", file, "--set", "controller.cruise_mps=0.9"];
+    let replay = [&["run", "--lockstep", "--quiet", "--out", "replay", file], &set[..]].concat();
     assert_eq!(system.run(&replay).status.code(), Some(1));
     let report = std::fs::read_to_string(system.folder().join("replay/report.json")).unwrap();
     let report: Value = serde_json::from_str(&report).unwrap();
     assert_eq!((&report["outcome"], &report["reason"]), (&bad["outcome"], &bad["reason"]));
     let text = std::fs::read_to_string(system.folder().join(file)).unwrap();
-    assert!(text.contains("scanloop run --lockstep FILE --set 'controller.cruise_mps=0.9'"), "{text}");
+    let command = "FILE --set 'goal.tolerance_m=0.01' --set 'controller.cruise_mps=0.9'";
+    assert!(text.contains(command), "{text}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::builder::PossibleValuesParser;
 use clap::{Args, ValueEnum};
+use emulator::scenario::{Preset, Robot};
 
 use super::kind::family_names;
 
@@ -58,16 +59,19 @@ impl CampaignRobot {
         }
     }
 
-    /// The overrides that make the robot of a course; the seed of the course draws what is random.
-    pub(super) fn overrides(self) -> &'static [&'static str] {
+    /// The robot of a course; the seed of the course draws what is random.
+    pub(super) fn of(self, robot: Robot) -> Robot {
         match self {
-            Self::Ideal => &["robot.preset=ideal"],
-            Self::Summit => &["robot.preset=summit"],
-            Self::Worn => &["robot.preset=worn"],
+            Self::Ideal => Robot { preset: Preset::Ideal, ..robot },
+            Self::Summit => Robot { preset: Preset::Summit, ..robot },
+            Self::Worn => Robot { preset: Preset::Worn, ..robot },
             // What the description states within 20 %, the odometry scale within 1 %; what it does not state is exact.
-            Self::Random => {
-                &["robot.preset=worn", "robot.velocity_factor=1.4", "robot.steering_offset_rad=0.0"]
-            }
+            Self::Random => Robot {
+                preset: Preset::Worn,
+                velocity_factor: Some(1.4),
+                steering_offset_rad: Some(0.0),
+                ..robot
+            },
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The courses of a campaign: which families, which seeds, and what is driven on each.
 
+use emulator::Scenario;
 use emulator::course::hostile::hostile;
 use emulator::course::of_campaign;
 use plan::{Choice, Plan};
@@ -44,11 +45,10 @@ pub(super) fn all(arguments: &CampaignArguments) -> Vec<Course> {
 }
 
 impl Course {
-    /// What is driven, with the chosen robot and the overrides.
+    /// The course with the chosen robot, before any override, and the width of its narrowest place if it has one [m].
     ///
-    /// # Errors
-    /// One message with key, value and allowed range; exit code 2.
-    pub(super) fn drive(self, arguments: &CampaignArguments) -> anyhow::Result<Drive> {
+    /// Values that the preset draws are left open: explicit ones would become known to the stages.
+    pub(super) fn scenario(self, arguments: &CampaignArguments) -> (Scenario, Option<f64>) {
         let (scenario, gap_m) = match self.kind {
             Kind::Mixed(_) => (of_campaign(self.seed).1, None),
             Kind::Hostile(family) => {
@@ -56,9 +56,17 @@ impl Course {
                 (course.scenario, course.gap_m)
             }
         };
-        let own = arguments.robot.overrides().iter().map(|text| (*text).to_owned());
-        let overrides = own.chain(arguments.overrides.iter().cloned()).collect();
-        Ok(Drive { plan: Plan::of(&scenario, &Choice { overrides, ..Choice::default() })?, gap_m })
+        (Scenario { robot: arguments.robot.of(scenario.robot), ..scenario }, gap_m)
+    }
+
+    /// What is driven, with the overrides.
+    ///
+    /// # Errors
+    /// One message with key, value and allowed range; exit code 2.
+    pub(super) fn drive(self, arguments: &CampaignArguments) -> anyhow::Result<Drive> {
+        let (scenario, gap_m) = self.scenario(arguments);
+        let choice = Choice { overrides: arguments.overrides.clone(), ..Choice::default() };
+        Ok(Drive { plan: Plan::of(&scenario, &choice)?, gap_m })
     }
 }
 

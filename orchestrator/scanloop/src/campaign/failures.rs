@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use anyhow::Context;
 use emulator::Outcome;
 use emulator::judge::Verdict;
-use plan::overrides::system_overrides;
 use serde::Serialize;
 
 use super::arguments::CampaignArguments;
@@ -40,7 +39,7 @@ fn is_wrong(run: &CourseRun) -> bool {
 /// # Errors
 /// Errors of the file system.
 pub(super) fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Result<BadCourse> {
-    let scenario = run.course.drive(arguments)?.plan.scenario;
+    let (scenario, _) = run.course.scenario(arguments);
     let cause = if is_wrong(run) { run.judgement.cause.clone() } else { WITHOUT_REST.to_owned() };
     let folder = arguments.out.join(&cause);
     std::fs::create_dir_all(&folder).with_context(|| format!("--out {}", arguments.out.display()))?;
@@ -57,8 +56,7 @@ pub(super) fn save(run: &CourseRun, arguments: &CampaignArguments) -> anyhow::Re
     Ok(BadCourse { seed, family, cause, outcome: run.outcome, reason, scenario: path })
 }
 
-/// The overrides that do not stand in the scenario, as arguments of `run`.
+/// The overrides as arguments of `run`.
 pub(super) fn settings(arguments: &CampaignArguments) -> String {
-    let system = system_overrides(&arguments.overrides);
-    system.map(|text| format!(" --set '{text}'")).collect()
+    arguments.overrides.iter().map(|text| format!(" --set '{text}'")).collect()
 }

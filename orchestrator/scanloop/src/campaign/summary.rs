@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     fn run(verdict: Verdict, outcome: Outcome, gap_m: f64) -> CourseRun {
-        let cause = if gap_m == 1.2 { "struck-moving" } else { "none" }.to_owned();
+        let cause = if gap_m == 1.23 { "struck-moving" } else { "none" }.to_owned();
         let passable = verdict != Verdict::StoppedRightly;
         let judgement = Judgement { verdict, missed_by_estimate: false, passable, cause };
         CourseRun {
@@ -206,7 +206,7 @@ mod tests {
             run(Verdict::Reached, Outcome::Reached, 0.91),
             run(Verdict::StoppedWrongly, Outcome::Stopped, 0.99),
             run(Verdict::StoppedRightly, Outcome::Stopped, 0.5),
-            run(Verdict::StoppedWrongly, Outcome::Stopped, 1.2),
+            run(Verdict::StoppedWrongly, Outcome::Stopped, 1.23),
             run(Verdict::Collision, Outcome::Collision, 1.21),
             run(Verdict::CollisionExcused, Outcome::Stopped, 1.25),
             run(Verdict::Missed, Outcome::Missed, 1.22),
