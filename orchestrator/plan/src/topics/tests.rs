@@ -127,7 +127,7 @@ fn a_circle_of_processes_is_refused_by_their_names() {
     let circle =
         with(own("{topic = \"imu\"}"), &companion("sensor", "reads = [\"pose\"]\nwrites = [\"imu\"]"));
     let message = circle.unwrap_err().to_string();
-    assert!(message.contains("estimator -> sensor -> estimator"), "{message}");
+    assert!(message.contains("sensor -> estimator -> sensor"), "{message}");
     assert!(with(own("{topic = \"imu\"}"), &writer("sensor")).is_ok());
     assert!(with(own(""), &companion("sensor", "reads = [\"pose\"]\nwrites = [\"imu\"]")).is_ok());
 }
