@@ -58,8 +58,8 @@ pub struct Drive {
     pub(crate) checkpoints: Vec<Checkpoint>,
     /// When each directive was published, and whether it demanded a stop.
     pub(crate) stops: Vec<(u64, bool)>,
-    /// Changes of authority per role, in their order.
-    authority: [Vec<Authority>; ROLES],
+    /// Changes of authority per role in their order, and when each was announced [ns].
+    authority: [Vec<(u64, Authority)>; ROLES],
     pub(crate) simulated: bool,
     pub(crate) period_ns: u64,
     /// The last scan of the run in lock-step.
@@ -186,8 +186,9 @@ impl Drive {
 
     /// Whether a sample of a role counts for its scan.
     pub(crate) fn counts(&self, role: Role, header: &Header) -> bool {
-        let changes = &self.authority[role.index()];
-        changes.iter().any(|authority| authority.accepts(header.incarnation, header.scan_id))
+        let (changes, time_ns) = (&self.authority[role.index()], header.stage(role).published_ns);
+        let in_force = changes.iter().rfind(|(announced_ns, _)| *announced_ns <= time_ns).or(changes.first());
+        in_force.is_some_and(|(_, authority)| authority.accepts(header.incarnation, header.scan_id))
     }
 
     /// Whether an estimator has received an actuation: on the bus, or handed over when it was started.
@@ -236,12 +237,12 @@ impl Drive {
                 let directive: &Directive = bytemuck::from_bytes(bytes);
                 self.stops.push((log_ns, directive.stop == 1));
                 for (known, authority) in self.authority.iter_mut().zip(directive.authority) {
-                    if known.last() != Some(&authority) {
+                    if known.last().map(|(_, newest)| newest) != Some(&authority) {
                         // A process that takes over from one that works gets its state otherwise.
                         if !known.is_empty() && authority.previous == 0 {
                             self.granted_ns.entry(authority.incarnation).or_insert(log_ns);
                         }
-                        known.push(authority);
+                        known.push((log_ns, authority));
                     }
                 }
             }

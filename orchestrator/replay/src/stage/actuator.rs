@@ -25,7 +25,9 @@ pub(super) fn replay(drive: &Drive, options: &Options, findings: &mut Findings) 
                 if output.header.scan_id > window.to {
                     return Ok(outputs.len());
                 }
-                let now_ns = output.header.stage(role).taken_ns;
+                let stamps = output.header.stage(role);
+                // Without an input nothing was taken.
+                let now_ns = if output.answers == 1 { stamps.taken_ns } else { stamps.computed_ns };
                 let replayed = match output.answers {
                     1 => {
                         if actuator.is_stopped() && !drive.is_stopped(now_ns) {
