@@ -1,4 +1,5 @@
 //! Settings changed while the robot drives: the process of the role is swapped, and what starts after it has them too.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use handover::swap::{Certificate, SwapOutcome};
 use rustix::process::Signal;

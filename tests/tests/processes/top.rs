@@ -1,5 +1,6 @@
 //! `top` and `run --top` on a real terminal: what they show, what their keys do, and that the terminal is as before
 //! after any end.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::process::{Child, ExitStatus};
 

@@ -1,4 +1,5 @@
 //! `swap --watch`: each saved change of a program takes over, or is refused, while the robot drives.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs::{OpenOptions, Permissions};
 use std::io::Write;
