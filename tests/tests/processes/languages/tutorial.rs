@@ -140,7 +140,11 @@ impl Shell {
         let (started, mut printed) = (Instant::now(), String::new());
         loop {
             match self.lines.recv_timeout(DEADLINE.saturating_sub(started.elapsed())) {
-                Ok(line) if line == "STEP DONE" => return printed.replace(system.id(), "default"),
+                Ok(line) if line == "STEP DONE" => {
+                    // Paths are printed whole; the page shows them below the folder of the reader.
+                    let folder = format!("{}/", system.folder().display());
+                    return printed.replace(&folder, "").replace(system.id(), "default");
+                }
                 Ok(line) => printed += &(line + "\n"),
                 Err(RecvTimeoutError::Timeout) => panic!("{commands}: not within {DEADLINE:?}: {printed}"),
                 Err(RecvTimeoutError::Disconnected) => panic!("{commands}: the shell ended: {printed}"),
