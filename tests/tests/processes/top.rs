@@ -78,7 +78,7 @@ fn the_terminal_is_restored_after_any_end() {
         (of_this as Target, Signal::TERM, Some(0)),
         (of_this, Signal::HUP, Some(0)),
         (painter, Signal::KILL, Some(5)),
-        (painter, Signal::SEGV, Some(5)),
+        (painter, Signal::ABORT, Some(5)),
         (of_this, Signal::KILL, None),
     ] {
         let terminal = Terminal::new(80, 24);
