@@ -187,11 +187,10 @@ pub(crate) fn each_process<S: Sample, T: Pod + Described>(
         let states = drive.checkpoints.iter().filter(|checkpoint| checkpoint.role == role.wire());
         let own = |checkpoint: &&Checkpoint| checkpoint.header.incarnation == incarnation;
         // The state nearest before the window, else the first of this process.
-        let nearest =
-            states.clone().filter(own).filter(|checkpoint| checkpoint.header.scan_id <= wanted).next_back();
+        let nearest = states.clone().filter(own).rfind(|checkpoint| checkpoint.header.scan_id <= wanted);
         let inherited = || {
-            let others = states.clone().filter(|checkpoint| checkpoint.header.incarnation != incarnation);
-            others.filter(|checkpoint| checkpoint.header.scan_id < start.scan_id).next_back()
+            let mut others = states.clone().filter(|checkpoint| checkpoint.header.incarnation != incarnation);
+            others.rfind(|checkpoint| checkpoint.header.scan_id < start.scan_id)
         };
         let chosen = match nearest {
             Some(nearest) if options.from.is_some() => Some(nearest),
