@@ -79,10 +79,11 @@ fn new_file(file: &Path) -> anyhow::Result<PathBuf> {
     if file.exists() {
         return Err(refuse(&"the file exists; name another one"));
     }
-    if let Some(Err(reason)) = file.parent().map(require_writable) {
+    let path = std::path::absolute(file).map_err(|error| refuse(&error))?;
+    if let Some(Err(reason)) = path.parent().map(require_writable) {
         return Err(refuse(&reason));
     }
-    std::path::absolute(file).map_err(|error| refuse(&error))
+    Ok(path)
 }
 
 /// Prints what a user should know before the drive: warnings always; unless `quiet`, differences to the description, and

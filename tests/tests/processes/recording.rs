@@ -16,8 +16,9 @@ const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 /// A recorded drive in lock-step; its system and the recording.
 fn recorded(arguments: &[&str]) -> (System, PathBuf) {
     let system = System::new(EXECUTABLE);
-    let report = system.lockstep(&[arguments, &["--record"]].concat());
+    let report = system.lockstep(&[arguments, &["--record=drive.mcap"]].concat());
     let recording = report.recording.expect("a recording");
+    assert_eq!(recording.file, system.folder().join("drive.mcap"));
     assert_eq!((recording.lost, recording.error.as_str()), (0, ""), "{recording:?}");
     assert_eq!(recording.bytes, recording.file.metadata().unwrap().len());
     (system, recording.file)
