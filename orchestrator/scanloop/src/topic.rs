@@ -134,13 +134,19 @@ struct Watch {
 
 impl Watch {
     fn open(system_id: &str, topic: &str) -> anyhow::Result<Self> {
-        let domain = supervision::runs::existing(system_id)?;
+        let of_loop = topic.parse::<Topic>();
+        let found = supervision::runs::existing(system_id);
+        let domain = match &of_loop {
+            Ok(_) => found?,
+            // Only a running system has other topics.
+            Err(unknown) => found.map_err(|_| Failure::bad_input(unknown))?,
+        };
         let own = OwnTopics::of(&domain)?.filter(|own| own.find(topic).is_some());
         let bus = Bus::open(&domain, "observer")?;
         if let Some(own) = own {
             return Self::own(bus, &own, topic);
         }
-        let topic: Topic = topic.parse().map_err(Failure::bad_input)?;
+        let topic = of_loop.map_err(Failure::bad_input)?;
         fn of<S: Sample>(bus: &Bus) -> Result<NextSample, RuntimeError> {
             let observer = Observer::<S>::new(bus)?;
             Ok(Box::new(move || Ok(observer.next()?.map(|(sample, _)| bytemuck::bytes_of(&sample).to_vec()))))

@@ -122,7 +122,7 @@ fn a_collision_that_only_the_truth_shows_is_not_claimed() {
 
 #[test]
 fn a_robot_that_promises_a_truth_and_publishes_none_ends_the_run_with_its_name() {
-    for (fault, since) in [("withholding", "since scan 1;"), ("forgetful", "since scan 20;")] {
+    for (fault, since) in [("withholding", 1), ("forgetful", 20)] {
         let system = System::new(EXECUTABLE);
         let path = system.folder().join("system.toml");
         std::fs::write(&path, system_file(10, &[Role::Robot], FAULTY, &[fault])).unwrap();
@@ -136,7 +136,11 @@ fn a_robot_that_promises_a_truth_and_publishes_none_ends_the_run_with_its_name()
                 "{}",
                 report.reason
             );
-            let named = report.reason.contains(FAULTY) && report.reason.contains(since);
+            let found = report.reason.split("since scan ").nth(1).and_then(|rest| rest.split(';').next());
+            let found: u64 = found.and_then(|scan| scan.parse().ok()).expect("a scan");
+            // On a busy machine the orchestrator may miss the first scans of a live run.
+            let is_near = (since..since + if mode.is_empty() { 10 } else { 1 }).contains(&found);
+            let named = report.reason.contains(FAULTY) && is_near;
             assert!(named && report.judged_by == JudgedBy::Truth, "{fault}: {}", report.reason);
             system.assert_nothing_left();
         }
