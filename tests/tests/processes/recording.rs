@@ -20,12 +20,12 @@ fn recorded(arguments: &[&str]) -> (System, PathBuf) {
     let recording = report.recording.expect("a recording");
     assert_eq!(recording.file, system.folder().join("drive.mcap"));
     assert_eq!((recording.lost, recording.error.as_str()), (0, ""), "{recording:?}");
-    assert_eq!(recording.bytes, recording.file.metadata().unwrap().len());
+    assert_eq!(recording.bytes, recording.file.metadata().expect("of a test").len());
     (system, recording.file)
 }
 
 fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
+    path.to_str().expect("of a test")
 }
 
 fn json(output: &Output) -> Value {
@@ -36,7 +36,7 @@ fn json(output: &Output) -> Value {
 /// The report of a replay, and its exit code.
 fn replayed(system: &System, file: &Path, arguments: &[&str]) -> (Value, i32) {
     let output = system.run(&[&["replay", text(file), "--json"], arguments].concat());
-    (json(&output), output.status.code().unwrap())
+    (json(&output), output.status.code().expect("of a test"))
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn a_recorded_drive_is_the_same_drive_and_its_replay_agrees_to_the_bit() {
     let system = System::new(EXECUTABLE);
     let report = system.lockstep(&[&SHORT_CORRIDOR[..], &["--record"]].concat());
     assert_eq!(report.digests, unrecorded.digests);
-    let file = report.recording.unwrap().file;
+    let file = report.recording.expect("of a test").file;
     let info = json(&system.run(&["recording", "info", text(&file), "--json"]));
     assert_eq!(
         (&info["complete"], &info["lost"], &info["lockstep"]),
@@ -75,7 +75,14 @@ fn a_flipped_bit_is_found_with_its_field() {
     // The yaw of the tenth pose stands behind the encapsulation and the header.
     rewrite(&file, &flipped, "/scanloop/pose", |number, data| data[4 + 192] ^= u8::from(number == 9));
     let (report, code) = replayed(&system, &flipped, &["--stage", "estimator"]);
-    assert_eq!((code, report["compared"].as_u64().unwrap() - report["identical"].as_u64().unwrap()), (1, 1));
+    assert_eq!(
+        (
+            code,
+            report["compared"].as_u64().expect("of a test")
+                - report["identical"].as_u64().expect("of a test")
+        ),
+        (1, 1)
+    );
     let difference = &report["differences"][0];
     assert_eq!(
         (&difference["topic"], &difference["scan"], &difference["field"]),
@@ -85,9 +92,9 @@ fn a_flipped_bit_is_found_with_its_field() {
 
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
 fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
-    let mut reader = Reader::new(File::open(from).unwrap()).unwrap();
+    let mut reader = Reader::new(File::open(from).expect("of a test")).expect("of a test");
     let (mut writer, mut number) = (None, 0);
-    while let Some(message) = reader.next_message().unwrap() {
+    while let Some(message) = reader.next_message().expect("of a test") {
         let (channel, sequence, log_ns, mut data) =
             (message.channel, message.sequence, message.log_ns, message.data.to_vec());
         let contents = reader.contents();
@@ -95,9 +102,10 @@ fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8]
             let schemas: Vec<Schema> = contents.schemas.values().cloned().collect();
             let lowered = |channel: &Channel| Channel { schema: channel.schema - 1, ..channel.clone() };
             let channels: Vec<Channel> = contents.channels.values().map(lowered).collect();
-            let mut writer = Writer::new(File::create(to).unwrap(), "test", &schemas, &channels).unwrap();
+            let mut writer = Writer::new(File::create(to).expect("of a test"), "test", &schemas, &channels)
+                .expect("of a test");
             for file in &contents.attachments {
-                writer.attach(&file.name, &file.media_type, &file.data, 0).unwrap();
+                writer.attach(&file.name, &file.media_type, &file.data, 0).expect("of a test");
             }
             writer
         });
@@ -105,9 +113,9 @@ fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8]
             change(number, &mut data);
             number += 1;
         }
-        writer.message(channel, sequence, log_ns, &data).unwrap();
+        writer.message(channel, sequence, log_ns, &data).expect("of a test");
     }
-    writer.unwrap().finish().unwrap();
+    writer.expect("of a test").finish().expect("of a test");
 }
 
 #[test]
@@ -177,7 +185,7 @@ fn a_recorder_that_is_killed_costs_no_scan_and_leaves_a_readable_file() {
 
 /// The process that records a system.
 fn recorder_of(system: &System) -> Option<i32> {
-    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let processes = std::fs::read_dir("/proc").expect("of a test").flatten();
     let mut pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
     pids.find(|pid| {
         let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
