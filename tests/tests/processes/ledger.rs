@@ -224,8 +224,10 @@ fn planted_delays_lie_in_the_stage_and_place_that_they_are_attributed_to() {
         assert_eq!(part.1 - part.0, attributed_ns, "{what}, scan {scan}");
         others.entry(what).or_default().push(attributed_ns - (to_ns - from_ns));
     }
-    // The actuator is the last stage; no other waits for its delivery.
-    assert!(others.len() >= 40, "{others:?}");
+    // All but deliveries: a subscriber that polls meanwhile does not wait for them.
+    let places = others.keys().filter(|what| !what.starts_with("Deliver")).count();
+    assert_eq!(places, 36, "{others:?}");
+    assert!(others.len() > places, "{others:?}");
     for (what, others) in others {
         eprintln!("{what}: and {} us of its own", median(others) / 1000);
     }
