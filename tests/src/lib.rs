@@ -133,7 +133,8 @@ impl System {
     /// [`System::launch`] with a standard error of one's own. Without a key for it, no last seconds are kept.
     pub fn launch_into(&mut self, stderr: Stdio, arguments: &[&str], environment: &[(&str, &str)]) {
         let mut command = self.command(arguments);
-        if arguments.first() == Some(&"run") && !arguments.iter().any(|key| key.contains("recording.ring_s")) {
+        if arguments.first() == Some(&"run") && !arguments.iter().any(|key| key.contains("recording.ring_s"))
+        {
             command.args(["--set", "recording.ring_s=0"]);
         }
         command.envs(environment.iter().copied()).stdout(Stdio::null()).stderr(stderr);

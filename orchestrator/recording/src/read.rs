@@ -142,7 +142,9 @@ impl Recording {
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", self.path.display()));
         let version = metadata(self.contents(), RECORDING, "version").unwrap_or(VERSION);
         if version != VERSION {
-            return Err(refuse(format!("version {version} of the recording is not {VERSION}, the one that this program reads")));
+            return Err(refuse(format!(
+                "version {version} of the recording is not {VERSION}, the one that this program reads"
+            )));
         }
         let found = Self::layout_differences(self.contents());
         let found = found.map_err(|error| refuse(format!("{LAYOUTS}: {error}")))?;

@@ -95,8 +95,7 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     let mut losses = Losses::default();
     let started_ns = monotonic_ns();
     let mut end_ns = options.duration.map_or(u64::MAX, |duration| started_ns + duration.as_nanos() as u64);
-    let poll_ns =
-        if lockstep { LOCKSTEP_POLL_NS } else { (period_ns / 4).clamp(POLL_NS[0], POLL_NS[1]) };
+    let poll_ns = if lockstep { LOCKSTEP_POLL_NS } else { (period_ns / 4).clamp(POLL_NS[0], POLL_NS[1]) };
     let (mut next_check_ns, mut ends, mut last_scan, mut newest) = (0, false, 0, 0);
     let mut is_orphaned = false;
     loop {

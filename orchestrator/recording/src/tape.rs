@@ -63,8 +63,11 @@ impl<W: Write> Target for Writer<W> {
 /// # Errors
 /// Those of `out`.
 pub fn writer<W: Write>(out: W) -> io::Result<Writer<W>> {
-    let of_topic =
-        |topic: &Topic| Schema { name: type_name(*topic), encoding: ROS2MSG.to_owned(), text: schema(*topic) };
+    let of_topic = |topic: &Topic| Schema {
+        name: type_name(*topic),
+        encoding: ROS2MSG.to_owned(),
+        text: schema(*topic),
+    };
     let schemas: Vec<Schema> = TOPICS.iter().map(of_topic).chain(foxglove::schemas()).collect();
     let topics = TOPICS.iter().map(|topic| {
         let layout = [("type".to_owned(), topic.type_name().to_owned())];

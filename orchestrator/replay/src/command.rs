@@ -8,9 +8,7 @@ mod bench;
 
 use console::exit::Failure;
 use runtime::Shutdown;
-use shared_types::{
-    Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan,
-};
+use shared_types::{Actuation, Checkpoint, Command, Header, Obstacles, Odometry, Pose, Role, Sample, Scan};
 
 use self::bench::Bench;
 use crate::drive::Lane;
@@ -60,20 +58,26 @@ pub(crate) fn replay(
                 Some(inputs)
             })?;
         }
-        Role::Obstacles => run(role, command, drive, options, found, &drive.obstacles, |output: &Obstacles| {
-            let scan = drive.input(&drive.scans, Role::Robot, &output.header)?;
-            let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
-            Some(vec![Input::Scan(Box::new(*scan)), Input::Pose(Box::new(*pose))])
-        })?,
-        Role::Controller => run(role, command, drive, options, found, &drive.commands, |output: &Command| {
-            let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
-            let obstacles = drive.input(&drive.obstacles, Role::Obstacles, &output.header)?;
-            Some(vec![Input::Pose(Box::new(*pose)), Input::Obstacles(Box::new(*obstacles))])
-        })?,
-        Role::Actuator => run(role, command, drive, options, found, &drive.actuations, |output: &Actuation| {
-            let command = drive.input(&drive.commands, Role::Controller, &output.header)?;
-            Some(vec![Input::Command(Box::new(*command))])
-        })?,
+        Role::Obstacles => {
+            run(role, command, drive, options, found, &drive.obstacles, |output: &Obstacles| {
+                let scan = drive.input(&drive.scans, Role::Robot, &output.header)?;
+                let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
+                Some(vec![Input::Scan(Box::new(*scan)), Input::Pose(Box::new(*pose))])
+            })?
+        }
+        Role::Controller => {
+            run(role, command, drive, options, found, &drive.commands, |output: &Command| {
+                let pose = drive.input(&drive.poses, Role::Estimator, &output.header)?;
+                let obstacles = drive.input(&drive.obstacles, Role::Obstacles, &output.header)?;
+                Some(vec![Input::Pose(Box::new(*pose)), Input::Obstacles(Box::new(*obstacles))])
+            })?
+        }
+        Role::Actuator => {
+            run(role, command, drive, options, found, &drive.actuations, |output: &Actuation| {
+                let command = drive.input(&drive.commands, Role::Controller, &output.header)?;
+                Some(vec![Input::Command(Box::new(*command))])
+            })?
+        }
     }
     Ok(findings)
 }

@@ -99,9 +99,9 @@ impl std::fmt::Display for Statistics {
         let Self { role, compared, kind_differs, differences } = self;
         write!(formatter, "{role}: {compared} scans compared, {kind_differs} of another kind")?;
         differences.iter().try_for_each(|difference| {
-            let interval = difference.mean_interval.map_or_else(String::new, |[low, high]| {
-                format!(", 95 % interval {low:.6} to {high:.6}")
-            });
+            let interval = difference
+                .mean_interval
+                .map_or_else(String::new, |[low, high]| format!(", 95 % interval {low:.6} to {high:.6}"));
             let handover::shadow::Difference { quantity, unit, mean, max_abs, .. } = difference;
             write!(formatter, "\n  {quantity}: mean {mean:.6} {unit}{interval}, largest {max_abs:.6} {unit}")
         })

@@ -12,9 +12,7 @@ use bytemuck::Pod;
 use handover::shadow::Study;
 use handover::swap::agreement::{OutputSummary, disagreement};
 use handover::swap::{Output, Party};
-use shared_types::{
-    Actuation, Checkpoint, Command, Described, Header, Obstacles, Pose, Role, Sample, Topic,
-};
+use shared_types::{Actuation, Checkpoint, Command, Described, Header, Obstacles, Pose, Role, Sample, Topic};
 
 use crate::compare::{Difference, difference, take_over};
 use crate::drive::Lane;

@@ -99,9 +99,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> anyhow::Result<Exit> {
 
 /// Reads `ROLE=COMMAND`: a command with its arguments, or a built-in implementation of the role.
 fn program(text: &str) -> Result<(Role, Vec<String>), String> {
-    let (role, command) =
-        text.split_once('=').ok_or_else(|| format!("{text}: expected ROLE=COMMAND"))?;
-    let role: Role = role.parse()?;
+    let (role, command) = text.split_once('=').ok_or_else(|| format!("{text}: expected ROLE=COMMAND"))?;
+    let role: Role = role.parse().map_err(|error| format!("{text}: {error}"))?;
     if IMPLEMENTATIONS.contains(&(command, role)) {
         let program = this_program().to_string_lossy().into_owned();
         return Ok((role, vec![program, "service".to_owned(), command.to_owned()]));

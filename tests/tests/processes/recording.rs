@@ -96,12 +96,17 @@ fn a_flipped_bit_is_found_with_its_field() {
 /// Copies a recording; `change` gets the number and the bytes of each message of a channel.
 fn rewrite(from: &Path, to: &Path, topic: &str, change: impl Fn(usize, &mut [u8])) {
     let mut number = 0;
-    rewrite_with(from, to, |_, data| data.to_vec(), |of, _, data| {
-        if of == topic {
-            change(number, data);
-            number += 1;
-        }
-    });
+    rewrite_with(
+        from,
+        to,
+        |_, data| data.to_vec(),
+        |of, _, data| {
+            if of == topic {
+                change(number, data);
+                number += 1;
+            }
+        },
+    );
 }
 
 /// Copies a recording with other files and other messages; messages come with topic and sequence.
@@ -366,7 +371,12 @@ fn a_program_in_place_of_a_stage_gets_the_recorded_inputs() {
     let invalid = format!("controller={FAULTY_CONTROLLER} nan");
     let (invalid, code) = replayed(&system, &file, &["--with", &invalid]);
     assert_eq!((code, &invalid["beyond"]), (1, &invalid["compared"]), "{invalid}");
-    let dead = system.run(&["replay", text(&file), "--with", &format!("controller={FAULTY_CONTROLLER} exit-after 5")]);
+    let dead = system.run(&[
+        "replay",
+        text(&file),
+        "--with",
+        &format!("controller={FAULTY_CONTROLLER} exit-after 5"),
+    ]);
     assert_eq!(dead.status.code(), Some(4));
     assert!(String::from_utf8_lossy(&dead.stderr).contains("the command ended"));
     for (with, reason) in [
@@ -435,7 +445,12 @@ fn stages_whose_samples_have_the_same_layout_are_replayed() {
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && message.contains("field number"), "{message}");
     let damaged = system.folder().join("damaged.mcap");
-    rewrite_with(&file, &damaged, |name, data| if name == "layouts.txt" { b"?".to_vec() } else { data.to_vec() }, |_, _, _| {});
+    rewrite_with(
+        &file,
+        &damaged,
+        |name, data| if name == "layouts.txt" { b"?".to_vec() } else { data.to_vec() },
+        |_, _, _| {},
+    );
     let refused = system.run(&["replay", text(&damaged)]);
     let message = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && message.contains("layouts.txt"), "{message}");

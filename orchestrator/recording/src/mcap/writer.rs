@@ -167,7 +167,13 @@ impl<W: Write> Writer<W> {
         }
         let [first, last] = chunk.times.unwrap_or_default();
         let mut index = Vec::new();
-        index.u64(first).u64(last).u64(start).u64(chunk.chunk_bytes).u32(offsets.len() as u32).extend(&offsets);
+        index
+            .u64(first)
+            .u64(last)
+            .u64(start)
+            .u64(chunk.chunk_bytes)
+            .u32(offsets.len() as u32)
+            .extend(&offsets);
         index.u64(chunk.records.len() as u64 - chunk.chunk_bytes).text("lz4");
         index.u64(chunk.stored_bytes).u64(chunk.full_bytes);
         self.chunks.push(index);

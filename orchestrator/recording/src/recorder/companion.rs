@@ -18,8 +18,6 @@ pub(super) enum Order {
     Connect,
     /// The run has ended, and this was its last scan: finish the recording.
     End(u64),
-    /// Something happened at this scan: write the ring.
-    Incident(u64),
     /// Something happened: write what is in memory.
     Incident,
     /// Something to be recorded with the log lines.
@@ -80,7 +78,6 @@ impl Companion {
             match line.split_once(' ').unwrap_or((&line, "")) {
                 ("connect", _) => return Some(Order::Connect),
                 ("end", scan) => return Some(Order::End(scan.parse().unwrap_or(0))),
-                ("incident", scan) => return Some(Order::Incident(scan.parse().unwrap_or(0))),
                 ("incident", _) => return Some(Order::Incident),
                 ("note", text) => return Some(Order::Note(text.to_owned())),
                 _ => {}

@@ -219,7 +219,7 @@ fn write(
 /// Keeps the last seconds in memory until the queue is closed, and writes them when something happens.
 fn keep(mut tape: Tape<Ring>, receiver: &Receiver<Batch>, reports: &Sender<Saved>) -> Written {
     let mut written = Written::default();
-    let mut save = |tape: &mut Tape<Ring>, scan_id| {
+    let save = |tape: &mut Tape<Ring>, scan_id| {
         if let Some(saved) = tape.target().save(scan_id).map_err(|error| error.to_string()).transpose() {
             let _ = reports.send(saved);
         }

@@ -100,7 +100,8 @@ impl<'a, S: Sample> Bench<'a, S> {
         let log = ChildLog::open(&domain.directory().join("command.log"))?;
         let environment = environment_of(&domain, &stop_word, role, PROCESS, state.is_some());
         let launch = Launch { command: command.iter().map(Into::into).collect(), environment };
-        let child = Child::spawn(&launch, &log).map_err(|error| Failure::process(format!("{role}: {error}")))?;
+        let child =
+            Child::spawn(&launch, &log).map_err(|error| Failure::process(format!("{role}: {error}")))?;
         let mut bench = Self {
             child,
             publishers,
