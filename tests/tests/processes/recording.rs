@@ -6,6 +6,7 @@ use std::process::Output;
 
 use recording::mcap::{Channel, Reader, Schema, Writer};
 use rustix::process::Signal;
+use scanloop_tests::namespace::is_inside;
 use scanloop_tests::recordings::{self, Kind};
 use scanloop_tests::{SHORT_CORRIDOR, SHORT_FREE, System};
 use serde_json::Value;
@@ -222,9 +223,16 @@ fn a_kill_leaves_one_file_with_the_seconds_before_it_and_the_restart_and_it_is_r
     system.signal(system.pid(Role::Controller), Signal::KILL);
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
-    assert_eq!((report.recording, report.incidents.len()), (None, 1), "{:?}", report.incidents);
-    assert_eq!(incidents_of(&system), report.incidents);
-    let file = &report.incidents[0];
+    assert_eq!(report.recording, None);
+    let (found, named) = (incidents_of(&system), report.incidents);
+    assert!(
+        found.len() == named.len() && found.iter().all(|file| named.contains(file)),
+        "{found:?} {named:?}"
+    );
+    // On a busy machine, a late command may block the wheels later on: that is another incident.
+    let soon = |file: &&PathBuf| (20..40).any(|scan| file.ends_with(format!("incident-{scan}.mcap")));
+    assert_eq!(named.iter().filter(soon).count(), 1, "{named:?}");
+    let file = &named[0];
     let info = json(&system.run(&["recording", "info", text(file), "--json"]));
     assert_eq!((&info["complete"], &info["lost"]), (&true.into(), &0.into()), "{info}");
     assert!(info["duration_s"].as_f64() > Some(3.0), "{info}");
@@ -272,19 +280,36 @@ fn an_adopted_system_is_recorded_and_the_death_of_its_orchestrator_leaves_a_file
 }
 
 #[test]
-fn a_full_disk_costs_no_scan_and_the_loss_is_told() {
+fn a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told() {
+    let name = concat!(module_path!(), "::a_disk_that_fills_up_costs_no_scan_and_the_loss_is_told");
+    if !is_inside(name, "mount -t tmpfs -o size=200k tmpfs /mnt &&", |_| {}) {
+        return;
+    }
     let mut system = System::new(EXECUTABLE);
-    std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
-    // Every write to this device fails as on a full disk.
-    std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap")).expect("of a test");
-    system.start(&[&SHORT_FREE[..], &["--record"]].concat());
+    system.start(&[&SHORT_FREE[..], &["--record=/mnt/drive.mcap"]].concat());
     assert_eq!(system.wait().code(), Some(0), "{}", system.stderr());
     let report = system.report();
     assert_eq!((report.scans.lost, report.scans.unaccounted, report.ledger.residual), (0, 0, 0));
     let recording = report.recording.expect("of a test");
     assert!(recording.error.contains("No space left"), "{recording:?}");
-    assert!(recording.samples == 0 && recording.lost > 50, "{recording:?}");
+    assert!(recording.samples > 0 && recording.lost > 0, "{recording:?}");
     assert!(system.stderr().contains("the rest of the drive is not recorded: No space left"));
+    let info = json(&system.run(&["recording", "info", text(&recording.file), "--json"]));
+    assert!(info["complete"] == false && info["duration_s"].as_f64() > Some(0.5), "{info}");
+    assert_eq!(replayed(&system, &recording.file, &[]).1, 0);
+    system.assert_nothing_left();
+}
+
+#[test]
+fn a_disk_that_is_full_at_the_start_is_an_error_before_the_drive() {
+    let system = System::new(EXECUTABLE);
+    std::fs::create_dir_all(system.folder().join("out")).expect("of a test");
+    // Every write to this device fails as on a full disk.
+    std::os::unix::fs::symlink("/dev/full", system.folder().join("out/recording.mcap")).expect("of a test");
+    let output = system.run(&["run", "free", "--out", "out", "--record"]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{message}");
+    assert!(message.contains("the recorder did not start") && message.contains("No space left"), "{message}");
     system.assert_nothing_left();
 }
 
