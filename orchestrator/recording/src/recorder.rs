@@ -97,7 +97,7 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
     let mut end_ns = options.duration.map_or(u64::MAX, |duration| started_ns + duration.as_nanos() as u64);
     let poll_ns = if lockstep { LOCKSTEP_POLL_NS } else { (period_ns / 4).clamp(POLL_NS[0], POLL_NS[1]) };
     let (mut next_check_ns, mut ends, mut last_scan, mut newest) = (0, false, 0, 0);
-    let mut is_orphaned = false;
+    let (mut is_orphaned, mut known_processes) = (false, Vec::new());
     loop {
         for observer in &observers {
             let topic = observer.topic();
@@ -105,8 +105,10 @@ pub fn record(domain: &Domain, options: &Options, shutdown: &Shutdown) -> anyhow
                 let incarnation = (topic.sample_type().header)(bytes).incarnation;
                 if losses.is_first(topic, incarnation)
                     && let Ok(processes) = domain.folder().read(PROCESSES_FILE)
+                    && known_processes != processes
                 {
                     // It names the process, as the orchestrator writes it before it announces one.
+                    known_processes.clone_from(&processes);
                     queue.attach(format!("processes-{incarnation}.toml"), processes);
                 }
                 losses.note(topic, bytes);

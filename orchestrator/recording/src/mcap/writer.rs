@@ -81,10 +81,8 @@ impl<W: Write> Writer<W> {
             body.map(&channel.metadata);
             append(&mut writer.definitions[1], opcode::CHANNEL, &body);
         }
-        // In the first chunk too: some readers look for them only there.
-        let definitions = writer.definitions.concat();
-        writer.put(&definitions)?;
-        writer.open = OpenChunk::beginning_with(definitions);
+        // Compressed, and where all readers look for them.
+        writer.open = OpenChunk::beginning_with(writer.definitions.concat());
         Ok(writer)
     }
 
