@@ -107,7 +107,14 @@ impl Recording {
             }
             each(contents, Recorded { topic, log_ns, bytes })?;
         }
-        self.require_a_second()
+        self.require_a_second()?;
+        if !self.contents().is_complete {
+            let path = self.path.display();
+            let text =
+                format!("warning: {path}: the recording was cut off; read up to its last whole second");
+            runtime::print(runtime::Priority::Warning, &text);
+        }
+        Ok(())
     }
 
     /// Its reader.
@@ -177,6 +184,32 @@ pub fn metadata<'a>(contents: &'a Contents, name: &str, key: &str) -> Option<&'a
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_newer_recording_and_one_with_another_table_of_layouts_are_refused() {
+        let path = std::env::temp_dir().join(format!("scanloop-read-{}.mcap", std::process::id()));
+        for (version, layouts, reason) in [
+            ("2", String::new(), "version 2 of the recording is not 1"),
+            (VERSION, "other".to_owned(), "layouts.txt: line 1"),
+            (VERSION, Layouts::built_in().to_string(), ""),
+        ] {
+            let mut writer = crate::tape::writer(File::create(&path).unwrap()).unwrap();
+            writer.attach(LAYOUTS, "text/plain", layouts.as_bytes(), 0).unwrap();
+            writer.metadata(RECORDING, &[("version".to_owned(), version.to_owned())]).unwrap();
+            writer.message(0, 1, 1, &[&ENCAPSULATION, &vec![0; TOPICS[0].size()]]);
+            writer.finish().unwrap();
+            let mut samples = 0;
+            let read = Recording::open(&path).unwrap().samples(|_, _| {
+                samples += 1;
+                Ok(())
+            });
+            match read {
+                Ok(()) => assert_eq!((reason, samples), ("", 1)),
+                Err(error) => assert!(!reason.is_empty() && error.to_string().contains(reason), "{error}"),
+            }
+        }
+        std::fs::remove_file(&path).unwrap();
+    }
 
     #[test]
     fn only_channels_of_the_system_are_topics() {

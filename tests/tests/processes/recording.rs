@@ -156,6 +156,12 @@ fn a_recording_that_is_cut_off_is_read_and_repaired_up_to_its_last_second() {
     let mended = json(&system.run(&["recording", "info", text(&repaired), "--json"]));
     assert_eq!((&mended["complete"], &mended["channels"]), (&true.into(), &info["channels"]));
     assert_eq!(replayed(&system, &repaired, &[]).1, 0);
+    let output = system.run(&["replay", text(&cut)]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        output.status.code() == Some(0) && message.contains("warning") && message.contains("cut off"),
+        "{message}"
+    );
 }
 
 #[test]
