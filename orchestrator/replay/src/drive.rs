@@ -7,15 +7,17 @@ use anyhow::Context;
 use console::exit::Failure;
 use recording::Recording;
 use recording::read::{attachment, metadata};
-use runtime::settings_file;
+use runtime::{monotonic_ns, settings_file, wait_for};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use shared_types::{
     Actuation, Authority, Checkpoint, Command, Directive, Header, Heartbeat, Obstacles, Odometry, Pose,
-    ROLES, Role, Sample, Scan, Topic, Truth,
+    ROLES, Role, Sample, Scan, Topic, Truth, topics_of,
 };
 use supervision::entry::ProcessRow;
 use toml::{Table, Value};
+
+use crate::NotReplayed;
 
 /// Samples of one topic in the order of the recording.
 #[derive(Debug, Default)]
@@ -34,6 +36,11 @@ impl<S: Sample> Lane<S> {
     /// The samples of a scan.
     pub(crate) fn of_scan(&self, scan_id: u64) -> impl Iterator<Item = &S> {
         self.by_scan.get(&scan_id).into_iter().flatten().map(|index| &self.samples[*index])
+    }
+
+    /// The scans with samples, in order.
+    pub(crate) fn scans(&self) -> impl Iterator<Item = u64> {
+        self.by_scan.keys().copied()
     }
 
     /// The samples of a process, by number.
@@ -73,6 +80,10 @@ pub struct Drive {
     granted_ns: BTreeMap<u32, u64>,
     /// Processes that are no implementation of this program, and what they are.
     foreign: BTreeMap<u32, String>,
+    /// Fields of samples whose layouts differ from those of this program.
+    other_layouts: Vec<shared_types::Difference>,
+    /// When the first scan was replayed, and when it was acquired, in a replay in real time [ns].
+    pace_ns: Option<[u64; 2]>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -89,17 +100,12 @@ impl Drive {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let mut recording = Recording::open(path)?;
         let mut drive = Self::default();
-        let mut is_checked = false;
-        recording.samples(|contents, sample| {
-            if !std::mem::replace(&mut is_checked, true)
-                && let Some(difference) = Recording::layout_difference(contents)
-            {
-                return Err(Failure::bad_input(format!("{}: another layout: {difference}", path.display())));
-            }
+        recording.samples(|_, sample| {
             drive.add(sample.topic, sample.log_ns, sample.bytes);
             Ok(())
         })?;
         let contents = recording.contents();
+        drive.other_layouts = Recording::layout_differences(contents)?;
         let refuse = |reason: String| Failure::bad_input(format!("{}: {reason}", path.display()));
         for role in Role::ALL {
             let name = settings_file(*role);
@@ -153,6 +159,53 @@ impl Drive {
             self.is_changed = true;
         }
         Ok(())
+    }
+
+    /// Of these roles, those whose samples have the layouts of this program, and why the others can't be replayed.
+    ///
+    /// # Errors
+    /// None is left: the fields that differ; exit code 2.
+    pub(crate) fn replayable(
+        &self,
+        wanted: &[Role],
+        path: &Path,
+    ) -> anyhow::Result<(Vec<Role>, Vec<NotReplayed>)> {
+        let (mut stages, mut others) = (Vec::new(), Vec::new());
+        for role in Role::ALL.iter().filter(|role| wanted.contains(role)) {
+            let needed: Vec<&str> = topics_of(*role).map(Topic::name).collect();
+            let differing = self.other_layouts.iter().filter(|found| needed.contains(&found.topic.as_str()));
+            let fields: Vec<String> = differing.map(ToString::to_string).collect();
+            match fields.is_empty() {
+                true => stages.push(*role),
+                false => others.push(NotReplayed { role: role.name(), fields }),
+            }
+        }
+        if stages.is_empty() {
+            let fields: Vec<String> = self.other_layouts.iter().map(ToString::to_string).collect();
+            let (path, fields) = (path.display(), fields.join("; "));
+            return Err(Failure::bad_input(format!("{path}: another layout: {fields}")));
+        }
+        Ok((stages, others))
+    }
+
+    /// From now on, [`Drive::keep_pace`] waits for the time of each scan, counted from the scan `from`.
+    pub(crate) fn set_pace(&mut self, from: Option<u64>) {
+        let first = self.scans.samples.iter().find(|scan| scan.header.scan_id >= from.unwrap_or(0));
+        self.pace_ns = first.map(|first| [monotonic_ns(), first.header.acquired_ns]);
+    }
+
+    /// In a replay in real time, waits until as much time has passed since the first scan as in the drive.
+    pub(crate) fn keep_pace(&self, header: &Header) {
+        let Some([started_ns, first_ns]) = self.pace_ns else { return };
+        let due_ns = started_ns + header.acquired_ns.saturating_sub(first_ns);
+        while let Some(left_ns) = due_ns.checked_sub(monotonic_ns()).filter(|left_ns| *left_ns > 0) {
+            wait_for(&[], left_ns);
+        }
+    }
+
+    /// The settings of each role.
+    pub(crate) fn settings(&self) -> impl Iterator<Item = (Role, &Table)> {
+        self.settings.iter().map(|(role, table)| (*role, table))
     }
 
     /// Scans between two limits.

@@ -82,6 +82,8 @@ pub struct RunResult {
     pub ledger: LedgerReport,
     /// The recording; `None` when the run was not recorded.
     pub recording: Option<RecordingReport>,
+    /// Files with the last seconds before an incident.
+    pub incidents: Vec<std::path::PathBuf>,
 }
 
 /// What is recorded of one run.
@@ -348,6 +350,7 @@ impl Recorder {
             companions: result.companions.clone(),
             swaps: result.swaps.clone(),
             recording: result.recording.clone(),
+            incidents: result.incidents.clone(),
             digests: BTreeMap::new(),
             trajectory_rows_dropped: self.rows.dropped(),
             trajectory: self.trajectory(),

@@ -96,6 +96,9 @@ pub struct Report {
     /// The recording of the run; `None` when it was not recorded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecordingReport>,
+    /// Files with the last seconds before a death, a rollback, a collision or a stop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub incidents: Vec<std::path::PathBuf>,
     /// Hash of all samples per topic in lock-step: equal runs have equal samples.
     pub digests: BTreeMap<String, String>,
     /// Number of first rows that `trajectory` lacks because the run was too long to keep them.

@@ -35,6 +35,7 @@ pub fn text(report: &Report, folder: Option<&Path>) -> String {
     rows.push(("samples", samples(&report.ledger)));
     rows.extend(report.ledger.refused.iter().map(|row| ("dropped", row.to_string())));
     rows.extend(report.recording.iter().map(|recording| ("recording", recording.to_string())));
+    rows.extend(report.incidents.iter().map(|file| ("incident", file.display().to_string())));
     if !report.controller.status.is_empty() {
         rows.push(("solver", counts(report.controller.status.iter())));
     }

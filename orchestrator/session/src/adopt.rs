@@ -124,6 +124,9 @@ pub(crate) fn take_over(
     let startup =
         Startup { bus, stop_word, fleet, companions, shutdown, events, directive, first_scan: 0, judged_by };
     let mut session = Session::new(domain, &plan, &options, startup)?;
+    if plan.system.recording.ring_s > 0.0 {
+        session.keep_ring(&options.out, plan.system.recording.ring_s);
+    }
     session.resume_end(registry.outcome, registry.reason);
     conclude(session, &plan, &options.out)
 }

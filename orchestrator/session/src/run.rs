@@ -68,6 +68,8 @@ pub fn run(system_id: &str, arguments: &RunArguments) -> anyhow::Result<Exit> {
     let mut session = start(&domain, &plan, &options, lock, shutdown)?;
     if let Some(file) = recording {
         session.record_to(&file, &options.out.join("logs"))?;
+    } else if !options.lockstep && plan.system.recording.ring_s > 0.0 {
+        session.keep_ring(&options.out, plan.system.recording.ring_s);
     }
     conclude(session, &plan, &options.out)
 }

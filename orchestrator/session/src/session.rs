@@ -9,6 +9,7 @@ mod candidates;
 mod companions;
 mod conclusion;
 mod events;
+mod incidents;
 mod judge;
 mod reconciliation;
 mod recording;
@@ -44,6 +45,7 @@ use crate::vitals::Vitals;
 use candidates::Watches;
 use conclusion::{Conclusion, Step};
 use events::Events;
+use incidents::Noticed;
 use reconciliation::Reconciliation;
 use recording::{Recording, ScanObserver};
 use registry_file::RegistryFile;
@@ -81,6 +83,7 @@ pub struct Session {
     manager: ServiceManager,
     /// Records the run, if that was asked for.
     companion: Option<Companion>,
+    noticed: Noticed,
     /// The first events for the supervisor: to start all processes, or those that were adopted.
     startup: Vec<Event>,
     // Dropped last, in this order: the ports above, the bus, then the processes and all files of the system.
@@ -140,6 +143,7 @@ impl Session {
             events: Events::default(),
             manager: ServiceManager::new(),
             companion: None,
+            noticed: Noticed::default(),
             run: Run { domain: domain.clone(), stop_word, scenario, lockstep, period_ns },
             startup: events,
             shutdown,
@@ -162,6 +166,15 @@ impl Session {
     pub fn record_to(&mut self, file: &Path, logs: &Path) -> anyhow::Result<()> {
         self.companion = Some(Companion::start(&self.run.domain, file, &logs.join("recorder.log"))?);
         Ok(())
+    }
+
+    /// Keeps the last seconds in memory for files in `out`, when something happens; a drive without that is told so.
+    pub(crate) fn keep_ring(&mut self, out: &Path, ring_s: f64) {
+        let log = out.join("logs/recorder.log");
+        match Companion::start_ring(&self.run.domain, out, &log, ring_s) {
+            Ok(companion) => self.companion = Some(companion),
+            Err(error) => self.warn(&format!("the last seconds of this drive are not kept: {error:#}")),
+        }
     }
 
     /// Drives until all processes have ended.
@@ -206,7 +219,7 @@ impl Session {
         let mut result = self.result();
         if let Some(mut companion) = self.companion.take() {
             result.swaps.iter().for_each(|certificate| companion.note(&certificate.to_string()));
-            result.recording = Some(companion.finish());
+            (result.recording, result.incidents) = companion.finish();
         }
         Ok(result)
     }
@@ -281,6 +294,7 @@ impl Session {
                 continue;
             }
             if self.conclusion.is_open() {
+                self.incident();
                 self.recording.recorder.outage_began(role, PROCESS_RESTARTED);
                 self.warn(&format!("{role} ({}) ended: {exit}", self.fleet.label(role)));
                 for line in self.fleet.last_log_lines(role).to_vec() {
@@ -302,6 +316,7 @@ impl Session {
         {
             self.audit.moved(monotonic_ns());
             self.recording.add(&scan);
+            self.notice_stop(&scan);
             self.require_obedience(&scan);
             if let Some(companion) = &mut self.companion {
                 companion.belongs(scan.header.scan_id);
@@ -332,13 +347,6 @@ impl Session {
         }
     }
 
-    /// Tells once when the recorder has failed; the drive continues without it.
-    fn check_companion(&mut self) {
-        if let Some(reason) = self.companion.as_mut().and_then(Companion::has_failed) {
-            self.progress.warn(&reason);
-        }
-    }
-
     /// In lock-step no scan after the one that decided the outcome belongs to the run.
     fn is_recorded(&self) -> bool {
         !self.run.lockstep || self.conclusion.is_open()
@@ -355,6 +363,9 @@ impl Session {
             self.events.push(self.recording.recorder.view().time_s, outcome != Outcome::Reached, text);
             self.conclusion.decide(monotonic_ns(), outcome, reason);
             self.directives.stop();
+            if outcome != Outcome::Reached {
+                self.incident();
+            }
         }
     }
 
@@ -562,6 +573,7 @@ impl Session {
             swaps: self.swaps.certificates(),
             ledger: self.audit.samples.report(),
             recording: None,
+            incidents: Vec::new(),
         }
     }
 }

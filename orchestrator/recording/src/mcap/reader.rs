@@ -98,7 +98,7 @@ pub struct Contents {
     pub metadata: Vec<Metadata>,
     /// Whether the file was ended; false for one that was cut off.
     pub is_complete: bool,
-    /// Whole chunks read.
+    /// Whole chunks with messages that were read.
     pub chunks: u64,
     /// Bytes up to the end of the last whole record of the data.
     pub whole_bytes: u64,
@@ -112,6 +112,8 @@ pub struct Reader<R: Read> {
     contents: Contents,
     chunk: Vec<u8>,
     place: usize,
+    /// Whether the open chunk is counted.
+    is_counted: bool,
     record: Vec<u8>,
 }
 
@@ -128,7 +130,7 @@ impl<R: Read> Reader<R> {
         }
         let contents = Contents { whole_bytes: MAGIC.len() as u64, ..Contents::default() };
         let (chunk, record) = (Vec::new(), Vec::new());
-        Ok(Self { input, at: MAGIC.len() as u64, contents, chunk, place: 0, record })
+        Ok(Self { input, at: MAGIC.len() as u64, contents, chunk, place: 0, is_counted: false, record })
     }
 
     /// What was read beside the messages until now.
@@ -162,6 +164,7 @@ impl<R: Read> Reader<R> {
                 if let Some(body) =
                     self.next_in_chunk().map_err(|what| ReadError::Damaged { at: self.at, what })?
                 {
+                    self.contents.chunks += u64::from(!std::mem::replace(&mut self.is_counted, true));
                     return Ok(Some(body));
                 }
             }
@@ -176,7 +179,7 @@ impl<R: Read> Reader<R> {
                 }
                 opcode::CHUNK => {
                     self.open_chunk(&record).map_err(damaged)?;
-                    self.contents.chunks += 1;
+                    self.is_counted = false;
                 }
                 _ => self.define(opcode, &record).map_err(damaged)?,
             }

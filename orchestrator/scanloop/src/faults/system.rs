@@ -47,6 +47,7 @@ impl CellSystem {
         std::fs::write(folder.join("scenario.toml"), scenario.to_toml())?;
         let orphan_stop = format!("orphan_stop_s={ORPHAN_STOP_S}");
         let arguments = ["run", "scenario.toml", "--quiet", "--out", "out", "--set", orphan_stop.as_str()];
+        let arguments = [&arguments[..], &["--set", "recording.ring_s=0"]].concat();
         let mut command = command_of(&id, &folder)?;
         command.args(arguments).stderr(std::fs::File::create(folder.join("stderr.txt"))?);
         let orchestrator = command.spawn().context("scanloop run")?;
