@@ -1,6 +1,7 @@
 //! Arguments of `view`.
 
 use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 
 use clap::Args;
 use console::exit::Failure;
@@ -11,6 +12,9 @@ pub(crate) const DEFAULT_PORT: u16 = 7117;
 /// Arguments of `view`.
 #[derive(Debug, Clone, Args)]
 pub struct ViewArguments {
+    /// A recording to show; without it the running system.
+    #[arg(value_name = "FILE", conflicts_with = "control")]
+    pub file: Option<PathBuf>,
     /// Port of the page; 0 takes any free one.
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     pub port: u16,
