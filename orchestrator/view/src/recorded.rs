@@ -1,22 +1,24 @@
 //! A recording as the page shows it: its frames, made from the file when they are asked for.
 //!
-//! The file is read once. What is kept is a row per frame, the events, and for each chunk, about a second, where it begins
-//! and which earlier chunks hold the newest sample of each topic: enough to make any frame from a few chunks.
+//! The file is read once. What is kept is a row per frame with the chunks, about a second each, that hold its samples, and
+//! the events. So a recording of an hour takes some megabytes, and a frame costs reading one to three chunks.
 
 mod processes;
+mod samples;
 
 use std::path::Path;
 
-use bytemuck::from_bytes;
 use console::exit::Failure;
+use recording::Recording;
 use recording::read::{RUN, attachment, metadata};
-use recording::{Recorded, Recording};
 use report::latency::Latencies;
 use runtime::settings_file;
 use serde_json::{Value, json};
-use shared_types::{Actuation, Directive, Header, Obstacles, Pose, Role, Sample, Scan, Topic, Truth};
+use shared_types::Role;
 
 use self::processes::{Outputs, Processes};
+use self::samples::{Directives, Key, OwnedSample, SHOWN};
+use crate::course::course;
 use crate::events::{Event, Events};
 use crate::follower::News;
 use crate::history::Row;
@@ -26,18 +28,15 @@ use crate::scene::Scene;
 const MAX_ROWS: usize = 3600;
 /// Rows around a time that are sent at once: what charts show, and what is played next [s].
 const ROWS_S: [f64; 2] = [-90.0, 30.0];
-/// The topics that a frame shows, the order of [`Mark::newest`].
-const SHOWN: [Topic; 6] =
-    [Topic::Scan, Topic::Pose, Topic::Obstacles, Topic::Command, Topic::Truth, Topic::Actuation];
 
 /// A recording that is shown.
-pub(crate) struct Tape {
+pub(crate) struct RecordedDrive {
     recording: Recording,
-    marks: Vec<Mark>,
+    /// Where the chunks begin in the file.
+    chunks: Vec<u64>,
     frames: Vec<Frame>,
     events: Vec<Event>,
-    /// Directives that changed something, and when they came [s].
-    directives: Vec<(f64, Directive)>,
+    directives: Directives,
     processes: Processes,
     start_ns: u64,
     simulated: bool,
@@ -45,25 +44,15 @@ pub(crate) struct Tape {
     system: Value,
 }
 
-/// A chunk of the file.
-#[derive(Debug, Clone, Copy)]
-struct Mark {
-    chunk_at: u64,
-    /// The chunks with the newest samples before this one.
-    newest: [Option<u32>; SHOWN.len()],
-    /// The newest directive before this chunk.
-    directive: Directive,
-}
-
-/// A frame: its row, and the sample after which it is complete.
+/// A frame: its row, the newest of its samples, and the chunks in which they are.
 #[derive(Debug, Clone, Copy)]
 struct Frame {
     row: Row,
-    chunk: u32,
-    sample: u32,
+    newest: Key,
+    chunks: [Option<u32>; SHOWN.len()],
 }
 
-impl Tape {
+impl RecordedDrive {
     /// Reads a recording.
     ///
     /// # Errors
@@ -73,44 +62,44 @@ impl Tape {
         let mut recording = Recording::open(path)?;
         let mut reading: Option<Reading> = None;
         recording.samples(|contents, sample| {
-            let reading = match &mut reading {
-                Some(reading) => reading,
-                None => {
-                    if let Some(difference) = Recording::layout_difference(contents) {
-                        return Err(refuse(format!("another layout: {difference}")));
-                    }
-                    let simulated = metadata(contents, "recording", "lockstep") == Some("true");
-                    reading.insert(Reading::new(sample.log_ns, simulated))
+            if reading.is_none() {
+                if let Some(difference) = Recording::layout_difference(contents) {
+                    return Err(refuse(format!("another layout: {difference}")));
                 }
-            };
-            reading.take(&sample);
+                reading = Some(Reading::new(metadata(contents, "recording", "lockstep") == Some("true")));
+            }
+            if let Some(reading) = &mut reading {
+                reading.add(&sample);
+            }
             Ok(())
         })?;
-        let reading = reading.filter(|reading| !reading.frames.is_empty());
-        let Some(reading) = reading else { return Err(refuse("it holds no scan of a drive".to_owned())) };
+        let reading = reading.map(Reading::finish).filter(|reading| !reading.frames.is_empty());
+        let Some(mut reading) = reading else { return Err(refuse("it holds no scan of a drive".to_owned())) };
         let contents = recording.contents();
         let of = |name: &str, key: &str| metadata(contents, name, key);
         let settings = attachment(contents, &settings_file(Role::Controller)).unwrap_or_default();
         let run: toml::Table =
             attachment(contents, RUN).and_then(|text| text.parse().ok()).unwrap_or_default();
         let scenario = run.get("scenario").and_then(|scenario| scenario.get("name"));
+        let simulated = reading.scene.samples.simulated;
         let system = json!({
             "connection": "recording",
-            "time_s": reading.now_s,
+            "time_s": reading.frames.last().map(|frame| frame.row.time_s),
             "file": path.file_name().map(|name| name.to_string_lossy()),
             "complete": contents.is_complete,
             "lost": of("end", "lost").and_then(|lost| lost.parse::<u64>().ok()),
             "scenario": scenario.and_then(toml::Value::as_str),
             "system_id": of("recording", "system_id"),
             "run_id": of("recording", "run_id"),
-            "course": crate::course::course(settings),
-            "latency_us": (!reading.scene.samples.simulated).then(|| reading.latencies.report()),
+            "course": course(settings),
+            "latency_us": (!simulated).then(|| reading.latencies.report()),
             "actions": [],
         });
         let processes = Processes::new(contents);
-        let Reading { marks, frames, mut events, directives, start_ns, scene, .. } = reading;
-        let (events, simulated) = (events.take(), scene.samples.simulated);
-        Ok(Self { recording, marks, frames, events, directives, processes, start_ns, simulated, system })
+        let events = reading.events.take();
+        let Reading { chunks, frames, directives, start_ns, .. } = reading;
+        let start_ns = start_ns.unwrap_or_default();
+        Ok(Self { recording, chunks, frames, events, directives, processes, start_ns, simulated, system })
     }
 
     /// What stays the same, as JSON.
@@ -123,18 +112,22 @@ impl Tape {
         let Some(at_s) = at_s else {
             let step = self.frames.len().div_ceil(MAX_ROWS).max(1);
             // A step is shown as blocked if any of its frames is.
-            let of =
-                |frames: &[Frame]| frames.iter().find(|frame| frame.row.blocked == 1).map(|frame| frame.row);
-            let rows = self.frames.chunks(step).filter_map(|frames| of(frames).or(Some(frames.first()?.row)));
-            return json!({ "rows": rows.collect::<Vec<_>>(), "events": self.events }).to_string();
+            let of = |frames: &[Frame]| {
+                let blocked = frames.iter().find(|frame| frame.row.blocked == 1);
+                blocked.or(frames.first()).map(|frame| frame.row)
+            };
+            let rows: Vec<Row> = self.frames.chunks(step).filter_map(of).collect();
+            let frames = self.frames.len();
+            return json!({ "recording": { "frames": frames }, "rows": rows, "events": self.events })
+                .to_string();
         };
-        let [first, end] = ROWS_S.map(|span_s| self.index_after(at_s + span_s));
+        let [first, end] = ROWS_S.map(|span_s| self.frames_until(at_s + span_s));
         let rows: Vec<Row> = self.frames[first..end].iter().map(|frame| frame.row).collect();
         json!({ "rows": rows, "events": [] }).to_string()
     }
 
     /// The number of frames up to a time.
-    fn index_after(&self, at_s: f64) -> usize {
+    fn frames_until(&self, at_s: f64) -> usize {
         self.frames.partition_point(|frame| frame.row.time_s <= at_s)
     }
 
@@ -143,33 +136,36 @@ impl Tape {
     /// # Errors
     /// A file that was changed meanwhile.
     pub(crate) fn frame(&mut self, at_s: f64) -> anyhow::Result<String> {
-        let Frame { row, chunk, sample } = self.frames[self.index_after(at_s).saturating_sub(1)];
-        let mark = self.marks[chunk as usize];
-        let mut chunks: Vec<u32> = mark.newest.into_iter().flatten().chain(chunk.checked_sub(1)).collect();
-        chunks.sort_unstable();
-        chunks.dedup();
-        let mut scene = Scene::default();
-        scene.samples.simulated = self.simulated;
-        let (mut unheard, mut outputs) = (Events::default(), Outputs::default());
-        for number in chunks.into_iter().chain([chunk]) {
-            let Mark { chunk_at, directive, .. } = self.marks[number as usize];
-            scene.directive = directive;
-            let mut left = if number == chunk { sample + 1 } else { u32::MAX };
-            self.recording.chunk(chunk_at, |recorded| {
-                if left > 0 {
-                    left -= 1;
-                    outputs.note(&recorded);
-                    take(&recorded, &mut scene, &mut unheard, row.time_s);
-                }
+        let Frame { row, newest, chunks } = self.frames[self.frames_until(at_s).saturating_sub(1)];
+        let last = chunks.iter().flatten().max().copied().unwrap_or_default();
+        // Rates are those of a second.
+        let mut numbers: Vec<u32> = chunks.into_iter().flatten().chain(last.checked_sub(1)).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let mut samples = Vec::new();
+        for number in numbers {
+            self.recording.chunk(self.chunks[number as usize], |recorded| {
+                samples.extend(OwnedSample::new(&recorded, number).filter(|sample| sample.key <= newest));
             })?;
         }
-        let newest = self.directives.partition_point(|(time_s, _)| *time_s <= row.time_s);
-        let directives = &self.directives[..newest];
+        samples.sort_by_key(|sample| sample.key);
+        let mut scene = Scene::default();
+        scene.samples.simulated = self.simulated;
+        let (mut unused, mut outputs) = (Events::default(), Outputs::default());
+        for sample in &samples {
+            // Chunks in between were left out, and with them their directives.
+            scene.directive = self.directives.at(sample.key);
+            outputs.note(sample);
+            if let Some(news) = sample.news(&scene.directive) {
+                scene.take(news, &mut unused, row.time_s);
+            }
+        }
         let now_ns = self.start_ns + (row.time_s * 1e9) as u64;
         let mut frame = scene.samples.json(&row);
+        let directives = self.directives.until(newest);
         frame["system"] = json!({
             "status": self.processes.status(directives, &outputs, now_ns),
-            "authority": directives.last().map(|(_, directive)| directive.authority.map(|of| of.incarnation)),
+            "authority": self.directives.at(newest).authority.map(|authority| authority.incarnation),
         });
         Ok(frame.to_string())
     }
@@ -177,106 +173,226 @@ impl Tape {
 
 /// What is known while the file is read.
 struct Reading {
-    marks: Vec<Mark>,
+    chunks: Vec<u64>,
+    /// Samples of the last two chunks: they are not in the order of time within a chunk, and little across chunks.
+    pending: Vec<OwnedSample>,
+    /// The newest sample of the chunk before and of this one [ns].
+    newest_ns: [u64; 2],
     frames: Vec<Frame>,
     events: Events,
-    directives: Vec<(f64, Directive)>,
+    directives: Directives,
     latencies: Latencies,
     scene: Scene,
-    /// The chunks with the newest samples.
+    /// The chunks with the newest samples of each topic.
     newest: [Option<u32>; SHOWN.len()],
-    samples: u32,
-    start_ns: u64,
-    now_s: f64,
+    start_ns: Option<u64>,
 }
 
 impl Reading {
-    fn new(start_ns: u64, simulated: bool) -> Self {
+    fn new(simulated: bool) -> Self {
         let mut scene = Scene::default();
         scene.samples.simulated = simulated;
         Self {
-            marks: Vec::new(),
+            chunks: Vec::new(),
+            pending: Vec::new(),
+            newest_ns: [0; 2],
             frames: Vec::new(),
             events: Events::of_recording(),
-            directives: Vec::new(),
+            directives: Directives::default(),
             latencies: Latencies::new(simulated),
             scene,
             newest: [None; SHOWN.len()],
-            samples: 0,
-            start_ns,
-            now_s: 0.0,
+            start_ns: None,
         }
     }
 
-    fn take(&mut self, recorded: &Recorded<'_>) {
-        if self.marks.last().is_none_or(|mark| mark.chunk_at != recorded.chunk_at) {
-            let (newest, directive) = (self.newest, self.scene.directive);
-            self.marks.push(Mark { chunk_at: recorded.chunk_at, newest, directive });
-            self.samples = 0;
+    fn add(&mut self, recorded: &recording::Recorded<'_>) {
+        if self.chunks.last() != Some(&recorded.chunk_at) {
+            self.release(self.newest_ns[0]);
+            self.newest_ns = [self.newest_ns[1], 0];
+            self.chunks.push(recorded.chunk_at);
         }
-        let chunk = self.marks.len() as u32 - 1;
-        // Samples are in the order of their stamps within a chunk only.
-        self.now_s = self.now_s.max(recorded.log_ns.saturating_sub(self.start_ns) as f64 * 1e-9);
-        self.events.set_time(self.now_s);
-        if take(recorded, &mut self.scene, &mut self.events, self.now_s) {
-            if let Some(index) = SHOWN.iter().position(|topic| *topic == recorded.topic) {
-                self.newest[index] = Some(chunk);
-            }
-            match recorded.topic {
-                Topic::Directive => self.note_directive(),
-                Topic::Actuation => {
-                    let actuation: &Actuation = from_bytes(recorded.bytes);
-                    if actuation.answers == 1 {
-                        self.latencies.record(&actuation.header);
-                    }
+        let Some(sample) = OwnedSample::new(recorded, self.chunks.len() as u32 - 1) else { return };
+        self.newest_ns[1] = self.newest_ns[1].max(sample.key.0);
+        self.pending.push(sample);
+    }
+
+    fn finish(mut self) -> Self {
+        self.release(u64::MAX);
+        self
+    }
+
+    /// Takes the samples up to a time in their order.
+    fn release(&mut self, until_ns: u64) {
+        self.pending.sort_by_key(|sample| sample.key);
+        let end = self.pending.partition_point(|sample| sample.key.0 <= until_ns);
+        let released: Vec<OwnedSample> = self.pending.drain(..end).collect();
+        released.iter().for_each(|sample| self.take(sample));
+    }
+
+    fn take(&mut self, sample: &OwnedSample) {
+        let start_ns = *self.start_ns.get_or_insert(sample.key.0);
+        let now_s = (sample.key.0 - start_ns) as f64 * 1e-9;
+        self.events.set_time(now_s);
+        if let Some(news) = sample.news(&self.scene.directive) {
+            match news {
+                News::Directive(directive) => self.directives.add(sample.key, directive),
+                News::Actuation(actuation) if actuation.answers == 1 => {
+                    self.latencies.record(&actuation.header)
                 }
                 _ => {}
             }
+            self.scene.take(news, &mut self.events, now_s);
+            if let Some(index) = SHOWN.iter().position(|topic| *topic == sample.topic) {
+                self.newest[index] = Some(sample.chunk);
+            }
         }
-        if let Some(row) = self.scene.next_row(self.now_s) {
-            self.frames.push(Frame { row, chunk, sample: self.samples });
-        }
-        self.samples += 1;
-    }
-
-    fn note_directive(&mut self) {
-        let new = self.scene.directive;
-        let is_same = |(_, old): &(f64, Directive)| (old.phase, old.authority) == (new.phase, new.authority);
-        if !self.directives.last().is_some_and(is_same) {
-            self.directives.push((self.now_s, new));
+        if let Some(row) = self.scene.next_row(now_s) {
+            self.frames.push(Frame { row, newest: sample.key, chunks: self.newest });
         }
     }
 }
 
-/// Hands a recorded sample to a scene; whether it counts.
-fn take(recorded: &Recorded<'_>, scene: &mut Scene, events: &mut Events, now_s: f64) -> bool {
-    fn of<'a, S: Sample>(
-        recorded: &Recorded<'a>,
-        directive: &Directive,
-        news: impl Fn(&'a S) -> News<'a>,
-    ) -> Option<News<'a>> {
-        let sample: &S = from_bytes(recorded.bytes);
-        let counts = sample.check().is_ok() && directive.counts(recorded.topic, sample.header());
-        counts.then(|| news(sample))
-    }
-    let directive = &scene.directive;
-    let news = match recorded.topic {
-        Topic::Directive => of::<Directive>(recorded, directive, News::Directive),
-        Topic::Scan => of::<Scan>(recorded, directive, News::Scan),
-        Topic::Pose => of::<Pose>(recorded, directive, News::Pose),
-        Topic::Obstacles => of::<Obstacles>(recorded, directive, News::Obstacles),
-        Topic::Command => of::<shared_types::Command>(recorded, directive, News::Command),
-        Topic::Truth => of::<Truth>(recorded, directive, News::Truth),
-        Topic::Actuation => of::<Actuation>(recorded, directive, News::Actuation),
-        _ => None,
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bytemuck::bytes_of;
+    use shared_types::{
+        Actuation, ActuationKind, Authority, Command, Directive, Header, Phase, Pose, ROLES, Sample, Scan,
+        StageStamps, Topic,
     };
-    if let Some(news) = news {
-        scene.take(news, events, now_s);
-    }
-    news.is_some()
-}
 
-/// The header of a recorded sample.
-fn header<'a>(recorded: &Recorded<'a>) -> &'a Header {
-    (recorded.topic.sample_type().header)(recorded.bytes)
+    const PERIOD_NS: u64 = 100_000_000;
+
+    /// A file in the folder of temporary files; it is removed with the value.
+    struct File(std::path::PathBuf);
+
+    impl Drop for File {
+        fn drop(&mut self) {
+            let _ = std::fs::remove_file(&self.0);
+        }
+    }
+
+    fn file(name: &str) -> File {
+        File(std::env::temp_dir().join(format!("scanloop-view-{}-{name}.mcap", std::process::id())))
+    }
+
+    fn header<S: Sample>(scan_id: u64, incarnation: u32, role: Role) -> Header {
+        let published_ns = scan_id * PERIOD_NS + 1_000_000 * role.index() as u64;
+        let mut header =
+            Header { layout: S::LAYOUT, scan_id, incarnation, sequence: scan_id, ..Header::default() };
+        header.chain[role.index()] = StageStamps { published_ns, ..StageStamps::default() };
+        header
+    }
+
+    /// Twelve seconds: the pose moves a decimetre per scan, the estimator is restarted at scan 60, and the controller is
+    /// silent from scan 80 on.
+    fn drive(name: &str) -> File {
+        let file = file(name);
+        let mut tape = recording::Tape::new(std::fs::File::create(&file.0).unwrap(), false).unwrap();
+        for scan_id in 1..=120 {
+            let estimator = if scan_id < 60 { 2 } else { 12 };
+            let of = |incarnation: u32| Authority { incarnation, ..Authority::default() };
+            let authority: [Authority; ROLES] = Role::ALL
+                .map(|role| of(if role == Role::Estimator { estimator } else { role.index() as u32 + 1 }));
+            let directive = Directive {
+                header: Header { layout: Directive::LAYOUT, sequence: scan_id, ..Header::default() },
+                phase: Phase::Driving.wire(),
+                issued_ns: scan_id * PERIOD_NS - 1_000_000,
+                authority,
+                ..Directive::default()
+            };
+            tape.sample(Topic::Directive, bytes_of(&directive)).unwrap();
+            let of = |role: Role| authority[role.index()].incarnation;
+            let scan =
+                Scan { header: header::<Scan>(scan_id, of(Role::Robot), Role::Robot), ..Scan::default() };
+            tape.sample(Topic::Scan, bytes_of(&scan)).unwrap();
+            let pose = Pose {
+                header: header::<Pose>(scan_id, of(Role::Estimator), Role::Estimator),
+                x_m: 0.1 * scan_id as f64,
+                ..Pose::default()
+            };
+            tape.sample(Topic::Pose, bytes_of(&pose)).unwrap();
+            if scan_id < 80 {
+                let command = Command {
+                    header: header::<Command>(scan_id, of(Role::Controller), Role::Controller),
+                    ..Command::default()
+                };
+                tape.sample(Topic::Command, bytes_of(&command)).unwrap();
+            }
+            let kind = ActuationKind::Drive.wire();
+            let actuation = Actuation {
+                header: header::<Actuation>(scan_id, of(Role::Actuator), Role::Actuator),
+                kind,
+                answers: 1,
+                ..Actuation::default()
+            };
+            tape.sample(Topic::Actuation, bytes_of(&actuation)).unwrap();
+        }
+        tape.finish().unwrap();
+        file
+    }
+
+    fn json(text: &str) -> Value {
+        serde_json::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn each_frame_has_the_samples_of_its_time_in_any_order() {
+        let file = drive("order");
+        let mut drive = RecordedDrive::open(&file.0).unwrap();
+        let rows = json(&drive.history(None));
+        assert_eq!(rows["recording"]["frames"], 120);
+        for number in [120_u64, 1, 77, 10, 11, 95] {
+            let row = rows["rows"][number as usize - 1].clone();
+            let frame = json(&drive.frame(row["time_s"].as_f64().unwrap()).unwrap());
+            assert_eq!(frame["row"], row);
+            let ids = ["scan", "pose", "actuation"].map(|part| frame[part]["scan_id"].as_u64().unwrap());
+            assert_eq!(ids, [number; 3]);
+            // The newest command is more than a chunk older than the last frames.
+            assert_eq!(frame["command"]["scan_id"].as_u64(), Some(number.min(79)), "{frame}");
+            assert!((frame["pose"]["x_m"].as_f64().unwrap() - 0.1 * number as f64).abs() < 1e-9);
+        }
+        assert_eq!(json(&drive.frame(1e9).unwrap())["row"]["number"], 120, "after the end the last one");
+        assert_eq!(json(&drive.frame(0.0).unwrap())["row"]["number"], 1);
+    }
+
+    #[test]
+    fn a_restart_is_an_event_and_the_processes_are_those_of_the_time() {
+        let file = drive("restart");
+        let mut drive = RecordedDrive::open(&file.0).unwrap();
+        let history = json(&drive.history(None));
+        let texts: Vec<&str> = history["events"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|event| event["text"].as_str().unwrap())
+            .collect();
+        assert!(texts.contains(&"estimator restarted as incarnation 12"), "{texts:?}");
+        let mut restarts = |at_s: f64| {
+            let frame = json(&drive.frame(at_s).unwrap());
+            let row = &frame["system"]["status"]["processes"][1];
+            (row["role"].clone(), row["restarts"].clone(), frame["system"]["authority"][1].clone())
+        };
+        assert_eq!(restarts(3.0), ("estimator".into(), 0.into(), 2.into()));
+        assert_eq!(restarts(9.0), ("estimator".into(), 1.into(), 12.into()));
+    }
+
+    #[test]
+    fn rows_around_a_time_reach_as_far_as_charts() {
+        let file = drive("rows");
+        let drive = RecordedDrive::open(&file.0).unwrap();
+        assert_eq!(json(&drive.history(Some(5.0)))["rows"].as_array().unwrap().len(), 120);
+        assert_eq!(json(&drive.history(Some(1000.0)))["rows"].as_array().unwrap().len(), 0);
+    }
+
+    #[test]
+    fn a_file_without_a_drive_is_refused() {
+        let file = file("empty");
+        let mut tape = recording::Tape::new(std::fs::File::create(&file.0).unwrap(), false).unwrap();
+        tape.sample(Topic::Directive, bytes_of(&Directive::default())).unwrap();
+        tape.finish().unwrap();
+        let error = RecordedDrive::open(&file.0).err().unwrap().to_string();
+        assert!(error.contains("holds no scan"), "{error}");
+    }
 }

@@ -19,7 +19,7 @@ use crate::child::{Parent, inherited};
 use crate::http::{Failed, Method, Request, Response, Status, read_request};
 use crate::hub::Hub;
 use crate::live::Live;
-use crate::recorded::Tape;
+use crate::recorded::RecordedDrive;
 use crate::source::{Source, Still};
 use crate::{pages, stream};
 
@@ -46,14 +46,14 @@ const FAREWELL: Duration = Duration::from_millis(300);
 /// An address that can't be listened on (exit code 2), and threads that can't be started.
 pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyhow::Result<Exit> {
     let shutdown = Shutdown::on_signals()?;
-    let tape = arguments.file.as_deref().map(Tape::open).transpose()?;
+    let recorded = arguments.file.as_deref().map(RecordedDrive::open).transpose()?;
     let listener = if arguments.for_run { inherited()? } else { listen(arguments.listen, arguments.port)? };
     let verbs = if arguments.control { verbs.to_vec() } else { Vec::new() };
-    let mut source: Box<dyn Source> = match &tape {
-        Some(tape) => Box::new(Still(Some(tape.system()))),
+    let mut source: Box<dyn Source> = match &recorded {
+        Some(recorded) => Box::new(Still(Some(recorded.system()))),
         None => Box::new(Live::new(system_id, verbs.clone())?),
     };
-    let site = Arc::new(Site::new(Actions::new(system_id, verbs), tape)?);
+    let site = Arc::new(Site::new(Actions::new(system_id, verbs), recorded)?);
     announce(&site.token, &listener, system_id, arguments)?;
     let parent = arguments.for_run.then(Parent::new);
     start_accepting(listener, Arc::clone(&site))?;
@@ -112,20 +112,20 @@ struct Site {
     token: Token,
     actions: Actions,
     /// The recording that is shown instead of a running system.
-    tape: Option<Mutex<Tape>>,
+    recorded: Option<Mutex<RecordedDrive>>,
     streams: AtomicUsize,
     /// What was logged: each kind of refusal is logged once.
     logged: Mutex<HashSet<&'static str>>,
 }
 
 impl Site {
-    fn new(actions: Actions, tape: Option<Tape>) -> anyhow::Result<Self> {
+    fn new(actions: Actions, recorded: Option<RecordedDrive>) -> anyhow::Result<Self> {
         let token = Token::random()?;
         Ok(Self {
             hub: Hub::default(),
             token,
             actions,
-            tape: tape.map(Mutex::new),
+            recorded: recorded.map(Mutex::new),
             streams: AtomicUsize::new(0),
             logged: Mutex::default(),
         })
@@ -191,7 +191,7 @@ impl Site {
     fn past(&self, request: &Request) -> Option<Response> {
         let ok = |text: &[u8]| Response::json(Status::Ok, text);
         let is_frame = request.path == "/frame";
-        let Some(tape) = &self.tape else {
+        let Some(recorded) = &self.recorded else {
             if is_frame {
                 let frame = request.number("number").and_then(|number| self.hub.frame(number));
                 return frame.map(|frame| ok(frame.as_bytes()));
@@ -200,11 +200,11 @@ impl Site {
             return Some(ok(self.hub.history(after("row"), after("event")).as_bytes()));
         };
         let at_s = request.number("at_ms").map(|at_ms| at_ms as f64 * 1e-3);
-        let mut tape = tape.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut recorded = recorded.lock().unwrap_or_else(PoisonError::into_inner);
         if !is_frame {
-            return Some(ok(tape.history(at_s).as_bytes()));
+            return Some(ok(recorded.history(at_s).as_bytes()));
         }
-        Some(match tape.frame(at_s?) {
+        Some(match recorded.frame(at_s?) {
             Ok(frame) => ok(frame.as_bytes()),
             Err(error) => Response::text(Status::Unavailable, &format!("{error:#}")),
         })

@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use recording::Recorded;
 use recording::mcap::Contents;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use shared_types::{Directive, Phase, Role, Topic};
 use supervision::entry::ProcessRow;
 
-use super::header;
+use super::samples::{Key, OwnedSample};
 
 /// Outputs of this time make the rate, and a process that published in it is shown [ns].
 const RATE_NS: u64 = 1_000_000_000;
@@ -32,7 +31,7 @@ impl Processes {
     }
 
     /// The status after these directives: a process in charge per role, and those that published beside it.
-    pub(super) fn status(&self, directives: &[(f64, Directive)], outputs: &Outputs, now_ns: u64) -> Value {
+    pub(super) fn status(&self, directives: &[(Key, Directive)], outputs: &Outputs, now_ns: u64) -> Value {
         let Some((_, newest)) = directives.last() else { return Value::Null };
         let mut rows = Vec::new();
         for role in Role::ALL {
@@ -79,12 +78,12 @@ impl Processes {
 pub(super) struct Outputs(BTreeMap<(Role, u32), Vec<u64>>);
 
 impl Outputs {
-    pub(super) fn note(&mut self, recorded: &Recorded<'_>) {
+    pub(super) fn note(&mut self, sample: &OwnedSample) {
         use Topic::{Actuation, Command, Obstacles, Pose, Scan};
-        if !matches!(recorded.topic, Scan | Pose | Obstacles | Command | Actuation) {
+        if !matches!(sample.topic, Scan | Pose | Obstacles | Command | Actuation) {
             return;
         }
-        let Some(role) = recorded.topic.writer() else { return };
-        self.0.entry((role, header(recorded).incarnation)).or_default().push(recorded.log_ns);
+        let Some(role) = sample.topic.writer() else { return };
+        self.0.entry((role, sample.header().incarnation)).or_default().push(sample.key.0);
     }
 }
