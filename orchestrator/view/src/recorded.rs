@@ -292,9 +292,11 @@ mod tests {
         let mut tape = recording::Tape::new(std::fs::File::create(&file.0).unwrap(), false).unwrap();
         for scan_id in 1..=120 {
             let estimator = if scan_id < 60 { 2 } else { 12 };
-            let of = |incarnation: u32| Authority { incarnation, ..Authority::default() };
-            let authority: [Authority; ROLES] = Role::ALL
-                .map(|role| of(if role == Role::Estimator { estimator } else { role.index() as u32 + 1 }));
+            let authority: [Authority; ROLES] = std::array::from_fn(|index| {
+                let is_estimator = index == Role::Estimator.index();
+                let incarnation = if is_estimator { estimator } else { index as u32 + 1 };
+                Authority { incarnation, ..Authority::default() }
+            });
             let directive = Directive {
                 header: Header { layout: Directive::LAYOUT, sequence: scan_id, ..Header::default() },
                 phase: Phase::Driving.wire(),

@@ -241,7 +241,9 @@ fn a_recording_is_shown_frame_by_frame() {
     assert_eq!(shown["course"]["body"]["length_m"], 0.56, "{shown}");
     let history = view.json("/history");
     let rows = history["rows"].as_array().unwrap();
-    let scans: Vec<u64> = rows.iter().map(|row| row["scan_id"].as_u64().unwrap()).collect();
+    let mut scans: Vec<u64> = rows.iter().map(|row| row["scan_id"].as_u64().unwrap()).collect();
+    // The wheels are blocked once more at the end.
+    scans.dedup();
     assert_eq!(scans, (1..=report.scans.published).collect::<Vec<_>>(), "a frame per scan at 10 Hz");
     let texts = history["events"].to_string();
     assert!(texts.contains("landed"), "{texts}");

@@ -12,7 +12,7 @@ import { ask, connect, startTime } from "./stream.js";
 import { SPAN_S, timeline } from "./timeline.js";
 
 const by = (id) => document.getElementById(id);
-const COLOURS = ["back", "ink", "muted", "line", "faint", "ground", "outside", "robot", "plan", "estimate", "truth", "body", "cover", "scan", "goal", "good", "stop", "warning", "idle", "on", "surface"];
+const COLOURS = ["back", "ink", "muted", "line", "faint", "ground", "outside", "robot", "plan", "estimate", "truth", "body", "cover", "scan", "goal", "good", "stop", "warning", "idle", "on"];
 const MAX_ROWS = 3600;
 const MAX_EVENTS = 300;
 // A body that moves farther than this between two frames is drawn at its new place at once.

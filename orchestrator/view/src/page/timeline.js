@@ -61,14 +61,21 @@ export function timeline(canvas, choose) {
       context.lineTo(x(event.time_s), 8);
       context.fill();
     }
+  }
+
+  // Labels of the axis, but for those that the label of the mark would cover.
+  function drawLabels(context, { from_s, to_s, isRecording }, width, height, mark, colour) {
     context.fillStyle = colour.muted;
     context.font = "11px system-ui, sans-serif";
     const span_s = to_s - from_s;
     const step = STEPS_S.find((step) => (step / span_s) * width >= 64) ?? 43200;
     for (let count = isRecording ? 0 : 1; count * step < span_s; count++) {
-      const at = x(isRecording ? from_s + count * step : to_s - count * step);
-      context.fillRect(at, TOP + BAND, 1, 4);
-      context.fillText(isRecording ? clock(count * step) : `−${clock(count * step)}`, Math.max(0, at - 13), height - 3);
+      const at = (width * count * step) / span_s;
+      const x = isRecording ? at : width - at;
+      context.fillRect(x, TOP + BAND, 1, 4);
+      const left = Math.max(0, x - 13);
+      if (Math.abs(left - mark) < 48) continue;
+      context.fillText(isRecording ? clock(count * step) : `−${clock(count * step)}`, left, height - 3);
     }
   }
 
@@ -81,7 +88,7 @@ export function timeline(canvas, choose) {
     if (key !== drawn.key && (isRecording || isOld || look !== drawn.look)) {
       drawBand(view, colour);
       drawn = { key, look, at_ms: performance.now() };
-      range = { from_s, to_s };
+      range = { from_s, to_s, isRecording };
     }
     context.clearRect(0, 0, width, height);
     if (band.width) context.drawImage(band, 0, 0, width, height);
@@ -89,11 +96,9 @@ export function timeline(canvas, choose) {
     const at = Math.min(width - 1.5, Math.max(1, width * share));
     const back_s = shown_s == null ? 0 : to_s - shown_s;
     const label = isRecording ? clock(shown_s ?? 0, 1) : shown_s == null ? "now" : `−${back_s.toFixed(1)} s`;
-    context.font = "600 12px system-ui, sans-serif";
     const place = Math.min(width - 48, Math.max(0, at - 18));
-    // The label of the mark covers those of the axis.
-    context.fillStyle = colour.surface;
-    context.fillRect(place - 3, TOP + BAND + 5, context.measureText(label).width + 6, height - TOP - BAND - 5);
+    drawLabels(context, range, width, height, place, colour);
+    context.font = "600 12px system-ui, sans-serif";
     context.fillStyle = colour.ink;
     context.fillRect(at - 1, 0, 2.5, TOP + BAND + 5);
     context.fillText(label, place, height - 3);

@@ -36,35 +36,23 @@ impl Processes {
         let mut rows = Vec::new();
         for role in Role::ALL {
             let authority = &newest.authority[role.index()];
-            // A swap names the scan from which its process counts, a restart does not.
-            let restarts = directives.windows(2).filter(|two| {
-                let [before, after] =
-                    [&two[0].1, &two[1].1].map(|directive| &directive.authority[role.index()]);
-                let is_other = before.incarnation != after.incarnation;
-                is_other && after.from_scan == 0 && before.incarnation != 0
-            });
-            let restarts = restarts.count();
             let row = |incarnation: u32, state: &str| {
                 let (implementation, pid) =
                     self.0.get(&incarnation).map_or(("unknown", 0), |(label, pid)| (label.as_str(), *pid));
-                let times = outputs.0.get(&(*role, incarnation)).map_or(&[][..], Vec::as_slice);
-                let recent = times.iter().filter(|time_ns| **time_ns + RATE_NS > now_ns).count();
-                let age_ms = times.iter().max().map(|time_ns| now_ns.saturating_sub(*time_ns) as f64 * 1e-6);
+                let times = outputs.recent(*role, incarnation, now_ns);
                 json!({
                     "role": role.name(), "implementation": implementation, "pid": pid, "state": state,
-                    "restarts": restarts, "rate_hz": recent, "last_sample_age_ms": age_ms, "last_words": [],
+                    "restarts": restarts(directives, *role), "rate_hz": rate_hz(&times),
+                    "last_sample_age_ms": outputs.age_ms(*role, incarnation, now_ns), "last_words": [],
                 })
             };
-            let is_known = outputs.0.contains_key(&(*role, authority.incarnation));
-            rows.push(row(authority.incarnation, if is_known { "ready" } else { "starting" }));
-            for (of, incarnation) in
-                outputs.0.keys().filter(|(of, other)| of == role && *other != authority.incarnation)
-            {
-                let is_recent =
-                    outputs.0[&(*of, *incarnation)].iter().any(|time_ns| time_ns + RATE_NS > now_ns);
-                if is_recent {
-                    let is_standby = *incarnation == authority.previous;
-                    rows.push(row(*incarnation, if is_standby { "standby" } else { "shadow" }));
+            let has_published = outputs.age_ms(*role, authority.incarnation, now_ns).is_some();
+            rows.push(row(authority.incarnation, if has_published { "ready" } else { "starting" }));
+            for incarnation in outputs.incarnations(*role) {
+                let is_other = incarnation != authority.incarnation;
+                if is_other && !outputs.recent(*role, incarnation, now_ns).is_empty() {
+                    let is_standby = incarnation == authority.previous;
+                    rows.push(row(incarnation, if is_standby { "standby" } else { "shadow" }));
                 }
             }
         }
@@ -73,17 +61,61 @@ impl Processes {
     }
 }
 
-/// When each process published its answer to a scan in the chunks around a frame [ns].
+/// Starts of a role after the first: a swap names the scan from which its process counts, a restart does not.
+fn restarts(directives: &[(Key, Directive)], role: Role) -> usize {
+    let is_restart = |two: &&[(Key, Directive)]| {
+        let [before, after] = [&two[0].1, &two[1].1].map(|directive| &directive.authority[role.index()]);
+        before.incarnation != after.incarnation && before.incarnation != 0 && after.from_scan == 0
+    };
+    directives.windows(2).filter(is_restart).count()
+}
+
+/// Outputs per second; 0 for a single one.
+fn rate_hz(times_ns: &[u64]) -> f64 {
+    match (times_ns.iter().min(), times_ns.iter().max()) {
+        (Some(first), Some(last)) if last > first => {
+            (times_ns.len() - 1) as f64 / ((last - first) as f64 * 1e-9)
+        }
+        _ => 0.0,
+    }
+}
+
+/// When each process published its answers to scans in the chunks around a frame [ns].
 #[derive(Default)]
 pub(super) struct Outputs(BTreeMap<(Role, u32), Vec<u64>>);
 
 impl Outputs {
     pub(super) fn note(&mut self, sample: &OwnedSample) {
         use Topic::{Actuation, Command, Obstacles, Pose, Scan};
-        if !matches!(sample.topic, Scan | Pose | Obstacles | Command | Actuation) {
-            return;
+        let is_answer = matches!(sample.topic, Scan | Pose | Obstacles | Command | Actuation);
+        if let Some(role) = sample.topic.writer().filter(|_| is_answer) {
+            self.0.entry((role, sample.header().incarnation)).or_default().push(sample.key.0);
         }
-        let Some(role) = sample.topic.writer() else { return };
-        self.0.entry((role, sample.header().incarnation)).or_default().push(sample.key.0);
+    }
+
+    fn incarnations(&self, role: Role) -> impl Iterator<Item = u32> {
+        self.0.keys().filter(move |(of, _)| *of == role).map(|(_, incarnation)| *incarnation)
+    }
+
+    /// Those of the last second.
+    fn recent(&self, role: Role, incarnation: u32, now_ns: u64) -> Vec<u64> {
+        let times = self.0.get(&(role, incarnation)).map_or(&[][..], Vec::as_slice);
+        times.iter().copied().filter(|time_ns| time_ns + RATE_NS >= now_ns).collect()
+    }
+
+    fn age_ms(&self, role: Role, incarnation: u32, now_ns: u64) -> Option<f64> {
+        let newest = self.0.get(&(role, incarnation))?.iter().max()?;
+        Some(now_ns.saturating_sub(*newest) as f64 * 1e-6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_counts_the_steps_between_outputs() {
+        assert_eq!(rate_hz(&[0, 100_000_000, 200_000_000, 300_000_000]), 10.0);
+        assert_eq!((rate_hz(&[5]), rate_hz(&[])), (0.0, 0.0));
     }
 }
