@@ -92,12 +92,12 @@ export function panels(by) {
       const parts = Object.entries(margin ?? {}).sort(([, one], [, other]) => other - one);
       const sum = parts.reduce((sum, [, part]) => sum + part, 0);
       by("margin-note").title = parts.map(([name, part]) => `${name} ${centimetres(part)} cm`).join(", ");
-      set("margin-note", parts.length ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
+      set("margin-note", sum > 0 ? `margin ${centimetres(sum)} cm, ${centimetres(parts[0][1])} of it for ${parts[0][0]}` : "");
       const scanner = frame?.scanner;
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
-      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} of returns · ` +
-        `${scanner.unseen_sectors.length} of 62 sectors unseen · ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
+      set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} returns · ` +
+        `${scanner.unseen_sectors.length}/62 sectors unseen · sees ${scanner.seen_ahead_m.toFixed(1)} m ahead` : "no description yet");
     },
     /** The last events up to a time; without `epoch_ms` times count from the start. */
     events(events, until_s, epoch_ms) {
