@@ -1,13 +1,13 @@
 // The processes as a graph of the loop: state, age, rate, processor, restarts, who is in charge, candidates and standby.
 
 const NS = "http://www.w3.org/2000/svg";
-const BOX = { width: 114, height: 58 };
+const BOX = { width: 116, height: 58 };
 const PLACES = {
-  robot: [2, 92], estimator: [2, 2], obstacles: [162, 2], controller: [320, 2], actuator: [320, 92],
+  robot: [2, 92], estimator: [2, 2], obstacles: [162, 2], controller: [318, 2], actuator: [318, 92],
 };
 const ARROWS = [
-  ["M62 92 V65", "odometry", 57, 80, "end"], ["M116 31 H157", "pose", 139, 26, "middle"], ["M276 31 H315", "", 0, 0],
-  ["M377 60 V87", "command", 383, 77, "start"], ["M320 121 H121", "actuation", 222, 116, "middle"],
+  ["M62 92 V65", "odometry", 57, 80, "end"], ["M118 31 H157", "pose", 139, 26, "middle"], ["M278 31 H313", "", 0, 0],
+  ["M376 60 V87", "command", 382, 77, "start"], ["M318 121 H123", "actuation", 222, 116, "middle"],
   ["M92 92 C96 68 186 88 200 65", "scan", 146, 72, "middle"],
 ];
 

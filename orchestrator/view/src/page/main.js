@@ -7,8 +7,9 @@ import { latency } from "./latency.js";
 import { loop } from "./loop.js";
 import { draw } from "./map.js";
 import { legend, panels, stateOf } from "./panels.js";
+import { bounds, past } from "./past.js";
 import { player } from "./player.js";
-import { ask, connect, startTime } from "./stream.js";
+import { connect, startTime } from "./stream.js";
 import { SPAN_S, timeline } from "./timeline.js";
 
 const by = (id) => document.getElementById(id);
@@ -24,7 +25,6 @@ const page = { system: null, frame: null, rows: [], events: [], lost: null, show
 let glided = { before: null, frame: null, came_ms: 0, length_ms: 100 };
 let colour = {};
 let isDirty = true;
-let isAsking = false;
 let last_ms = 0;
 const costs = [];
 
@@ -36,6 +36,11 @@ const showLatency = latency(by("latency"), by("latency-note"));
 const showControl = control(by("control"), by("control-form"), by("control-result"));
 const showTimeline = timeline(by("timeline"), choose);
 const play = player(by, choose);
+const fetchPast = past(page, (frame) => {
+  glided = { before: play.isPlaying ? page.past : null, frame, came_ms: performance.now(), length_ms: 100 / play.speed };
+  page.past = frame;
+  changed();
+});
 
 function readColours() {
   const style = getComputedStyle(document.documentElement);
@@ -51,54 +56,11 @@ function followButton() {
 /** Shows the frame of that time; null shows the newest. */
 function choose(time_s) {
   if (page.overview && time_s == null) return;
-  page.shown_s = time_s == null ? null : Math.max(bounds().from_s, Math.min(bounds().to_s, time_s));
+  page.shown_s = time_s == null ? null : Math.max(bounds(page).from_s, Math.min(bounds(page).to_s, time_s));
   by("live").setAttribute("aria-pressed", String(time_s == null));
   if (time_s == null) page.past = null;
   changed();
   fetchPast();
-}
-
-/** What the time axis shows. */
-function bounds() {
-  if (page.overview) return { from_s: 0, to_s: Math.max(0.1, page.system?.time_s ?? 0) };
-  const to_s = Math.max(page.rows.at(-1)?.time_s ?? 0, page.lost ? 0 : page.system?.time_s ?? 0);
-  return { from_s: to_s - SPAN_S, to_s };
-}
-
-const rowAt = (time_s) => page.rows.findLast((row) => row.time_s <= time_s) ?? page.rows[0];
-
-// One request at a time; the time that is wanted then decides about the next.
-async function fetchPast() {
-  if (page.shown_s == null || isAsking) return;
-  isAsking = true;
-  let isNew = false;
-  try {
-    if (page.overview) await fetchRows(page.shown_s);
-    const row = page.shown_s == null ? null : rowAt(page.shown_s);
-    if (row && page.past?.row.number !== row.number) {
-      const response = await ask(page.overview ? `/frame?at_ms=${Math.ceil(1000 * row.time_s)}` : `/frame?number=${row.number}`);
-      if (response.ok && page.shown_s != null) {
-        const before = play.isPlaying ? page.past : null;
-        page.past = await response.json();
-        glided = { before, frame: page.past, came_ms: performance.now(), length_ms: 100 / play.speed };
-        isNew = true;
-        changed();
-      }
-    }
-  } catch { /* The stream reports a lost connection. */ }
-  isAsking = false;
-  if (isNew) fetchPast();
-}
-
-// Rows around a time, if those that are there don't reach as far as the charts.
-async function fetchRows(time_s) {
-  const [first, last] = page.window ?? [Infinity, -Infinity];
-  const { to_s } = bounds();
-  if (first <= Math.max(0, time_s - 60) && last >= Math.min(to_s, time_s + 5)) return;
-  const response = await ask(`/history?at_ms=${Math.round(1000 * time_s)}`);
-  if (!response.ok) return;
-  page.rows = (await response.json()).rows;
-  page.window = [time_s - 90, time_s + 30];
 }
 
 function take(rows, events) {
@@ -190,7 +152,7 @@ function paint(now_ms) {
   const started = performance.now();
   const seconds = Math.min(0.1, (now_ms - last_ms) / 1000);
   if (page.shown_s != null && play.isPlaying && !page.lost) {
-    const { to_s } = bounds();
+    const { to_s } = bounds(page);
     const next_s = play.step(seconds, page.shown_s, to_s);
     if (next_s >= to_s) {
       choose(page.overview ? to_s : null);
@@ -221,7 +183,7 @@ function paint(now_ms) {
 // What changes with frames only, not with the glide between them.
 function paintPanels(frame, course) {
   played_ms = last_ms;
-  const { from_s, to_s } = bounds();
+  const { from_s, to_s } = bounds(page);
   const until_s = page.shown_s ?? to_s;
   const isRecording = page.overview != null;
   // A frame of a recording brings the processes of its time.
@@ -279,7 +241,7 @@ function toggleLegend() {
 
 // An earlier or later time; from now on only an earlier one.
 function jump(seconds) {
-  const { to_s } = bounds();
+  const { to_s } = bounds(page);
   const next_s = (page.shown_s ?? to_s) + seconds;
   choose(next_s >= to_s && !page.overview ? null : next_s);
 }
@@ -293,7 +255,7 @@ addEventListener("keydown", (event) => {
     f: () => { eye.follows = !eye.follows; }, 0: fit, "+": () => eye.zoom(1.3), "-": () => eye.zoom(1 / 1.3),
     l: toggleLegend, Escape: () => choose(null),
     ArrowLeft: () => jump(-step_s), ArrowRight: () => jump(step_s), PageUp: () => jump(-10), PageDown: () => jump(10),
-    Home: () => choose(bounds().from_s), End: () => jump(Infinity), " ": play.toggle, "<": () => play.change(-1), ">": () => play.change(1),
+    Home: () => choose(bounds(page).from_s), End: () => jump(Infinity), " ": play.toggle, "<": () => play.change(-1), ">": () => play.change(1),
   }[event.key];
   if (!action) return;
   if (event.key.length > 1 || event.key === " ") event.preventDefault();

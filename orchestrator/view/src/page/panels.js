@@ -97,7 +97,7 @@ export function panels(by) {
       by("scanner-panel").dataset.state = scanner?.state ?? "none";
       const percent = (share) => `${Math.round(100 * share)} %`;
       set("scanner-note", scanner ? `${scanner.state} · ${percent(scanner.returned_share)} returns · ` +
-        `${scanner.unseen_sectors.length}/62 sectors unseen · sees ${scanner.seen_ahead_m.toFixed(1)} m ahead` : "no description yet");
+        `${scanner.unseen_sectors.length}/62 sectors unseen · sees ${scanner.seen_ahead_m.toFixed(1)} m` : "no description yet");
     },
     /** The last events up to a time; without `epoch_ms` times count from the start. */
     events(events, until_s, epoch_ms) {
