@@ -69,7 +69,7 @@ impl Live {
             "run_id": domain.map(runtime::Domain::run_id),
             "status": self.follower.status(),
             "status_age_s": self.follower.silent_s(),
-            "course": domain.map(|_| &self.course),
+            "course": self.course,
             "authority": domain.map(|_| self.scene.authority()),
             "latency_us": domain.and_then(|_| self.scene.latency()),
             "actions": self.verbs.iter().map(|verb| verb.name()).collect::<Vec<_>>(),

@@ -56,6 +56,8 @@ pub fn serve(system_id: &str, arguments: &ViewArguments, verbs: &[Verb]) -> anyh
     let site = Arc::new(Site::new(Actions::new(system_id, verbs), recorded)?);
     announce(&site.token, &listener, system_id, arguments)?;
     let parent = arguments.for_run.then(Parent::new);
+    // The first page finds a state already.
+    site.hub.publish(source.poll(0.0), 0.0);
     start_accepting(listener, Arc::clone(&site))?;
     collect(&mut *source, &site.hub, || {
         wait_for(&[shutdown.descriptor()], if arguments.file.is_some() { ACCEPT_NS } else { POLL_NS });

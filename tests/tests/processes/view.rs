@@ -16,14 +16,14 @@ use crate::recording::recorded;
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");
 
 /// A page that is served; it ends with the value.
-struct View {
+pub(crate) struct View {
     process: Child,
-    address: String,
+    pub(crate) address: String,
     token: String,
 }
 
 impl View {
-    fn start(system: &System, options: &[&str]) -> Self {
+    pub(crate) fn start(system: &System, options: &[&str]) -> Self {
         let mut command = system.command(&[&["view", "--port", "0"], options].concat());
         let mut process = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut link = String::new();
@@ -32,7 +32,7 @@ impl View {
         Self { process, address, token }
     }
 
-    fn ask(&self, request: &str, headers: &str, body: &str) -> (u16, String) {
+    pub(crate) fn ask(&self, request: &str, headers: &str, body: &str) -> (u16, String) {
         ask(&self.address, request, headers, body)
     }
 
@@ -46,7 +46,7 @@ impl View {
         self.json("/system")
     }
 
-    fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
+    pub(crate) fn wait_for(&self, system: &System, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
         system.wait_until(what, |_| condition(&self.system()));
         self.system()
     }
@@ -64,7 +64,7 @@ impl View {
         self.ask("POST /control", &headers, body)
     }
 
-    fn end(mut self) -> (ExitStatus, String) {
+    pub(crate) fn end(mut self) -> (ExitStatus, String) {
         kill_process(Pid::from_child(&self.process), Signal::TERM).unwrap();
         let mut log = String::new();
         self.process.stderr.take().unwrap().read_to_string(&mut log).unwrap();
@@ -124,7 +124,7 @@ fn rows(status: &Value) -> Vec<[Value; 4]> {
     status["processes"].as_array().unwrap().iter().map(|row| keys.map(|key| row[key].clone())).collect()
 }
 
-fn is_driving(system: &Value) -> bool {
+pub(crate) fn is_driving(system: &Value) -> bool {
     let has_scans = system["status"]["scan"].as_u64().is_some_and(|scan| scan > 3);
     system["connection"] == "live" && system["status"]["state"] == "driving" && has_scans
 }

@@ -45,6 +45,8 @@ export function loop(svg, note) {
     const others = system?.status?.processes?.filter((row) => !(row.role in PLACES)) ?? [];
     const refused = system?.status?.refused?.length ?? 0;
     const parts = others.map((row) => `${row.role} ${row.implementation}: ${row.state}`);
+    parts.push(...(system?.status?.companions ?? []).map((row) => `${row.name}: ${row.state}`));
+    note.title = parts.join("\n");
     if (refused) parts.push(`samples refused by ${refused} rule${refused > 1 ? "s" : ""}`);
     note.textContent = parts.join(" · ");
   };
@@ -65,11 +67,12 @@ function show({ group, lines, corner, title }, role, system) {
   const incarnation = system.authority?.[["robot", "estimator", "obstacles", "controller", "actuator"].indexOf(role)];
   corner.textContent = `#${incarnation ?? "–"}`;
   const name = row.implementation.split("/").pop();
-  lines[0].textContent = row.state === "ready" ? short(name, 17) : `${row.state}`;
+  const restarts = row.restarts ? ` ↻${row.restarts}` : "";
+  lines[0].textContent = row.state === "ready" ? short(name, 17 - restarts.length) + restarts : `${row.state}`;
   const age = row.last_sample_age_ms != null && row.last_sample_age_ms < 9999 ? `${row.last_sample_age_ms.toFixed(0)} ms` : "";
   lines[1].textContent = `${row.rate_hz.toFixed(1)} Hz · ${age}`;
   const other = others[0];
-  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : [row.cpu_percent == null ? "" : `${share(row, system).toFixed(1)} % · `, `pid ${row.pid}`, row.restarts ? ` ↻${row.restarts}` : ""].join("");
+  lines[2].textContent = other ? `${other.state}: ${short(other.implementation.split("/").pop(), 10)}` : [row.cpu_percent == null ? "" : `${share(row, system).toFixed(1)} % · `, `pid ${row.pid}`].join("");
   title.textContent = [
     `${role}: ${row.implementation}, process ${row.pid}, ${row.state}`,
     `newest output ${row.last_sample_age_ms?.toFixed(0) ?? "–"} ms old, ${row.memory_kib == null ? "" : `${row.memory_kib} KiB, `}${row.restarts} restarts`,
