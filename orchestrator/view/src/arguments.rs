@@ -21,7 +21,7 @@ pub struct ViewArguments {
     /// Address to serve the page on; another one than 127.0.0.1 is reachable from other computers.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub listen: IpAddr,
-    /// Allow the page to stop, restart and swap; each request needs the token of the printed link.
+    /// Allow the page to stop, restart and swap, and to change settings; each request needs the token of the printed link.
     #[arg(long)]
     pub control: bool,
     /// Serve the page for a run that started this process, on the listening socket at standard input.

@@ -73,9 +73,10 @@ export function timeline(canvas, choose) {
       const at = (width * count * step) / span_s;
       const x = isRecording ? at : width - at;
       context.fillRect(x, TOP + BAND, 1, 4);
-      const left = Math.max(0, x - 13);
-      if (Math.abs(left - mark) < 48) continue;
-      context.fillText(isRecording ? clock(count * step) : `−${clock(count * step)}`, left, height - 3);
+      const label = isRecording ? clock(count * step) : `−${clock(count * step)}`;
+      const long = context.measureText(label).width;
+      const left = Math.min(width - long, Math.max(0, x - 13));
+      if (left + long + 6 < mark || left > mark + 52) context.fillText(label, left, height - 3);
     }
   }
 
