@@ -88,7 +88,7 @@ fn each_frame_has_the_samples_of_its_time_in_any_order() {
     let file = drive("order");
     let mut drive = RecordedDrive::open(&file.0).unwrap();
     let rows = json(&drive.history(None));
-    assert_eq!(rows["recording"]["frames"], 120);
+    assert_eq!(rows["recording"]["frames"], 120, "{rows}");
     for number in [120_u64, 1, 77, 10, 11, 95] {
         let row = rows["rows"][number as usize - 1].clone();
         let frame = json(&drive.frame(row["time_s"].as_f64().unwrap()).unwrap());
