@@ -85,11 +85,13 @@ pub enum Command {
     /// lists the keys. 80 columns and 24 rows are enough, also over ssh. The terminal is restored after any end.
     Top(TopArguments),
     /// Serve a live page of a running system to browsers: map, processes, latency, events and the last five minutes.
+    /// With a file it plays a recording.
     ///
     /// The link is printed to standard output. The page may be opened before the run, and continues with the next one. Data
     /// is given to this user's browsers on this machine, and to those that have the token of the link; control needs the
-    /// token in any case. Exit code 2 if the port is in use. The paths `/system`, `/history` and `/frame?number=N` give the
-    /// data of the page as JSON, `/stream` as server-sent events.
+    /// token in any case. Exit code 2 if the port is in use, or the file is damaged or no recording. The paths `/system`,
+    /// `/history` and `/frame?number=N` give the data of the page as JSON, `/stream` as server-sent events; a recording has
+    /// `/frame?at_ms=T`.
     View(ViewArguments),
     /// Block the wheels of a running system and end all its processes.
     ///

@@ -14,6 +14,8 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/loop.js", SCRIPT, include_str!("page/loop.js")),
     ("/latency.js", SCRIPT, include_str!("page/latency.js")),
     ("/charts.js", SCRIPT, include_str!("page/charts.js")),
+    ("/past.js", SCRIPT, include_str!("page/past.js")),
+    ("/player.js", SCRIPT, include_str!("page/player.js")),
     ("/timeline.js", SCRIPT, include_str!("page/timeline.js")),
     ("/panels.js", SCRIPT, include_str!("page/panels.js")),
     ("/control.js", SCRIPT, include_str!("page/control.js")),

@@ -32,5 +32,6 @@ mod swap;
 mod swap_robot;
 mod top;
 mod view;
+mod view_hostile;
 mod watch;
 mod without_truth;
