@@ -9,6 +9,7 @@ mod candidates;
 mod companions;
 mod conclusion;
 mod events;
+mod injection;
 mod judge;
 mod reconciliation;
 mod recording;

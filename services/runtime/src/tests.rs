@@ -57,6 +57,7 @@ impl Lab {
             role,
             incarnation,
             guard: crate::guard::Guard::new(role, None),
+            tamper: RefCell::default(),
             device: RefCell::default(),
             clock: Clock::simulated(),
             counters: Counters::default(),
