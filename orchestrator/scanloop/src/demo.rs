@@ -27,7 +27,7 @@ use story::Story;
 use system::{Interrupted, System};
 
 /// Time between two acts, to look at the page.
-const PAUSE: Duration = Duration::from_millis(2500);
+const PAUSE: Duration = Duration::from_secs(4);
 
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
@@ -97,7 +97,9 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
     let whole_drive = ["clearance_", "unaccounted_"];
     let is_chosen = |name: &str| {
         let begins = |starts: &[&str]| starts.iter().any(|start| name.starts_with(start));
-        acts.iter().any(|act| begins(act.claims())) || is_live && begins(&whole_drive) || name == "left_behind"
+        acts.iter().any(|act| begins(act.claims()))
+            || is_live && begins(&whole_drive)
+            || name == "left_behind"
     };
     let claims = Claims::new(is_chosen, &arguments.promises)?;
     let shutdown = Shutdown::of_orchestrator()?;
@@ -117,7 +119,11 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
     note!("\n{}", show.claims.table());
     let failed = show.claims.claims.iter().filter(|claim| !claim.held).count();
     let time_s = show.story.time_s();
-    note!("{} of {} promises held, measured in {time_s:.0} s", show.claims.claims.len() - failed, show.claims.claims.len());
+    note!(
+        "{} of {} promises held, measured in {time_s:.0} s",
+        show.claims.claims.len() - failed,
+        show.claims.claims.len()
+    );
     if let Some(out) = &arguments.out {
         write(out, "demo.json", &(serde_json::to_string_pretty(&show.claims)? + "\n"))?;
         let picture = std::fs::read_to_string(out.join("drive/drive.svg")).ok();

@@ -66,11 +66,7 @@ fn parse_and_run() -> anyhow::Result<Exit> {
     runtime::check_log_filter()?;
     if matches!(
         cli.command,
-        Command::Run(_)
-            | Command::Adopt(_)
-            | Command::Bench(_)
-            | Command::Conformance(_)
-            | Command::Demo(_)
+        Command::Run(_) | Command::Adopt(_) | Command::Bench(_) | Command::Conformance(_) | Command::Demo(_)
     ) {
         limits::require_open_files()?;
     }

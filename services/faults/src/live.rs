@@ -60,7 +60,9 @@ impl Fault {
                 let is_of_course = fault.set.keys().any(|table| !OF_THE_ROBOT.contains(&table.as_str()));
                 match (is_of_course, is_late) {
                     (true, _) => Some("it changes the course"),
-                    (_, true) => Some("scans that are delivered late leave no state from which the robot can return"),
+                    (_, true) => {
+                        Some("scans that are delivered late leave no state from which the robot can return")
+                    }
                     _ => None,
                 }
             }

@@ -30,7 +30,8 @@ use crate::reserve::require_room;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
-    Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns, tamper,
+    Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns,
+    tamper,
 };
 
 /// Time between two heartbeats: ten a second are enough to see a process live.

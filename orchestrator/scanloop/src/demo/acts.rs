@@ -123,7 +123,8 @@ impl Show<'_> {
     pub(super) fn kill(&mut self, role: Role) -> anyhow::Result<()> {
         let status = self.system.status().context("the orchestrator does not answer")?;
         let row = status.processes.iter().find(|row| row.role == role);
-        let pid = row.and_then(|row| Pid::from_raw(row.pid)).with_context(|| format!("no process of {role}"))?;
+        let pid =
+            row.and_then(|row| Pid::from_raw(row.pid)).with_context(|| format!("no process of {role}"))?;
         let from_ns = monotonic_ns();
         kill_process(pid, Signal::KILL)?;
         let back_ns = self.wait(|watch| watch.drives_after(from_ns))?;
@@ -218,9 +219,12 @@ impl Show<'_> {
             with.extend(self.stages(from_ns)?);
             self.observe(Duration::from_millis(500))?;
         }
-        let of = |all: &[[f64; 4]], index: usize| median(all.iter().map(|stages| stages[index])).unwrap_or(f64::NAN);
+        let of = |all: &[[f64; 4]], index: usize| {
+            median(all.iter().map(|stages| stages[index])).unwrap_or(f64::NAN)
+        };
         let more: Vec<f64> = (0..STAGES.len()).map(|index| of(&with, index) - of(&without, index)).collect();
-        let found = |role: Role| STAGES.iter().position(|of| *of == role).map_or(f64::NAN, |index| more[index]);
+        let found =
+            |role: Role| STAGES.iter().position(|of| *of == role).map_or(f64::NAN, |index| more[index]);
         let others = STAGES.iter().filter(|role| **role != stage).map(|role| found(*role));
         let elsewhere_ms = others.map(f64::abs).fold(0.0, |most: f64, value| most.max(value));
         let differences: Vec<String> =
@@ -253,7 +257,8 @@ impl Show<'_> {
         self.inject("scanner-dead", Duration::from_secs(60))?;
         let stands = |watch: &Watch| {
             let newest = &watch.newest;
-            (newest.header.acquired_ns > from_ns && newest.speed_mps <= 0.0).then_some(newest.header.acquired_ns)
+            (newest.header.acquired_ns > from_ns && newest.speed_mps <= 0.0)
+                .then_some(newest.header.acquired_ns)
         };
         let stands_ns = self.wait(stands)?;
         let stop_s = (stands_ns - from_ns) as f64 * 1e-9;

@@ -6,7 +6,7 @@ use console::exit::Failure;
 use serde::Serialize;
 
 /// Columns of the text of a claim in the table.
-const TEXT_COLUMNS: usize = 44;
+const TEXT_COLUMNS: usize = 45;
 
 /// How a measured value is compared with the promised one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -46,7 +46,7 @@ const PROMISES: &[Promise] = &[
     at_most("killed_estimator_back_s", 3.0, "s", "estimator killed: drives again after"),
     at_most("killed_obstacles_blind_ms", 300.0, "ms", "obstacles killed: wheels turn without command"),
     at_most("killed_obstacles_back_s", 3.0, "s", "obstacles killed: drives again after"),
-    at_most("killed_controller_blind_ms", 300.0, "ms", "controller killed: turn without command"),
+    at_most("killed_controller_blind_ms", 300.0, "ms", "controller killed: wheels without command"),
     at_most("killed_controller_back_s", 3.0, "s", "controller killed: drives again after"),
     at_most("killed_actuator_blind_ms", 300.0, "ms", "actuator killed: wheels turn without command"),
     at_most("killed_actuator_back_s", 3.0, "s", "actuator killed: drives again after"),
@@ -136,8 +136,12 @@ impl Claims {
         let mut text = format!("{:<TEXT_COLUMNS$} {:>13} {:>11}\n", "promised", "", "measured");
         for claim in &self.claims {
             let (held, bound) = (if claim.held { "held" } else { "NOT HELD" }, claim.promised_text());
-            let _ =
-                writeln!(text, "{:<TEXT_COLUMNS$} {bound:>13} {:>11} {held}", claim.text, claim.measured_text());
+            let _ = writeln!(
+                text,
+                "{:<TEXT_COLUMNS$} {bound:>13} {:>11} {held}",
+                claim.text,
+                claim.measured_text()
+            );
         }
         text
     }
@@ -203,7 +207,9 @@ mod tests {
     #[test]
     fn promises_that_are_unknown_or_no_number_are_named() {
         let error = |change| claims(&[change]).unwrap_err().to_string();
-        assert!(error("speed=1").contains("--promise speed=1: speed is unknown: expected one of answered_scans"));
+        assert!(
+            error("speed=1").contains("--promise speed=1: speed is unknown: expected one of answered_scans")
+        );
         assert!(error("left_behind=no").contains("expected a number"));
         assert!(error("left_behind").contains("expected NAME=NUMBER"));
     }

@@ -17,7 +17,8 @@ pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> Str
         claims.claims.len(),
     );
     for claim in &claims.claims {
-        let (class, verdict) = if claim.held { ("held", "\u{2713} held") } else { ("failed", "\u{2717} not held") };
+        let (class, verdict) =
+            if claim.held { ("held", "\u{2713} held") } else { ("failed", "\u{2717} not held") };
         let _ = writeln!(
             text,
             "<tr class=\"{class}\"><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td>{verdict}</td></tr>",
@@ -41,7 +42,10 @@ pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> Str
     }
     text += "</tbody></table>\n";
     if let Some(picture) = picture {
-        let _ = write!(text, "<h2>The drive, from the adoption on</h2>\n<div class=\"picture\">{picture}</div>\n");
+        let _ = write!(
+            text,
+            "<h2>The drive, from the adoption on</h2>\n<div class=\"picture\">{picture}</div>\n"
+        );
     }
     let _ = write!(
         text,
@@ -59,7 +63,8 @@ fn machine() -> String {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let processors = read("/proc/cpuinfo");
     let models: Vec<&str> = processors.lines().filter_map(|line| line.strip_prefix("model name")).collect();
-    let model = models.first().map_or("unknown processor", |model| model.trim_start_matches([' ', '\t', ':']));
+    let model =
+        models.first().map_or("unknown processor", |model| model.trim_start_matches([' ', '\t', ':']));
     format!("{} x {model}, Linux {}", models.len().max(1), read("/proc/sys/kernel/osrelease").trim())
 }
 

@@ -1,16 +1,16 @@
 //! The system that the demo drives, by the commands that a user has. Dropping it stops what is left.
 
 use std::fs::File;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use console::exit::{Exit, Failure};
-use runtime::{Domain, SYSTEM_ID_VARIABLE, Shutdown, wait_for};
+use runtime::{Domain, RUN_ID_VARIABLE, Shutdown, wait_for};
 use rustix::process::{Pid, Signal, kill_process};
 use session::control::{Reply, Request, Status, ask};
-use std::os::unix::process::CommandExt;
 use supervision::child::this_program;
 
 /// A step of the demo that takes longer has failed.
@@ -19,6 +19,9 @@ pub(super) const STEP_TIMEOUT: Duration = Duration::from_secs(30);
 const POLL_NS: u64 = 5_000_000;
 /// A run ends by itself after this driven time [s]: nothing drives on when the demo is killed.
 const MAX_DRIVE_S: &str = "240";
+
+/// A robot that stands ends the run after this time, not after the usual 5 s.
+const STOP_FINAL: &str = "stop_final_s=2";
 
 /// The demo was ended by a signal.
 #[derive(Debug, thiserror::Error)]
@@ -31,7 +34,7 @@ pub(super) struct System {
     /// Where its results are written.
     pub(super) folder: PathBuf,
     orchestrator: Option<Child>,
-    /// Run id, once it is known: part of the names of its shared memory.
+    /// Run id, once it is known: part of the names of its shared memory, and in the environment of its processes.
     run_id: String,
 }
 
@@ -52,7 +55,7 @@ impl System {
         };
         // In a group of its own, so that a Ctrl-C reaches only the demo, which ends everything in order.
         let mut command = Command::new(this_program());
-        command.args(["--system-id", &self.id]).args(arguments).env(SYSTEM_ID_VARIABLE, &self.id);
+        command.args(["--system-id", &self.id]).args(arguments);
         command.stdin(Stdio::null()).stdout(file("out")?).stderr(file("err")?).process_group(0);
         command.spawn().with_context(|| format!("scanloop {}", arguments.join(" ")))
     }
@@ -66,7 +69,12 @@ impl System {
     ///
     /// # Errors
     /// [`Interrupted`], and a command that does not end.
-    pub(super) fn run(&self, name: &str, arguments: &[&str], shutdown: &Shutdown) -> anyhow::Result<Option<i32>> {
+    pub(super) fn run(
+        &self,
+        name: &str,
+        arguments: &[&str],
+        shutdown: &Shutdown,
+    ) -> anyhow::Result<Option<i32>> {
         let mut child = self.begin(name, arguments)?;
         let ended = wait_until(shutdown, || Ok(child.try_wait()?));
         if ended.is_err() {
@@ -83,6 +91,7 @@ impl System {
         let drive = self.folder.join("drive");
         let out = drive.to_str().context("--out: the path of the folder is not UTF-8")?;
         let fixed = ["run", "endless", "--quiet", "--allow-inject", "--duration", MAX_DRIVE_S, "--out", out];
+        let arguments = &[&["--set", STOP_FINAL], arguments].concat();
         self.orchestrator = Some(self.begin("run", &[&fixed[..], arguments].concat())?);
         self.wait_until_driving("run", shutdown)
     }
@@ -98,17 +107,18 @@ impl System {
 
     fn wait_until_driving(&mut self, name: &'static str, shutdown: &Shutdown) -> anyhow::Result<()> {
         wait_until(shutdown, || {
+            if let Some(domain) = self.domain() {
+                domain.run_id().clone_into(&mut self.run_id);
+            }
             if let Some(status) = self.orchestrator.as_mut().map(Child::try_wait).transpose()?.flatten() {
+                self.orchestrator = None;
                 let (text, exit) = (self.written(name, "err"), exit_of(status));
                 let message = text.trim().trim_start_matches("error: ").to_owned();
                 return Err(Failure { exit, message }.into());
             }
             Ok(self.status().filter(|status| status.state == "driving" && status.scan > 3))
-        })?;
-        if let Some(domain) = self.domain() {
-            domain.run_id().clone_into(&mut self.run_id);
-        }
-        Ok(())
+        })
+        .map(|_| ())
     }
 
     /// The directory of the system.
@@ -143,17 +153,20 @@ impl System {
         Ok(())
     }
 
-    /// Counts processes of the system, its directory and its shared memory.
+    /// Counts processes of the run, its directory and its shared memory.
     pub(super) fn left_behind(&self) -> usize {
-        let is_ours = |name: &str| !self.run_id.is_empty() && name.contains(&self.run_id);
-        let memory = names("/dev/shm").iter().filter(|name| is_ours(name)).count();
-        let wanted = format!("{SYSTEM_ID_VARIABLE}={}", self.id);
-        let is_process = |name: &String| {
-            let environment = std::fs::read(Path::new("/proc").join(name).join("environ")).unwrap_or_default();
+        if self.run_id.is_empty() {
+            return usize::from(self.domain().is_some());
+        }
+        let memory = names("/dev/shm").iter().filter(|name| name.contains(&self.run_id)).count();
+        let wanted = format!("{RUN_ID_VARIABLE}={}", self.run_id);
+        let is_process = |name: &&String| {
+            let environment =
+                std::fs::read(Path::new("/proc").join(name).join("environ")).unwrap_or_default();
             environment.split(|byte| *byte == 0).any(|text| text == wanted.as_bytes())
         };
         let is_number = |name: &&String| name.bytes().all(|byte| byte.is_ascii_digit());
-        let processes = names("/proc").iter().filter(is_number).filter(|name| is_process(name)).count();
+        let processes = names("/proc").iter().filter(is_number).filter(is_process).count();
         memory + processes + usize::from(self.domain().is_some())
     }
 }

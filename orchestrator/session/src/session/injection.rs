@@ -34,7 +34,10 @@ pub(super) fn inject<'a>(
     let fault = faults::find(name).map_err(|error| error.to_string())?;
     let fault = fault.ok_or_else(|| format!("fault `{name}` is unknown: expected one of {}", known()))?;
     if let Some(reason) = fault.refused_live() {
-        return Err(format!("{name} can't be injected while the robot drives: {reason}; these can: {}", known()));
+        return Err(format!(
+            "{name} can't be injected while the robot drives: {reason}; these can: {}",
+            known()
+        ));
     }
     let for_s = for_s.unwrap_or_else(|| fault.lasts_s(period_ns as f64 * 1e-9));
     if !(for_s > 0.0 && for_s <= MAX_S) {
