@@ -9,10 +9,10 @@ use super::story::Story;
 pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> String {
     let mut text = include_str!("demo.html").to_owned();
     let held = claims.claims.iter().filter(|claim| claim.held).count();
-    let _ = write!(
+    let _ = writeln!(
         text,
         "<p class=\"{}\">{held} of {} promises held.</p>\n<table><thead><tr><th>promised</th><th></th><th>measured</th>\
-         <th></th></tr></thead><tbody>\n",
+         <th></th></tr></thead><tbody>",
         if claims.held { "held" } else { "failed" },
         claims.claims.len(),
     );
@@ -42,18 +42,17 @@ pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> Str
     }
     text += "</tbody></table>\n";
     if let Some(picture) = picture {
-        let _ = write!(
+        let _ = writeln!(
             text,
-            "<h2>The drive, from the adoption on</h2>\n<div class=\"picture\">{picture}</div>\n"
+            "<h2>The drive, from the adoption on</h2>\n<div class=\"picture\">{picture}</div>"
         );
     }
-    let _ = write!(
+    let _ = writeln!(
         text,
-        "<p class=\"small\">scanloop {}, {}, {}; {}</p>\n</body></html>\n",
+        "<p class=\"small\">scanloop {}, {}, {}; <code>scanloop demo</code> repeats it.</p>\n</body></html>",
         env!("CARGO_PKG_VERSION"),
         figures::PROFILE,
         escaped(&machine()),
-        "<code>scanloop demo</code> repeats it.",
     );
     text
 }

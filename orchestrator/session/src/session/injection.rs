@@ -40,6 +40,8 @@ pub(super) fn inject<'a>(
         ));
     }
     let for_s = for_s.unwrap_or_else(|| fault.lasts_s(period_ns as f64 * 1e-9));
+    // Whole milliseconds: three scans are not 0.30000000000000004 s.
+    let for_s = (for_s * 1e3).round() / 1e3;
     if !(for_s > 0.0 && for_s <= MAX_S) {
         return Err(format!("--for {for_s} s is not allowed: above 0, up to {MAX_S} s"));
     }
