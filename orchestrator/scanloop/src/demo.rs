@@ -18,6 +18,7 @@ use clap::{Args, ValueEnum};
 use console::exit::{Exit, Failure};
 use console::note;
 use runtime::Shutdown;
+use session::arguments::out_folder;
 use shared_types::Role;
 
 use crate::print_json;
@@ -104,8 +105,12 @@ pub(crate) fn demo(system_id: Option<&str>, arguments: &DemoArguments) -> anyhow
     let claims = Claims::new(is_chosen, &arguments.promises)?;
     let shutdown = Shutdown::of_orchestrator()?;
     let id = system_id.map_or_else(|| format!("demo-{}", std::process::id()), str::to_owned);
-    let scratch = Scratch::new(arguments.out.as_deref(), &id)?;
-    let system = System::new(id, scratch.folder.clone());
+    let scratch = Scratch::new(&id)?;
+    let drive = match &arguments.out {
+        Some(out) => out_folder(out.clone())?,
+        None => scratch.0.clone(),
+    };
+    let system = System::new(id, scratch.0.clone(), drive.join("drive"));
     let pause = if arguments.fast { Duration::ZERO } else { PAUSE };
     let mut show = Show { system, watch: None, story: Story::new(), claims, shutdown: &shutdown, pause };
     let port = (!arguments.fast).then_some(arguments.port);
@@ -197,25 +202,19 @@ fn write(out: &Path, name: &str, text: &str) -> anyhow::Result<()> {
     std::fs::write(&path, text).map_err(|error| Failure::bad_input(format!("{}: {error}", path.display())))
 }
 
-/// The folder of the results; one of our own is removed at the end.
-struct Scratch {
-    folder: PathBuf,
-    is_own: bool,
-}
+/// A folder for the outputs of commands, which is removed at the end.
+struct Scratch(PathBuf);
 
 impl Scratch {
-    fn new(out: Option<&Path>, id: &str) -> anyhow::Result<Self> {
-        let own = std::env::temp_dir().join(format!("scanloop-{id}"));
-        let folder = std::path::absolute(out.unwrap_or(&own))?;
+    fn new(id: &str) -> anyhow::Result<Self> {
+        let folder = std::env::temp_dir().join(format!("scanloop-{id}"));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        Ok(Self { folder, is_own: out.is_none() })
+        Ok(Self(folder))
     }
 }
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        if self.is_own {
-            let _ = std::fs::remove_dir_all(&self.folder);
-        }
+        let _ = std::fs::remove_dir_all(&self.0);
     }
 }

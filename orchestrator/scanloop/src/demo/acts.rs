@@ -54,8 +54,9 @@ impl Show<'_> {
         self.watch = Some(Watch::new(&domain)?);
         let text = "five processes drive a long course past obstacles, ten scans a second";
         self.story.tell("start", text);
-        if let Some(link) = self.system.written("run", "out").lines().find(|line| line.contains("http")) {
-            self.story.tell("watch", &format!("live page: {}", link.trim()));
+        if port.is_some() {
+            let link = self.system.link(self.shutdown)?;
+            self.story.tell("watch", &format!("live page: {link}"));
         }
         let id = &self.system.id;
         self.story.tell("watch", &format!("in another terminal: scanloop --system-id {id} top"));
@@ -279,7 +280,7 @@ impl Show<'_> {
         }
         self.watch = None;
         self.system.wait(self.shutdown)?;
-        let path = self.system.folder.join("drive/report.json");
+        let path = self.system.drive.join("report.json");
         let report = Report::read(&path).with_context(|| path.display().to_string())?;
         let Report { outcome, scans, .. } = &report;
         let truth = report.drive.truth.unwrap_or_default();

@@ -31,8 +31,10 @@ pub(super) struct Interrupted;
 /// A running system.
 pub(super) struct System {
     pub(super) id: String,
-    /// Where its results are written.
+    /// Where the outputs of its commands are written.
     pub(super) folder: PathBuf,
+    /// Where the results of the drive are written.
+    pub(super) drive: PathBuf,
     orchestrator: Option<Child>,
     /// Run id, once it is known: part of the names of its shared memory, and in the environment of its processes.
     run_id: String,
@@ -40,8 +42,8 @@ pub(super) struct System {
 
 impl System {
     /// A system that is not started.
-    pub(super) fn new(id: String, folder: PathBuf) -> Self {
-        Self { id, folder, orchestrator: None, run_id: String::new() }
+    pub(super) fn new(id: String, folder: PathBuf, drive: PathBuf) -> Self {
+        Self { id, folder, drive, orchestrator: None, run_id: String::new() }
     }
 
     /// Starts a command of this program for the system; its output goes to files of that name.
@@ -88,12 +90,23 @@ impl System {
     /// # Errors
     /// What the run refuses, with its exit code, and [`Interrupted`].
     pub(super) fn start(&mut self, arguments: &[&str], shutdown: &Shutdown) -> anyhow::Result<()> {
-        let drive = self.folder.join("drive");
-        let out = drive.to_str().context("--out: the path of the folder is not UTF-8")?;
+        let out = self.drive.to_str().context("--out: the path of the folder is not UTF-8")?;
         let fixed = ["run", "endless", "--quiet", "--allow-inject", "--duration", MAX_DRIVE_S, "--out", out];
         let arguments = &[&["--set", STOP_FINAL], arguments].concat();
         self.orchestrator = Some(self.begin("run", &[&fixed[..], arguments].concat())?);
         self.wait_until_driving("run", shutdown)
+    }
+
+    /// Waits for the link to the live page.
+    ///
+    /// # Errors
+    /// As [`System::start`].
+    pub(super) fn link(&self, shutdown: &Shutdown) -> anyhow::Result<String> {
+        wait_until(shutdown, || {
+            let printed = self.written("run", "out") + &self.written("run", "err");
+            Ok(printed.split_whitespace().find(|word| word.starts_with("http")).map(str::to_owned))
+        })
+        .context("link to the live page")
     }
 
     /// Takes the processes over after the death of the orchestrator.
