@@ -6,6 +6,7 @@
 mod acts;
 mod claims;
 mod page;
+mod show;
 mod story;
 mod system;
 mod watch;
@@ -22,8 +23,8 @@ use session::arguments::out_folder;
 use shared_types::Role;
 
 use crate::print_json;
-use acts::Show;
 use claims::Claims;
+use show::Show;
 use story::Story;
 use system::{Interrupted, System};
 

@@ -63,7 +63,7 @@ const PROMISES: &[Promise] = &[
     at_most("unaccounted_scans", 0.0, "scans", "whole drive: scans that are unaccounted for"),
     at_least("lockstep_topics", 5.0, "topics", "same seed twice: topics with a digest"),
     at_most("lockstep_differences", 0.0, "topics", "same seed twice: topics that differ"),
-    at_most("left_behind", 0.0, "things", "processes and shared memory left behind"),
+    at_most("left_behind", 0.0, "items", "processes and shared memory left behind"),
 ];
 
 /// A promise with what was measured.
@@ -166,7 +166,7 @@ impl Claim {
 /// Counts as whole numbers, times and distances with as many digits as they deserve.
 fn with_unit(value: f64, unit: &str) -> String {
     match unit {
-        "scans" | "topics" | "things" if value.fract() == 0.0 => format!("{value:.0} {unit}"),
+        "scans" | "topics" | "items" if value.fract() == 0.0 => format!("{value:.0} {unit}"),
         "ms" if value.abs() >= 100.0 => format!("{value:.0} {unit}"),
         "ms" => format!("{value:.1} {unit}"),
         _ => format!("{value:.2} {unit}"),

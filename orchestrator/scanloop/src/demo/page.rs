@@ -23,7 +23,7 @@ pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> Str
             text,
             "<tr class=\"{class}\"><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td>{verdict}</td></tr>",
             escaped(claim.text),
-            escaped(&claim.promised_text()),
+            claim.promised_text().replace("<=", "at most").replace(">=", "at least"),
             escaped(&claim.measured_text()),
         );
     }
@@ -44,7 +44,7 @@ pub(super) fn html(claims: &Claims, story: &Story, picture: Option<&str>) -> Str
     if let Some(picture) = picture {
         let _ = writeln!(
             text,
-            "<h2>The drive, from the adoption on</h2>\n<div class=\"picture\">{picture}</div>"
+            "<h2>The drive since its orchestrator was started</h2>\n<div class=\"picture\">{picture}</div>"
         );
     }
     let _ = writeln!(
