@@ -2,6 +2,7 @@
 
 mod preparing;
 mod reserve;
+mod tampering;
 mod typed;
 mod waking;
 
