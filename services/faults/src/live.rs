@@ -1,7 +1,7 @@
 //! Faults in a running system: which can be injected there, and the file that tells a process of its fault.
 
 use serde::{Deserialize, Serialize};
-use shared_types::{Role, Topic};
+use shared_types::Role;
 
 use crate::{Action, Fault, FaultError, Injection, ProcessAction, all};
 
@@ -90,13 +90,5 @@ impl Fault {
             Injection::Process(fault) => fault.seconds,
         }
         .unwrap_or(LASTS_S)
-    }
-
-    /// The topic that it changes.
-    pub fn topic(&self) -> Option<Topic> {
-        match &self.inject {
-            Injection::Sample(fault) => Some(fault.topic),
-            Injection::Scenario(_) | Injection::Process(_) => None,
-        }
     }
 }
