@@ -1,5 +1,4 @@
 //! The demo: all of its promises hold here, a promise that does not hold fails it, and it leaves nothing behind.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use rustix::process::Signal;
 use scanloop_tests::System;
