@@ -10,6 +10,7 @@ mod companions;
 mod conclusion;
 mod events;
 mod incidents;
+mod injection;
 mod judge;
 mod reconciliation;
 mod recording;

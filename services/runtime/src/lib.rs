@@ -59,6 +59,7 @@ mod shared;
 mod shared_memory;
 mod shutdown;
 mod stop;
+mod tamper;
 mod terminal;
 #[cfg(test)]
 mod tests;
@@ -103,6 +104,7 @@ pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, set
 pub use shared_memory::Shortage;
 pub use shutdown::Shutdown;
 pub use stop::{StopWord, Wheels};
+pub use tamper::{Tamper, tamper_with};
 pub use terminal::{flush_terminal, hold_terminal, is_terminal, printable, show_live_line, start_terminal};
 pub use wake::wait_for;
 pub use waker::Waker;

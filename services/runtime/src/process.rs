@@ -31,6 +31,7 @@ use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
     Bus, Clock, Domain, Realtime, RuntimeError, Shutdown, StopWord, Wheels, domain, layouts, monotonic_ns,
+    tamper,
 };
 
 /// Time between two heartbeats: ten a second are enough to see a process live.
@@ -113,6 +114,7 @@ impl Process {
             role,
             incarnation,
             guard: Guard::new(role, word),
+            tamper: RefCell::new(tamper::take()),
             device: RefCell::new(Device::default()),
             clock: run.clock.clock(),
             counters: Counters::default(),

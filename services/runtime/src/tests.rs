@@ -2,6 +2,7 @@
 
 mod preparing;
 mod reserve;
+mod tampering;
 mod typed;
 mod waking;
 
@@ -57,6 +58,7 @@ impl Lab {
             role,
             incarnation,
             guard: crate::guard::Guard::new(role, None),
+            tamper: RefCell::default(),
             device: RefCell::default(),
             clock: Clock::simulated(),
             counters: Counters::default(),

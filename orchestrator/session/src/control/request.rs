@@ -18,6 +18,13 @@ pub enum Request {
         #[serde(with = "role_name")]
         role: Role,
     },
+    /// Inject a fault.
+    Inject {
+        /// Its name.
+        fault: String,
+        /// How long it lasts [s]; without it, as its file says.
+        for_s: Option<f64>,
+    },
     /// Replace a companion: by a command, or by a new process of its own.
     ReplaceCompanion {
         /// Its name.

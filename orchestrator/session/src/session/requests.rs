@@ -8,6 +8,7 @@ use supervision::supervisor::Event;
 
 use super::Session;
 use super::candidates::Live;
+use super::injection::inject;
 use crate::control::{Reply, Request, SwapRequest};
 
 impl Session {
@@ -18,7 +19,7 @@ impl Session {
         }
         let now_ns = monotonic_ns();
         let stopped = !self.run.stop_word.is_armed();
-        let (mut restarts, mut is_stop) = (Vec::new(), false);
+        let (mut restarts, mut injected, mut is_stop) = (Vec::new(), Vec::new(), false);
         let status = Reply::Status(Box::new(self.status()));
         let Self { control, swaps, shadows, companions, fleet, supervisor, run, .. } = self;
         let live = |role| Live::of(role, fleet, supervisor);
@@ -27,6 +28,7 @@ impl Session {
             Request::Swap(_)
             | Request::Shadow(_)
             | Request::Restart { .. }
+            | Request::Inject { .. }
             | Request::ReplaceCompanion { .. }
                 if stopped =>
             {
@@ -59,6 +61,19 @@ impl Session {
             Request::ReplaceCompanion { name, command } => {
                 companions.replace(&name, command.as_deref()).map_or_else(Reply::Refused, |()| Reply::Done)
             }
+            Request::Inject { .. } if run.lockstep => Reply::Refused(
+                "faults are injected into runs in real time; `scanloop faults` has them in simulated time"
+                    .to_owned(),
+            ),
+            Request::Inject { fault, for_s } => {
+                match inject(&run.domain, run.period_ns, &fault, for_s, live) {
+                    Ok((reply, text)) => {
+                        injected.push(text);
+                        reply
+                    }
+                    Err(reason) => Reply::Refused(reason),
+                }
+            }
             Request::SwapResult { number } => swaps.result(number),
             Request::Restart { role } if swaps.concern(role) => {
                 Reply::Refused(format!("{role} is not restarted: it is being swapped"))
@@ -81,6 +96,12 @@ impl Session {
         });
         if is_stop {
             self.decide(Outcome::Interrupted, "stopped by command");
+        }
+        for text in injected {
+            self.warn(&text);
+            if let Some(recorder) = &mut self.companion {
+                recorder.note(&text);
+            }
         }
         restarts.into_iter().try_for_each(|role| self.handle(Event::RestartRequested { role }))
     }
