@@ -18,5 +18,6 @@ mod survivors;
 mod top_view;
 mod vitals;
 
+pub use own_processes::companion_delays;
 pub use process_registry::driven_system;
 pub use session::Session;

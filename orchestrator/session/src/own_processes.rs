@@ -5,9 +5,12 @@ use std::os::fd::BorrowedFd;
 use std::path::Path;
 
 use audit::digest::Digests;
+use audit::ledger::{CompanionLedger, DelayRow, LedgerRow};
 use plan::Plan;
 use report::CompanionReport;
-use runtime::{Bus, Domain, OwnObserver, RuntimeError, StopWord};
+use runtime::{Bus, Domain, OwnObserver, OwnTopics, PortCount, PortTable, RuntimeError, StopWord};
+use rustix::io::Errno;
+use rustix::process::{Pid, test_kill_process};
 use shared_types::{Authority, Header, ProcessState};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::companions::{CompanionEvent, CompanionView, Companions};
@@ -22,6 +25,14 @@ pub(crate) struct OwnProcesses {
     streams: Vec<Stream>,
     /// The shortest queue of all topics: grants go no further ahead.
     queue: u64,
+    ports: Option<Ports>,
+}
+
+/// What the processes count of these topics, and its sums.
+struct Ports {
+    table: OwnTopics,
+    counts: PortTable,
+    ledger: CompanionLedger,
 }
 
 /// One topic in lock-step: the samples of scans that are not recorded yet wait.
@@ -48,9 +59,12 @@ impl OwnProcesses {
         let entries: Vec<ProcessEntry> = plan.system.companions().cloned().collect();
         let table = &plan.own_topics;
         if entries.is_empty() && table.topic.is_empty() {
-            return Ok(Self { companions: None, streams: Vec::new(), queue: u64::MAX });
+            return Ok(Self { companions: None, streams: Vec::new(), queue: u64::MAX, ports: None });
         }
         let period_ns = plan.system.period_ns();
+        let counts = PortTable::create(domain)?;
+        counts.free(has_ended);
+        let ports = Ports { table: table.clone(), counts, ledger: CompanionLedger::default() };
         let companions =
             Companions::new(domain, stop_word, &entries, period_ns, lockstep, generation, &out.join("logs"))?;
         let is_digested =
@@ -65,6 +79,7 @@ impl OwnProcesses {
             companions: Some(companions),
             streams,
             queue: queue.map_or(u64::MAX, |queue| queue as u64),
+            ports: Some(ports),
         })
     }
 
@@ -156,6 +171,22 @@ impl OwnProcesses {
         self.views().into_iter().map(row).collect()
     }
 
+    /// Takes what all processes have counted. A process that ends while the system `drives` has died.
+    pub(crate) fn reconcile(&mut self, drives: bool) {
+        if let Some(Ports { counts, ledger, .. }) = &mut self.ports {
+            ledger.update(&counts.counts(), |count| drives && has_ended(count));
+            if drives {
+                counts.free(has_ended);
+            }
+        }
+    }
+
+    /// What became of the samples beside the loop, and their delays in real time.
+    pub(crate) fn ledger(&self) -> (Vec<LedgerRow>, Vec<DelayRow>) {
+        let rows = |ports: &Ports| (ports.ledger.rows(&ports.table), ports.ledger.delays(&ports.table));
+        self.ports.as_ref().map(rows).unwrap_or_default()
+    }
+
     /// Asks all companions to end.
     pub(crate) fn end(&mut self) {
         self.companions.iter_mut().for_each(Companions::end);
@@ -165,6 +196,23 @@ impl OwnProcesses {
     pub(crate) fn have_ended(&mut self) -> bool {
         self.companions.as_mut().is_none_or(Companions::have_ended)
     }
+}
+
+/// Delays that the running processes of a system have measured on topics beside the loop since each was started.
+///
+/// # Errors
+/// A table of the system that can't be read.
+pub fn companion_delays(domain: &Domain) -> anyhow::Result<Vec<DelayRow>> {
+    let Some(table) = OwnTopics::of(domain)? else { return Ok(Vec::new()) };
+    let mut ledger = CompanionLedger::default();
+    ledger.update(&PortTable::open(domain)?.counts(), |_| false);
+    Ok(ledger.delays(&table))
+}
+
+/// Whether the process of a port has ended.
+fn has_ended(count: &PortCount) -> bool {
+    let pid = Pid::from_raw(count.pid.cast_signed());
+    pid.is_none_or(|pid| test_kill_process(pid) == Err(Errno::SRCH))
 }
 
 fn scan_of(sample: &[u8]) -> u64 {

@@ -21,7 +21,7 @@ mod swaps;
 use std::path::Path;
 
 use audit::digest::Digests;
-use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
+use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
@@ -554,13 +554,15 @@ impl Session {
             restarts: view.restarts,
             state: if view.state == VisibleState::Stopped { "exited" } else { view.state.name() }.to_owned(),
         });
+        let (beside, companion_delays) = self.companions.ledger();
         RunResult {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
             swaps: self.swaps.certificates(),
-            ledger: self.audit.samples.report(),
+            ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
+            companion_delays,
             recording: None,
         }
     }

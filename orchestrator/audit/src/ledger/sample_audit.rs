@@ -81,9 +81,7 @@ impl SampleAudit {
     pub fn new(skips_are_faults: bool) -> Self {
         Self {
             skips_are_faults,
-            topics: AUDITED_TOPICS
-                .map(|topic| (topic, TopicLedger::new(topic, runtime::buffer(topic))))
-                .into(),
+            topics: AUDITED_TOPICS.map(|topic| (topic, TopicLedger::new(topic))).into(),
             ..Self::default()
         }
     }
@@ -129,11 +127,12 @@ impl SampleAudit {
         }
     }
 
-    /// The poll found a full buffer: samples may have been overwritten.
-    pub fn overflowed(&mut self, topic: Topic) {
+    /// The poll found a full buffer, of so many samples: others may have been overwritten.
+    pub fn overflowed(&mut self, topic: Topic, capacity: usize) {
         let ledger = self.topics.get_mut(&topic);
-        let (scans, began) =
-            ledger.map_or_else(Default::default, |ledger| (ledger.overflowed(), ledger.began_midway()));
+        let (scans, began) = ledger.map_or_else(Default::default, |ledger| {
+            (ledger.overflowed(capacity as u64), ledger.began_midway())
+        });
         if (began || !scans.is_empty()) && topic.writer() == Some(Role::Robot) {
             let unseen = self.sweeps.values_mut().flat_map(Sweep::overflowed);
             self.excused.extend(unseen.map(|scan| (scan, NOT_OBSERVED)));
@@ -372,9 +371,9 @@ mod tests {
         }
         poll::<Truth>(&mut sample_audit, 101..=140);
         poll::<Scan>(&mut sample_audit, 125..=140);
-        sample_audit.overflowed(Topic::Scan);
+        sample_audit.overflowed(Topic::Scan, 16);
         poll::<Odometry>(&mut sample_audit, 125..=140);
-        sample_audit.overflowed(Topic::Odometry);
+        sample_audit.overflowed(Topic::Odometry, 16);
         AUDITED_TOPICS.iter().for_each(|topic| sample_audit.poll(*topic, 10 + 2 * TIMEOUT_NS));
         assert_eq!(sample_audit.reconcile(false), []);
     }

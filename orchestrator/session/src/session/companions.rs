@@ -89,6 +89,7 @@ impl Session {
         }
         self.companions.digest(recorded_scan, &mut self.recording.digests)?;
         self.companion_reports = self.companions.reports();
+        self.companions.reconcile(false);
         self.companions.announce(Phase::Stopping.wire(), &self.directives.current.authority);
         self.companions.end();
         let end_ns = monotonic_ns() + END_LIMIT_NS;

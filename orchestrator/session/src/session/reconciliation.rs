@@ -79,6 +79,7 @@ impl Session {
         let due = self.audit.due(monotonic_ns(), self.drives());
         if matches!(due, Due::Reconcile | Due::FindStall) {
             self.reconcile(false);
+            self.companions.reconcile(self.drives());
         }
         if due == Due::FindStall && self.audit.samples.is_something_missing() {
             let fault =

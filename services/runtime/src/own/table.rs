@@ -1,8 +1,9 @@
 //! The table of topics and companions of a system, as a file in its directory.
 
 use serde::{Deserialize, Serialize};
-use shared_types::{LayoutFault, LayoutRow, OwnField, OwnType, Role};
+use shared_types::{LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
 
+use super::page::MAX_COMPANIONS;
 use crate::port::Shape;
 use crate::qos::Qos;
 use crate::reserve::{NODE_BYTES, bytes_of_topic, total};
@@ -146,6 +147,26 @@ impl OwnTopics {
     /// Number of a companion in the page.
     pub fn index_of(&self, companion: &str) -> Option<usize> {
         self.companion.iter().position(|row| row.name == companion)
+    }
+
+    /// Number of a topic in the table of ports: first those of the file, then those of the loop.
+    pub(crate) fn number_of(&self, topic: &str) -> u32 {
+        let own = self.topic.iter().map(|row| row.name.as_str());
+        let all = own.chain(TOPICS.iter().map(|topic| topic.name()));
+        all.take_while(|name| *name != topic).count() as u32
+    }
+
+    /// The topic with that number.
+    pub fn topic_name(&self, number: u32) -> Option<&str> {
+        let number = number as usize;
+        let of_loop = || TOPICS.get(number - self.topic.len()).map(|topic| topic.name());
+        self.topic.get(number).map(|row| row.name.as_str()).or_else(of_loop)
+    }
+
+    /// The process with that number in the table of ports: first the companions, then the roles.
+    pub fn process_name(&self, number: u32) -> Option<&str> {
+        let role = || Role::ALL.get((number as usize).checked_sub(MAX_COMPANIONS)?).map(|role| role.name());
+        self.companion.get(number as usize).map(|row| row.name.as_str()).or_else(role)
     }
 
     /// The entry of a topic that a role reads in addition.
