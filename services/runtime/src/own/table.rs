@@ -1,7 +1,7 @@
 //! The table of topics and companions of a system, as a file in its directory.
 
 use serde::{Deserialize, Serialize};
-use shared_types::{LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
+use shared_types::{Described, Field, Kind, LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
 
 use super::page::MAX_COMPANIONS;
 use crate::port::Shape;
@@ -44,6 +44,38 @@ pub struct LayoutField {
 }
 
 impl LayoutFile {
+    /// The layout of a Rust struct that `plain_state!` declares; [`LayoutFile::text`] makes a layout file of it.
+    ///
+    /// # Errors
+    /// A struct without header or stamps, or with a struct among its own fields.
+    pub fn of<S: Described>(doc: &str) -> Result<Self, LayoutFault> {
+        let own = OwnType::of::<S>()?;
+        let field = |field: &Field| {
+            let kind = match field.kind {
+                Kind::Scalar(name) => name.to_owned(),
+                Kind::Array(Kind::Scalar(name), count) => format!("{name}[{count}]"),
+                _ => "struct".to_owned(),
+            };
+            LayoutField { name: field.name.to_owned(), kind, doc: field.doc.to_owned() }
+        };
+        let fields = own.fields().iter().filter(|field| !["header", "stage"].contains(&field.name));
+        let layout = Self { name: own.name().to_owned(), doc: doc.to_owned(), field: fields.map(field).collect() };
+        // The file must give the type that the struct has.
+        layout.own_type()?;
+        Ok(layout)
+    }
+
+    /// The text of a layout file.
+    pub fn text(&self) -> String {
+        let quoted = |text: &str| toml::Value::from(text).to_string();
+        let head = format!("name = {}\ndoc = {}\n", quoted(&self.name), quoted(&self.doc));
+        let field = |LayoutField { name, kind, doc }: &LayoutField| {
+            let [name, kind, doc] = [name, kind, doc].map(|text| quoted(text));
+            format!("\n[[field]]\nname = {name}\ntype = {kind}\ndoc = {doc}\n")
+        };
+        self.field.iter().map(field).fold(head, |text, field| text + &field)
+    }
+
     /// The type of the samples.
     ///
     /// # Errors
@@ -69,6 +101,9 @@ pub struct TopicRow {
     pub readers: usize,
     /// Its samples.
     pub layout: LayoutFile,
+    /// How far two processes that write it may differ, by field.
+    #[serde(default)]
+    pub agree: Vec<(String, f64)>,
 }
 
 /// One companion.
@@ -205,6 +240,18 @@ impl TopicRow {
         }
     }
 
+    /// The numbers of a field in the bytes of a sample; empty for a field that the samples do not have.
+    pub fn numbers(fields: &[Field], field: &str, sample: &[u8]) -> Vec<f64> {
+        let Some(field) = fields.iter().find(|known| known.name == field) else { return Vec::new() };
+        let (element, count) = match field.kind {
+            Kind::Array(element, count) => (*element, count),
+            single => (single, 1),
+        };
+        let Kind::Scalar(name) = element else { return Vec::new() };
+        let bytes = sample[field.offset..].chunks_exact(element.size()).take(count);
+        bytes.map(|bytes| number(name, bytes)).collect()
+    }
+
     /// Name, type and size on the bus.
     pub(crate) fn shape(&self) -> Result<(OwnType, Shape), RuntimeError> {
         let own = self.layout.own_type().map_err(|fault| {
@@ -217,6 +264,18 @@ impl TopicRow {
     /// Shared memory for samples of `size`: the service, two writers, and all readers that there may be [bytes].
     pub fn bytes(&self, size: usize) -> u64 {
         bytes_of_topic(self.qos(), size)
+    }
+}
+
+/// A scalar of a sample as a number.
+fn number(kind: &str, bytes: &[u8]) -> f64 {
+    match kind {
+        "u8" => f64::from(bytes[0]),
+        "u16" => f64::from(bytemuck::pod_read_unaligned::<u16>(bytes)),
+        "u32" => f64::from(bytemuck::pod_read_unaligned::<u32>(bytes)),
+        "i32" => f64::from(bytemuck::pod_read_unaligned::<i32>(bytes)),
+        "u64" => bytemuck::pod_read_unaligned::<u64>(bytes) as f64,
+        _ => bytemuck::pod_read_unaligned::<f64>(bytes),
     }
 }
 
