@@ -27,7 +27,7 @@ use shared_types::Role;
 pub use self::companions::CompanionLedger;
 pub use self::fault::{Fault, Kind};
 pub use self::refused::{NewRefusal, RefusedRow};
-pub use self::rows::{DelayRow, LedgerReport, LedgerRow, ScanReport};
+pub use self::rows::{DelayRow, LedgerReport, LedgerRow, ScanReport, StrangerRow};
 pub use self::sample_audit::{AUDITED_TOPICS, SampleAudit};
 pub use self::topic::{InputReport, TopicLedger};
 

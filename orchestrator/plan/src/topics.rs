@@ -47,9 +47,7 @@ settings! {
 /// A text that is no layout, and fields that make no type of samples.
 pub fn read_layout(path: &Path) -> Result<LayoutFile, String> {
     let text = user_file::read(path, TEXT_BYTES).map_err(|error| error.to_string())?;
-    let layout: LayoutFile = toml::from_str(&text).map_err(|error| error.message().to_owned())?;
-    layout.own_type().map_err(|fault| fault.to_string())?;
-    Ok(layout)
+    text.parse()
 }
 
 /// The topics and companions of a checked system, as its processes get them; `file` is the system file.

@@ -3,6 +3,7 @@
 pub mod adopt;
 pub mod arguments;
 mod companion;
+mod companion_swaps;
 pub mod control;
 mod directives;
 pub mod orphaned;

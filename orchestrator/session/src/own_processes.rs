@@ -6,6 +6,7 @@ use std::path::Path;
 
 use audit::digest::Digests;
 use audit::ledger::{CompanionLedger, DelayRow, LedgerRow};
+use handover::swap::Certificate;
 use plan::Plan;
 use report::CompanionReport;
 use runtime::{Bus, Domain, OwnObserver, OwnTopics, PortCount, PortTable, RuntimeError, StopWord};
@@ -14,6 +15,8 @@ use rustix::process::{Pid, test_kill_process};
 use shared_types::{Authority, Header, ProcessState};
 use supervision::entry::ProcessEntry;
 use supervision::fleet::companions::{CompanionEvent, CompanionView, Companions};
+
+use crate::companion_swaps::CompanionSwaps;
 
 /// A queue of this many samples takes all that a companion may publish before it is polled: two are on their way.
 const SPARE: usize = 2;
@@ -26,6 +29,7 @@ pub(crate) struct OwnProcesses {
     /// The shortest queue of all topics: grants go no further ahead.
     queue: u64,
     ports: Option<Ports>,
+    swaps: CompanionSwaps,
 }
 
 /// What the processes count of these topics, and its sums.
@@ -38,6 +42,7 @@ struct Ports {
 /// One topic in lock-step: the samples of scans that are not recorded yet wait.
 struct Stream {
     topic: String,
+    writer: String,
     observer: OwnObserver,
     waiting: VecDeque<Vec<u8>>,
 }
@@ -59,7 +64,8 @@ impl OwnProcesses {
         let entries: Vec<ProcessEntry> = plan.system.companions().cloned().collect();
         let table = &plan.own_topics;
         if entries.is_empty() && table.topic.is_empty() {
-            return Ok(Self { companions: None, streams: Vec::new(), queue: u64::MAX, ports: None });
+            let swaps = CompanionSwaps::default();
+            return Ok(Self { companions: None, streams: Vec::new(), queue: u64::MAX, ports: None, swaps });
         }
         let period_ns = plan.system.period_ns();
         let counts = PortTable::create(domain)?;
@@ -72,7 +78,8 @@ impl OwnProcesses {
         let mut streams = Vec::new();
         for row in table.topic.iter().filter(|row| lockstep && is_digested(&row.writer)) {
             let observer = OwnObserver::new(bus, table, &row.name)?;
-            streams.push(Stream { topic: row.name.clone(), observer, waiting: VecDeque::new() });
+            let (topic, writer) = (row.name.clone(), row.writer.clone());
+            streams.push(Stream { topic, writer, observer, waiting: VecDeque::new() });
         }
         let queue = table.topic.iter().map(|row| row.queue.saturating_sub(SPARE).max(1)).min();
         Ok(Self {
@@ -80,6 +87,7 @@ impl OwnProcesses {
             streams,
             queue: queue.map_or(u64::MAX, |queue| queue as u64),
             ports: Some(ports),
+            swaps: CompanionSwaps::default(),
         })
     }
 
@@ -91,10 +99,22 @@ impl OwnProcesses {
         self.streams.iter().for_each(|stream| stream.observer.connect());
     }
 
-    /// Starts, reaps and judges companions.
-    pub(crate) fn advance(&mut self, recorded_scan: u64, newest_scan: u64) -> Vec<CompanionEvent> {
-        let advance = |companions: &mut Companions| companions.advance(recorded_scan, newest_scan);
-        self.companions.as_mut().map_or_else(Vec::new, advance)
+    /// Starts, reaps and judges companions; returns what has happened, and the certificates of swaps that have ended.
+    ///
+    /// # Errors
+    /// Errors of the bus.
+    pub(crate) fn advance(
+        &mut self,
+        recorded_scan: u64,
+        newest_scan: u64,
+    ) -> Result<(Vec<CompanionEvent>, Vec<Certificate>), RuntimeError> {
+        let Self { companions, swaps, .. } = self;
+        let Some(companions) = companions else { return Ok((Vec::new(), Vec::new())) };
+        let before = swaps.certificates().len();
+        swaps.advance(companions)?;
+        let events = companions.advance(recorded_scan, newest_scan);
+        events.iter().for_each(|event| _ = swaps.note(event));
+        Ok((events, swaps.certificates()[before..].to_vec()))
     }
 
     /// Adds the samples of recorded scans to the digests.
@@ -102,9 +122,16 @@ impl OwnProcesses {
     /// # Errors
     /// Errors of the bus.
     pub(crate) fn digest(&mut self, recorded_scan: u64, digests: &mut Digests) -> Result<(), RuntimeError> {
-        for Stream { topic, observer, waiting, .. } in &mut self.streams {
+        let Self { companions, streams, .. } = self;
+        for Stream { topic, writer, observer, waiting } in streams {
+            let counts = |sample: &[u8]| {
+                let header = bytemuck::pod_read_unaligned(&sample[..size_of::<Header>()]);
+                companions.as_ref().is_some_and(|companions| companions.counts(writer, &header))
+            };
             while let Some(sample) = observer.next()? {
-                waiting.push_back(sample);
+                if counts(&sample) {
+                    waiting.push_back(sample);
+                }
             }
             while waiting.front().is_some_and(|sample| scan_of(sample) <= recorded_scan) {
                 if let Some(mut sample) = waiting.pop_front() {
@@ -131,16 +158,27 @@ impl OwnProcesses {
         self.companions.as_ref().and_then(Companions::answered_scan).is_some_and(|answered| answered < scan)
     }
 
-    /// Replaces a companion, by a new process of its command when there is none.
+    /// Replaces a companion, by a new process of its command when there is none; the number of the swap, or none when
+    /// no old process runs.
     ///
     /// # Errors
     /// Why it can't be replaced.
-    pub(crate) fn replace(&mut self, name: &str, command: Option<&[String]>) -> Result<(), String> {
-        let companions = self.companions.as_mut().ok_or("the system has no companions")?;
-        match command {
-            Some(command) => companions.swap(name, command),
-            None => companions.restart(name),
-        }
+    pub(crate) fn replace(
+        &mut self,
+        domain: &Domain,
+        name: &str,
+        command: Option<&[String]>,
+        shadow_scans: u64,
+    ) -> Result<Option<u64>, String> {
+        let Self { companions: Some(companions), ports: Some(ports), swaps, .. } = self else {
+            return Err("the system has no companions".to_owned());
+        };
+        swaps.begin(companions, domain, &ports.table, name, command, shadow_scans)
+    }
+
+    /// The swaps of companions.
+    pub(crate) fn swaps(&self) -> &CompanionSwaps {
+        &self.swaps
     }
 
     /// Descriptors that become readable when a companion ends.
@@ -171,14 +209,15 @@ impl OwnProcesses {
         self.views().into_iter().map(row).collect()
     }
 
-    /// Takes what all processes have counted. A process that ends while the system `drives` has died.
-    pub(crate) fn reconcile(&mut self, drives: bool) {
-        if let Some(Ports { counts, ledger, .. }) = &mut self.ports {
-            ledger.update(&counts.counts(), |count| drives && has_ended(count));
-            if drives {
-                counts.free(has_ended);
-            }
+    /// Takes what all processes have counted; returns what readers have dropped for a new reason, as text. A process that
+    /// ends while the system `drives` has died.
+    pub(crate) fn reconcile(&mut self, drives: bool) -> Vec<String> {
+        let Some(Ports { table, counts, ledger }) = &mut self.ports else { return Vec::new() };
+        ledger.update(&counts.counts(), |count| drives && has_ended(count));
+        if drives {
+            counts.free(has_ended);
         }
+        ledger.new_drops(table)
     }
 
     /// What became of the samples beside the loop, and their delays in real time.

@@ -456,11 +456,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached);
+                    self.await_companions(ProcessState::Attached)?;
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected);
+                    self.await_companions(ProcessState::Connected)?;
                     if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
@@ -560,7 +560,7 @@ impl Session {
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
-            swaps: self.swaps.certificates(),
+            swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),
             ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
             companion_delays,
             recording: None,

@@ -9,7 +9,7 @@
 //! Limit: samples that were published before a reader was there are not for it. Those of a writer that is not counted
 //! (an operator, or a process that counts nothing) are known from the numbers that arrived.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use runtime::{OwnTopics, PortCount};
 
@@ -19,6 +19,13 @@ use super::rows::{DelayRow, LedgerRow};
 /// Writers that have ended are kept until so many newer ones have: their readers may still hold samples.
 const ENDED_WRITERS: usize = 8;
 
+/// Reasons that point at a fault of the writer, with what they say.
+const NAMED: [(&str, &str); 3] = [
+    ("content", "a number is not finite or not allowed"),
+    ("layout", "another layout"),
+    ("queue_full", "more came at once than its queue holds"),
+];
+
 /// The ledger of the topics beside the loop.
 #[derive(Debug, Clone, Default)]
 pub struct CompanionLedger {
@@ -27,6 +34,8 @@ pub struct CompanionLedger {
     /// Readers that have ended, added up, by topic and process.
     ended: BTreeMap<(u32, u32), LedgerRow>,
     delays: BTreeMap<(u32, u32, bool), DelayRow>,
+    /// Drops that were named: topic, reader and reason.
+    named: BTreeSet<(String, String, &'static str)>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -80,6 +89,21 @@ impl CompanionLedger {
             Some(LedgerRow { topic, reader, ..row })
         };
         rows.into_iter().filter_map(named).collect()
+    }
+
+    /// Drops by content or layout, and by a full queue, that were not returned before: once for each topic, reader and
+    /// reason, as text.
+    pub fn new_drops(&mut self, table: &OwnTopics) -> Vec<String> {
+        let mut found = Vec::new();
+        for LedgerRow { topic, reader, reasons, .. } in self.rows(table) {
+            for (reason, text) in NAMED {
+                let key = (topic.clone(), reader.clone(), reason);
+                if reasons.contains_key(reason) && self.named.insert(key) {
+                    found.push(format!("{reader} dropped samples of topic {topic}: {text}"));
+                }
+            }
+        }
+        found
     }
 
     /// The delays of each port, in real time.

@@ -1,6 +1,7 @@
 //! Scans, samples and refusals as `report.json` has them.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use runtime::Delays;
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,9 @@ pub struct LedgerReport {
     /// Counts per topic and process beside the loop: topics of your own, and what companions read of the loop.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub companions: Vec<LedgerRow>,
+    /// Processes that fill no role and published on topics of the loop; their samples count nowhere.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub strangers: Vec<StrangerRow>,
     /// Samples that a reader dropped or refused because of their content: by writer, reader and rule.
     pub refused: Vec<RefusedRow>,
     /// Faults sample by sample; at most a thousand.
@@ -84,6 +88,18 @@ pub struct LedgerRow {
     pub reasons: BTreeMap<String, u64>,
 }
 
+/// Samples on a topic of the loop from a process that fills no role.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StrangerRow {
+    /// Name of the topic.
+    pub topic: String,
+    /// The incarnation that the samples name.
+    pub incarnation: u32,
+    /// How many were seen.
+    pub samples: u64,
+}
+
 /// Delays at one end of a topic beside the loop.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -101,6 +117,13 @@ pub struct DelayRow {
     pub mean_us: f64,
     /// Longest [us].
     pub max_us: f64,
+}
+
+impl fmt::Display for StrangerRow {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { topic, incarnation, .. } = self;
+        write!(formatter, "incarnation {incarnation} publishes on topic {topic} and fills no role: it is ignored")
+    }
 }
 
 impl LedgerRow {

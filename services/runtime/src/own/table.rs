@@ -1,5 +1,7 @@
 //! The table of topics and companions of a system, as a file in its directory.
 
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 use shared_types::{Described, Field, Kind, LayoutFault, LayoutRow, OwnField, OwnType, Role, TOPICS};
 
@@ -88,8 +90,19 @@ impl LayoutFile {
     }
 }
 
+/// Reads the text of a layout file.
+impl FromStr for LayoutFile {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let layout: Self = toml::from_str(text).map_err(|error| error.message().to_owned())?;
+        layout.own_type().map_err(|fault| fault.to_string())?;
+        Ok(layout)
+    }
+}
+
 /// One topic that the system file adds.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TopicRow {
     /// Its name.
     pub name: String,
@@ -99,11 +112,11 @@ pub struct TopicRow {
     pub queue: usize,
     /// Readers, observers included.
     pub readers: usize,
-    /// Its samples.
-    pub layout: LayoutFile,
     /// How far two processes that write it may differ, by field.
     #[serde(default)]
     pub agree: Vec<(String, f64)>,
+    /// Its samples.
+    pub layout: LayoutFile,
 }
 
 /// One companion.
@@ -232,8 +245,8 @@ impl TopicRow {
         Qos {
             // The one in charge, its successor, and two that are ending.
             publishers: 4,
-            // The orchestrator reads it too, in lock-step.
-            subscribers: self.readers + 1,
+            // The orchestrator reads it too: in lock-step, and during a swap of its writer.
+            subscribers: self.readers + 2,
             buffer: self.queue,
             borrowed: self.queue + 2,
             history: 0,
