@@ -29,6 +29,10 @@ fn a_controller_of_ones_own_obeys_the_advisor() {
     assert_eq!((advisor.left_lockstep_at_scan, advisor.invalid), (None, 0));
     assert!(advisor.answered >= report.scans.published - 1, "{advisor:?}");
     assert!(report.digests.contains_key("limit"));
+    for (topic, reader) in [("pose", "advisor"), ("limit", "controller")] {
+        let row = report.ledger.companions.iter().find(|row| (&*row.topic, &*row.reader) == (topic, reader));
+        assert!(row.is_some_and(|row| row.used > 20 && row.residual == 0), "{:?}", report.ledger.companions);
+    }
     let speeds = report.trajectory.windows(2).map(|pair| {
         let [[t0, x0, ..], [t1, x1, ..]] = [pair[0], pair[1]];
         (x0, (x1 - x0) / (t1 - t0))
