@@ -109,6 +109,8 @@ fn service(name: &str) -> anyhow::Result<()> {
             hops::HopError::NotInAChain => Failure::bad_input(error),
             other => other.into(),
         }),
-        _ => Err(Failure::bad_input(format!("unknown service `{name}`: expected hop, load, scale-companion or echo-ROLE"))),
+        _ => Err(Failure::bad_input(format!(
+            "unknown service `{name}`: expected hop, load, scale-companion or echo-ROLE"
+        ))),
     }
 }

@@ -24,7 +24,7 @@ use self::system::{Measured, Shape, measure};
 
 /// Arguments of `bench scale`.
 #[derive(Debug, Args)]
-pub struct ScaleArguments {
+pub(crate) struct ScaleArguments {
     /// How long each system drives [s].
     #[arg(long, value_name = "S", default_value_t = 8.0)]
     duration: f64,
@@ -135,7 +135,9 @@ pub(crate) fn scale(arguments: &ScaleArguments) -> anyhow::Result<console::exit:
             points.push(Point { value, measured: measure(&program, &shape, arguments.duration)? });
         }
         let fit = |figure: fn(&Measured) -> f64| {
-            line(&points.iter().map(|point| (point.value as f64, figure(&point.measured))).collect::<Vec<_>>())
+            line(
+                &points.iter().map(|point| (point.value as f64, figure(&point.measured))).collect::<Vec<_>>(),
+            )
         };
         let fits = Fits {
             latency_p50_us: fit(|measured| measured.scan_to_actuation_us.p50),

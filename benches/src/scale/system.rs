@@ -98,7 +98,8 @@ pub(super) fn measure(program: &Path, shape: &Shape, duration_s: f64) -> anyhow:
         .context("`check` does not print the shared memory")?;
     let (duration, folder_of_report) = (duration_s.to_string(), out.to_str().context("a readable path")?);
     let started = Instant::now();
-    let run = ["run", "endless", "--quiet", "--system", file, "--duration", &duration, "--out", folder_of_report];
+    let run =
+        ["run", "endless", "--quiet", "--system", file, "--duration", &duration, "--out", folder_of_report];
     let mut running = call(&run).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
     let status = || -> Option<Value> {
         let output = call(&["status", "--json"]).output().ok()?;

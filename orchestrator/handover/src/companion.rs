@@ -186,7 +186,8 @@ mod tests {
     use super::*;
 
     fn swap(shadow_scans: u64) -> CompanionSwap {
-        let bound = |field: &str, bound| FieldBound { topic: "imu".to_owned(), field: field.to_owned(), bound };
+        let bound =
+            |field: &str, bound| FieldBound { topic: "imu".to_owned(), field: field.to_owned(), bound };
         let bounds = vec![bound("yaw_rate_radps", 0.1), bound("axes", 1.0)];
         CompanionSwap::new("sensor", "./old", "./new", bounds, shadow_scans)
     }

@@ -70,7 +70,7 @@ impl CompanionSwaps {
                 .topic
                 .iter()
                 .filter(writes)
-                .flat_map(|row| row.agree.iter().map(|agree| bound(row, agree)))
+                .flat_map(|row| row.agree.iter().map(move |agree| bound(row, agree)))
                 .collect(),
             None => Vec::new(),
         };

@@ -147,8 +147,8 @@ fn with_a_bound_a_companion_takes_over_after_scans_that_agree_and_one_that_diffe
     let system = bounded();
     let swap = |mode: &str| {
         let output = system.run(&["swap", "writer", "--shadow-scans", "5", "--json", "--", COMPANION, mode]);
-        let certificate: Certificate =
-            serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {}", text(&output)));
+        let certificate: Certificate = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}", text(&output)));
         (output.status.code(), certificate)
     };
     let (code, refused) = swap("shifted");
@@ -177,7 +177,8 @@ fn the_ledger_and_the_latency_know_topics_beside_the_loop() {
     assert!(rows.iter().any(|row| row["topic"] == "echo" && row["writes"] == true), "{rows:?}");
     let (report, _) = reached(system);
     let row = |topic: &str, reader: &str| {
-        let found = report.ledger.companions.iter().find(|row| (&*row.topic, &*row.reader) == (topic, reader));
+        let found =
+            report.ledger.companions.iter().find(|row| (&*row.topic, &*row.reader) == (topic, reader));
         found.unwrap_or_else(|| panic!("{:?}", report.ledger.companions)).clone()
     };
     for row in [row("odometry", "writer"), row("echo", "reader")] {
@@ -186,7 +187,9 @@ fn the_ledger_and_the_latency_know_topics_beside_the_loop() {
     }
     let delay = |process: &str, writes: bool| {
         let rows = report.latency_us.companions.iter();
-        rows.clone().find(|row| row.topic == "echo" && row.process == process && row.writes == writes).cloned()
+        rows.clone()
+            .find(|row| row.topic == "echo" && row.process == process && row.writes == writes)
+            .cloned()
     };
     let (published, taken) = (delay("writer", true).unwrap(), delay("reader", false).unwrap());
     assert!(published.count > 20 && taken.count > 20, "{published:?} {taken:?}");

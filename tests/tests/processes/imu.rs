@@ -11,7 +11,6 @@ use scanloop_tests::System;
 
 /// The struct of the example, from its own source.
 #[path = "../../../examples/rust/imu/src/imu.rs"]
-#[expect(dead_code, unreachable_pub, reason = "its layout alone is used here")]
 mod imu;
 
 const EXECUTABLE: &str = env!("CARGO_BIN_EXE_scanloop-under-test");

@@ -122,7 +122,10 @@ pub struct DelayRow {
 impl fmt::Display for StrangerRow {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { topic, incarnation, .. } = self;
-        write!(formatter, "incarnation {incarnation} publishes on topic {topic} and fills no role: it is ignored")
+        write!(
+            formatter,
+            "incarnation {incarnation} publishes on topic {topic} and fills no role: it is ignored"
+        )
     }
 }
 

@@ -252,7 +252,7 @@ impl SampleAudit {
             !stranger.is_reported && (is_last || now_ns > stranger.since_ns.saturating_add(STRANGER_NS))
         };
         let rows = strangers.iter_mut().map(|(key, stranger)| (*key, stranger));
-        rows.filter_map(|(key, mut stranger)| {
+        rows.filter_map(|(key, stranger)| {
             is_new(&stranger).then(|| {
                 stranger.is_reported = true;
                 stranger.row(key)

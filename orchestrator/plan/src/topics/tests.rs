@@ -146,7 +146,10 @@ fn a_bound_names_a_field_of_the_layout() {
         "{message}"
     );
     let message = folder.error(&with("{ field = \"yaw_rate_radps\", bound = -1.0 }"));
-    assert!(message.starts_with("topic[0].agree[0].bound = -1") || message.contains("bound = -1"), "{message}");
+    assert!(
+        message.starts_with("topic[0].agree[0].bound = -1") || message.contains("bound = -1"),
+        "{message}"
+    );
 }
 
 #[test]

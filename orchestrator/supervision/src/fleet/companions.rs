@@ -412,16 +412,20 @@ impl Companions {
         Some((incarnation(&member.process).unwrap_or(0), incarnation(&member.successor)?))
     }
 
-    /// Whether a sample of a companion counts.
+    /// Whether a sample of a companion counts; the last ones of a process that has died do.
     pub fn counts(&self, name: &str, header: &Header) -> bool {
         let member = self.members.iter().find(|member| member.entry.name() == name);
-        member.is_some_and(|member| member.authority.accepts(header.incarnation, header.scan_id))
+        member.is_some_and(|Member { authority, .. }| {
+            authority.incarnation == 0 || authority.accepts(header.incarnation, header.scan_id)
+        })
     }
 
     /// The successor of a companion may take over.
     pub fn approve(&mut self, name: &str) {
         let successors = self.members.iter_mut().filter(|member| member.entry.name() == name);
-        successors.filter_map(|member| member.successor.as_mut()).for_each(|running| running.is_approved = true);
+        successors
+            .filter_map(|member| member.successor.as_mut())
+            .for_each(|running| running.is_approved = true);
     }
 
     /// Ends the successor of a companion, which stays as it is.

@@ -140,7 +140,9 @@ impl Companion {
 
     /// What the system file says about this process.
     pub fn uses(&self) -> &CompanionRow {
-        let Place::Companion { index, .. } = self.member.place else { unreachable!("a companion has a number") };
+        let Place::Companion { index, .. } = self.member.place else {
+            unreachable!("a companion has a number")
+        };
         &self.member.table.companion[index]
     }
 

@@ -61,7 +61,8 @@ impl LayoutFile {
             LayoutField { name: field.name.to_owned(), kind, doc: field.doc.to_owned() }
         };
         let fields = own.fields().iter().filter(|field| !["header", "stage"].contains(&field.name));
-        let layout = Self { name: own.name().to_owned(), doc: doc.to_owned(), field: fields.map(field).collect() };
+        let layout =
+            Self { name: own.name().to_owned(), doc: doc.to_owned(), field: fields.map(field).collect() };
         // The file must give the type that the struct has.
         layout.own_type()?;
         Ok(layout)

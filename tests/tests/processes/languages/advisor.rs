@@ -159,5 +159,9 @@ fn companions_in_c_and_python_that_were_built_against_another_layout_are_refused
          \"companion\"\nname = \"advisor\"\ncommand = {words:?}\nreads = [\"pose\"]\nwrites = [\"limit\"]\n"
     );
     std::fs::write(system.folder().join("lab.toml"), text).unwrap();
-    assert_refused(&system, &["--system", "lab.toml"], "field speed_mps is called velocity_mps in this process");
+    assert_refused(
+        &system,
+        &["--system", "lab.toml"],
+        "field speed_mps is called velocity_mps in this process",
+    );
 }
