@@ -95,10 +95,10 @@ class Port:
         topics = own + [kind.TOPIC for kind in vars(types).values() if hasattr(kind, "TOPIC")]
         process = member.index if member.index is not None else self.MAX_COMPANIONS + member.role
         with open(f"/dev/shm/scanloop-{member.run_id}/ports.v1", "r+b") as file:
-            table = mmap.mmap(file.fileno(), 0)
+            table, size = mmap.mmap(file.fileno(), 0), ctypes.sizeof(_Cell)
             # Other languages take free cells from the front.
             fcntl.flock(file, fcntl.LOCK_EX)
-            cells = (_Cell.from_buffer(table, at) for at in range(len(table) - ctypes.sizeof(_Cell), -1, -ctypes.sizeof(_Cell)))
+            cells = (_Cell.from_buffer(table, at) for at in range(len(table) - size, -1, -size))
             self._cell = next((cell for cell in cells if cell.incarnation == 0), None) or _Cell()
             self._cell.incarnation = member.incarnation
         cell = self._cell
