@@ -23,7 +23,7 @@ mod swaps;
 use std::path::Path;
 
 use audit::digest::Digests;
-use audit::ledger::{PROCESS_RESTARTED, SampleAudit};
+use audit::ledger::{LedgerReport, PROCESS_RESTARTED, SampleAudit};
 use audit::samples::{MAX_DEVIATING, Samples, ScanRecord};
 use console::progress::Progress;
 use emulator::JudgedBy;
@@ -468,11 +468,11 @@ impl Session {
             }
             Action::Announce(phase) => {
                 if phase == Phase::Connecting {
-                    self.await_companions(ProcessState::Attached);
+                    self.await_companions(ProcessState::Attached)?;
                     self.samples.connect();
                 }
                 if phase == Phase::Driving {
-                    self.await_companions(ProcessState::Connected);
+                    self.await_companions(ProcessState::Connected)?;
                     if self.companion.as_mut().is_some_and(|companion| !companion.connect()) {
                         self.progress
                             .warn("the recorder did not connect in time: the first samples may be missing");
@@ -566,13 +566,15 @@ impl Session {
             restarts: view.restarts,
             state: if view.state == VisibleState::Stopped { "exited" } else { view.state.name() }.to_owned(),
         });
+        let (beside, companion_delays) = self.companions.ledger();
         RunResult {
             outcome,
             reason: reason.to_owned(),
             processes: processes.collect(),
             companions: self.companion_reports.clone(),
-            swaps: self.swaps.certificates(),
-            ledger: self.audit.samples.report(),
+            swaps: [&self.swaps.certificates(), self.companions.swaps().certificates()].concat(),
+            ledger: LedgerReport { companions: beside, ..self.audit.samples.report() },
+            companion_delays,
             recording: None,
             incidents: Vec::new(),
         }

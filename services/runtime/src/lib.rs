@@ -91,13 +91,13 @@ pub use observer::{Checked, Observer, Publisher, TopicObserver};
 pub use orphan::{LEAVING, LOCK_FILE};
 pub use output::Output;
 pub use own::{
-    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, LayoutField, LayoutFile,
-    LoopTopic, MAX_COMPANIONS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher, OwnTaken, OwnTopics,
-    TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
+    AlsoReads, ByteTopic, Companion, CompanionPage, CompanionReport, CompanionRow, Delays, LayoutField,
+    LayoutFile, LoopTopic, MAX_COMPANIONS, MAX_PORTS, NamedTopic, OPERATOR, OwnObserver, OwnPublisher,
+    OwnTaken, OwnTopics, PortCount, PortTable, TOPICS_FILE, TakenBytes, TopicRow, memory_limit,
 };
 pub use peer::peer_uid;
 pub use process::Process;
-pub use qos::buffer;
+pub use qos::{MAX_READERS, PROCESS_QUEUE, observer_queue};
 pub use realtime::{Realtime, Scheduler};
 pub use reserve::Reserve;
 pub use settings::{ClockKind, RunSettings, own_settings_file, settings_file, settings_table};

@@ -26,7 +26,7 @@ use crate::input::{Input, Reader};
 use crate::orphan::OrphanCleanup;
 use crate::output::{Connect, Output, Writer, may_write};
 use crate::own::{ByteTopic, Member, NamedTopic, Place};
-use crate::reserve::require_room;
+use crate::reserve::require_room_of;
 use crate::settings::{self, RunSettings};
 use crate::shared::Shared;
 use crate::{
@@ -102,7 +102,7 @@ impl Process {
         let run: RunSettings = settings::table(&domain, role, &settings, "run")?;
         let realtime: Realtime = settings::table(&domain, role, &settings, "realtime")?;
         realtime.apply_timer_slack();
-        require_room(Some(role))?;
+        require_room_of(role, run.period_ns)?;
         let bus = Bus::open(&domain, role.name())?;
         let bells = Arc::clone(bus.bells());
         shutdown.ring_also(&bells, role)?;

@@ -31,6 +31,8 @@ pub enum Request {
         name: String,
         /// Program and arguments.
         command: Option<Vec<String>>,
+        /// Scans in a row on which the new process must agree, where its topics have bounds.
+        shadow_scans: u64,
     },
     /// Replace one process by another.
     Swap(SwapRequest),

@@ -9,6 +9,7 @@ use supervision::supervisor::Event;
 use super::Session;
 use super::candidates::Live;
 use super::injection::inject;
+use crate::companion_swaps::CompanionSwaps;
 use crate::control::{Reply, Request, SwapRequest};
 
 impl Session {
@@ -58,8 +59,13 @@ impl Session {
             }
             Request::ShadowResult { number } => shadows.result(number),
             Request::ShadowEnd { number } => shadows.end_early(number),
-            Request::ReplaceCompanion { name, command } => {
-                companions.replace(&name, command.as_deref()).map_or_else(Reply::Refused, |()| Reply::Done)
+            Request::ReplaceCompanion { name, command, shadow_scans } => {
+                let replaced = companions.replace(&run.domain, &name, command.as_deref(), shadow_scans);
+                let accepted = |number: Option<u64>| number.map_or(Reply::Done, Reply::Accepted);
+                replaced.map_or_else(Reply::Refused, accepted)
+            }
+            Request::SwapResult { number } if CompanionSwaps::is_of_companion(number) => {
+                companions.swaps().result(number)
             }
             Request::Inject { .. } if run.lockstep => Reply::Refused(
                 "faults are injected into runs in real time; `scanloop faults` has them in simulated time"
