@@ -10,6 +10,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/main.js", SCRIPT, include_str!("page/main.js")),
     ("/stream.js", SCRIPT, include_str!("page/stream.js")),
     ("/map.js", SCRIPT, include_str!("page/map.js")),
+    ("/bodies.js", SCRIPT, include_str!("page/bodies.js")),
     ("/camera.js", SCRIPT, include_str!("page/camera.js")),
     ("/loop.js", SCRIPT, include_str!("page/loop.js")),
     ("/latency.js", SCRIPT, include_str!("page/latency.js")),
