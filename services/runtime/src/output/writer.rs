@@ -115,7 +115,7 @@ impl Writer {
         }
     }
 
-    /// Lets an injected fault change a complete sample; whether it is sent. The guard has the last word.
+    /// Lets an injected fault change a complete sample; whether it is sent. The guard of the wheels checks it last.
     fn is_sent(&self, sample: &mut [u8]) -> bool {
         let mut tamper = self.shared.tamper.borrow_mut();
         let Some(tamper) = tamper.as_mut() else { return true };
