@@ -138,7 +138,7 @@ fn bounded() -> System {
     let topic = "layout = \"echo.toml\"\n";
     let bounded = lab.replacen(topic, &format!("{topic}agree = [{{ field = \"value\", bound = 0.1 }}]\n"), 1);
     std::fs::write(&file, bounded).unwrap();
-    system.start(&[&SHORT_FREE[..], &SYSTEM].concat());
+    system.start(&[&["free"][..], &SYSTEM].concat());
     system
 }
 
